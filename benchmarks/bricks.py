@@ -1,4 +1,4 @@
-"""Chairs of bricks: what a verdict and a plan cost where studs pull.
+"""Chairs of bricks: cost of a verdict and of a plan with clutching studs.
 
     python benchmarks/bricks.py --heights 8,40 --repeats 3
 
@@ -21,13 +21,13 @@ from falsework.search import find_plans
 from falsework.stability import Stability
 
 STATES = 40
-"""Late states of a plan, most bricks in place, whose verdicts are timed."""
+"""Number of late states of a plan, with most bricks in place, whose verdicts are timed."""
 WIDTH, LEGS = 12, 12
-"""Studs along the sides of the seat, and layers of the legs."""
+"""Length of the sides of the seat in studs, and number of layers of the legs."""
 
 
 def chair(back: int) -> list[Brick]:
-    """Return the bricks of a chair whose back has so many layers."""
+    """Return the bricks of a chair whose back has this many layers."""
     bricks: list[Brick] = []
 
     def put(x: int, y: int, layer: int, *studs: int) -> None:
@@ -51,14 +51,14 @@ def chair(back: int) -> list[Brick]:
 
 
 def rows(shifted: bool) -> list[tuple[int, int]]:
-    """Return places and lengths of the bricks along a side."""
+    """Return positions and lengths of the bricks along a side."""
     if not shifted:
         return [(start, 4) for start in range(0, WIDTH, 4)]
     return [(0, 2), *((start, 4) for start in range(2, WIDTH - 2, 4)), (WIDTH - 2, 2)]
 
 
 def cost(back: int, repeats: int) -> None:
-    """Time a plan, and verdicts of states of it, by themselves and from the state before."""
+    """Time a plan, and verdicts of its states, without and with a warm start from the previous state."""
     bricks = chair(back)
     assembly = assemble_bricks(bricks)
     seconds, found = [], None

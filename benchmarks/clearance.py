@@ -1,4 +1,4 @@
-"""Time the clearance table of structures on one core, after imports: one JSON object a line.
+"""Time the clearance table of structures on one core, after imports: one JSON object per line.
 
     python benchmarks/clearance.py
     python benchmarks/clearance.py --structures vault:parts=100 --directions 300
@@ -28,14 +28,14 @@ BUILT_IN = ("dome", "vault")
 
 @dataclass(frozen=True)
 class Options:
-    """What to time."""
+    """Structures and settings to time."""
 
     structures: tuple[str, ...] = ()
-    """Built-in names or paths; empty for a choice of real and built-in ones."""
+    """Built-in names or paths; empty for a selection of real and built-in ones."""
     directions: int = 1000
     """Directions to try for each part."""
     repeats: int = 3
-    """Runs of each."""
+    """Number of runs of each."""
     out: Path | None = None
     """File to which the records are appended."""
 

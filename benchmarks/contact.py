@@ -1,4 +1,4 @@
-"""Time the criterion `contact`, its replays and plans under it: one JSON object a line.
+"""Time the criterion `contact`, its replays and plans under it: one JSON object per line.
 
     python benchmarks/contact.py verdicts
     python benchmarks/contact.py steps --structures vault:parts=500 vault:parts=1000
@@ -40,7 +40,7 @@ STRUCTURES = ("vault", "vault-62", "dome-72", "dog-35", "dome-37", "bottle-12", 
 
 @dataclass(frozen=True)
 class Options:
-    """What to run."""
+    """Benchmark and its settings."""
 
     what: tyro.conf.Positional[Literal["verdicts", "steps", "replay", "plan", "all"]]
     """Benchmark."""
@@ -59,7 +59,7 @@ class Options:
 
 
 def verdicts(name: str, options: Options) -> Iterator[dict[str, Any]]:
-    """Cost of both criteria on what a search asks."""
+    """Time both criteria on the states that a search checks."""
     assembly = load_structure(find(name))
     recorder = Recorder(Stability(assembly))
     planning = Planner(task_of(assembly, options.robots), recorder, guide=SupportGuide(assembly)).run()
@@ -94,7 +94,7 @@ def verdicts(name: str, options: Options) -> Iterator[dict[str, Any]]:
 
 
 def steps(name: str, options: Options) -> Iterator[dict[str, Any]]:
-    """Cost of a verdict from the displacement of the state before, and from rest."""
+    """Time a verdict from the displacement of the previous state, and from rest."""
     assembly = load_structure(find(name))
     complete = complete_state(assembly.boundary)
     loose = np.flatnonzero(~assembly.boundary)
@@ -130,7 +130,7 @@ def steps(name: str, options: Options) -> Iterator[dict[str, Any]]:
 
 
 def replay(name: str, options: Options) -> Iterator[dict[str, Any]]:
-    """Time of a replay of a whole plan."""
+    """Time a replay of a complete plan."""
     assembly = load_structure(find(name))
     oracle = Stability(assembly)
     plan = find_plans(assembly, task_of(assembly, options.robots), oracle=oracle).plans[0]
@@ -152,7 +152,7 @@ def replay(name: str, options: Options) -> Iterator[dict[str, Any]]:
 
 
 def plan(name: str, options: Options) -> Iterator[dict[str, Any]]:
-    """Time of a plan that is proven and whose replay stands."""
+    """Time a certified plan with a successful replay."""
     assembly = load_structure(find(name))
     whole, search, states, fail, asked = [], [], 0, 0, []
     for seed in range(options.seeds):

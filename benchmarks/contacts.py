@@ -1,4 +1,4 @@
-"""Time the contacts of structures on one core, after imports: one JSON object a line.
+"""Time the contact detection of structures on one core, after imports: one JSON object per line.
 
     python benchmarks/contacts.py
     python benchmarks/contacts.py --structures vault:parts=300 path/to/assembly --repeats 10
@@ -30,12 +30,12 @@ LARGE = "vault:parts=1000"
 
 @dataclass(frozen=True)
 class Options:
-    """What to time."""
+    """Structures and settings to time."""
 
     structures: tuple[str, ...] = ()
     """Built-in names or paths; empty for all real structures and the large vault."""
     repeats: int = 5
-    """Runs of each."""
+    """Number of runs of each."""
     out: Path | None = None
     """File to which the records are appended."""
 

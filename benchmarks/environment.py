@@ -1,4 +1,4 @@
-"""Time the environment on tensors and reinforcement learning on it: one JSON object a line.
+"""Time the environment on tensors and reinforcement learning on it: one JSON object per line.
 
     python benchmarks/environment.py
     python benchmarks/environment.py --structure vault-62 --rollouts 4096 --device cuda
@@ -46,38 +46,38 @@ from falsework.utils.distributed import ProcessGroup, init_distributed
 
 @dataclass(frozen=True)
 class Options:
-    """What to time."""
+    """Structure, networks and settings to time."""
 
     structure: str = "bottle-12"
     """Name or path."""
     robots: int = 2
     """Parts that may be held at once."""
     kind: str = "mlp"
-    """Of the policy: mlp, parts or graph."""
+    """Kind of policy: mlp, parts or graph."""
     rollouts: int = 0
-    """Rollouts at once in each process; 0: 4096 on a GPU, 256 on the processor."""
+    """Simultaneous rollouts in each process; 0: 4096 on a GPU, 256 on the CPU."""
     width: int = 64
-    """Of the search that the start states come from."""
+    """Width of the search that the start states come from."""
     seconds: float = 10.0
-    """Of each row."""
+    """Duration of each row."""
     device: str = "auto"
     """`auto`, `cpu` or `cuda`."""
     others: bool = True
     """Time sb3-contrib's MaskablePPO too, in the first process."""
     threads: int = 0
-    """Threads of torch on the processor; 0 leaves it to torch."""
+    """Threads of torch on the CPU; 0 leaves it to torch."""
     out: Path | None = None
     """File to which the records are appended."""
 
 
 def wait(device: torch.device) -> None:
-    """Until all that was queued on a device is done."""
+    """Wait until all queued work on a device is done."""
     if device.type == "cuda":
         torch.cuda.synchronize(device)
 
 
 class Bench:
-    """The rows of one run."""
+    """Rows of one run."""
 
     def __init__(self, options: Options, shards: ProcessGroup, device: torch.device) -> None:
         self.options, self.shards, self.device = options, shards, device
@@ -100,22 +100,22 @@ class Bench:
         self.ppo()
 
     def environment(self) -> Environment:
-        """One that knows no verdict."""
+        """Return an environment with an empty verdict cache."""
         return Environment(self.assembly, self.options.robots, oracle=Stability(self.assembly), device=self.device)
 
     def policy(self) -> Any:
-        """With random weights, the same in all processes."""
+        """Return a policy with random weights, the same in all processes."""
         policy = make_policy(self.assembly, PolicySettings(kind=self.options.kind), self.device)  # type: ignore[arg-type]
         same_weights(policy, self.shards)
         return policy
 
     def starts(self, environment: Environment, seed: int) -> torch.Tensor:
-        """States of the graph."""
+        """Return start states from the state graph."""
         rows = np.random.default_rng((seed, self.shards.rank)).integers(len(self.graph), size=self.count)
         return environment.rules.put(self.graph.states[rows])
 
     def play(self, environment: Environment, policy: Any, seconds: float, seed: int) -> tuple[int, float, int]:
-        """Rollouts until the time is over; steps, seconds and rounds."""
+        """Run rollouts until the time is over; return steps, seconds and rounds."""
         generator = environment.generator(seed + self.shards.rank)
         before, rounds, begin = environment.counters.steps, 0, time.perf_counter()
         while time.perf_counter() - begin < seconds:
@@ -126,7 +126,7 @@ class Bench:
         return environment.counters.steps - before, time.perf_counter() - begin, rounds
 
     def rollouts(self) -> None:
-        """Rollouts alone, with new and with known verdicts."""
+        """Time rollouts alone, with new and with cached verdicts."""
         policy = self.policy()
         self.play(self.environment(), policy, min(2.0, self.options.seconds / 3), 0)
         environment = self.environment()
@@ -139,7 +139,7 @@ class Bench:
             self.row(name, steps, seconds, policy, **extra)
 
     def shares(self, policy: Any) -> dict[str, float]:
-        """Where the time of rollouts goes, told by waiting after each kind of work."""
+        """Return the shares of time in rollouts by kind of work, measured with synchronisation after each."""
         environment = self.environment()
         environment.measure = True
         _, seconds, _ = self.play(environment, policy, self.options.seconds, 1)
@@ -153,7 +153,7 @@ class Bench:
         return {**shares, "rest": round(1 - sum(parts.values()) / seconds, 3)}
 
     def ppo(self) -> None:
-        """Whole updates."""
+        """Time complete PPO updates."""
         environment, policy = self.environment(), self.policy()
         starts = environment.rules.put(self.graph.states)
         curriculum = Curriculum(starts, environment.rules, shards=self.shards)
@@ -172,7 +172,7 @@ class Bench:
         self.row("ppo", steps, seconds, policy, updates=updates)
 
     def sb3(self) -> None:
-        """Somebody else's learner on the same structure."""
+        """Time sb3-contrib's MaskablePPO on the same structure."""
         import gymnasium
         import sb3_contrib
         from sb3_contrib import MaskablePPO
@@ -181,7 +181,7 @@ class Bench:
         from falsework.learn.env.gymnasium_env import ID
 
         class Clock(BaseCallback):
-            """Counts the time in rollouts, and stops after a while."""
+            """Callback that measures the time in rollouts and stops after a while."""
 
             def __init__(self, seconds: float) -> None:
                 super().__init__()

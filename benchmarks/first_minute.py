@@ -1,4 +1,4 @@
-"""Time the first commands after installation, against an earlier commit: one JSON object a line.
+"""Time the first commands after installation, against an earlier commit: one JSON object per line.
 
     python benchmarks/first_minute.py
     python benchmarks/first_minute.py --before 2b3aed5 --earlier-repeats 1
@@ -48,7 +48,7 @@ ROWS = (
 
 @dataclass(frozen=True)
 class Options:
-    """What to time."""
+    """Commands and numbers of runs."""
 
     commands: tuple[str, ...] = ()
     """Names of commands; empty for all."""
@@ -66,7 +66,7 @@ class Options:
 
 @dataclass
 class Runs:
-    """What some runs of one command took."""
+    """Measurements of some runs of one command."""
 
     seconds: list[float] = field(default_factory=list)
     processor: list[float] = field(default_factory=list)
@@ -95,7 +95,7 @@ class Runs:
         self.peak.append(most / 2**20)
 
     def figures(self) -> dict[str, Any]:
-        """Return them as a record has them."""
+        """Return the figures of a record."""
         return {
             "runs": len(self.seconds),
             "seconds": spread(self.seconds),
@@ -106,7 +106,7 @@ class Runs:
 
 @contextmanager
 def checked_out(commit: str) -> Iterator[Path | None]:
-    """Check a commit out beside the repository for a while."""
+    """Check out a commit beside the repository temporarily."""
     if not commit:
         yield None
         return
@@ -121,7 +121,7 @@ def checked_out(commit: str) -> Iterator[Path | None]:
 
 
 def measure(command: str, cache: str, places: dict[Path, Path], repeats: dict[Path, int]) -> list[Runs]:
-    """Run a command in each of some source trees, so often each, in turn; `places` holds a folder of each tree."""
+    """Run a command in several source trees in turn, as often as `repeats` says; `places` has a folder per tree."""
     found = {source: Runs() for source in places}
     if cache == "warm":
         for source, place in places.items():

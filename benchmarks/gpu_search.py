@@ -1,4 +1,4 @@
-"""Time whole beam searches on a device, every verdict proven: one JSON object a line.
+"""Time complete beam searches on a device, every verdict proven: one JSON object per line.
 
     python benchmarks/gpu_search.py
     python benchmarks/gpu_search.py --cases vault-62:64 dome:256 --device cpu
@@ -11,7 +11,7 @@ search of the same width that takes memory from the device (`first_seconds`); `p
 search that waits after each phase, so its sum may exceed `seconds`; the seconds of `cluster`, which runs beside the
 verdicts, are part of `verdicts`. `levels` is a hash over all states kept: equal
 hashes, equal searches, on any number of processes. `disagree` counts states kept, out of `checked` drawn at random,
-that the solver on the processor does not call stable. With `--host`, the beam of the processor runs as well, at widths
+that the CPU solver does not call stable. With `--host`, the CPU beam runs as well, at widths
 up to the one given.
 """
 
@@ -43,7 +43,7 @@ from falsework.utils.distributed import ProcessGroup, init_distributed
 
 @dataclass(frozen=True)
 class Options:
-    """What to time."""
+    """Cases and settings to time."""
 
     cases: tuple[str, ...] = ("vault-62:64", "dome-72:64", "vault-62:1024")
     """Structures and widths, `structure:width`."""
@@ -52,13 +52,13 @@ class Options:
     device: str = "auto"
     """`auto`, `cpu` or `cuda`."""
     host: int = 64
-    """Widest case for which the beam of the processor is timed too; 0 for none."""
+    """Widest case for which the CPU beam is timed too; 0 for none."""
     checked: int = 256
-    """Kept states whose verdicts are compared with those of the processor."""
+    """Kept states whose verdicts are compared with those of the CPU solver."""
     seeds: tuple[int, ...] = (0,)
     """Seeds of the searches, each with a record of its own."""
     repeats: int = 5
-    """Searches that are timed."""
+    """Number of timed searches."""
     phases: bool = True
     """Run each search a second time to time its phases."""
     graph: bool = False
@@ -68,7 +68,7 @@ class Options:
 
 
 def wait(device: torch.device) -> None:
-    """Until all that was queued on a device is done."""
+    """Wait until all queued work on a device is done."""
     if device.type == "cuda":
         torch.cuda.synchronize(device)
 
@@ -96,13 +96,13 @@ def time_phases(search: DeviceBeam) -> dict[str, float]:
 
 
 def disagreements(states: np.ndarray, count: int, oracle: Stability) -> int:
-    """How many of some states drawn at random the oracle does not prove stable."""
+    """Return how many of some states drawn at random the oracle does not prove stable."""
     rows = np.random.default_rng(0).permutation(len(states))[:count]
     return int((~oracle.stable(states[rows])).sum())
 
 
 def measure(case: str, seed: int, options: Options, shards: ProcessGroup, device: torch.device) -> dict[str, Any]:
-    """One case on the device."""
+    """Measure one case on the device."""
     name, _, width = case.rpartition(":")
     assembly: Assembly = load_structure(find(name))
     task = Task.create(assembly.boundary, options.robots)

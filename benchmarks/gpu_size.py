@@ -1,12 +1,12 @@
-"""Compare GPU and processor on batches of states under `contact`: from which size a GPU pays. One JSON object a line.
+"""Compare GPU and CPU on batches under `contact`: the batch size from which a GPU pays. One JSON object per line.
 
     python benchmarks/gpu_size.py
     python benchmarks/gpu_size.py --structures vault:parts=246 --batches 16 256
 
-States lack up to two random parts and have one held, where another has just been let go of. Both times are of a whole
-call without certificates, states and verdicts crossing to the device and back, compilation left out. The processor
+States lack up to two random parts and have one held, where another has just been released. Both times are of a complete
+call without certificates, states and verdicts crossing to the device and back, compilation left out. The CPU
 starts from the displacements of the states' parents, as it does in a search, on all cores of the host; the GPU loads
-every state from rest. `ratio` is the processor's time over the GPU's; `pays_from` the smallest batch timed from which
+every state from rest. `ratio` is CPU time over GPU time; `pays_from` the smallest batch timed from which
 on it is above 1. Structures of the paper are read from FALSEWORK_DATA, else from the folder `shared` beside the
 repository.
 """
@@ -34,20 +34,20 @@ from falsework.stability.gpu.solver import GpuSolver
 
 @dataclass(frozen=True)
 class Options:
-    """What to time."""
+    """Structures and batch sizes to time."""
 
     structures: tuple[str, ...] = ("arch:blocks=15", "vault-62", "vault:parts=120", "vault:parts=246")
     """Built-in names, paths, or names of structures of the paper."""
     batches: tuple[int, ...] = (1, 4, 16, 64, 256, 1024, 4096)
-    """States a call."""
+    """States per call."""
     repeats: int = 5
-    """Calls that are timed."""
+    """Number of timed calls."""
     out: Path | None = None
     """File to which the records are appended."""
 
 
 def nearly_complete(assembly: Assembly, count: int, seed: int = 0) -> tuple[States, States]:
-    """States that lack up to two parts, with one part held, and parents in which another is held too."""
+    """Return states that lack up to two parts, with one part held, and parents in which another is held too."""
     random = np.random.default_rng(seed)
     loose = np.flatnonzero(~assembly.boundary)
     states = complete_state(assembly.boundary)[None].repeat(count, axis=0)
@@ -61,7 +61,7 @@ def nearly_complete(assembly: Assembly, count: int, seed: int = 0) -> tuple[Stat
 
 
 def times(call: Callable[[], object], repeats: int) -> list[float]:
-    """Milliseconds of some calls after a first one."""
+    """Return milliseconds of some calls after a first one."""
     found = []
     for _ in range(1 + repeats):
         begin = time.perf_counter()
@@ -71,7 +71,7 @@ def times(call: Callable[[], object], repeats: int) -> list[float]:
 
 
 def compare(name: str, options: Options) -> dict[str, Any]:
-    """Both solvers on all batches of one structure."""
+    """Compare both solvers on all batches of one structure."""
     assembly, settings = load_structure(find(name)), StabilitySettings()
     states, parents = nearly_complete(assembly, max(options.batches))
     problem = build_problem(assembly, cone=settings.friction_cone)

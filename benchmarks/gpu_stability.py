@@ -1,4 +1,4 @@
-"""Time the stability solver on one GPU, on the states that a beam search checks: one JSON object a line.
+"""Time the stability solver on one GPU, on the states that a beam search checks: one JSON object per line.
 
     python benchmarks/gpu_stability.py
     python benchmarks/gpu_stability.py --structures vault:parts=100 --batches 1024 --baseline 0
@@ -6,7 +6,7 @@
 Without names: vault-62, dome-72 and bottle-12 where they are found (FALSEWORK_DATA, else the folder `shared`
 beside the repository), else built-in ones, each under both criteria on the same states. Times are medians of
 events on the device, states and verdicts already there; `check_ms` is a whole call with states and certificates
-crossing to the host. Verdicts are compared with the solver on the processor, certificates with the checker.
+crossing to the host. Verdicts are compared with the CPU solver, certificates with the checker.
 `graph` is the same ADMM as batched dense algebra in a captured graph, without proofs, as the alternative to the
 kernel; `shared_inverse` is the paper's method; both only under `equilibrium`. `--states` names a folder in which
 the states of searches are kept.
@@ -34,25 +34,25 @@ from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.gpu.solver import GpuSolver
 
 _MOST = 1 << 16
-"""States of one structure, at most."""
+"""Largest number of states of one structure."""
 REAL = ("vault-62", "dome-72", "bottle-12")
 BUILT_IN = ("vault", "dome", "bottle")
 
 
 @dataclass(frozen=True)
 class Options:
-    """What to time."""
+    """Structures, criteria and batch sizes to time."""
 
     structures: tuple[str, ...] = ()
     """Built-in names or paths; empty for a choice of real or built-in ones."""
     criteria: tuple[Criterion, ...] = ("equilibrium", "contact")
-    """What stable means."""
+    """Stability criteria."""
     batches: tuple[int, ...] = (1024, 4096, 16384)
-    """States a call."""
+    """States per call."""
     repeats: int = 5
     """Medians of nine calls for each size of batch."""
     width: int = 64
-    """Width of the search that asks for the states."""
+    """Width of the search that the states come from."""
     robots: int = 2
     """Robots of the search."""
     states: Path | None = None
@@ -66,7 +66,7 @@ class Options:
 
 
 def states_of_search(assembly: Assembly, options: Options) -> np.ndarray:
-    """Distinct states that a beam search asks about, in random order."""
+    """Return distinct states that a beam search checks, in random order."""
     kept = None if options.states is None else options.states / f"{assembly.name}.npz"
     if kept is not None and kept.is_file():
         return np.load(kept)["states"]
@@ -78,7 +78,7 @@ def states_of_search(assembly: Assembly, options: Options) -> np.ndarray:
 
 
 def median_ms(call: Callable[[], object], repeats: int = 9) -> float:
-    """Median time on the device."""
+    """Return the median time on the device."""
     call()
     times = []
     for _ in range(repeats):
@@ -92,7 +92,7 @@ def median_ms(call: Callable[[], object], repeats: int = 9) -> float:
 
 
 def ceilings() -> dict[str, Any]:
-    """What the chip does at most: copies, and products of random matrices."""
+    """Measure the limits of the chip: copies, and products of random matrices."""
     rates = {}
     source = torch.rand(1 << 30, dtype=torch.float32, device="cuda")
     target = torch.empty_like(source)
@@ -128,7 +128,7 @@ class CapturedGraph:
             self.iterate()
 
     def iterate(self) -> None:
-        """All iterations from zero; nothing is tested."""
+        """Run all iterations from zero, without termination tests."""
         self.u.zero_()
         z = self.u
         for _ in range(self.iterations):
@@ -138,7 +138,7 @@ class CapturedGraph:
             z = self.project(self.u)
 
     def project(self, u: torch.Tensor) -> torch.Tensor:
-        """Nearest point of the octagon's cone."""
+        """Return the nearest points of the octagonal cone."""
         mu, c, s = self.problem.friction, np.cos(np.pi / 8), np.sin(np.pi / 8)
         n, x, y = u.view(-1, 3, self.batch).unbind(1)
         high, low = torch.maximum(x.abs(), y.abs()), torch.minimum(x.abs(), y.abs())
@@ -171,7 +171,7 @@ class CapturedGraph:
 
 
 def time_graph(problem: Problem, states: np.ndarray, iterations: int) -> dict[str, float]:
-    """Milliseconds a state for inverses and iterations."""
+    """Return milliseconds per state for inverses and iterations."""
     graph = CapturedGraph(problem, len(states), iterations)
     free = torch.tensor(np.repeat(problem.free(states), 6, axis=1).T, dtype=torch.float32, device="cuda")
     acts = torch.tensor(np.repeat(problem.active(states), 3, axis=1).T, dtype=torch.float32, device="cuda")
@@ -181,7 +181,7 @@ def time_graph(problem: Problem, states: np.ndarray, iterations: int) -> dict[st
 
 
 def time_structure(assembly: Assembly, states: np.ndarray, criterion: Criterion, options: Options) -> dict[str, Any]:
-    """All figures of one structure under one criterion."""
+    """Return all figures of one structure under one criterion."""
     settings = StabilitySettings(criterion)
     problem = build_problem(assembly, cone=settings.friction_cone)
     begin = time.perf_counter()
@@ -229,7 +229,7 @@ def time_structure(assembly: Assembly, states: np.ndarray, criterion: Criterion,
 
 
 def time_baseline(assembly: Assembly, problem: Problem, solver: GpuSolver, states: np.ndarray) -> dict[str, Any]:
-    """The paper's method in float64 on the same states."""
+    """Time the paper's method in float64 on the same states."""
     method = SharedInverseSettings(device="cuda", batch=len(states), inverse="dense")
     baseline = SharedInverse(assembly, method=method, problem=problem)
     baseline.check(states[:8])

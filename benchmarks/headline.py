@@ -1,4 +1,4 @@
-"""The table of the README: few figures, each with what it compares with."""
+"""Headline table of the README: few figures, each with its comparison."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from table_model import Runs, commits, fill_in, look_up, markdown, origin, recor
 
 @dataclass(frozen=True)
 class Line:
-    """A line of the table `headline`."""
+    """Row of the table `headline`."""
 
     subject: str
     source: str
     where: dict[str, Any]
-    """Values by path that the records must have."""
+    """Values by path that records must have."""
     value: str
     comparison: str = ""
 
@@ -106,7 +106,7 @@ HEADLINE = (
 
 
 def headline(page: Path) -> str:
-    """Return the table of the README: few figures, each with what it compares with."""
+    """Return the headline table of the README: few figures, each with its comparison."""
     found = [(line, line.runs()) for line in HEADLINE]
     body = [
         [line.subject, fill_in(line.value, runs), fill_in(line.comparison, runs), seeds(runs), commits(runs)]

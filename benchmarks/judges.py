@@ -1,15 +1,15 @@
-"""Independent methods on delivered plans and on random scenes: one JSON object a line.
+"""Independent methods on delivered plans and on random scenes: one JSON object per line.
 
     python benchmarks/judges.py plans --structures wall-38 dome-37
     python benchmarks/judges.py plans --structures barrel-vault-121 --lmgc90 40
     python benchmarks/judges.py scenes --scenes 1000
 
-`plans`: a plan under `contact`, its replay, the replay under other numbers (stiffness ratio, speed of release, damping,
+`plans`: a plan under `contact`, its replay, the replay under variations (stiffness ratio, speed of release, damping,
 random friction at the start), the same building sequence by discrete elements, and each state by discrete elements:
-`settled` from nothing and `proven` from the contact forces of its verdict. For `--lmgc90` states evenly spaced over
-the plan, LMGC90. Discrete elements leave a state open that
-neither rests nor has fallen after their last step; LMGC90 does not judge a state whose contacts it cannot make.
-`scenes`: the random rows and stacks of the tests; the verdict of each beside the replay in which the robots let go.
+`settled` from no stress and `proven` from the contact forces of its verdict. For `--lmgc90` states evenly spaced over
+the plan, LMGC90. Discrete elements leave a state undecided that
+neither rests nor has collapsed at their step limit; LMGC90 does not judge a state whose contacts it cannot detect.
+`scenes`: the random rows and stacks of the tests; the verdict of each beside the replay in which the robots release.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _TESTS = Path(__file__).resolve().parents[1] / "tests"
 
 @dataclass(frozen=True)
 class Options:
-    """What to run."""
+    """Benchmark and its settings."""
 
     what: tyro.conf.Positional[Literal["plans", "scenes"]]
     """Benchmark."""
@@ -50,11 +50,11 @@ class Options:
     robots: int = 2
     """Parts held at once."""
     robust: bool = False
-    """Plans whose replay succeeds under other numbers too."""
+    """Search for plans whose replay succeeds under varied settings too."""
     draws: int = DRAWS
     """Random states of friction at the start of a replay."""
     lmgc90: int = 0
-    """States of a plan for LMGC90, at most; each takes a second to a minute."""
+    """Largest number of states of a plan for LMGC90; each takes a second to a minute."""
     scenes: int = 1000
     """Random scenes, from seed 0 on."""
     out: Path | None = None
@@ -62,7 +62,7 @@ class Options:
 
 
 def plans(options: Options) -> Iterator[dict[str, Any]]:
-    """Agreement of independent methods with the plan of each structure."""
+    """Compare independent methods with the plan of each structure."""
     for name in options.structures:
         assembly = load_structure(find(name))
         oracle = Stability(assembly)
@@ -98,7 +98,7 @@ def plans(options: Options) -> Iterator[dict[str, Any]]:
 
 
 def scenes(options: Options) -> Iterator[dict[str, Any]]:
-    """Verdicts on random scenes beside the replay in which robots hold every part and let go."""
+    """Compare verdicts on random scenes with the replay in which robots hold every part and release them."""
     makers = runpy.run_path(str(_TESTS / "stability" / "contact" / "conftest.py"))["RandomScenes"]
     found: Counter[str] = Counter()
     for seed in range(options.scenes):
@@ -113,7 +113,7 @@ def scenes(options: Options) -> Iterator[dict[str, Any]]:
 
 
 def _count(stands: Any) -> dict[str, int]:
-    """Return how many states stand, fall, and are left open."""
+    """Return the numbers of stable, collapsing and undecided states."""
     return {name: int((np.asarray(stands) == value).sum()) for value, name in _STANDS.items()}
 
 

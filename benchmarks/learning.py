@@ -1,4 +1,4 @@
-"""Train policies and evaluate them by the paper's protocols: one JSON object a line.
+"""Train policies and evaluate them by the paper's protocols: one JSON object per line.
 
     python benchmarks/learning.py table3                             # all rows, three seeds for the small ones
     python benchmarks/learning.py table3 --rows vault-62:2 --data width64 --seeds 0
@@ -70,11 +70,11 @@ TABLE_3: dict[str, tuple[float, float, float, float]] = {
 }
 """For each row the paper's success in training and test in %, its hours, and the minutes that a run here is given."""
 SMALL = 20
-"""Parts up to which a row is run with three seeds."""
+"""Number of parts up to which a row is run with three seeds."""
 
 
 def rows_of(options: argparse.Namespace) -> Iterator[tuple[str, Any, int, tuple[int, ...]]]:
-    """Name, structure, robots and seeds of every row."""
+    """Yield name, structure, robots and seeds of every row."""
     for row in options.rows or TABLE_3:
         name, _, robots = row.rpartition(":")
         if not robots.isdigit():
@@ -87,7 +87,7 @@ def rows_of(options: argparse.Namespace) -> Iterator[tuple[str, Any, int, tuple[
 
 
 def settings_of(options: argparse.Namespace, row: str, robots: int, seed: int, **changes: Any) -> TrainSettings:
-    """What is asked for on the command line, with the budget of the row."""
+    """Return the settings of the command line, with the budget of the row."""
     target = TABLE_3.get(f"{row}:{robots}")
     minutes = options.minutes or (target[3] if target and options.device != "cpu" else 0.0)
     given: dict[str, Any] = {"robots": robots, "seed": seed, "minutes": minutes, "steps": options.steps}
@@ -104,7 +104,7 @@ def settings_of(options: argparse.Namespace, row: str, robots: int, seed: int, *
 
 
 def run(options: argparse.Namespace, name: str, assembly: Any, settings: TrainSettings, label: str) -> TrainResult:
-    """Train, with a line on standard error now and then."""
+    """Train, with progress on standard error."""
     last = time.perf_counter()
 
     def show(done: float, text: str) -> None:
@@ -131,7 +131,7 @@ def run(options: argparse.Namespace, name: str, assembly: Any, settings: TrainSe
 def evaluated(
     options: argparse.Namespace, result: TrainResult, settings: TrainSettings, assembly: Any, *, one_state: bool = False
 ) -> dict[str, Any]:
-    """Greedy success on all states of both sets, or on all pairs, and beside it that of random legal actions."""
+    """Return greedy success on all states of both sets, or on all pairs, and that of random legal actions."""
     device = next(result.policy.parameters()).device
     filled = settings.resolved(assembly.part_count, device.type)
     oracle = Stability(assembly, StabilitySettings(criterion=settings.criterion))
@@ -162,7 +162,7 @@ def evaluated(
 
 
 def protocol(assembly: Any, settings: TrainSettings, oracle: TensorOracle, device: str) -> Dataset:
-    """The two sets of the paper's protocol; the same states as in training, since the seed is."""
+    """Return the two sets of the paper's protocol; the same states as in training, since the seed is the same."""
     task = task_for(assembly, settings.robots, settings.removable_only_if_clear)
     return build_dataset(assembly, task, oracle=oracle, device=device)
 
@@ -170,7 +170,7 @@ def protocol(assembly: Any, settings: TrainSettings, oracle: TensorOracle, devic
 def line(
     benchmark: str, name: str, settings: TrainSettings, result: TrainResult, found: dict[str, Any], **more: Any
 ) -> None:
-    """One row."""
+    """Print one row."""
     paper = TABLE_3.get(f"{name}:{settings.robots}")
     known: dict[str, Any] = {}
     if paper and benchmark == "table3":
@@ -205,7 +205,7 @@ def line(
 
 
 def table3(options: argparse.Namespace) -> None:
-    """Greedy success from states that a policy has not seen."""
+    """Measure greedy success from unseen states."""
     for name, assembly, robots, seeds in rows_of(options):
         for seed in seeds:
             kind = recommended(assembly.part_count, kind=options.policy or None)
@@ -215,7 +215,7 @@ def table3(options: argparse.Namespace) -> None:
 
 
 def table4(options: argparse.Namespace) -> None:
-    """Greedy success from states to other states, goal-conditioned and goal-blind."""
+    """Measure greedy success from states to other states, goal-conditioned and goal-blind."""
     for name, assembly, robots, seeds in rows_of(options):
         for seed in seeds[:1]:
             for two in {"both": (True, False), "yes": (True,), "no": (False,)}[options.goals]:
@@ -229,7 +229,7 @@ def table4(options: argparse.Namespace) -> None:
 
 
 def table5(options: argparse.Namespace) -> None:
-    """Networks against each other with the same budget."""
+    """Compare networks with the same budget."""
     for name, assembly, robots, seeds in rows_of(options):
         for seed in seeds:
             for kind in ("resmlp", "transformer", "gat", "mlp"):
@@ -239,7 +239,7 @@ def table5(options: argparse.Namespace) -> None:
 
 
 def carry_over(options: argparse.Namespace) -> None:
-    """A policy trained on one structure and asked about another (paper: bottle to dog, 66 %)."""
+    """Evaluate a policy trained on one structure on another (paper: bottle to dog, 66 %)."""
     source, goal = options.rows or ("bottle-12:2", "dog-35:2")
     name, _, robots = source.rpartition(":")
     other = load_structure(find(goal.rpartition(":")[0]))
@@ -256,7 +256,7 @@ def carry_over(options: argparse.Namespace) -> None:
 
 
 def methods(options: argparse.Namespace) -> None:
-    """Curves of all presets of training."""
+    """Record curves of all training presets."""
     for name, assembly, robots, seeds in rows_of(options):
         for seed in seeds[:1]:
             for method in METHODS:
@@ -268,7 +268,7 @@ def methods(options: argparse.Namespace) -> None:
 
 
 def plot(options: argparse.Namespace) -> None:
-    """Draw what `methods` printed."""
+    """Draw the output of `methods`."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -299,23 +299,23 @@ def main() -> None:
     parser.add_argument(
         "--seeds", nargs="*", type=int, default=[], help="default: three for small structures, else one"
     )
-    parser.add_argument("--minutes", type=float, default=0.0, help="default: what the table allows")
+    parser.add_argument("--minutes", type=float, default=0.0, help="default: the budget of the table")
     parser.add_argument("--steps", type=int, default=0, help="in place of minutes")
     parser.add_argument("--data", choices=("wide", "width64"), default="wide")
-    parser.add_argument("--criterion", choices=get_args(Criterion), default="contact", help="what stable means")
-    parser.add_argument("--widths", nargs="*", type=int, default=[], help="of the wide searches")
+    parser.add_argument("--criterion", choices=get_args(Criterion), default="contact", help="stability criterion")
+    parser.add_argument("--widths", nargs="*", type=int, default=[], help="widths of the wide searches")
     parser.add_argument("--method", choices=METHODS, default="default")
-    parser.add_argument("--imitation-steps", type=int, help="of imitation before PPO; 0 for any number")
+    parser.add_argument("--imitation-steps", type=int, help="imitation steps before PPO; 0 for no limit")
     parser.add_argument("--policy", choices=("resmlp", "transformer", "gat", "mlp"), default="")
-    parser.add_argument("--layers", type=int, default=0, help="of the network; 0 for what is recommended")
-    parser.add_argument("--channels", type=int, default=0, help="likewise")
-    parser.add_argument("--heads", type=int, default=0, help="of attention, likewise")
+    parser.add_argument("--layers", type=int, default=0, help="layers of the network; 0 for the default")
+    parser.add_argument("--channels", type=int, default=0, help="channels of the network; 0 for the default")
+    parser.add_argument("--heads", type=int, default=0, help="attention heads; 0 for the default")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--states", type=int, default=0, help="states evaluated of each set; 0 for all")
     parser.add_argument("--goals", choices=("both", "yes", "no"), default="both", help="which policies table4 trains")
     parser.add_argument("--search", action="store_true", help="search where the policy fails")
-    parser.add_argument("--keep", default="", help="folder to keep the runs in; those that are there are gone on with")
-    parser.add_argument("--curves", default="curves.jsonl", help="what methods printed, for plot")
+    parser.add_argument("--keep", default="", help="folder for the runs; existing ones are resumed")
+    parser.add_argument("--curves", default="curves.jsonl", help="output of methods, for plot")
     parser.add_argument("--picture", default="curves.png", help="file for plot")
     parser.add_argument("--out", type=Path, help="file to which the records are appended")
     parser.add_argument("--quiet", action="store_true", help="no progress on standard error")

@@ -1,11 +1,11 @@
-"""Margins of states: what they cost, whether replays agree with them, and what plans gain by them.
+"""Margins of states: their cost, agreement of replays with them, and the gain of plans made for them.
 
     python benchmarks/margins.py cost --structures vault-62 --states 5
     python benchmarks/margins.py truth --cases 500
     python benchmarks/margins.py plans --structures arch,dome-37
 
 `cost` times margins of states of a plan, or of the complete structure where it is large; `--before` compares with
-another version of the sources, given as its `src`, in the same run. `truth` replays states just inside and just outside
+another version of the sources, by its folder `src`, in one run. `truth` replays states just inside and just outside
 of their bounds, under the contact law with history and by discrete elements, which share no code with the solver.
 `plans` compares the weakest friction of the first plan found with that of the plan made for it.
 """
@@ -41,14 +41,14 @@ LARGE = 150
 FARTHEST = 3.0
 """Times a bound, or its inverse, to which a bound by discrete elements is looked for."""
 BESIDE = 0.02
-"""How far inside and outside of a bound a state is replayed, as a share of the bound."""
+"""Distance from a bound, inside and outside, at which a state is replayed, as a share of the bound."""
 RESOLVED = 100.0
-"""Bounds below so many times the tolerance of a verdict are left out: what lies beside them is within the tolerance."""
+"""Bounds below this multiple of the verdict tolerance are left out: states close to them are within the tolerance."""
 TRUTH = ("arch:blocks=7", "stack", "wall", "corbel", "catenary:blocks=9", "house")
 
 
 def cost(names: list[str], count: int, criterion: Criterion, before: Path | None) -> None:
-    """Time the margins of states spread over a plan, in seconds of processors, whatever else the machine does."""
+    """Time the margins of states spread over a plan, in CPU seconds, independent of other load."""
     for name in names:
         assembly = load_structure(find(name))
         chosen = complete_state(assembly.boundary)[None]
@@ -95,7 +95,7 @@ def cost(names: list[str], count: int, criterion: Criterion, before: Path | None
 
 
 def truth(cases: int, seed: int) -> None:
-    """Replay random states of small structures beside their bounds."""
+    """Replay random states of small structures close to their bounds."""
     random = np.random.default_rng(seed)
     asked = {"replay": 0, "discrete elements": 0}
     wrong = {"replay": 0, "discrete elements": 0}
@@ -185,7 +185,7 @@ def stands_from_forces(assembly: Assembly, state: np.ndarray) -> bool:
 
 
 def smallest(assembly: Assembly, bound: Bound, kind: str) -> float:
-    """Return a bound as a share of what the tolerance is a share of: friction, gravity, or the weight of the part."""
+    """Return a bound relative to the base of the tolerance: friction, gravity, or the weight of the part."""
     assert bound.value is not None
     if kind != "push":
         return bound.value
@@ -194,7 +194,7 @@ def smallest(assembly: Assembly, bound: Bound, kind: str) -> float:
 
 
 def stands_by(judge: str, assembly: Assembly, state: np.ndarray) -> bool | None:
-    """Return whether a state comes to rest; None where the judge leaves it open."""
+    """Return whether a state comes to rest; None where the judge leaves it undecided."""
     if judge == "replay":
         answer = int(Replayer(assembly).replay(state[None]).stands[0])
     else:

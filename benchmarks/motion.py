@@ -1,10 +1,10 @@
-"""Collision checks and plans beside Pinocchio, Coal and OMPL, in one run: one JSON object a line.
+"""Collision checks and plans beside Pinocchio, Coal and OMPL, in one run: one JSON object per line.
 
     python benchmarks/motion.py --structure dome-37
     python benchmarks/motion.py --structure dome-37 --pairs 100000 --configurations 100000
 
 One arm of the cell moves, the other is at home, all parts are in place. Configurations are random within the
-limits; `free` of them touch nothing. Times are those of the processor, of one core. `missed` counts what Coal calls a
+limits; `free` of them have no contact. Times are CPU times of one core. `missed` counts what Coal calls a
 collision and ours does not, over random pairs of pieces and over random configurations of the cell; it must be 0. Plans
 join random free configurations; with `carried` one part is in the gripper and out of the structure. Our paths are
 proven free between their points; OMPL samples its edges every `step` rad, through a checker in Python.
@@ -42,32 +42,32 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Options:
-    """What to measure."""
+    """Structure, cell and sample sizes."""
 
     structure: str
-    """Name of a real or built-in structure that stands in the cell, or a path."""
+    """Name of a real or built-in structure in the cell, or a path."""
     cell: str = "dome-37"
     """Built-in cell or TOML file."""
     checks: int = 200_000
-    """Configurations that ours checks."""
+    """Configurations that falsework checks."""
     configurations: int = 5_000
     """Configurations that Coal checks too."""
     pairs: int = 5_000
     """Random pairs of convex pieces for the comparison of distances."""
     plans: int = 200
-    """Free plans."""
+    """Number of free plans."""
     their_plans: int = 30
-    """Of those, planned by OMPL too."""
+    """Number of these that OMPL plans too."""
     step: float = 0.02
     """Resolution of OMPL's edges, rad."""
     seed: int = 0
-    """Of everything random."""
+    """Seed of all random draws."""
     out: Path | None = None
     """File to which the records are appended."""
 
 
 def main(options: Options) -> None:
-    """Print one record a measurement."""
+    """Print one record per measurement."""
     first = compile_kernels()
     write_to(options.out)
     report("motion first-use", seconds=round(first, 2))
@@ -88,7 +88,7 @@ def main(options: Options) -> None:
 
 
 def distances(random: np.random.Generator, count: int) -> Iterator[dict[str, Any]]:
-    """Random pairs of convex pieces, far, near and through each other."""
+    """Compare random pairs of convex pieces: distant, close and overlapping."""
     import coal  # pyright: ignore[reportMissingImports]
 
     still, missed, worst, touching = coal.Transform3s(), 0, 0.0, 0
@@ -118,7 +118,7 @@ def distances(random: np.random.Generator, count: int) -> Iterator[dict[str, Any
 
 
 def checks(view: CollisionQuery, random: np.random.Generator, options: Options) -> Iterator[dict[str, Any]]:
-    """Random configurations of one arm."""
+    """Check random configurations of one arm."""
     model = view.model
     values = random.uniform(model.lower, model.upper, (options.checks, model.joints))
     view.collides(values[:100])
@@ -150,7 +150,7 @@ def checks(view: CollisionQuery, random: np.random.Generator, options: Options) 
 
 
 def plans(view: CollisionQuery, random: np.random.Generator, options: Options, what: str) -> Iterator[dict[str, Any]]:
-    """Plans between random free configurations."""
+    """Plan between random free configurations."""
     model = view.model
     low, high = np.maximum(model.lower, -np.pi), np.minimum(model.upper, np.pi)
     values = random.uniform(low, high, (8 * options.plans, model.joints))
@@ -190,7 +190,7 @@ def plans(view: CollisionQuery, random: np.random.Generator, options: Options, w
 def carried(
     world: CollisionWorld, scene: Scene, assembly: Any, random: np.random.Generator, options: Options
 ) -> Iterator[dict[str, Any]]:
-    """Plans with the first part in the gripper that can be held in the complete structure."""
+    """Plan with a part in the gripper, the first that can be held in the complete structure."""
     robot, parts = world.cell.robots[0], world.parts
     for part in np.flatnonzero(~parts.boundary).tolist():
         for grasp in grasps(assembly, parts, part, scene.present, robot)[:8]:
@@ -204,13 +204,13 @@ def carried(
 
 
 def piece(random: np.random.Generator) -> Array:
-    """A convex piece: a lump, a plate or a rod, somewhere near the origin."""
+    """Return a convex piece: a lump, a plate or a rod, near the origin."""
     points = random.normal(size=(random.integers(4, 40), 3)) * 10 ** random.uniform(-2, 0, 3)
     return np.array(hull(points + random.normal(size=3) * random.uniform(0, 1.5)))
 
 
 def spread(name: str, seconds: list[float]) -> dict[str, float]:
-    """Median and tail in milliseconds."""
+    """Return median and tail in milliseconds."""
     median, tail = np.percentile(np.array(seconds) * 1000, [50, 95])
     return {f"{name}_ms_median": round(float(median), 3), f"{name}_ms_95": round(float(tail), 3)}
 

@@ -1,4 +1,4 @@
-"""The moving robot of a view in Pinocchio, Coal and OMPL: the same shapes and pairs, no code of ours in the answers."""
+"""Reference checker and planner by Pinocchio, Coal and OMPL: the same shapes and pairs, none of falsework's code."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 class Reference:
-    """Collision checks and free plans for what a view sees."""
+    """Collision checks and free plans for the scene of a view."""
 
     def __init__(self, view: CollisionQuery) -> None:
         robot = view.world.cell.robots[view.robot]
@@ -55,25 +55,25 @@ class Reference:
 
     @property
     def pairs(self) -> int:
-        """Pairs that are checked."""
+        """Number of checked pairs."""
         return len(self.geometry.collisionPairs)
 
     def keep(self, margin: float) -> None:
-        """Count what is nearer than a margin as a collision, metres; bodies of the arm itself must only not touch."""
+        """Count pairs nearer than a margin, metres, as collisions; bodies of the arm itself only where they touch."""
         for request in list(self.found.collisionRequests)[: self.apart]:
             request.security_margin = margin
 
     def collides(self, values: Array) -> bool:
-        """Whether anything touches."""
+        """Return whether any pair collides."""
         return pinocchio.computeCollisions(self.model, self.data, self.broad, values, True)
 
     def distance(self, values: Array) -> float:
-        """Distance of the nearest pair, metres."""
+        """Return the distance of the nearest pair, metres."""
         pinocchio.computeDistances(self.model, self.data, self.geometry, self.found, values)
         return min(result.min_distance for result in self.found.distanceResults)
 
     def plan(self, start: Array, goal: Array, low: Array, high: Array, step: float, seconds: float) -> Array | None:
-        """A path by OMPL's RRT-Connect and its simplification, edges looked at every `step` rad."""
+        """Return a path by OMPL's RRT-Connect and its simplification, edges sampled every `step` rad."""
         import ompl.base  # pyright: ignore[reportMissingImports]
         import ompl.geometric  # pyright: ignore[reportMissingImports]
         import ompl.util  # pyright: ignore[reportMissingImports]
@@ -115,7 +115,7 @@ class Reference:
 
 
 def convex(points: Array) -> Any:
-    """A convex shape for Coal."""
+    """Return a convex shape for Coal."""
     vertices = coal.StdVec_Vec3s()
     for point in points:
         vertices.append(np.asarray(point, float))

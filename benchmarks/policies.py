@@ -1,4 +1,4 @@
-"""Compare networks of policies: one JSON object a line.
+"""Compare networks of policies: one JSON object per line.
 
     python benchmarks/policies.py cost --structures vault-62
     python benchmarks/policies.py speed --structures vault-62 --device cuda
@@ -39,7 +39,7 @@ from falsework.utils.tensors import choose_device
 
 @dataclass(frozen=True)
 class Options:
-    """What to run."""
+    """Benchmark and its settings."""
 
     what: tyro.conf.Positional[Literal["cost", "speed", "learn", "transfer", "generalist"]]
     """Benchmark."""
@@ -60,15 +60,15 @@ class Options:
     layers: int = 0
     """For `speed` and `transfer`: layers of the network; 0 for the default of its kind."""
     channels: int = 0
-    """For `speed` and `transfer`: its channels, likewise."""
+    """For `speed` and `transfer`: channels of the network; 0 for the default."""
     heads: int = 0
-    """For `speed` and `transfer`: its heads of attention, likewise."""
+    """For `speed` and `transfer`: attention heads of the network; 0 for the default."""
     device: str = "auto"
     """auto, cpu or cuda."""
     batch: int = 0
-    """States at once; 0: 1,024 on a GPU, 128 on a processor; for `speed` 8,192 and 64."""
+    """States per batch; 0: 1,024 on a GPU, 128 on the CPU; for `speed` 8,192 and 64."""
     seed: int = 0
-    """Of data, weights and batches."""
+    """Seed of data, weights and batches."""
     compile: bool = False
     """Compile the networks with torch."""
     out: Path | None = None
@@ -76,12 +76,12 @@ class Options:
 
 
 def default_structures(names: tuple[str, ...], fallback: tuple[str, ...]) -> tuple[str, ...]:
-    """The real structures of these names that are there, or built-in ones."""
+    """Return the available real structures of these names, else built-in ones."""
     return real_structures(names) or fallback
 
 
 def cost(options: Options) -> None:
-    """Weights and operations."""
+    """Count weights and operations."""
     for name in options.structures or default_structures(("bottle-12", "dome-37", "vault-62"), ("bottle", "vault")):
         assembly = load_structure(find(name))
         for row in policy_cost(assembly, [PolicySettings(kind) for kind in options.kinds]):
@@ -89,7 +89,7 @@ def cost(options: Options) -> None:
 
 
 def speed(options: Options, device: torch.device) -> None:
-    """States a second."""
+    """Measure states per second."""
     gpu = device.type == "cuda"
     batch = options.batch or (8192 if gpu else 64)
     for name in options.structures or default_structures(("vault-62",), ("vault",)):
@@ -131,7 +131,7 @@ def speed(options: Options, device: torch.device) -> None:
 
 
 def timed(function: Any, device: torch.device, seconds: float) -> float:
-    """Seconds a call, over about as many seconds as given."""
+    """Return seconds per call, over about the given number of seconds."""
     calls, begin = 0, time.perf_counter()
     while True:
         for _ in range(10 if device.type == "cuda" else 1):
@@ -145,7 +145,7 @@ def timed(function: Any, device: torch.device, seconds: float) -> float:
 
 
 def main() -> None:
-    """Run what the command line asks for."""
+    """Run the benchmark of the command line."""
     options = tyro.cli(Options, description=__doc__)
     device = choose_device(options.device)
     write_to(options.out)
@@ -182,7 +182,7 @@ def main() -> None:
 
 
 def generalist(options: Options, device: torch.device) -> None:
-    """One policy for many structures."""
+    """Train and evaluate one policy for many structures."""
     for kind in options.kinds:
         if not PolicySettings(kind).transfers:
             continue

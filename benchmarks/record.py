@@ -1,4 +1,4 @@
-"""The record of a benchmark: its figures, and the run that they come from, as one JSON object a line.
+"""Record of a benchmark: its figures and the run that they come from, as one JSON object per line.
 
 Every benchmark prints its figures by `report` and, with `--out`, appends them to a file of `benchmarks/results`, from
 which `benchmarks/tables.py` makes the tables of README and documentation.
@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 
 ORIGIN = ("benchmark", "command", "commit", "date", "device", "seeds", "versions")
-"""Keys that every record has. Where the command is not known, `provenance` names the source of the figures."""
+"""Keys of every record. Where the command is not known, `provenance` names the source of the figures."""
 LOAD_BEFORE = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
-"""Load average of the machine over the minute before the benchmark began; above 1 others were computing."""
+"""Load average of the machine over the minute before the benchmark began; above 1, other processes were computing."""
 
 _PACKAGES = ("falsework", "numpy", "numba", "torch", "stable_baselines3")
 _files: list[Path] = []
@@ -39,7 +39,7 @@ def report(benchmark: str, *, seeds: Sequence[int] = (), device: Any = "cpu", **
 
     Args:
         benchmark: the name of the script and what it measures, such as `search plan`.
-        seeds: of the run; empty where nothing is random.
+        seeds: seeds of the run; empty where nothing is random.
         device: where the work was done: `cpu`, `cuda`, or a device of torch.
         figures: the figures, in units that their names give.
     """
@@ -52,7 +52,7 @@ def report(benchmark: str, *, seeds: Sequence[int] = (), device: Any = "cpu", **
 
 
 def rounded(value: Any) -> Any:
-    """Six digits of every float."""
+    """Return a value with every float rounded to six digits."""
     if isinstance(value, dict):
         return {key: rounded(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):
@@ -61,13 +61,13 @@ def rounded(value: Any) -> Any:
 
 
 def spread(values: Sequence[float]) -> dict[str, float]:
-    """Median and range."""
+    """Return median and range."""
     low, median, high = (float(value) for value in np.quantile(values, [0, 0.5, 1]))
     return {"median": median, "least": low, "most": high}
 
 
 def origin(device: Any = "cpu") -> dict[str, Any]:
-    """Command, commit, date, device and versions of this process."""
+    """Return command, commit, date, device and versions of this process."""
     found = {
         "command": command(),
         "commit": commit(),
@@ -79,7 +79,7 @@ def origin(device: Any = "cpu") -> dict[str, Any]:
 
 
 def command() -> str:
-    """The command line that repeats this run, without `--out`."""
+    """Return the command line that repeats this run, without `--out`."""
     words = iter(sys.argv[1:])
     kept = []
     for word in words:
@@ -93,7 +93,7 @@ def command() -> str:
 
 
 def commit() -> str:
-    """The commit that is run, with `-dirty` where code has changed since; COMMIT where there is no git."""
+    """Return the current commit, with `-dirty` where code has changed since; COMMIT where there is no git."""
     here = str(Path(__file__).parent)
     hashed = subprocess.run(
         ["git", "-C", here, "rev-parse", "--short=7", "HEAD"], capture_output=True, text=True, check=False
@@ -118,7 +118,7 @@ def commit() -> str:
 
 
 def processor() -> str:
-    """Model and number of cores that this process may use."""
+    """Return the CPU model and the number of cores that this process may use."""
     model = platform.processor() or platform.machine()
     about = Path("/proc/cpuinfo")
     if about.exists():
@@ -129,14 +129,14 @@ def processor() -> str:
 
 
 def gpu() -> str:
-    """Name and driver of the GPU."""
+    """Return name and driver of the GPU."""
     query = ["nvidia-smi", "--query-gpu=name,driver_version", "--format=csv,noheader"]
     first = subprocess.run(query, capture_output=True, text=True, check=True).stdout.splitlines()[0]
     return first.replace(", ", ", driver ")
 
 
 def versions() -> dict[str, str]:
-    """Versions of Python and of the packages in use."""
+    """Return the versions of Python and of the packages in use."""
     found = {"python": platform.python_version()}
     for name in _PACKAGES:
         if name in sys.modules:

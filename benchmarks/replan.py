@@ -1,4 +1,4 @@
-"""Time replanning, from the complete state and from the middle, with a policy and without: one JSON object a line.
+"""Time replanning from complete and intermediate states, with and without a policy: one JSON object per line.
 
     python benchmarks/replan.py complete --runs my-run --structures vault-62
     python benchmarks/replan.py midway --runs my-run --count 100
@@ -36,37 +36,37 @@ from falsework.stability import Stability, StabilitySettings
 
 @dataclass(frozen=True)
 class Options:
-    """What to run."""
+    """Benchmark and its settings."""
 
     what: tyro.conf.Positional[Literal["complete", "midway", "deadline", "batch"]]
     """Benchmark."""
     structures: tuple[str, ...] = ()
-    """Names of real structures, built-in names or paths: asked without a policy."""
+    """Names of real structures, built-in names or paths: replanned without a policy."""
     runs: tuple[str, ...] = ()
-    """Folders that `falsework train` wrote: asked with their policies."""
+    """Folders written by `falsework train`: replanned with their policies."""
     robots: int = 0
-    """Parts held at once; 0 for 2, or what a run was trained for."""
+    """Parts held at once; 0 for 2, or for the number that a run was trained with."""
     count: int = 50
-    """States in the middle."""
+    """Number of intermediate states."""
     seeds: int = 10
     """Repetitions from the complete state."""
     deadlines: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4, 0.8)
-    """Seconds."""
+    """Deadlines, s."""
     clients: int = 16
-    """Requests that come together."""
+    """Number of simultaneous requests."""
     device: Literal["cpu", "cuda"] = "cpu"
-    """Where policies are asked."""
+    """Device of the policies."""
     solver: Literal["auto", "cpu", "gpu"] = "cpu"
-    """Who judges."""
+    """Stability solver."""
     threads: int = 1
-    """Threads of the network on the processor."""
+    """Threads of the network on the CPU."""
     out: Path | None = None
     """File to which the records are appended."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """What is asked."""
+    """Structure or run to replan."""
 
     assembly: Assembly
     policy: Any
@@ -75,19 +75,19 @@ class Case:
     clear: bool
 
     def replanner(self, options: Options) -> tuple[Replanner, float]:
-        """A replanner with an oracle that has seen nothing, and the seconds to make it."""
+        """Return a replanner with an empty oracle, and the seconds to make it."""
         begun = time.perf_counter()
         oracle = Stability(self.assembly, StabilitySettings(solver=options.solver))
         replanner = Replanner(self.assembly, self.policy, oracle)
         return replanner, time.perf_counter() - begun
 
     def request(self, state: States, **more: Any) -> Request:
-        """Take down what is there."""
+        """Return a request to dismantle the present parts."""
         return Request(state, robots=self.robots, removable_only_if_clear=self.clear, **more)
 
 
 def cases(options: Options) -> Iterator[Case]:
-    """Structures without a policy, then runs."""
+    """Yield structures without a policy, then runs."""
     for name in options.structures or (() if options.runs else ("dome-37", "vault-62")):
         yield Case(load_structure(find(name)), None, name, options.robots or 2, False)
     if options.runs:
@@ -104,12 +104,12 @@ def cases(options: Options) -> Iterator[Case]:
 
 
 def quantiles(seconds: Sequence[float]) -> list[float]:
-    """Least, median, 95 %, largest."""
+    """Return least, median, 95 % quantile and largest."""
     return [round(float(value), 4) for value in np.quantile(seconds, [0, 0.5, 0.95, 1])]
 
 
 def summary(answers: Sequence[ReplanResult]) -> dict[str, Any]:
-    """Times, outcomes and deciders of some answers."""
+    """Return times, outcomes and deciding stages of some answers."""
     spent: Counter[str] = Counter()
     for answer in answers:
         spent.update(answer.spent)
@@ -130,7 +130,7 @@ def show(what: str, case: Case, options: Options, **values: Any) -> None:
 
 
 def complete(options: Options) -> None:
-    """From the complete state, with nothing remembered."""
+    """Replan from the complete state, with empty caches."""
     for case in cases(options):
         answers, load = [], []
         for seed in range(options.seeds):
@@ -151,7 +151,7 @@ def complete(options: Options) -> None:
 
 
 def middle(case: Case, count: int) -> States:
-    """Solvable states of all sizes."""
+    """Return solvable states of all sizes."""
     oracle = Stability(case.assembly)
     task = Task.create(case.assembly.boundary, case.robots, clearance=case.assembly.clearance if case.clear else None)
     beam = BeamSearch(task, oracle, BeamSettings(64))
@@ -162,7 +162,7 @@ def middle(case: Case, count: int) -> States:
 
 
 def midway(options: Options) -> None:
-    """From states on the way."""
+    """Replan from intermediate states."""
     for case in cases(options):
         replanner, load = case.replanner(options)
         requests = [case.request(state, seed=n) for n, state in enumerate(middle(case, options.count))]
@@ -171,7 +171,7 @@ def midway(options: Options) -> None:
 
 
 def deadline(options: Options) -> None:
-    """How late answers come."""
+    """Measure the lateness of answers."""
     for case in cases(options):
         states = middle(case, options.count)
         for seconds in options.deadlines:
@@ -194,7 +194,7 @@ def deadline(options: Options) -> None:
 
 
 def batch(options: Options) -> None:
-    """One by one, and together."""
+    """Process requests one by one, and together."""
     for case in cases(options):
         states = middle(case, options.count)
         for together in (1, options.clients):
@@ -210,7 +210,7 @@ def batch(options: Options) -> None:
 
 
 def main() -> None:
-    """Run what was asked for."""
+    """Run the benchmark of the command line."""
     options = tyro.cli(Options, description=__doc__)
     write_to(options.out)
     {"complete": complete, "midway": midway, "deadline": deadline, "batch": batch}[options.what](options)

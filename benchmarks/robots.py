@@ -1,4 +1,4 @@
-"""Time plans with motions for whole buildings, and check them by other libraries: one JSON object a line.
+"""Time plans with motions for complete structures, and check them by independent libraries: one JSON object per line.
 
     python benchmarks/robots.py dome-37 --seeds 10
     python benchmarks/robots.py vault-62-a --seeds 5
@@ -14,7 +14,7 @@
 The first five plan a published structure in the built-in cell of that name: `seconds` is from structure and cell in
 memory to a proven plan with timed motions, compilation not counted. The last line of each has median and worst.
 `--together`: each seed is planned twice, one robot at a time and with robots that move at the same time;
-`makespan_share` is the makespan of the second over the first plan, `extra_seconds` what it took longer, and
+`makespan_share` is the makespan of the second over the first plan, `extra_seconds` its additional planning time, and
 `delayed` random runs of its schedule are simulated, `checked_runs` of them by Pinocchio and Coal.
 `--midway`: each seed is planned, then planned again from three of its keyframes at which a part is held, as after a
 disruption: `fresh` from structure and cell alone, `kept` with the keyframe graph and the verdicts of the first plan.
@@ -69,7 +69,7 @@ STRUCTURES = {
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments:
-    """What to run."""
+    """Benchmark and its settings."""
 
     what: Annotated[
         tyro.conf.Positional[Literal["dome-37", "vault-62-a", "vault-62-b", "bottle-12", "dome-72", "random", "all"]],
@@ -90,7 +90,7 @@ class Arguments:
 
 
 def structure(name: str) -> Assembly:
-    """One of the published structures, with its clearance table."""
+    """Return one of the published structures, with its clearance table."""
     assembly = load_structure(find(name))
     assembly.clearance  # noqa: B018 - depends on the structure alone
     return assembly
@@ -99,7 +99,7 @@ def structure(name: str) -> Assembly:
 def once(
     assembly: Assembly, cell: Cell, seed: int, deadline: float, *, check: bool, guide: Guide | None = None
 ) -> tuple[HybridResult, dict]:
-    """One plan from nothing but structure and cell, and a guide if there is one."""
+    """Plan once from structure and cell alone, with a guide if given."""
     begun, work = time.perf_counter(), time.process_time()
     result = plan_robots(assembly, cell, guide=guide, settings=HybridSettings(seed=seed, deadline=deadline))
     seconds, work = time.perf_counter() - begun, time.process_time() - work
@@ -119,7 +119,7 @@ def once(
 
 
 def policy_guide(run: Path, assembly: Assembly, cell: Cell) -> Guide:
-    """A trained policy, on one thread, which is faster for single states."""
+    """Return a trained policy, on one thread, which is faster for single states."""
     import torch
 
     from falsework.learn.data.dataset import task_for
@@ -132,7 +132,7 @@ def policy_guide(run: Path, assembly: Assembly, cell: Cell) -> Guide:
 
 
 def building(name: str, arguments: Arguments) -> None:
-    """Seeds of one built-in cell, then median and worst."""
+    """Plan with several seeds in one built-in cell, then report median and worst."""
     assembly, cell = structure(STRUCTURES[name]), load_cell(name)
     guide = None if arguments.policy is None else policy_guide(arguments.policy, assembly, cell)
     seconds, cpu, attempts, found, good = [], [], [], 0, 0
@@ -160,7 +160,7 @@ def building(name: str, arguments: Arguments) -> None:
 
 
 def together(name: str, arguments: Arguments) -> None:
-    """Seeds of one built-in cell, one robot at a time and together, then the median of the ratios."""
+    """Plan with several seeds in one built-in cell, one robot at a time and together, then report median ratios."""
     assembly, cell = structure(STRUCTURES[name]), load_cell(name)
     shares, bounds, extra, extra_cpu, good = [], [], [], [], 0
     seeds = tuple(range(arguments.first_seed, arguments.first_seed + arguments.seeds))
@@ -217,7 +217,7 @@ def together(name: str, arguments: Arguments) -> None:
 
 
 def midway(name: str, arguments: Arguments) -> None:
-    """Plan again from keyframes of plans at which a part is held, then report medians."""
+    """Replan from keyframes of plans at which a part is held, then report medians."""
     assembly, cell = structure(STRUCTURES[name]), load_cell(name)
     seeds = tuple(range(arguments.first_seed, arguments.first_seed + arguments.seeds))
     seconds: dict[str, list[float]] = {"fresh": [], "kept": []}
@@ -268,7 +268,7 @@ def midway(name: str, arguments: Arguments) -> None:
 
 
 def _checked(plan: RobotPlan, assembly: Assembly, cell: Cell, arguments: Arguments) -> dict[str, Any]:
-    """Check a schedule as it is, simulate it under delays, and check some of these runs too."""
+    """Check a nominal schedule, simulate it under delays, and check some of these runs too."""
     report = check_robot_plan(plan, assembly, cell)
     runs = simulate(plan, runs=arguments.delayed)
     judge = PinocchioCollisionChecker(cell, place_parts(assembly, cell.placement), 0.001)
@@ -313,12 +313,12 @@ def random_cells(assembly: Assembly, count: int, seed: int) -> Iterator[tuple[in
 
 
 def _moved(robot: CellRobot, base: np.ndarray) -> CellRobot:
-    """A robot elsewhere, its places with it."""
+    """Return a robot with a new base, and drop-off poses that move with it."""
     return replace(robot, base=base, places=base @ inverse_pose(robot.base) @ robot.places)
 
 
 def random_layouts(arguments: Arguments) -> None:
-    """Success over random cells that can reach everything."""
+    """Measure success over random cells in which every part can be reached."""
     assembly = structure("dome-37")
     seconds, found, good = [], 0, 0
     for number, (drawn, cell) in enumerate(random_cells(assembly, arguments.cells, arguments.first_seed)):

@@ -1,4 +1,4 @@
-"""Cost against the number of parts on the built-in vault: one JSON object a size, then one with the fits.
+"""Cost against the number of parts on the built-in vault: one JSON object per size, then one with the fits.
 
     python benchmarks/scaling.py
     python benchmarks/scaling.py --parts 60 125 250 500 1000 --out benchmarks/results/scaling.jsonl
@@ -34,12 +34,12 @@ MEASURED = ("contacts_s", "problem_s", "verdict_s", "memory_gib")
 
 @dataclass(frozen=True)
 class Options:
-    """What to measure."""
+    """Sizes and numbers of runs."""
 
     parts: tuple[int, ...] = (60, 125, 250, 500, 1000)
     """Sizes to ask the vault for."""
     repeats: int = 3
-    """Runs of each; the median counts."""
+    """Number of runs of each; the median counts."""
     out: Path | None = None
     """File to which the records are appended; the picture in the documentation is drawn from the last of them."""
     alone: bool = False

@@ -1,4 +1,4 @@
-"""Time searches, and compare the sizes of state graphs with the paper's: one JSON object a line.
+"""Time searches, and compare the sizes of state graphs with the paper's: one JSON object per line.
 
     python benchmarks/search.py plan
     python benchmarks/search.py graph --structures bottle-12 --widths 64 128
@@ -49,40 +49,40 @@ TABLE_3 = {"bottle-12": (1077, 1159), "dome-37": (4540, 8430), "vault-62": (4781
 
 @dataclass(frozen=True)
 class Options:
-    """What to run."""
+    """Benchmark and its settings."""
 
     what: tyro.conf.Positional[Literal["plan", "graph", "alternatives", "methods"]]
     """Benchmark."""
     structures: tuple[str, ...] = ()
-    """Built-in names, paths, or names of real structures; empty for all that the benchmark is about."""
+    """Built-in names, paths, or names of real structures; empty for all of the benchmark."""
     robots: int = 2
     """Parts held at once."""
     widths: tuple[int, int] = (64, 128)
     """Widths of the graphs."""
     count: int = 5
-    """Alternative plans."""
+    """Number of alternative plans."""
     seed: int = 0
-    """Of the searches."""
+    """Seed of the searches."""
     criterion: Literal["contact", "equilibrium"] = "contact"
-    """Of `plan` and `methods`; graphs are compared with the paper's and so are under `equilibrium`."""
+    """Criterion of `plan` and `methods`; graphs are compared with the paper's and so are under `equilibrium`."""
     quiet: bool = False
-    """No progress of long searches on standard error."""
+    """Suppress the progress of long searches on standard error."""
     out: Path | None = None
     """File to which the records are appended."""
 
 
 def structures(options: Options, names: tuple[str, ...]) -> list[str]:
-    """What to run on: what was asked for, else those of `names` that this machine has."""
+    """Return the structures of the command line, else those of `names` that this machine has."""
     return [find(name) for name in options.structures or real_structures(names)]
 
 
 def warm_up() -> None:
-    """Have everything compiled."""
+    """Compile all kernels."""
     find_plans(load_structure("arch:blocks=5"), settings=PlannerSettings(alternatives=2))
 
 
 def progress(options: Options) -> Any:
-    """A line on standard error now and then."""
+    """Return a progress callback that writes to standard error."""
     last = time.perf_counter()
 
     def show(event: SearchProgress) -> None:
@@ -96,7 +96,7 @@ def progress(options: Options) -> Any:
 
 
 def plan(options: Options) -> None:
-    """From meshes to a plan."""
+    """Time plans from the meshes on."""
     for structure in structures(options, REAL):
         begin = time.perf_counter()
         assembly = load_structure(structure)
@@ -125,13 +125,13 @@ def plan(options: Options) -> None:
 
 
 def graph(options: Options) -> None:
-    """State graphs of two widths from the empty structure."""
+    """Compare state graphs of two widths from the empty structure."""
     for structure in structures(options, tuple(TABLE_3)):
         assembly = load_structure(structure)
         task, found = task_of(assembly, options.robots), []
         for width in options.widths:
             begin = time.perf_counter()
-            # A new oracle each time: nothing is remembered from the other width.
+            # A new oracle each time: no verdicts are cached from the other width.
             search = BeamSearch(task, Stability(assembly, EQUILIBRIUM), BeamSettings(width=width, seed=options.seed))
             result = search.run(progress=progress(options))
             found.append(StateGraph.build(task, search.states(), name=assembly.name))
@@ -157,7 +157,7 @@ def graph(options: Options) -> None:
 
 
 def alternatives(options: Options) -> None:
-    """Plans as different as they can be."""
+    """Measure distances between alternative plans."""
     for structure in structures(options, ("bottle-12", "vault-62")):
         assembly = load_structure(structure)
         task = task_of(assembly, options.robots)
@@ -182,7 +182,7 @@ def alternatives(options: Options) -> None:
 
 
 def methods(options: Options) -> None:
-    """The planner beside the paper's beam and depth-first search."""
+    """Compare the planner with the paper's beam and depth-first search."""
     for structure in structures(options, REAL):
         assembly = load_structure(structure)
         task = task_of(assembly, options.robots)
@@ -214,7 +214,7 @@ def methods(options: Options) -> None:
 
 
 def deadline(seconds: float) -> Any:
-    """True once the time is over."""
+    """Return a function that is true once the time is over."""
     end = time.perf_counter() + seconds
     return lambda: time.perf_counter() > end
 

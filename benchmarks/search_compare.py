@@ -1,4 +1,4 @@
-"""Compare planning with that of another commit, seed by seed in one run: one JSON object for each structure.
+"""Compare planning with that of another commit, seed by seed in one run: one JSON object per structure.
 
     git worktree add ../before COMMIT
     python benchmarks/search_compare.py --before ../before --structures vault crossvault-184 --seeds 5
@@ -29,7 +29,7 @@ _MEASURED = ("verdicts", "cpu_seconds", "seconds", "memory_gib")
 
 @dataclass(frozen=True)
 class Options:
-    """What to run."""
+    """Structures, commits and seeds to compare."""
 
     structures: tuple[str, ...] = ("vault",)
     """Built-in names, paths, or names of real structures."""
@@ -83,13 +83,13 @@ def run(options: Options, tree: Path, structure: str, seed: int) -> dict[str, An
 
 
 def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
-    """Medians with ranges, and how many searches found a plan."""
+    """Return medians with ranges, and the number of searches that found a plan."""
     figures: dict[str, Any] = {name: spread([run[name] for run in runs]) for name in _MEASURED}
     return {"found": sum(run["found"] for run in runs), "reached": spread([run["reached"] for run in runs]), **figures}
 
 
 def compare(options: Options) -> None:
-    """All structures, each with all seeds, with both trees in turn."""
+    """Compare both trees in turn on all structures and seeds."""
     from states import find
 
     here = Path(__file__).resolve().parents[1]

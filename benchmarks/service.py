@@ -1,4 +1,4 @@
-"""Load test of a service on this machine: one JSON object a line.
+"""Load test of a service on this machine: one JSON object per line.
 
     python benchmarks/service.py replan --structure dome-37 --policy my-run
     python benchmarks/service.py stability --rate 300 --seconds 20
@@ -6,7 +6,7 @@
 
 Starts `falsework serve` on a free port of 127.0.0.1 and stops it at the end; requests go there and nowhere else, and
 their number is bounded by `rate` times `seconds`. Clients keep to a schedule, so that a slow answer does not thin out
-the load, and times count from the moment at which a request was due. `cores` is the processor time that the service
+the load, and times count from the moment at which a request was due. `cores` is the CPU time that the service
 and its workers took, divided by the time on the clock: the share of the machine that the load needs.
 
 `replan`: whole plans from and to the empty and the complete structure, states on the way, a part that is late, a part
@@ -42,44 +42,44 @@ from falsework.assembly.state import complete_state, empty_state
 from falsework.search import find_plans, task_of
 
 MOST_REQUESTS = 60_000
-"""More than that is no benchmark any more."""
+"""Limit on requests of one benchmark."""
 
 Ask = Callable[[int], tuple[str, str, dict[str, Any]]]
-"""Number of a request to a word for its kind, its path and its content."""
+"""Maps the number of a request to its kind, its path and its content."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """What to run."""
+    """Benchmark and its settings."""
 
     what: tyro.conf.Positional[Literal["replan", "stability", "deadline"]]
     """Benchmark."""
     structure: str = "dome-37"
     """Built-in name, path, or name of a real structure."""
     policy: str | None = None
-    """Folder of a trained run for it."""
+    """Folder of a trained run for the structure."""
     rate: float | None = None
-    """Requests a second; 10 for replan, 300 for stability, 6 for deadline if not given."""
+    """Requests per second; by default 10 for replan, 300 for stability, 6 for deadline."""
     seconds: float | None = None
-    """How long; 120 for replan, 20 for the others if not given."""
+    """Duration; by default 120 s for replan, 20 s for the others."""
     clients: int = 16
-    """Connections."""
+    """Number of connections."""
     workers: int = 2
-    """Planning processes."""
+    """Number of planning processes."""
     seed: int = 0
-    """Of the requests."""
+    """Seed of the requests."""
     out: Path | None = None
     """File to which the records are appended."""
 
 
 @dataclass(frozen=True)
 class Sample:
-    """One request and what became of it."""
+    """One request and its outcome."""
 
     kind: str
     status: int
     seconds: float
-    """From when it was due to the end of the answer."""
+    """Seconds from the due time to the end of the answer."""
     outcome: str
     decided_by: str
 
@@ -95,7 +95,7 @@ class Client:
         self._streams: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
 
     async def post(self, path: str, content: dict[str, Any]) -> tuple[int, dict[str, Any]]:
-        """Status and content of the answer."""
+        """Return status and content of the answer."""
         if self._streams is None:
             self._streams = await asyncio.open_connection(*self._place)
         reader, writer = self._streams
@@ -107,7 +107,7 @@ class Client:
         return int(status_line.split()[1]), json.loads(await reader.readexactly(length))
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         if self._streams is not None:
             self._streams[1].close()
             self._streams = None
@@ -138,7 +138,7 @@ async def load(url: str, ask: Ask, options: Options, rate: float, count: int) ->
 
 
 def replans(assembly: Assembly, seed: int) -> Ask:
-    """Requests for plans, no two alike."""
+    """Return requests for plans, no two alike."""
     states = find_plans(assembly, task_of(assembly)).plans[0].states
     random = np.random.default_rng(seed)
     loose = np.flatnonzero(~assembly.boundary)
@@ -166,13 +166,13 @@ def replans(assembly: Assembly, seed: int) -> Ask:
 
 
 def judgements(assembly: Assembly, seed: int) -> Ask:
-    """Requests for verdicts, one state each."""
+    """Return requests for verdicts, one state each."""
     states, _ = asked_states(assembly, 4000, seed=seed)
     return lambda number: ("state", "/stability", {"states": [states[number % len(states)].tolist()]})
 
 
 def short(assembly: Assembly, seed: int) -> Ask:
-    """Requests with little time; the other clients' are long ones."""
+    """Return requests with short deadlines; those of the other clients are long."""
     patient = replans(assembly, seed)
 
     def ask(number: int) -> tuple[str, str, dict[str, Any]]:
@@ -185,7 +185,7 @@ def short(assembly: Assembly, seed: int) -> Ask:
 
 
 def processor_seconds(process: int) -> float:
-    """Processor time of a process and its children so far; NaN where the system does not say."""
+    """Return the CPU time of a process and its children so far; NaN where the system does not provide it."""
     total = 0.0
     for path in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError):

@@ -48,14 +48,14 @@ Measure = Literal["verdicts", "cold", "baseline"]
 
 @dataclass(frozen=True)
 class Options:
-    """What to measure."""
+    """Structures and measurements."""
 
     structures: tuple[str, ...] = ()
     """Names of real or built-in structures, or paths; empty for all real ones."""
     measure: tuple[Measure, ...] = ("verdicts", "cold")
-    """Which measurements to make."""
+    """Measurements to make."""
     states: int = 300
-    """States of each structure."""
+    """Number of states of each structure."""
     rounds: int = 5
     """Rounds in which the solvers take turns."""
     threads: int = 2
@@ -63,25 +63,25 @@ class Options:
     cone: Literal["octagon", "quadratic"] = "octagon"
     """Friction cone."""
     width: int = 64
-    """Width of the beam search whose states are judged."""
+    """Width of the beam search whose states are checked."""
     seed: int = 0
-    """Of the search and the sample."""
+    """Seed of the search and the sample."""
     baseline_states: int = 16
-    """States for the paper's method."""
+    """Number of states for the paper's method."""
     baseline_threads: int = 1
-    """Cores for the paper's method; torch loses more than it gains by sharing out such small matrices."""
+    """Cores for the paper's method; torch loses more than it gains by distributing such small matrices."""
     device: str = "cpu"
-    """Where the paper's method computes."""
+    """Device of the paper's method."""
     inverse: Literal["reduced", "dense"] = "reduced"
-    """How the paper's method applies its inverse; see `SharedInverseSettings`."""
+    """Application of the inverse by the paper's method; see `SharedInverseSettings`."""
     precision: Literal["float64", "float32"] = "float64"
-    """Of the paper's method."""
+    """Precision of the paper's method."""
     out: Path | None = None
     """File to which the records are appended."""
 
 
 def seconds_of(work: Callable[[], Any]) -> tuple[float, Any]:
-    """Wall-clock seconds of a call, and what it returns."""
+    """Return the wall-clock seconds of a call, and its result."""
     begin = time.perf_counter()
     result = work()
     return time.perf_counter() - begin, result
@@ -102,7 +102,7 @@ def one_core() -> Iterator[None]:
 
 
 def measure_verdicts(name: str, assembly: Assembly, states: States, parents: States, options: Options) -> None:
-    """Agreement and speed on the same states."""
+    """Measure agreement and speed on the same states."""
     settings = StabilitySettings(criterion="equilibrium", cone=options.cone, cpu=CpuSettings(threads=options.threads))
     checked = Stability(assembly, settings)
     verdicts = checked.check(states)
@@ -153,7 +153,7 @@ def measure_verdicts(name: str, assembly: Assembly, states: States, parents: Sta
 
 
 def measure_cold(name: str, assembly: Assembly, states: States, options: Options) -> None:
-    """Milliseconds from an assembly to the first verdict, and of single verdicts that nothing is known of."""
+    """Measure milliseconds from an assembly to the first verdict, and of single verdicts without cached neighbours."""
     settings = StabilitySettings(criterion="equilibrium", cone=options.cone, cpu=CpuSettings(threads=options.threads))
     state = complete_state(assembly.boundary)
     Stability(assembly, settings).check(state)
@@ -177,7 +177,7 @@ def measure_cold(name: str, assembly: Assembly, states: States, options: Options
 
 
 def measure_baseline(name: str, assembly: Assembly, states: States, parents: States, options: Options) -> None:
-    """The paper's method against this solver."""
+    """Compare the paper's method with this solver."""
     import torch
 
     torch.set_num_threads(options.baseline_threads)

@@ -1,4 +1,4 @@
-"""States for benchmarks of stability: those that a beam search checks."""
+"""States for stability benchmarks: those that a beam search checks."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ REAL = ("bottle-12", "tetris-13", "tetris-14", "tetris-17", "cube-17", "dog-35",
 
 
 class Recorder:
-    """Passes questions on to an oracle and writes them down."""
+    """Wrapper of an oracle that records its queries."""
 
     def __init__(self, oracle: Stability) -> None:
         self.oracle = oracle
@@ -29,7 +29,7 @@ class Recorder:
         return getattr(self.oracle, name)
 
     def judge(self, states: States, *, parents: States | None = None) -> Verdicts:
-        """As `Stability.judge`; states without parents, such as the ends of a task, are not written down."""
+        """Check states as `Stability.judge`; states without parents, such as the ends of a task, are not recorded."""
         if parents is not None:
             self.states.append(states.copy())
             self.parents.append(parents.copy())
@@ -39,17 +39,17 @@ class Recorder:
 def asked_states(
     assembly: Assembly, count: int, *, width: int = 64, robots: int = 2, seed: int = 0
 ) -> tuple[States, States]:
-    """A random sample of the different states that a beam search under `equilibrium` asks about.
+    """Return a random sample of the distinct states that a beam search under `equilibrium` checks.
 
     Args:
         assembly: the structure.
-        count: states wanted; fewer come back where the search asks about fewer.
-        width: states kept at a level of the search.
+        count: number of states; fewer are returned where the search checks fewer.
+        width: beam width of the search.
         robots: parts that may be held at once.
-        seed: of the search and of the sample.
+        seed: seed of the search and of the sample.
 
     Returns:
-        States and, for each, the stable state that it comes from; both of shape (count, parts).
+        States and, for each, its stable predecessor; both of shape (count, parts).
     """
     recorder = Recorder(Stability(assembly, EQUILIBRIUM))
     task = Task.create(assembly.boundary, robots)
@@ -67,7 +67,7 @@ def one_core() -> None:
 
 
 def find(name: str) -> str:
-    """Path of a real structure where there is one of that name, else the name."""
+    """Return the path of the real structure of a name if there is one, else the name."""
     named = os.environ.get("FALSEWORK_DATA")
     data = Path(named) if named else Path(__file__).resolve().parents[2] / "shared"
     paths = (data / folder / name for folder in ("assemblies", "structures"))
@@ -75,5 +75,5 @@ def find(name: str) -> str:
 
 
 def real_structures(names: tuple[str, ...] = REAL) -> tuple[str, ...]:
-    """Those of the named real structures that this machine has."""
+    """Return the named real structures that this machine has."""
     return tuple(name for name in names if find(name) != name)

@@ -1,11 +1,11 @@
-"""Fewest robots with every part held once, with holding again, and with props: one JSON object for each structure.
+"""Fewest robots with every part held once, with holding again, and with props: one JSON object per structure.
 
     python benchmarks/support.py --structures dome-37 dome-90 vault --deadline 60
 
-With every part held once, `robots_needed` is asked: `robots` is the fewest with which a plan was found, `least` the
-number below which it is proven that none exists. With holding again and with props, a plan for one robot less is looked
-for, and again for one less, each with the deadline anew; where none is found, `robots` stays, since a plan without them
-is a plan. A single robot that lets a part go is where it was before, so holding again alone is not tried with one.
+With every part held once, `robots_needed` answers: `robots` is the fewest with which a plan was found, `least` the
+number below which it is proven that none exists. With holding again and with props, a plan for one robot fewer is
+sought, and again for one fewer, each with a deadline; where none is found, `robots` stays, since a plan without them
+is a plan. A single robot that releases a part gains nothing, so holding again alone is not tried with one.
 Where the structure has no floor of its own under most parts that could take a prop, it is put on a ground for all
 questions.
 """
@@ -29,22 +29,22 @@ from falsework.search import PlannerSettings, find_plans, robots_needed, structu
 
 @dataclass(frozen=True)
 class Options:
-    """What to run."""
+    """Structures, props and time limits."""
 
     structures: tuple[str, ...] = ("dome-37",)
     """Built-in names, paths, or names of real structures."""
     props: tuple[int, ...] = (1, 2)
     """Numbers of props."""
     deadline: float = 60.0
-    """Seconds for each question."""
+    """Seconds per question."""
     seed: int = 0
-    """Of the searches."""
+    """Seed of the searches."""
     out: Path | None = None
     """File to which the records are appended."""
 
 
 def places_of(assembly: Assembly) -> int:
-    """Number of parts that have a place for a prop."""
+    """Return the number of parts that a prop can support."""
     try:
         return len(prop_places(assembly))
     except AssemblyError:
@@ -52,7 +52,7 @@ def places_of(assembly: Assembly) -> int:
 
 
 def once(options: Options, assembly: Assembly) -> dict[str, Any]:
-    """Ask for the fewest robots that hold every part once; the plan is checked anew."""
+    """Find the fewest robots that hold every part once; the plan is checked again."""
     begun = time.perf_counter()
     settings = PlannerSettings(seed=options.seed)
     found = robots_needed(assembly, settings=settings, deadline=options.deadline)
@@ -67,7 +67,7 @@ def once(options: Options, assembly: Assembly) -> dict[str, Any]:
 
 
 def fewer(options: Options, assembly: Assembly, known: dict[str, Any], **rules: Any) -> dict[str, Any]:
-    """Look for plans with fewer robots than are known to suffice, as long as there are some."""
+    """Search for plans with fewer robots than are known to suffice, as long as there are any."""
     begun, answer = time.perf_counter(), {key: known[key] for key in ("robots", "steps", "check")} | {"verdicts": 0}
     while answer["robots"] > 1 and (rules.get("props") or answer["robots"] > 2):
         found = find_plans(
@@ -90,7 +90,7 @@ def fewer(options: Options, assembly: Assembly, known: dict[str, Any], **rules: 
 
 
 def measure(options: Options, name: str) -> None:
-    """Ask all questions about one structure."""
+    """Answer all questions for one structure."""
     assembly = load_structure(find(name))
     own = places_of(assembly)
     grounded = assembly.with_ground()

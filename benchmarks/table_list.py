@@ -1,4 +1,4 @@
-"""The tables that `benchmarks/tables.py` makes: which records they show, and in which columns."""
+"""Definitions of the tables that `benchmarks/tables.py` generates: their records and columns."""
 
 from __future__ import annotations
 

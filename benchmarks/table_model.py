@@ -1,4 +1,4 @@
-"""How a table is made of records: one row for each subject, from the runs at the newest commit."""
+"""Tables of records: one row per subject, from the runs at the newest commit."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def records(source: str) -> tuple[Record, ...]:
 
 
 def _translated(record: Record) -> Record:
-    """Return a record with today's names for what records of earlier versions call otherwise."""
+    """Return a record with the present names of keys that records of earlier versions name differently."""
     translated = {_KEYS.get(key, key): value for key, value in record.items()}
     return translated | {key: _NETWORKS.get(translated[key], translated[key]) for key in _KINDS & translated.keys()}
 
@@ -98,13 +98,13 @@ def fill_in(template: str, runs: Runs) -> str:
 
 
 def seeds(runs: Runs) -> str:
-    """Write how many seeds were run; empty where it is not known or nothing is random."""
+    """Write the number of seeds; empty where it is unknown or nothing is random."""
     count = sum(len(run["seeds"]) for run in runs)
     return str(count) if count else ""
 
 
 def notes(runs: Runs) -> str:
-    """Write what a reader must know of the runs: notes, shared machines, missing origins."""
+    """Write remarks on the runs: notes, shared machines, missing origins."""
     found = [run["note"] for run in runs if run.get("note")]
     loads = [run["load_before"] for run in runs if run.get("load_before", 0) > 1]
     if loads:
@@ -126,11 +126,11 @@ class Table:
     source: str
     """Name of the file of records."""
     key: tuple[tuple[str, str], ...]
-    """Head and template of the columns that say what a row is about."""
+    """Header and template of the columns that identify a row."""
     columns: tuple[tuple[str, str | Callable[[Runs, Runs], str]], ...]
-    """Head, and template or function of the runs of a row and of all earlier runs of the same subject."""
+    """Header, and template or function of the runs of a row and of all earlier runs of the same subject."""
     benchmark: str = ""
-    """Of the records; the name of the file if empty."""
+    """Name of the benchmark in the records; the name of the file if empty."""
     where: Callable[[Record], bool] = lambda _: True
     """Which records belong to the table."""
 
@@ -168,7 +168,7 @@ def markdown(heads: Sequence[str], body: Sequence[Sequence[str]]) -> str:
 
 
 def origin(runs: Iterable[Record], sources: Sequence[str], page: Path) -> str:
-    """Write where and when runs were made, and where their data and commands are."""
+    """Write device and date of runs, and where their data and commands are."""
     devices: dict[str, dict[str, None]] = {}
     for run in runs:
         devices.setdefault(f"{run['device']}, {run['date']}", {})[run["commit"] or "not recorded"] = None

@@ -1,4 +1,4 @@
-"""The tables of README, documentation and RESULTS.md, made from `benchmarks/results/*.jsonl`: `make results`.
+"""Tables of README, documentation and RESULTS.md from `benchmarks/results/*.jsonl`: `make results`.
 
     python benchmarks/tables.py            # fill every block
     python benchmarks/tables.py --list     # names of the tables
@@ -37,7 +37,7 @@ def table(name: str, page: Path) -> str:
 
 
 def filled(page: Path) -> str:
-    """Return the text of a page with every block made anew."""
+    """Return the text of a page with every block generated again."""
     text = page.read_text(encoding="utf-8")
     return BLOCK.sub(lambda block: f"{block[1]}{table(block[2], page)}\n{block[3]}", text)
 

@@ -1,11 +1,11 @@
-"""Time pictures and the viewer: one JSON object a line.
+"""Time pictures and the viewer: one JSON object per line.
 
     python benchmarks/viewer.py                       pictures, and the page for a vault of 1,000 parts
     python benchmarks/viewer.py --parts 250           another size
     python benchmarks/viewer.py --no-browser          without Chromium
 
 `update` is the server time to change the page from one state to another, `sent` the number of meshes sent. Frames
-a second are those of a headless Chromium that draws in software, on the processor: any graphics card is faster.
+a second are those of a headless Chromium that draws in software, on the CPU: any graphics card is faster.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ COUNT = """() => new Promise(done => {
 
 
 def pictures() -> None:
-    """A contact sheet and one state of the built-in vault, after the compiler has done its work."""
+    """Time a contact sheet and one state of the built-in vault, after compilation."""
     vault = load_structure("vault")
     timeline = Timeline.of(find_plans(vault, task_of(vault)).plans[0], vault, Direction.ASSEMBLY)
     one_state(timeline, 0.5)
@@ -55,7 +55,7 @@ def pictures() -> None:
 
 
 def from_the_top(assembly: Assembly) -> Timeline:
-    """States as a plan has them, the highest part first; not proven, for only the page is measured."""
+    """Return a timeline of disassembly from the top; not proven, since only the page is measured."""
     order = np.argsort(-assembly.mass.center[:, 2], kind="stable")
     states, actions = [complete_state(assembly.boundary)], []
     for part in order[~assembly.boundary[order]]:
@@ -70,7 +70,7 @@ def from_the_top(assembly: Assembly) -> Timeline:
 
 
 def page(parts: int, browser: bool) -> None:
-    """Steps and jumps on the page of a large vault."""
+    """Time steps and jumps on the page of a large vault."""
     timeline = from_the_top(load_structure(f"vault:parts={parts}"))
     begun = time.perf_counter()
     shown = Page(ViewerState(timeline), port=8195)
@@ -112,7 +112,7 @@ def page(parts: int, browser: bool) -> None:
 
 
 def main() -> None:
-    """Measure what is asked for."""
+    """Run the benchmark of the command line."""
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     options.add_argument("--parts", type=int, default=1000)
     options.add_argument("--no-browser", action="store_true")

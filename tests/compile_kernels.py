@@ -1,4 +1,4 @@
-"""Compilation of what the tests run, in two processes side by side; numba keeps its part beside the sources."""
+"""Compilation of the kernels that the tests run, in two parallel processes; numba caches beside the sources."""
 
 from __future__ import annotations
 

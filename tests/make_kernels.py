@@ -1,4 +1,4 @@
-"""Portable code of the kernels that every plan needs, `src/falsework/kernels.zip`, made anew from their source.
+"""Portable code of the kernels that every plan needs, `src/falsework/kernels.zip`, built from their source.
 
 Run it after a change of a kernel in `stability/` or `utils/`; a test fails until then, and numba compiles what the
 archive no longer fits.

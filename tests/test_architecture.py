@@ -1,4 +1,4 @@
-"""The shape of the house: data flows one way, and optional packages stay at the door."""
+"""Architecture of the package: dependencies point one way, and optional packages stay optional."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The wheel and the sdist hold all that the package needs, and the version is stated once."""
+"""The wheel and the sdist contain everything that the package needs, and the version is stated once."""
 
 from __future__ import annotations
 

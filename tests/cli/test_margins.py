@@ -69,8 +69,8 @@ def test_placement_errors_cost_some_draws(falsework: Run, tmp_path: Path, write_
         (("--bears", "100,8Nm"), "has no unit; give 2N"),
         (("--placement", "1deg"), "has the unit deg; give 2mm"),
         (("--placement", "-1mm"), "not above zero"),
-        (("--placement", "1mm", "--draws", "0"), "0 draws are no sample"),
-        (("--settlement", "--criterion", "equilibrium"), "equilibrium knows no settlement"),
+        (("--placement", "1mm", "--draws", "0"), "the number of draws is 0; give at least 1"),
+        (("--settlement", "--criterion", "equilibrium"), "equilibrium has no displacements"),
     ],
 )
 def test_wrong_options(falsework: Run, stack: Path, options: tuple[str, ...], words: str) -> None:

@@ -1,4 +1,4 @@
-"""Arms, cells and an independent collision library for the tests of this room."""
+"""Arms, cells and an independent collision library for the tests of robots."""
 
 from __future__ import annotations
 

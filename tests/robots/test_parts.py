@@ -1,4 +1,4 @@
-"""Parts in a cell: pieces that cover them, grasps on them, ways out, and who reaches them."""
+"""Parts in a cell: convex pieces, grasps, exit directions, and reachability."""
 
 from __future__ import annotations
 
@@ -248,7 +248,7 @@ def test_cell_check_prints_reach_and_proposes_bases(tmp_path: Path, capsys: pyte
     ("arguments", "message"),
     [
         (["nowhere.toml", "arch"], "cell file nowhere.toml cannot be read"),
-        (["dome-99", "arch"], "no cell dome-99"),
+        (["dome-99", "arch"], "unknown cell dome-99"),
         (["dome-37", "arch", "--picture", "reach.gif"], "give a file that ends in .png, .svg or .pdf"),
         (["dome-37", "arch", "--picture", "no-folder/reach.png"], "there is no folder no-folder"),
     ],

@@ -1,4 +1,4 @@
-"""The cache answers what it was told and what follows by the two monotone rules, and nothing else."""
+"""The cache returns stored verdicts and those that follow from the two monotonicity rules, and no others."""
 
 from __future__ import annotations
 

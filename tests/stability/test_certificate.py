@@ -1,4 +1,4 @@
-"""The checker accepts what the solvers prove, and nothing that has been tampered with."""
+"""The checker accepts the certificates of the solvers, and rejects all that have been tampered with."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Friction from nothing to more than any material has: every state is decided, and no contact pulls."""
+"""Friction from zero to more than any material has: every state is decided, and no contact is in tension."""
 
 from __future__ import annotations
 

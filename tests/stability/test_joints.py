@@ -1,4 +1,4 @@
-"""Joints that pull: closed forms, agreement of independent methods, proofs, and what replays remember."""
+"""Joints with tensile strength: closed forms, agreement of independent methods, proofs, and replay history."""
 
 from __future__ import annotations
 
@@ -313,7 +313,7 @@ def test_judges_and_gpus_refuse_joints(scenes: Any) -> None:
     block = joined(hanging(scenes), tension=1e5)
     with pytest.raises(InputError, match="joints are not checked on a GPU"):
         GpuSolver(block, build_problem(block), StabilitySettings())
-    with pytest.raises(InputError, match="knows no joints"):
+    with pytest.raises(InputError, match="does not support joints"):
         settle(block, complete_state(block.boundary))
 
 

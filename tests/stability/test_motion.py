@@ -1,4 +1,4 @@
-"""Motion of states that do not stand."""
+"""Motion of states that are not stable."""
 
 from __future__ import annotations
 

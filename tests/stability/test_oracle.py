@@ -1,4 +1,4 @@
-"""What everything else calls: batches, bookkeeping, warm starts, threads, and bad input."""
+"""Stability oracle: batches, counters, warm starts, threads, and invalid input."""
 
 from __future__ import annotations
 

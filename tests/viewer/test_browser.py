@@ -270,7 +270,7 @@ def test_playing_probabilities_and_the_graph(opened: Callable[..., Open], arch: 
     now.tab.get_by_role("tab", name="Graph").click()
     now.tab.get_by_text(f"{len(graph)} states").wait_for()
     now.until(lambda: now.tab.locator("img").count() > 0, "the picture of the graph")
-    now.tab.get_by_role("button", name="What the policy covers").click()
+    now.tab.get_by_role("button", name="Coverage by the policy").click()
     now.tab.get_by_text(f"of {len(graph)} states (").wait_for()
     assert complaints_of(now) == []
 

@@ -1,4 +1,4 @@
-"""Real arms: cells, collisions, motions, grasps and the plans that robots carry out."""
+"""Robot arms: cells, collision checking, motion planning, grasps and robot plans."""
 
 from falsework.utils.lazy import lazy_exports
 

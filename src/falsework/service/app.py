@@ -33,8 +33,8 @@ _JSON = "application/json"
 _PNG = "image/png"
 _WORDS = {
     400: "not a valid request",
-    401: "no token, or a wrong one",
-    408: "the request came too slowly",
+    401: "missing or wrong token",
+    408: "the request arrived too slowly",
     413: "the request is too large",
     415: "not JSON",
     422: "the request does not fit this structure; the error gives the reason",

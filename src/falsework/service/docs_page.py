@@ -38,7 +38,7 @@ def page_of(document: dict[str, Any]) -> str:
         '<meta name="viewport" content="width=device-width">'
         f"<title>{escape(info['title'])}</title><style>{_STYLE}</style></head><body>"
         f"<h1>{escape(info['title'])}</h1><p>{escape(info.get('description', ''))}</p>{token}"
-        '<p>The same for machines: <a href="/openapi.json">/openapi.json</a></p>'
+        '<p>Machine-readable version: <a href="/openapi.json">/openapi.json</a></p>'
         f"{''.join(sections)}<h2>Schemas</h2>{schemas}</body></html>\n"
     )
 
@@ -67,7 +67,7 @@ def _operation(path: str, method: str, operation: dict[str, Any], document: dict
 def _row(name: str, entry: dict[str, Any], schema: dict[str, Any]) -> str:
     about = entry.get("description", "")
     if name in schema.get("required", []):
-        about += " (must be given)"
+        about += " (required)"
     elif "default" in entry:
         about += f" (default: {json.dumps(entry['default'])})"
     bounds = [f"{word} {entry[key]}" for key, word in (("minimum", "at least"), ("maximum", "at most")) if key in entry]

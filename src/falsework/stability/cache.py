@@ -1,11 +1,11 @@
 """Cache of verdicts, and inference of further verdicts by two monotonicity rules.
 
-Among states with the same parts present, holding more keeps a state in equilibrium in equilibrium, and holding less
-keeps an unstable one unstable. The proofs carry over too: forces that balance a part balance it whichever others are
-held, and a velocity that nothing can stop stays one when a held part, which it leaves still, is let go.
+Among states with the same parts present, holding more parts preserves equilibrium and holding fewer preserves
+instability. The certificates carry over: forces that balance a part balance it whichever other parts are held, and a
+velocity that no admissible forces can stop remains one when a held part, which does not move in it, is released.
 
-Under the criterion `contact` only the second rule holds: a part that is held no longer presses on its neighbours, and
-one that leant on it may slide.
+Under the criterion `contact` only the second rule holds: a held part no longer presses on its neighbours, and one that
+leant on it may slide.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class VerdictCache:
     """Cache of verdicts by the sets of present and of held parts, as bit sets."""
 
     def __init__(self, limit: int = 2_000_000, *, holds_keep_stable: bool = True) -> None:
-        """Begin with nothing.
+        """Create an empty cache.
 
         Args:
             limit: verdicts kept.
@@ -36,10 +36,10 @@ class VerdictCache:
         return self._size
 
     def look_up(self, states: States) -> tuple[NDArray[np.int8], NDArray[np.float64], NDArray[np.bool_]]:
-        """Return verdicts and residuals of the states that are known or follow, 0 and NaN elsewhere.
+        """Return verdicts and residuals of states that are cached or follow from a cached one; 0 and NaN elsewhere.
 
         Returns:
-            Verdict, residual, and whether it followed by a rule; each of shape (batch,).
+            Verdict, residual, and whether it follows from a rule; each of shape (batch,).
         """
         verdict = np.zeros(len(states), np.int8)
         residual = np.full(len(states), np.nan)
@@ -63,7 +63,7 @@ class VerdictCache:
         return verdict, residual, by_monotonicity
 
     def store(self, states: States, verdict: NDArray[np.int8], residual: NDArray[np.float64]) -> None:
-        """Remember decided verdicts; when full, forget everything and start again."""
+        """Store decided verdicts; clear the cache first when it is full."""
         if self._size + len(states) > self._limit:
             self._known.clear()
             self._size = 0
@@ -76,14 +76,14 @@ class VerdictCache:
 
 
 def _keys(states: States) -> list[tuple[bytes, int]]:
-    """Present parts as bytes and held parts as an integer, for every state."""
+    """Return present parts as bytes and held parts as an integer, for every state."""
     present = np.packbits(states != REMOVED, axis=1)
     held = np.packbits(states == HELD, axis=1)
     return [(p.tobytes(), int.from_bytes(h.tobytes(), "big")) for p, h in zip(present, held, strict=True)]
 
 
 def unique_rows(states: States) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the first row of every distinct state, and which of them each row is."""
+    """Return the first row of every distinct state, and for each row the index of its distinct state."""
     if len(states) == 1:
         return np.zeros(1, np.intp), np.zeros(1, np.intp)
     keys = np.ascontiguousarray(states).view(np.dtype((np.void, states.shape[1]))).ravel()
@@ -92,6 +92,6 @@ def unique_rows(states: States) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def unique_states(states: States) -> tuple[States, NDArray[np.intp]]:
-    """Return every distinct state once, and which of them each row is."""
+    """Return every distinct state once, and for each row the index of its distinct state."""
     first, back = unique_rows(states)
     return states[first], back

@@ -1,14 +1,14 @@
-"""Certificate checker: verifies a proof in float64 from the assembly alone, without code of the solvers.
+"""Certificate checker: verifies a proof in float64 from the assembly alone, without any code of the solvers.
 
 A displacement proves that a state is stable under the criterion `contact`: the check evaluates the contact law, which
-keeps forces inside the friction cones, and asks what they leave. It also proves equilibrium.
+keeps forces inside the friction cones, and computes the residual that they leave. It also proves equilibrium.
 
-Forces and virtual velocities bound the same number, the smallest that the residual can be made by admissible contact
-forces: forces in the friction cones whose normal components sum to at most the force bound. The residual is the
-largest acceleration of a part as a share of gravity; an angular acceleration counts times the part's largest radius
-of gyration, so the residual has no dimension and does not change with size, density or gravity. Forces bound it from
-above, a virtual velocity from below, so a state cannot pass both. Joints that pull widen what is admissible
-(`Strength`).
+Forces and virtual velocities bound the same number, the smallest residual that admissible contact forces can leave.
+Admissible forces lie in the friction cones, and their normal components sum to at most the force bound. The residual
+is the largest acceleration of a part as a share of gravity; an angular acceleration is multiplied by the part's largest
+radius of gyration, so the residual is dimensionless and independent of size, density and gravity. Forces bound it from
+above, a virtual velocity from below, so a state cannot pass both tests. Joints with tensile strength or cohesion
+enlarge the set of admissible forces (`Strength`).
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from falsework.stability.verdict import Criterion, Verdict, Verdicts
 Array = NDArray[np.float64]
 
 _ROUNDING = 1e-9
-"""Largest distance of a force from its cone, as a share of the force and of the weight of the structure; such a force
+"""Largest distance of a force from its cone, as a share of the force and of the structure's weight; such a force
 is moved into the cone before the residual is computed."""
 _TEARS = 1.0 + 1e-6
-"""Times its tension at which a contact point tears, rounding of the solvers included."""
+"""A contact point breaks at this multiple of its tensile strength; the excess over 1 covers rounding of the solvers."""
 _CHUNK = 256
 
 
@@ -44,19 +44,19 @@ class StabilityCriterion:
     gravity: float = 9.81
     """m/s2 along -z."""
     tolerance: float = 1e-4
-    """Largest residual of a stable state, a share of gravity."""
+    """Largest residual of a stable state, as a share of gravity."""
     force_bound: float = 1e3
     """Bound on the sum of all normal forces, in weights of the structure."""
     criterion: Criterion = "equilibrium"
-    """What stable means."""
+    """Definition of stability."""
     stiffness_ratio: float = TANGENTIAL_RATIO
-    """Tangential over normal stiffness of a contact, under the criterion `contact`."""
+    """Ratio of tangential to normal contact stiffness, under the criterion `contact`."""
 
 
 def verify_certificates(
     assembly: Assembly, states: States, verdicts: Verdicts, claim: StabilityCriterion = StabilityCriterion()
 ) -> NDArray[np.bool_]:
-    """Return whether each verdict is proven by the certificate that comes with it.
+    """Return whether each verdict is proven by its certificate.
 
     Args:
         assembly: the structure.
@@ -65,11 +65,11 @@ def verify_certificates(
         claim: criterion, cone, gravity, tolerance and force bound.
 
     Returns:
-        Shape (batch,); an undecided verdict is never accepted. Of a state that slides, what is accepted is the proof
-        that forces in equilibrium exist.
+        Shape (batch,); an undecided verdict is never accepted. Of a sliding state, only the proof that forces in
+        equilibrium exist is checked.
 
     Raises:
-        InputError: verdicts without certificates, or whose shapes do not fit the states.
+        InputError: verdicts without certificates, or with shapes that do not fit the states.
     """
     if verdicts.forces is None or verdicts.velocity is None:
         raise InputError("these verdicts carry no certificates; get verdicts from Stability.check, which returns them")
@@ -109,16 +109,16 @@ def verify_certificates(
 def residual_of_displacement(
     assembly: Assembly, states: States, displacement: Array, claim: StabilityCriterion
 ) -> Array:
-    """Residual that the contact forces of a displacement leave, or infinity where the displacement is too large.
+    """Return the residual left by the contact forces of a displacement; infinity where the displacement is too large.
 
-    The law is that of `contact/law.py`, written anew: normal springs that tear beyond their tension, tangential springs
-    cut back to what friction and cohesion bear, no force at zero displacement.
+    The law is that of `contact/law.py`, implemented independently: normal springs that break beyond their tensile
+    strength, tangential springs limited by friction and cohesion, no force at zero displacement.
 
     Args:
         assembly: the structure.
         states: shape (batch, parts).
-        displacement: `(translation, rotation)` about the centres of mass in m and rad, shape (batch, parts, 6); parts
-            that do not move in a state are taken as still.
+        displacement: `(translation, rotation)` about the centres of mass in m and rad, shape (batch, parts, 6);
+            those of parts that are fixed in a state are ignored.
         claim: cone, gravity, force bound and stiffness ratio.
 
     Returns:
@@ -151,7 +151,7 @@ def forces_of_displacement(assembly: Assembly, states: States, displacement: Arr
 def residual_of_forces(
     assembly: Assembly, states: States, forces: Array, claim: StabilityCriterion = StabilityCriterion()
 ) -> Array:
-    """Return the residual that contact forces leave, or infinity where they are not admissible.
+    """Return the residual that contact forces leave; infinity where they are not admissible.
 
     Args:
         assembly: the structure.
@@ -197,19 +197,19 @@ def residual_of_forces(
 def residual_bound_of_velocity(
     assembly: Assembly, states: States, velocity: Array, claim: StabilityCriterion = StabilityCriterion()
 ) -> Array:
-    """Return the residual that every admissible set of contact forces leaves at least, as a velocity proves it.
+    """Return the lower bound, proven by a velocity, on the residual that any admissible contact forces leave.
 
     For forces with sum of normals at most `U`, the power of all forces on velocity `w` is at least
-    `w . loads - B max_c s_c - T`, weight among the loads, where `s_c` is the most power that contact point `c` can take
-    out per newton of normal force, `T` what tension and cohesion can, and `B` is `U` and the tension of all points. The
-    power is also the acceleration times the momentum of `w`, at most the residual times gravity times the 1-norm of the
-    momentum, angular momenta divided by the radii of gyration (the lemma of Farkas with both bounds in numbers).
+    `w . loads - B max_c s_c - T`, weight among the loads, where `s_c` is the largest power that contact point `c` can
+    absorb per newton of normal force, `T` the largest absorbed by tension and cohesion, and `B` is `U` plus the tensile
+    strength of all points. This power is also acceleration times momentum of `w`, so at most the residual times gravity
+    times the 1-norm of the momentum, angular momenta divided by the radii of gyration (a quantitative Farkas lemma).
 
     Args:
         assembly: the structure.
         states: shape (batch, parts).
-        velocity: `(linear, angular)` about the centres of mass, shape (batch, parts, 6); parts that do not
-            move in a state are taken as still.
+        velocity: `(linear, angular)` about the centres of mass, shape (batch, parts, 6); ignored for parts that are
+            fixed in a state.
         claim: cone, gravity and force bound.
 
     Returns:
@@ -225,10 +225,10 @@ def residual_bound_of_velocity(
 def resistance_to_velocity(
     assembly: Assembly, states: States, velocity: Array, claim: StabilityCriterion
 ) -> tuple[Array, Array]:
-    """Return the most power in W that admissible forces take out of a velocity, and its momentum.
+    """Return the largest power in W that admissible forces can absorb from a velocity, and its momentum.
 
-    The momentum is in N m/s, such that the power of the loads less the first, divided by it, bounds the residual from
-    below; neither depends on the loads. Arguments as for `residual_bound_of_velocity`, shapes (batch,).
+    The momentum is in N m/s: the power of the loads minus the absorbed power, divided by it, bounds the residual from
+    below. Neither depends on the loads. Arguments as for `residual_bound_of_velocity`, shapes (batch,).
     """
     contacts, mass = assembly.contacts, assembly.mass
     owner = contacts.contact_of_point
@@ -245,7 +245,7 @@ def resistance_to_velocity(
 
 
 def _relative(assembly: Assembly, motion: Array) -> Array:
-    """Return the motion of part `b` against part `a` at every contact point in its frame, shape (batch, points, 3)."""
+    """Return the motion of part `b` relative to `a` at every contact point in its frame, shape (batch, points, 3)."""
     contacts, mass = assembly.contacts, assembly.mass
     owner = contacts.contact_of_point
     relative = np.zeros((len(motion), len(owner), 3))
@@ -261,7 +261,7 @@ def _acts(states: States, a: NDArray, b: NDArray) -> NDArray[np.bool_]:
 
 
 def _into_cone(forces: Array, strength: Strength, cone: str) -> tuple[Array, Array]:
-    """Return forces with tangents shrunk until they are admissible, and how far they stood outside in N.
+    """Return forces with tangents shrunk until they are admissible, and how far outside the cone they were, in N.
 
     Shapes (batch, points, 3) and (batch, points).
     """
@@ -270,7 +270,7 @@ def _into_cone(forces: Array, strength: Strength, cone: str) -> tuple[Array, Arr
     if cone == "quadratic":
         reach, limit = np.hypot(tangent[..., 0], tangent[..., 1]), radius
     else:
-        # An octagon with corners at multiples of 45 degrees has its sides' normals half way between them.
+        # The octagon has its corners at multiples of 45 degrees, so the normals of its sides are half way between.
         angle = (np.arange(8) + 0.5) * np.pi / 4
         sides = np.stack([np.cos(angle), np.sin(angle)])
         reach, limit = (tangent @ sides).max(axis=-1), np.cos(np.pi / 8) * radius
@@ -281,7 +281,7 @@ def _into_cone(forces: Array, strength: Strength, cone: str) -> tuple[Array, Arr
 
 
 def _slip(relative: Array, cone: str) -> Array:
-    """Return the most power that a tangential force of at most 1 N can take out of a relative velocity."""
+    """Return the largest power that a tangential force of at most 1 N can absorb from a relative velocity."""
     tangent = relative[..., 1:]
     if cone == "quadratic":
         return np.hypot(tangent[..., 0], tangent[..., 1])

@@ -14,20 +14,20 @@ class Counters:
     cached: int = 0
     """Number of states answered from the cache."""
     by_monotonicity: int = 0
-    """Answered because a proof of another state holds for this one."""
+    """Number of states answered by monotonicity: the proof of another state holds for them too."""
     cpu: int = 0
-    """Decided by the solver on the processor."""
+    """Number of states decided by the CPU solver."""
     gpu: int = 0
-    """Decided by the solver on the GPU."""
+    """Number of states decided by the GPU solver."""
     exact: int = 0
-    """Decided by the exact solver."""
+    """Number of states decided by the exact solver."""
     undecided: int = 0
-    """Left open by all solvers."""
+    """Number of states left undecided by all solvers."""
     rejected: int = 0
-    """Proofs of the fast solver that the checker did not accept; the exact solver then decided."""
+    """Number of proofs of the fast solver that the checker rejected; the exact solver then decided."""
     warm: int = 0
-    """Solved from the forces or the displacement of a parent."""
+    """Number of states solved with a warm start from the forces or the displacement of a parent."""
 
     def to_dict(self) -> dict[str, int]:
-        """Plain numbers for reports."""
+        """Return plain numbers for reports."""
         return asdict(self)

@@ -9,23 +9,23 @@ from falsework.assembly.model import Assembly
 from falsework.stability.verdict import Verdict, Verdicts
 
 SLIDING_SHARE = 0.1
-"""Of a state that slides a part counts as moving at this share of the largest movement: the others only settle."""
+"""Share of the largest movement from which a part of a sliding state counts as moving: the others only settle."""
 
 
 def motion_of(assembly: Assembly, verdicts: Verdicts, row: int) -> NDArray[np.float64] | None:
     """Return the initial motion of the parts of one state, up to scale.
 
-    Of an unstable state it is the virtual velocity that proves it. Of a state that slides it is the displacement at
-    which the iterations were ended, without the parts that move less than `SLIDING_SHARE` of the farthest.
+    Of an unstable state it is the virtual velocity that proves it; of a sliding state it is the displacement at
+    which the iterations ended, without the parts that move less than `SLIDING_SHARE` of the largest movement.
 
     Args:
         assembly: the structure.
         verdicts: with certificates, as `Stability.check` returns them.
-        row: of the state in question.
+        row: index of the state.
 
     Returns:
         `(linear, angular)` about the centres of mass, shape (parts, 6); None where the state is stable or undecided,
-        and where no motion is known.
+        or no motion is known.
     """
     verdict = verdicts.verdict[row]
     if verdict == Verdict.UNSTABLE and verdicts.velocity is not None:

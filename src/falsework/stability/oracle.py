@@ -32,11 +32,11 @@ if TYPE_CHECKING:
     from falsework.stability.reference.gurobi import GurobiSolver
 
 _GUESSES = 128 * 1024 * 1024
-"""Bytes kept of contact forces or displacements to start children from."""
+"""Memory for contact forces or displacements that warm starts use, bytes."""
 _BATCH = 32 * 1024 * 1024
-"""Bytes of contact forces or displacements in work at once."""
+"""Memory for contact forces or displacements of one batch, bytes."""
 _WORTH_A_GPU = 8
-"""States from which `auto` takes the GPU: a launch costs what the processor needs for a few states."""
+"""States from which `auto` uses the GPU: a launch costs as much as a few states on the CPU."""
 
 
 class Stability:
@@ -48,7 +48,7 @@ class Stability:
 
     def __init__(self, assembly: Assembly, settings: StabilitySettings = StabilitySettings()) -> None:
         if settings.criterion == "equilibrium" and assembly.joints is not None and assembly.joints.setting:
-            raise InputError("joints that set need the criterion contact; equilibrium knows no steps")
+            raise InputError("joints that set need the criterion contact; equilibrium has no steps")
         self.assembly = assembly
         self.settings = settings
         self.problem = build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity)
@@ -64,7 +64,7 @@ class Stability:
 
     @cached_property
     def exact(self) -> ExactSolver:
-        """The solver that decides what the others leave open; most searches never ask it."""
+        """Exact solver for states that the others leave undecided; most searches never need it."""
         if self._gurobi is not None:
             return self._gurobi
         from falsework.stability.reference.clarabel import ExactSolver
@@ -73,12 +73,12 @@ class Stability:
 
     @property
     def holds_keep_stable(self) -> bool:
-        """Whether a stable state stays stable when a part of it is held: under `equilibrium`, not under `contact`."""
+        """Whether a stable state stays stable when a part is held: under `equilibrium`, not under `contact`."""
         return self.settings.criterion == "equilibrium"
 
     @cached_property
     def replayer(self) -> Replayer | None:
-        """Replays sequences of states of the structure; None under `equilibrium`, which knows no history."""
+        """Replayer of state sequences of the structure; None under `equilibrium`, which has no history."""
         if not isinstance(self._cpu, ContactSolver):
             return None
         return Replayer(self.assembly, self.settings, solver=self._cpu)
@@ -117,9 +117,9 @@ class Stability:
         return verdicts[back]
 
     def check_beside(self, state: States, neighbours: States) -> Verdicts:
-        """Check a state from the displacements of neighbouring ones, where none is found from rest.
+        """Check a state from the displacements of neighbouring states where none is found from rest.
 
-        Under `contact` there may be more than one displacement at which a state rests, and iterations from rest may
+        Under `contact` a state may have several rest positions, and iterations from rest may
         miss them all. Each one is a proof.
 
         Args:
@@ -127,7 +127,7 @@ class Stability:
             neighbours: states before and after it in a plan, shape (batch, parts).
 
         Returns:
-            A batch of one: the first verdict of stable, else that from rest.
+            A batch of one: the first stable verdict, else the one from rest.
         """
         verdict = self.check(state)
         for neighbour in neighbours[(neighbours != state).any(axis=1)]:
@@ -139,7 +139,7 @@ class Stability:
         """Check states `(batch, parts)` from the displacements at which `judge` found them at rest.
 
         Returns:
-            Verdicts of stable, with certificates; undecided where no displacement is in memory or it no longer proves
+            Stable verdicts with certificates; undecided where no displacement is stored or it no longer proves
             the state.
         """
         found = Verdicts.blank(len(states), points=self.problem.points, parts=self.problem.parts, displaced=True)
@@ -155,7 +155,7 @@ class Stability:
         return found
 
     def check_next(self, states: States, before: States, known: Verdicts) -> Verdicts:
-        """Check states `(batch, parts)`, under `contact` first from the displacements `known` of those before them."""
+        """Check states `(batch, parts)`, under `contact` first from the displacements `known` of their predecessors."""
         if not isinstance(self._cpu, ContactSolver) or known.displacement is None:
             return self.check(states)
         guess = np.where(known.stable[:, None, None], known.displacement, np.nan)
@@ -169,12 +169,12 @@ class Stability:
     def judge(self, states: ArrayLike, *, parents: ArrayLike | None = None) -> Verdicts:
         """Check states without certificates, from the cache if possible.
 
-        Every verdict rests on a proof found in float64; the cache remembers the verdict, not the proof.
+        Every verdict is based on a proof found in float64; the cache keeps the verdict, not the proof.
 
         Args:
             states: shape (batch, parts).
-            parents: for each state one that stands and differs from it in few parts, such as the state it comes
-                from. Its forces are the first guess, and what falls is looked for near the difference. Shape
+            parents: for each state a stable one that differs from it in few parts, such as its predecessor. Its forces
+                are the initial guess, and a mechanism is sought near the difference first. Shape
                 (batch, parts).
 
         Returns:
@@ -207,24 +207,24 @@ class Stability:
         return verdicts
 
     def margins(self, states: ArrayLike, kinds: Sequence[str] | None = None) -> list[StateMargins]:
-        """Return how far friction, tilt, loads and pushes are from where states stop standing.
+        """Return how far friction, tilt, loads and pushes are from the limit of stability.
 
         Args:
             states: one state `(parts,)` or a batch `(batch, parts)`.
-            kinds: margins to find; by default all but the polygon of tilts and the settlement of supports.
+            kinds: margins to compute; by default all but the polygon of tilts and the settlement of supports.
 
         Returns:
-            One object a state, each number with a certificate on both sides of its bound.
+            One object per state, each value with a certificate on both sides of its bound.
 
         Raises:
-            InputError: a margin that does not exist under the criterion.
+            InputError: a margin that is not defined under the criterion.
             StateError: states of the wrong length or with other values.
         """
         return self._margins.of(states, QUICK if kinds is None else kinds)
 
     @cached_property
     def prober(self) -> Prober:
-        """Answers for single states under another friction and other loads."""
+        """Solver of single states under modified friction and additional loads."""
         return Prober(self.assembly, self.problem, self.settings, self._cpu)
 
     @cached_property
@@ -236,14 +236,14 @@ class Stability:
         return self.judge(states, parents=parents).stable
 
     def settle(self, states: States, residual: NDArray[np.float64]) -> Verdicts:
-        """Judge states that a GPU left open.
+        """Decide states that a GPU left undecided.
 
-        Under `contact` the solver on the processor, whose iterations are the same, is asked only if it makes more of
-        them. Under both criteria the exact solver comes last.
+        Under `contact` the CPU solver, whose iterations are the same, is only called if its iteration limit is higher.
+        Under both criteria the exact solver comes last.
 
         Args:
             states: checked states, shape (batch, parts).
-            residual: what the GPU said of them, shape (batch,).
+            residual: residuals found on the GPU, shape (batch,).
 
         Returns:
             Verdicts without certificates.
@@ -260,33 +260,33 @@ class Stability:
         return verdicts.without_certificates()
 
     def _accept(self, states: States, verdicts: Verdicts) -> NDArray[np.bool_]:
-        """Return whether the checker accepts each verdict; the others are counted."""
+        """Return whether the checker accepts each verdict; count the rejected ones."""
         accepted = verify_certificates(self.assembly, states, verdicts, self.settings.claim)
         self.counters.rejected += int((~accepted & ~verdicts.undecided).sum())
         return accepted
 
     def _make_cpu(self) -> CpuSolver | ContactSolver | None:
-        """Return the solver on the processor if the settings ask for it, and always under `contact`."""
+        """Return the CPU solver if the settings ask for it, and always under `contact`."""
         if self.settings.criterion == "contact":
             return ContactSolver(self.assembly, self.problem, self.settings)
         return CpuSolver(self.problem, self.settings) if self.settings.solver in ("auto", "cpu") else None
 
     def _decide_exactly(self, states: States, verdicts: Verdicts) -> Verdicts:
-        """Verdicts of the exact solver; under `contact` it only tells what is unstable from what is in equilibrium.
+        """Return verdicts of the exact solver; under `contact` it only tells unstable from in equilibrium.
 
         Args:
             states: shape (batch, parts).
-            verdicts: of the solver that left them open.
+            verdicts: verdicts of the solver that left them undecided.
         """
         contact = self.settings.criterion == "contact"
-        # Where equilibrium is proven and no rest was found, the exact solver has nothing to add.
+        # Where equilibrium is proven and no rest position was found, the exact solver has nothing to add.
         rows = np.flatnonzero(~(contact & verdicts.undecided & (verdicts.residual <= self.settings.tolerance)))
         decided = verdicts[np.arange(len(verdicts))]
         if not len(rows):
             return decided
         exact = self.exact.check(states[rows])
         if contact:
-            # Equilibrium alone does not say that the state stands: what the contact solver left open stays open.
+            # Equilibrium does not imply stability here: states that the contact solver left undecided stay undecided.
             slides = exact.stable & (verdicts.slides[rows] | np.isposinf(verdicts.residual[rows]))
             exact.verdict[exact.stable & ~slides] = Verdict.UNDECIDED
             exact.verdict[slides] = Verdict.SLIDES
@@ -295,7 +295,7 @@ class Stability:
         return decided
 
     def _make_gurobi(self) -> GurobiSolver | None:
-        """Return Gurobi's solver if the settings ask for it."""
+        """Return the Gurobi solver if the settings ask for it."""
         if self.settings.solver != "gurobi":
             return None
         from falsework.stability.reference.gurobi import GurobiSolver
@@ -303,7 +303,7 @@ class Stability:
         return GurobiSolver(self.assembly, self.settings, self.problem)
 
     def _make_gpu(self) -> GpuSolver | None:
-        """Return the solver on the GPU if the settings ask for it; with `auto`, only where there is one."""
+        """Return the GPU solver if the settings ask for it; with `auto`, only where there is a GPU."""
         if self.settings.solver not in ("auto", "gpu"):
             return None
         try:
@@ -315,7 +315,7 @@ class Stability:
 
     @property
     def _guess_bytes(self) -> int:
-        """Bytes of the guess for one state in float64."""
+        """Return the bytes of the guess for one state in float64."""
         return 8 * self._guess_shape[0] * self._guess_shape[1]
 
     def _choose(self, count: int) -> CpuSolver | ContactSolver | GpuSolver | None:
@@ -329,7 +329,7 @@ class Stability:
         if solver is None:
             return self.exact.check(states).without_certificates()
         verdicts, contact = Verdicts.blank(len(states)), self.settings.criterion == "contact"
-        # Look the parents up first: what the children leave behind may push them out.
+        # Look up the parents first: storing the results of their children may evict them.
         known = [None] * len(states) if parents is None else [self._guesses.get(p.tobytes()) for p in parents]
         size = max(_BATCH // max(self._guess_bytes, 1), 16)
         for first in range(0, len(states), size):
@@ -358,7 +358,7 @@ class Stability:
         return verdicts
 
     def _pass_on(self, states: States, origins: States) -> None:
-        """Let states that the cache knew to stand share the guess of the states they come from."""
+        """Let states that were cached as stable share the guess of their parents."""
         for state, origin in zip(states, origins, strict=True):
             known = self._guesses.get(origin.tobytes())
             if known is not None:
@@ -371,7 +371,7 @@ class Stability:
             self._guesses.popitem(last=False)
 
     def _put(self, states: States, verdicts: Verdicts) -> None:
-        """Count verdicts that were checked, and remember them."""
+        """Count checked verdicts and store them in the cache."""
         self.counters.asked += len(states)
         self._count(verdicts)
         self._cache.store(states, verdicts.verdict, verdicts.residual)

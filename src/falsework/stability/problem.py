@@ -1,4 +1,4 @@
-"""Equilibrium problem of a structure: wrench maps, masses, scalings, and the masks that a state implies."""
+"""Equilibrium problem of a structure: wrench maps, masses, scaling, and the masks of a state."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 TOLERANCE = 1e-4
-"""Default largest residual of a stable state, a share of gravity; the paper allows 1e-3 m/s2 (section 4)."""
+"""Default largest residual of a stable state, as a share of gravity; the paper allows 1e-3 m/s2 (section 4)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,28 +30,28 @@ class Problem:
     Contact point `c` acts between part `a` and part `b` with a force in the frame `(n, t1, t2)`; the force
     acts on `b`, its opposite on `a`. Wrenches are `(force, moment about the centre of mass)`.
 
-    Solvers iterate on a scaled problem. Rows are whitened by the masses (`M = L L^T` a part, rows multiplied
+    Solvers iterate on a scaled problem. Rows are whitened by the masses (`M = L L^T` per part, rows multiplied
     by `L^-1`), each contact point's columns are divided by their Frobenius norm, and the whole map by its
     largest singular value; `variable * force_scale = force`. The friction cone does not change, since each
     contact point is scaled by one positive number. The map is kept in factors: all points between one pair
-    of parts act through the same 6-vector (force and moment about the middle of the pair's points), so
+    of parts act through the same 6-vector (force and moment about the centre of the pair's points), so
 
         block of part a = transfer_a[pair] @ basis[point],    block of part b = transfer_b[pair] @ basis[point]
 
-    which halves the work of an iteration and leaves `S = G G^T` a sum of one small matrix a pair.
+    which halves the work of an iteration and leaves `S = G G^T` a sum of one small matrix per pair.
     """
 
     parts: int
     boundary: Mask
-    """Parts that never move, props too, shape (parts,)."""
+    """Parts that never move, including props, shape (parts,)."""
     part_a: NDArray[np.int32]
-    """Part on which the opposite of the force acts, shape (points,)."""
+    """Part on which the opposite force acts, shape (points,)."""
     part_b: NDArray[np.int32]
     """Part on which the force acts, shape (points,)."""
     friction: float
-    """Coefficient of friction of contact points to which no joint gives another."""
+    """Coefficient of friction of contact points without one of their own from a joint."""
     strength: Strength
-    """What each contact point bears."""
+    """Strength of each contact point."""
     cone: Cone
     wrench_a: Array
     """Wrench on part `a` of a unit force, shape (points, 6, 3), N and Nm per N."""
@@ -64,7 +64,7 @@ class Problem:
     pair_start: NDArray[np.int32]
     """Pair `q` owns contact points `pair_start[q]:pair_start[q + 1]`, shape (pairs + 1,)."""
     basis: Array
-    """Scaled force and moment about the pair's middle, shape (points, 6, 3)."""
+    """Scaled force and moment about the pair's centre, shape (points, 6, 3)."""
     transfer_a: Array
     """Whitened wrench on part `a` of the pair's 6-vector (sign included), shape (pairs, 6, 6)."""
     transfer_b: Array
@@ -74,12 +74,12 @@ class Problem:
     whitening: Array
     """`L^-1`, shape (parts, 6, 6)."""
     momentum: Array
-    """`L`: turns a whitened velocity into a momentum, shape (parts, 6, 6)."""
+    """`L`: maps a whitened velocity to a momentum, shape (parts, 6, 6)."""
     acceleration: Array
-    """`L^-T`: turns a whitened residual into an acceleration, shape (parts, 6, 6)."""
+    """`L^-T`: maps a whitened residual to an acceleration, shape (parts, 6, 6)."""
     measure: Array
     """Residual per m/s2 of linear and per rad/s2 of angular acceleration, shape (parts, 2). The first is `1 / gravity`,
-    the second the part's largest radius of gyration times that: the residual is a share of gravity at any size."""
+    the second the part's largest radius of gyration over gravity: the residual is a share of gravity at any size."""
     force_scale: Array
     """Force in N of a scaled variable of 1, shape (points,)."""
     weight: float
@@ -96,7 +96,7 @@ class Problem:
         return len(self.pair_parts)
 
     def free(self, states: States) -> Mask:
-        """Return parts that can move: installed and not held. Shape (batch, parts)."""
+        """Return the parts that can move: installed and not held. Shape (batch, parts)."""
         return states == INSTALLED
 
     def active(self, states: States) -> Mask:
@@ -139,7 +139,7 @@ def build_problem(assembly: Assembly, *, cone: Cone = "octagon", gravity: float 
     a, b = pair_parts.T
     transfer_a = -whitening[a] @ _shift(middle - mass.center[a])
     transfer_b = whitening[b] @ _shift(middle - mass.center[b])
-    # A boundary part never moves, so its rows take no part in any state: they must not spoil the scaling.
+    # A boundary part never moves, so its rows appear in no state and must not influence the scaling.
     immovable = assembly.immovable
     transfer_a[immovable[a]] = 0.0
     transfer_b[immovable[b]] = 0.0
@@ -184,7 +184,7 @@ def build_problem(assembly: Assembly, *, cone: Cone = "octagon", gravity: float 
 
 
 def _mass_factors(assembly: Assembly) -> tuple[Array, Array]:
-    """`L^-1` and `L` of every part's mass matrix `L L^T`, shapes (parts, 6, 6)."""
+    """Return `L^-1` and `L` of every part's mass matrix `L L^T`, shapes (parts, 6, 6)."""
     mass = assembly.mass
     try:
         inertia_factor = np.linalg.cholesky(mass.inertia)
@@ -207,7 +207,7 @@ def _unit_wrenches(axes: Array, arms: Array) -> Array:
 
 
 def _shift(arms: Array) -> Array:
-    """Return matrices that turn (force, moment) at a point into (force, moment) about a point `-arm` away."""
+    """Return matrices that map (force, moment) at a point to (force, moment) about a point `-arm` away."""
     shift = np.zeros((len(arms), 6, 6))
     shift[:] = np.eye(6)
     x, y, z = arms.T

@@ -19,7 +19,7 @@ SolverName = Literal["auto", "cpu", "gpu", "exact", "gurobi"]
 
 @dataclass(frozen=True)
 class CpuSettings:
-    """Numerical settings of the CPU solver; the defaults were tuned on the nine real structures."""
+    """Numerical settings of the CPU solver; the defaults were tuned on the paper's nine structures."""
 
     rho: float = 1e-3
     """Penalty of ADMM, relative to the scaled problem."""
@@ -28,9 +28,9 @@ class CpuSettings:
     iterations: int = 60
     """ADMM iterations before the interior point method takes over."""
     check_every: int = 5
-    """Iterations between two tests for a proof."""
+    """Iterations between two termination tests."""
     interior_steps: int = 50
-    """Steps of the interior point method before a state is left to the exact solver."""
+    """Iterations of the interior point method before a state is left to the exact solver."""
     contact_steps: int = 400
     """Newton iterations under the criterion `contact` before a state is left undecided."""
     threads: int | None = None
@@ -64,11 +64,11 @@ class GpuSettings:
     iterations: int = 60
     """ADMM iterations before the interior point method takes over."""
     first_check: int = 5
-    """Iterations before the first test for a proof."""
+    """Iterations before the first termination test."""
     check_every: int = 5
-    """Iterations between two tests for a proof."""
+    """Iterations between two termination tests."""
     interior_steps: int = 50
-    """Steps of the interior point method before a state is left to the exact solver."""
+    """Iterations of the interior point method before a state is left to the exact solver."""
     contact_steps: int = 400
     """Newton iterations under the criterion `contact` before a state is left undecided."""
 
@@ -78,7 +78,7 @@ class StabilitySettings:
     """Stability criterion and choice of solver."""
 
     criterion: Criterion = "contact"
-    """`contact`: compliant contacts without prestress bring a part to rest. `equilibrium`: forces in balance exist,
+    """`contact`: parts come to rest on compliant contacts without prestress. `equilibrium`: balancing forces exist,
     the criterion of the paper."""
     cone: Cone | None = None
     """Friction cone: the paper's octagon, or Coulomb's quadratic cone. None: quadratic under `contact`, where the
@@ -86,15 +86,15 @@ class StabilitySettings:
     gravity: float = 9.81
     """m/s2 along -z."""
     tolerance: float = TOLERANCE
-    """Largest residual of a stable state: the largest acceleration of a part as a share of gravity, angular
+    """Largest residual of a stable state: the largest acceleration of a part as a share of gravity, an angular
     acceleration times the part's largest radius of gyration. The paper allows 1e-3 m/s2 (section 4)."""
     force_bound: float = FORCE_BOUND
     """Bound on the sum of all normal forces, in weights of the structure."""
     stiffness_ratio: float = TANGENTIAL_RATIO
-    """Tangential over normal stiffness of a contact, under the criterion `contact`."""
+    """Ratio of tangential to normal contact stiffness, under the criterion `contact`."""
     solver: SolverName = "cpu"
     """First solver; states that it leaves undecided go to the exact solver. `auto` takes the GPU, where there is
-    one, for batches on which it is faster than the processor."""
+    one, for batches on which it is faster than the CPU."""
     cpu: CpuSettings = CpuSettings()
     gpu: GpuSettings = GpuSettings()
 
@@ -117,11 +117,11 @@ class StabilitySettings:
 
     @property
     def claim(self) -> StabilityCriterion:
-        """What the certificate checker needs to know."""
+        """Criterion and bounds for the certificate checker."""
         return StabilityCriterion(
             self.friction_cone, self.gravity, self.tolerance, self.force_bound, self.criterion, self.stiffness_ratio
         )
 
 
 EQUILIBRIUM = StabilitySettings(criterion="equilibrium")
-"""The paper's criterion with everything else as it is by default: what solvers of the equilibrium problem take."""
+"""The paper's criterion, all other settings default: input of the solvers of the equilibrium problem."""

@@ -1,6 +1,6 @@
-"""Contact stiffness of a structure, and the limit on displacements of a stable structure.
+"""Contact stiffness of a structure, and the displacement limit of a stable structure.
 
-Both are part of the criterion, as friction is: solvers, certificate checker and judges read them from here.
+Both belong to the criterion, like friction: solvers, certificate checker and independent judges read them from here.
 """
 
 from __future__ import annotations
@@ -11,21 +11,21 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 
 TANGENTIAL_RATIO = 0.7
-"""Tangential over normal stiffness (Mindlin 1949: 0.67 to 1 for elastic bodies, by Poisson's ratio)."""
+"""Ratio of tangential to normal stiffness (Mindlin 1949: 0.67 to 1 for elastic bodies, by Poisson's ratio)."""
 SETTLEMENT = 1e-6
-"""Share of its height by which a prismatic block sinks into the joint below it under its own weight. Under concrete
-that is a joint of 24 GPa/m."""
+"""Share of its height by which a prismatic block settles into the joint below it under its own weight. For concrete
+this is a joint stiffness of 24 GPa/m."""
 MOVEMENT = 1e-3
-"""Largest movement of a part of a standing structure, as a share of the structure's diagonal."""
+"""Largest movement of a part of a stable structure, as a share of the structure's diagonal."""
 _LEAST_AREA = 1e-3
-"""Least area that a contact point stands for, as a share of the mean."""
+"""Least tributary area of a contact point, as a share of the mean."""
 
 
 def normal_stiffness(assembly: Assembly, gravity: float = 9.81) -> NDArray[np.float64]:
-    """Normal stiffness of every contact point in N/m, shape (points,).
+    """Return the normal stiffness of every contact point in N/m, shape (points,).
 
-    It is the area that the point stands for times one stiffness per area, the mean specific weight of the parts over
-    `SETTLEMENT`. So it does not change when parts are divided, and it scales displacements but no force.
+    It is the tributary area of the point times a stiffness per area: the mean specific weight of the parts over
+    `SETTLEMENT`. So it does not change when parts are subdivided, and it scales displacements but not forces.
     """
     contacts = assembly.contacts
     count = np.diff(contacts.start)

@@ -1,6 +1,6 @@
 """Strength of contact points: friction, tension and cohesion.
 
-Part of the criterion, as stiffness is: solvers, certificate checker and judges read it from here.
+It belongs to the criterion, like stiffness: solvers, certificate checker and judges read it from here.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ FORCE_BOUND = 1e3
 
 
 class Strength(NamedTuple):
-    """Forces `(n, t)` that contact points bear: `n >= -pull` and `|t| <= friction (n + pull) + stick`.
+    """Admissible forces `(n, t)` of contact points: `n >= -pull` and `|t| <= friction (n + pull) + stick`.
 
-    That is the cone of Mohr and Coulomb with cohesion `c = friction pull + stick`, cut off at the tension `pull`. It is
-    the friction cone with its tip moved to `n = -pull`, widened by a disc of radius `stick`. A dry contact has neither.
+    This is the Mohr-Coulomb cone with cohesion `c = friction pull + stick` and a tension cut-off at `pull`: the
+    friction cone with its apex moved to `n = -pull`, widened by a disc of radius `stick`. A dry contact has neither.
     """
 
     friction: Array
@@ -32,20 +32,20 @@ class Strength(NamedTuple):
     stick: Array
     """Largest tangential force in N under that tension, shape (points,)."""
     tears: NDArray[np.bool_]
-    """Whether the point bears nothing at all where the law of `contact` would have it bear more tension, shape
-    (points,); one that does not tear bears its tension on."""
+    """Whether the point breaks, and bears nothing at all, where the law of `contact` would exceed its tension, shape
+    (points,); one that does not is ductile and keeps its tension."""
 
     def of(self, points: NDArray[np.bool_]) -> Strength:
-        """Return the strength of some of the points."""
+        """Return the strength of selected points."""
         return Strength(self.friction[points], self.pull[points], self.stick[points], self.tears[points])
 
 
 def strength_of(assembly: Assembly, gravity: float = 9.81) -> Strength:
-    """Return what the contact points of a structure bear.
+    """Return the strength of the contact points of a structure.
 
-    Tension ends where the cone does, at cohesion over friction. A contact point bears no more tension, and by cohesion
-    no more tangential force, than `FORCE_BOUND` weights of the structure divided among all contact points: what is
-    stronger than any load would only spoil the bounds of certificates.
+    Tension is limited by the apex of the cone, cohesion over friction. The tension of a contact point, and its
+    tangential force by cohesion, are limited to `FORCE_BOUND` weights of the structure shared by all contact points: a
+    strength beyond any load would only weaken the bounds of certificates.
     """
     count = len(assembly.contacts.points)
     friction = np.full(count, float(assembly.friction))
@@ -57,6 +57,6 @@ def strength_of(assembly: Assembly, gravity: float = 9.81) -> Strength:
     end = np.divide(given.cohesion, friction, out=np.full(count, np.nan), where=friction > 0)
     pull = np.minimum(np.fmin(given.tension, end), most)
     stick = given.cohesion - friction * pull
-    # Where cohesion is not given, or the cone ends at the tension but for rounding, there is no disc.
+    # Where cohesion is not given, or the cone ends at the tension up to rounding, there is no disc.
     stick = np.where(stick > 1e-9 * given.cohesion, np.minimum(stick, most), 0.0)
     return Strength(friction, pull, stick, ~given.ductile)

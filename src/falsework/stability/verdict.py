@@ -11,16 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 Criterion = Literal["contact", "equilibrium"]
-"""`equilibrium`: some admissible contact forces balance gravity (the paper's). `contact`: compliant contacts without
-prestress bring such forces about."""
+"""`equilibrium`: some admissible contact forces balance gravity (the paper's). `contact`: parts come to rest on
+compliant contacts without prestress."""
 
 
 class Verdict(IntEnum):
     """Stability of a partial structure."""
 
     SLIDES = -2
-    """Forces in equilibrium exist, but no displacement was found that brings them about: the iterations follow parts
-    that move away. Only under the criterion `contact`; it counts as not standing."""
+    """Forces in equilibrium exist, but no displacement was found that produces them: the iterations follow parts
+    that move away. Only under the criterion `contact`; it counts as not stable."""
     UNSTABLE = -1
     UNDECIDED = 0
     STABLE = 1
@@ -31,11 +31,11 @@ class Proof(IntEnum):
 
     NONE = 0
     FORCES = 1
-    """Contact forces inside the friction cones that hold every part (stable)."""
+    """Contact forces inside the friction cones that balance every part (stable)."""
     VELOCITY = 2
     """A virtual velocity that no admissible forces can stop (unstable)."""
     DISPLACEMENT = 3
-    """A displacement whose contact forces hold every part (stable under the criterion `contact`)."""
+    """A displacement whose contact forces balance every part (stable under the criterion `contact`)."""
 
 
 class Solver(IntEnum):
@@ -46,7 +46,7 @@ class Solver(IntEnum):
     GPU = 2
     EXACT = 3
     RULE = 4
-    """A proof of another state that holds for this one: the two monotone rules of the cache."""
+    """A proof of another state that holds for this one: the two monotonicity rules of the cache."""
     SHARED_INVERSE = 5
     """The paper's method, which proves nothing."""
     GUROBI = 6
@@ -62,10 +62,10 @@ class Verdicts:
     """`Proof` of each state, shape (batch,)."""
     residual: NDArray[np.float64]
     """Largest acceleration of a part as a share of gravity, angular acceleration times the part's largest radius
-    of gyration: shape (batch,). Stable, what the forces leave, at most the tolerance; unstable, what every
-    admissible set of forces leaves at least, above the tolerance."""
+    of gyration: shape (batch,). Stable: left by the forces, at most the tolerance; unstable: a lower bound for all
+    admissible forces, above the tolerance."""
     iterations: NDArray[np.int32]
-    """Steps of the solver that decided, shape (batch,)."""
+    """Iterations of the solver that decided, shape (batch,)."""
     decided_by: NDArray[np.int8]
     """`Solver` of each state, shape (batch,)."""
     forces: NDArray[np.float64] | None = None
@@ -75,8 +75,8 @@ class Verdicts:
     where unstable."""
     displacement: NDArray[np.float64] | None = None
     """Displacement `(translation, rotation)` of the parts about their centres of mass in m and rad, shape
-    (batch, parts, 6); only under the criterion `contact`. Stable, where the parts rest; sliding, where they were when
-    they were seen to move away, which shows which parts move and which way; elsewhere without meaning."""
+    (batch, parts, 6); only under the criterion `contact`. Stable: rest position; sliding: position at which parts
+    were seen to move away, which shows the moving parts and their directions; otherwise meaningless."""
 
     @classmethod
     def blank(
@@ -86,9 +86,9 @@ class Verdicts:
 
         Args:
             batch: number of states.
-            points: number of contact points, where there is to be room for forces.
-            parts: number of parts, where there is to be room for velocities.
-            displaced: whether there is to be room for displacements too.
+            points: number of contact points, if forces are to be stored.
+            parts: number of parts, if velocities are to be stored.
+            displaced: whether displacements are to be stored too.
         """
         return cls(
             verdict=np.zeros(batch, np.int8),
@@ -103,29 +103,29 @@ class Verdicts:
 
     @property
     def stable(self) -> NDArray[np.bool_]:
-        """Shape (batch,)."""
+        """Whether each state is stable, shape (batch,)."""
         return self.verdict == Verdict.STABLE
 
     @property
     def unstable(self) -> NDArray[np.bool_]:
-        """Shape (batch,)."""
+        """Whether each state is unstable, shape (batch,)."""
         return self.verdict == Verdict.UNSTABLE
 
     @property
     def slides(self) -> NDArray[np.bool_]:
-        """Shape (batch,)."""
+        """Whether each state slides, shape (batch,)."""
         return self.verdict == Verdict.SLIDES
 
     @property
     def undecided(self) -> NDArray[np.bool_]:
-        """Shape (batch,)."""
+        """Whether each state is undecided, shape (batch,)."""
         return self.verdict == Verdict.UNDECIDED
 
     def __len__(self) -> int:
         return len(self.verdict)
 
     def __getitem__(self, index: int | slice | NDArray) -> Verdicts:
-        """Verdicts of some of the states, as a batch."""
+        """Return verdicts of selected states, as a batch."""
         if isinstance(index, (int, np.integer)):
             index = np.arange(len(self))[[index]]
         return Verdicts(
@@ -169,7 +169,7 @@ def proof_of(verdict: NDArray[np.int8], criterion: Criterion = "equilibrium") ->
 
 @cache
 def _proofs(criterion: Criterion) -> NDArray[np.int8]:
-    """Return the kind of proof by verdict, from the least verdict up."""
+    """Return the kind of proof by verdict, starting from the least verdict."""
     stable = Proof.DISPLACEMENT if criterion == "contact" else Proof.FORCES
     by_verdict = {Verdict.SLIDES: Proof.FORCES, Verdict.UNSTABLE: Proof.VELOCITY, Verdict.STABLE: stable}
     return np.array([by_verdict.get(kind, Proof.NONE) for kind in sorted(Verdict)], dtype=np.int8)

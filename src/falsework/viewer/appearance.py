@@ -29,24 +29,24 @@ class Appearance:
     """Appearance of all parts."""
 
     state: States
-    """State that is shown, shape (parts,)."""
+    """State shown, shape (parts,)."""
     color: NDArray[np.uint8]
     """Red, green, blue, shape (parts, 3)."""
     opacity: Array
     """0 for invisible parts, shape (parts,)."""
     shift: Array
-    """From the place of each part, metres, shape (parts, 3)."""
+    """Displacement of each part from its place, metres, shape (parts, 3)."""
     holder: NDArray[np.int64]
     """Robot that holds each part, `NO_ROBOT` where none does, shape (parts,)."""
 
     @property
     def solid(self) -> NDArray[np.bool_]:
-        """Parts that are there in full and in their place, shape (parts,)."""
+        """Parts fully visible and in place, shape (parts,)."""
         return (self.opacity >= 1) & ~self.shift.any(axis=1)
 
     @property
     def ghosts(self) -> NDArray[np.int64]:
-        """Parts that are on their way."""
+        """Parts in transit."""
         return np.flatnonzero((self.opacity > 0) & ~self.solid)
 
 
@@ -63,12 +63,12 @@ def appearance_at(
 
     Args:
         timeline: states and holders.
-        place: step in the order shown; between whole numbers parts are on their way.
-        state: shown instead of the state there, such as one with parts missing; shape (parts,).
+        place: step in the order shown; between whole numbers parts are in transit.
+        state: state shown instead of the one at this step, such as one with parts missing; shape (parts,).
         chances: probability of the action that concerns each part, NaN where none does; coloured on a scale, shape
             (parts,).
-        marks: colours of parts that stand out.
-        travelling: show parts on their way in or out.
+        marks: colours of highlighted parts.
+        travelling: whether to show parts in transit.
     """
     assembly = timeline.assembly
     done, row = timeline.at(position), timeline.row(position)
@@ -118,8 +118,8 @@ def pick(assembly: Assembly, appearance: Appearance, origin: Array, direction: A
     Args:
         assembly: the structure.
         look: where the parts are; invisible parts are not hit.
-        origin: of the ray, metres, shape (3,).
-        direction: of the ray, any length, shape (3,).
+        origin: origin of the ray, metres, shape (3,).
+        direction: direction of the ray, any length, shape (3,).
     """
     seen = np.flatnonzero(appearance.opacity > 0)
     if len(seen) == 0:

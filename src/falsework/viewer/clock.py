@@ -22,11 +22,11 @@ class Clock:
     """Seconds from the start of a schedule, and positions in steps, of which whole numbers are states."""
 
     starts: NDArray[np.float64]
-    """When each motion begins, seconds, shape (nodes,)."""
+    """Start time of each motion, seconds, shape (nodes,)."""
     events: NDArray[np.float64]
-    """When the structure reaches each state but the first, seconds, ascending, shape (steps,)."""
+    """Time at which the structure reaches each state but the first, seconds, ascending, shape (steps,)."""
     makespan: float
-    """When the last motion ends, seconds."""
+    """Time at which the last motion ends, seconds."""
 
     @classmethod
     def of(cls, plan: RobotPlan) -> Clock | None:
@@ -37,7 +37,7 @@ class Clock:
         return cls(plan.schedule.starts(), events, plan.makespan)
 
     def position(self, seconds: float) -> float:
-        """Return the number of states that have been reached by a time, and the share of the way to the next."""
+        """Return the number of states reached at a time, plus the elapsed share of the time to the next."""
         reached = int(np.searchsorted(self.events, seconds, side="right"))
         if reached == len(self.events):
             return float(reached)
@@ -45,7 +45,7 @@ class Clock:
         return reached + min(float((seconds - before) / (self.events[reached] - before)), _BEFORE)
 
     def seconds(self, position: float) -> float:
-        """Return when a position is reached; the last one is the end of all motions."""
+        """Return the time at which a position is reached; the last one is the end of all motions."""
         if position >= len(self.events):
             return self.makespan
         return float(np.interp(position, np.arange(len(self.events) + 1), [0.0, *self.events]))

@@ -1,4 +1,4 @@
-"""Strip of the margins of a plan, one column a step, for the page."""
+"""Strip of the margins of a plan, one column per step, for the page."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ if TYPE_CHECKING:
     from falsework.search.plans.plan import Plan
 
 _WIDTH, _HEIGHT, _LABEL = 300.0, 14.0, 62.0
-"""Of a row and of its label, pixels."""
+"""Sizes of a row and of its label, pixels."""
 _NAMES = {"friction": "friction", "tilt": "tilt", "horizontal": "horizontal", "push": "push"}
 
 
 def margin_strip(plan: Plan | None, direction: Direction, step: int) -> str:
-    """Return rows of coloured columns, one row a margin that the plan records, in HTML; empty if it records none.
+    """Return rows of coloured columns, one row per margin that the plan records, in HTML; empty if it records none.
 
-    Dark columns are weak; a mark is over the weakest, and a frame around the step that is shown.
+    Dark columns are weak; a mark shows the weakest, and a frame the current step.
 
     Args:
         plan: plan to show.
         direction: order in which it is shown.
-        step: that is shown, from 0.
+        step: current step, from 0.
     """
     if plan is None or plan.margins is None or not plan.margins.measured:
         return ""
@@ -61,16 +61,16 @@ def margin_strip(plan: Plan | None, direction: Direction, step: int) -> str:
 
 
 def weakness(kind: str, values: tuple[float | None, ...], friction: float) -> np.ndarray:
-    """Return how weak each state is, from 0, where there is no bound, to 1, where nothing is left. Shape (states,).
+    """Return the weakness of each state, from 0 without a bound to 1 without any margin left. Shape (states,).
 
     Args:
-        kind: of the margin.
-        values: one a state.
-        friction: of the structure.
+        kind: name of the margin.
+        values: values of the margin, one per state.
+        friction: coefficient of friction of the structure.
     """
     found = np.array([np.nan if value is None else value for value in values], float)
     if kind == "friction":
         return np.clip(np.nan_to_num(found, nan=0.0) / max(friction, 1e-300), 0.0, 1.0)
-    # Half of the scale is three times the weakest: most steps are much stronger, and the few weak ones must show.
+    # Half of the scale is at three times the weakest: most steps are much stronger, and weak ones must stand out.
     weakest = float(np.nanmin(found)) if np.isfinite(found).any() else 1.0
     return np.clip(np.nan_to_num(3.0 * weakest / (3.0 * weakest + found - weakest), nan=0.0), 0.0, 1.0)

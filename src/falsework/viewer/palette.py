@@ -11,12 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 INSTALLED = "#dccdb2"
 BOUNDARY = "#56585c"
 ROBOTS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "#56b4e9")
-"""By robot, counted from 0; from the seventh on they repeat, and the label says which."""
+"""By robot, counted from 0; from the seventh on they repeat, and the label identifies the robot."""
 SELECTED = "#fffb8f"
 MISSING = "#b2182b"
-"""Drawn as wires: a part that is not there."""
+"""Absent part, drawn as wires."""
 FIXED = "#14241c"
-"""Not to be touched: darker than boundary."""
+"""Part not to be touched: darker than boundary."""
 INK = "#22252a"
 
 FORCE = "#1f4fd8"
@@ -30,7 +30,7 @@ RAMP = ("#dccdb2", "#d98aa5", "#a34a8f", "#5f2276", "#2a0845")
 """From probability 0 to 1 of an action; lightness decreases monotonically."""
 
 STEPS = 16
-"""Steps of the scale that parts are coloured on."""
+"""Number of steps of the colour scale of parts."""
 
 
 def rgb(color: str) -> tuple[int, int, int]:

@@ -17,9 +17,9 @@ from falsework.viewer.arrows import Arrows, arrows_of_forces, arrows_of_motion, 
 from falsework.viewer.palette import MOTION, SLIDING
 
 _NAMED = 3
-_WHY = "forces in balance exist, but the contacts do not bring them about"
+_WHY = "balancing forces exist, but the contacts do not develop them"
 _AT_ONCE = 64
-"""States whose contact forces are in memory together."""
+"""States whose contact forces are in memory at the same time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class StateProof:
     words: str
     """Summary in one line."""
     arrows: dict[str, Arrows]
-    """By kind: contact forces, friction, gravity; or motion; or sliding."""
+    """Arrows by kind: contact forces, friction, gravity; or motion; or sliding."""
     moved: dict[int, NDArray[np.float64]] = field(default_factory=dict)
     """For a state that is not stable: displaced vertices of the moving parts; by part, shape (vertices, 3)."""
     slides: bool = False
@@ -44,7 +44,7 @@ class StateProof:
 
     @property
     def motion_color(self) -> str:
-        """Colour of the parts a little later in their motion."""
+        """Colour of the parts slightly later in their motion."""
         return SLIDING if self.slides else MOTION
 
     @property

@@ -1,4 +1,4 @@
-"""Cell files: what comes with the package works, and every wrong input says what and where."""
+"""Cell files: the built-in cells load, and every wrong input is reported with its place."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def test_a_cell_needs_robots_and_names() -> None:
     robot = GOOD[GOOD.index("[[robots]]") : GOOD.index("[[obstacles]]")]
     with pytest.raises(CellError, match="two robots are called 'arm'"):
         read(GOOD + robot)
-    with pytest.raises(CellError, match="no cell dome; give a TOML file, or one of the built-in cells bottle-12"):
+    with pytest.raises(CellError, match="unknown cell dome; give a TOML file, or one of the built-in cells bottle-12"):
         load_cell("dome")
     with pytest.raises(CellError, match=r"cell file nowhere\.toml cannot be read: No such file"):
         load_cell("nowhere.toml")
@@ -198,12 +198,12 @@ def test_sliding_joints_and_plain_shapes_are_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ((' velocity="2"', ""), "joint turn has no limit of velocity"),
+        ((' velocity="2"', ""), "joint turn has no velocity limit"),
         (('lower="-1" upper="1"', 'lower="1" upper="1"'), "joint turn has no range"),
         (('<axis xyz="0 1 0"/>', '<axis xyz="0 0 0"/>'), "joint turn has axis"),
         (('type="prismatic"', 'type="planar"'), "joint slide is planar"),
-        (("<robot", "<<robot"), "is no URDF that can be read"),
-        (('<box size="0.1 0.1 0.4"/>', '<mesh filename="gone.stl"/>'), "mesh gone.stl is not there"),
+        (("<robot", "<<robot"), "is not a readable URDF"),
+        (('<box size="0.1 0.1 0.4"/>', '<mesh filename="gone.stl"/>'), "mesh gone.stl does not exist"),
     ],
 )
 def test_wrong_descriptions_name_file_and_joint(tmp_path: Path, change: tuple[str, str], message: str) -> None:

@@ -1,4 +1,4 @@
-"""Motions: proofs hold between the samples, lines are straight, failures say why."""
+"""Motions: proofs hold between the samples, lines are straight, failures give a reason."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def test_lines_that_cannot_be_followed_say_why(make_view: Callable[..., Collisio
     assert follow_line(view, start, (1, 0, 0), 3.0).reason in ("no solution on the line", "joint limit on the line")
     with pytest.raises(InputError, match="three numbers that are not all zero"):
         follow_line(view, start, (0, 0, 0), 0.1)
-    with pytest.raises(InputError, match="leads nowhere"):
+    with pytest.raises(InputError, match="give a distance above zero"):
         follow_line(view, start, (0, 0, 1), 0.0)
 
 

@@ -1,4 +1,4 @@
-"""`falsework robots`: from the command line to files and back, and what is refused."""
+"""`falsework robots`: from the command line to files and back, and rejected input."""
 
 from __future__ import annotations
 
@@ -103,7 +103,9 @@ def test_no_plan_says_why(run: Callable, tmp_path: Path) -> None:
     assert code == 1
     assert not records[0]["found"]
     assert records[0]["failure"]["unreachable"] == [0, 1]
-    assert error.startswith("falsework: no robot plan was found; it came to step 0 of 4; no robot can hold block-0")
+    assert error.startswith(
+        "falsework: no robot plan was found; the search reached step 0 of 4; no robot can hold block-0"
+    )
 
 
 def test_wrong_input_is_one_line(run: Callable, cell_file: Path, tmp_path: Path) -> None:

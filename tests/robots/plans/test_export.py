@@ -1,4 +1,4 @@
-"""Exports: the numbers come back, and the syntax is what the readers of it want."""
+"""Exports: numbers survive a round trip, and the syntax is valid for its readers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The hybrid planner: it finds plans that hold, gives the same answer for the same seed, and says why it cannot."""
+"""The hybrid planner: it finds valid plans, is deterministic for a seed, and explains failures."""
 
 from __future__ import annotations
 
@@ -224,7 +224,7 @@ def test_wrong_starts(column: Assembly, cell: Cell, oracle: Stability) -> None:
         plan_robots(column, cell, configurations=[cell.homes[0]], oracle=oracle)
     with pytest.raises(InputError, match="configuration of arm 1"):
         plan_robots(column, cell, configurations=[np.full(6, 9.0), cell.homes[1]], oracle=oracle)
-    with pytest.raises(StateError, match="which robot holds which part"):
+    with pytest.raises(StateError, match="the part that each robot holds"):
         plan_robots(column, cell, held=(1, None), oracle=oracle)
     down = np.array([0.0, 1.4, 0.3, 0.0, 0.0, 0.0])
     with pytest.raises(InputError, match="at the start"):

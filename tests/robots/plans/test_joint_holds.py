@@ -1,4 +1,4 @@
-"""Parts that no two arms can hold at the same time: what is ruled out, and that searches keep to it."""
+"""Parts that no two arms can hold at the same time: excluded states, and searches that respect them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is remembered of scenes: each question once, and no answer given to another question."""
+"""Cache of scenes: each query is computed once, and no result is returned for another query."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The keyframe graph: what its nodes and edges promise, and that nothing is computed twice."""
+"""The keyframe graph: invariants of its nodes and edges, and that nothing is computed twice."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The independent check sees the meshes of links, not the planner's convex pieces of them."""
+"""The independent check uses the meshes of links, not the planner's convex pieces of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is tried first: rollouts keep to the rules and to what stands, easy actions come before hard ones."""
+"""Order of trial: rollouts obey the rules and stay stable, easy actions come before hard ones."""
 
 from __future__ import annotations
 

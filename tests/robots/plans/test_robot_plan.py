@@ -1,4 +1,4 @@
-"""Robot plans: what they hold, there and back on disk, and what is said of damaged ones."""
+"""Robot plans: contents, round trip through files, and messages for damaged files."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ DAMAGE: list[tuple[Callable[[dict[str, Any]], None], str]] = [
     (lambda data: _put(data, "falsework.robot-plan/9", "format"), "reads 'falsework.robot-plan/2' only"),
     (lambda data: _cut(data, "cell", "identity"), "cell lacks 'identity'"),
     (lambda data: _put(data, 1, "extra"), "unknown entry 'extra'"),
-    (lambda data: _cut(data, "keyframes", 0), "do not go with a plan of"),
+    (lambda data: _cut(data, "keyframes", 0), "do not match a plan of"),
     (lambda data: _put(data, 5, "steps", 0, "robot"), "robot is 5"),
     (lambda data: _put(data, "jump", "steps", 0, "trajectories", 0, "kind"), "kind is 'jump'"),
     (lambda data: _put(data, 99, "steps", 0, "trajectories", 0, "part"), "part is 99"),

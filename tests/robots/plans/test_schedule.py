@@ -98,7 +98,7 @@ def test_the_check_finds_arms_that_do_not_wait(scheduled: RobotPlan, row: Assemb
     arms.append(Precedence(early, nodes[early].seconds, late, "volume"))
     careless = replace(scheduled, schedule=TemporalPlanGraph(nodes, tuple(arms), 2, 0.0))
     report = check_robot_plan(careless, row, wide)
-    assert any("comes before" in problem.what or "meets" in problem.what for problem in report.problems)
+    assert any("comes before" in problem.what or "collides" in problem.what for problem in report.problems)
 
 
 def test_assembly_is_scheduled_as_well(planned: RobotPlan, scheduled: RobotPlan, row: Assembly, wide: Cell) -> None:
@@ -163,7 +163,7 @@ def test_files_of_the_first_format(planned: RobotPlan, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("key", "entry", "message"),
     [
-        ("precedences", {"before": 3, "offset": 0.0, "after": 2, "why": "volume"}, "in a circle"),
+        ("precedences", {"before": 3, "offset": 0.0, "after": 2, "why": "volume"}, "in a cycle"),
         ("precedences", {"before": 0, "offset": -1.0, "after": 2, "why": "volume"}, "offset is -1.0"),
         ("precedences", {"before": 0, "offset": 0.0, "after": 999, "why": "volume"}, "after is 999"),
         ("precedences", {"before": 0, "offset": 0.0, "after": 2, "why": "luck"}, "why is 'luck'"),

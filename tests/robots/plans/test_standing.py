@@ -1,4 +1,4 @@
-"""Robot plans under both criteria: which moves are asked about, and that only what stands in a replay is delivered."""
+"""Robot plans under both criteria: the checked actions, and delivery of plans with a successful replay alone."""
 
 from __future__ import annotations
 
@@ -222,5 +222,5 @@ def test_where_every_plan_falls_none_is_delivered_and_the_step_is_named(column: 
         assert found.partial is None or not (found.partial.plan.states[:, 2] == HELD).any()
         assert found.explanation is not None
         assert found.explanation.outcome == "not_found"
-        assert "built up in order it fell at step" in found.explanation.text
+        assert "the structure collapses in the replay at step" in found.explanation.text
         assert "inserting block-2" in found.explanation.text

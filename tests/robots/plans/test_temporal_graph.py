@@ -1,4 +1,4 @@
-"""Temporal plan graphs: times, delays, circles."""
+"""Temporal plan graphs: times, delays, cycles."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_delays_that_are_none(graph: TemporalPlanGraph, stretch: list[float]) ->
 @pytest.mark.parametrize(
     ("edge", "message"),
     [
-        (Precedence(2, 0.0, 0, "volume"), "in a circle"),
+        (Precedence(2, 0.0, 0, "volume"), "in a cycle"),
         (Precedence(0, 5.0, 1, "volume"), "into a motion that is shorter"),
         (Precedence(0, 0.0, 9, "volume"), "names motion 9"),
     ],

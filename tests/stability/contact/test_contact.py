@@ -1,4 +1,4 @@
-"""The criterion `contact`: closed forms, what equilibrium does not see, published models, and its certificates."""
+"""The criterion `contact`: closed forms, sliding states in equilibrium, published models, and certificates."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Replays: rest with contact history, agreement with discrete elements, and the numbers of the method."""
+"""Replays: rest with contact history, agreement with discrete elements, and independence of numerical settings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Projection onto the friction cones: what characterises it, and an independent quadratic program."""
+"""Projection onto the friction cones, against its characterisation and an independent quadratic program."""
 
 from __future__ import annotations
 

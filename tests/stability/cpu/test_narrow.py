@@ -1,4 +1,4 @@
-"""Structures that rest on edges and corners: statics by hand, and the exact solver as a second opinion."""
+"""Structures that rest on edges and corners: statics by hand, and the exact solver as a reference."""
 
 from __future__ import annotations
 

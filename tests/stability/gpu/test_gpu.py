@@ -1,4 +1,4 @@
-"""The GPU's kernels for equilibrium, as plain C++ with one thread a block and on a GPU, agree with the processor."""
+"""The GPU's kernels for equilibrium, as plain C++ with one thread per block and on a GPU, agree with the CPU solver."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The GPU's kernels under the criterion `contact`, as plain C++ and on a GPU, agree with the processor."""
+"""The GPU's kernels under the criterion `contact`, as plain C++ and on a GPU, agree with the CPU solver."""
 
 from __future__ import annotations
 

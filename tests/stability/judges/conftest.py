@@ -1,4 +1,4 @@
-"""Published structures that balance on paper and slide in reality."""
+"""Published structures that are in equilibrium on paper and slide in reality."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Discrete elements at rest: closed forms, what history does, and that rest is equilibrium."""
+"""Discrete-element method: closed forms, contact history, and equilibrium of states at rest."""
 
 from __future__ import annotations
 

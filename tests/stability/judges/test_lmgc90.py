@@ -1,4 +1,4 @@
-"""LMGC90 as a judge: closed forms, agreement with discrete elements, and clear words where it gives no answer."""
+"""LMGC90 as an independent judge: closed forms, agreement with discrete elements, and reasons for unjudged states."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_an_open_part_is_not_judged(scenes: Any) -> None:
     broken = dataclasses.replace(tower, meshes=(tower.meshes[0], opened, tower.meshes[2]))
     both, one = judge_by_lmgc90(broken, [[1, 1, 2], [1, 0, 2]])
     assert (both.answer, both.part) == ("not judged", -1)
-    assert both.reason == "part block-1 is not a closed polyhedron; mend its mesh"
+    assert both.reason == "part block-1 is not a closed polyhedron; repair its mesh"
     assert np.isnan(both.moved)
     assert one.answer == "stands"
 
@@ -111,7 +111,7 @@ def test_a_fall_with_a_missed_contact_is_not_judged(scenes: Any) -> None:
     apart = dataclasses.replace(tower, meshes=(tower.meshes[0], lifted, tower.meshes[2]))
     (answer,) = judge_by_lmgc90(apart, [1, 1, 2])
     assert (answer.answer, answer.part) == ("not judged", 1)
-    assert answer.reason == "parts move, but LMGC90 had not found the contact of parts block-0 and block-1"
+    assert answer.reason == "parts move, but LMGC90 missed the contact of parts block-0 and block-1"
 
 
 def test_without_lmgc90_the_message_says_how_to_install_it(scenes: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""A bound of the literature whose data are all given."""
+"""A stability bound from the literature with complete data."""
 
 from __future__ import annotations
 

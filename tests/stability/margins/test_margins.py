@@ -174,7 +174,7 @@ def test_states_of_a_batch_have_margins_of_their_own(scenes: Any) -> None:
 
 
 def test_wrong_kinds(scenes: Any) -> None:
-    with pytest.raises(InputError, match="no margin 'wind'; choose among friction"):
+    with pytest.raises(InputError, match="unknown margin 'wind'; choose among friction"):
         Stability(scenes.tower(1)).margins([[1, 2]], ("wind",))
-    with pytest.raises(InputError, match="knows no settlement"):
+    with pytest.raises(InputError, match="equilibrium has no displacements"):
         Stability(scenes.tower(1), CRITERIA[1]).margins([[1, 2]], ("settlement",))

@@ -1,4 +1,4 @@
-"""How near parts are to slipping or tipping, where it is known."""
+"""Utilisation of parts against slipping and tipping in closed-form cases."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Gurobi in place of Clarabel: same programs, same verdicts, and clear words where it cannot be used."""
+"""Gurobi in place of Clarabel: same programs, same verdicts, and clear messages where it is unavailable."""
 
 from __future__ import annotations
 

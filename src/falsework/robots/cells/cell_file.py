@@ -22,11 +22,11 @@ Array = NDArray[np.float64]
 
 FORMAT = "falsework.cell/1"
 PLACE_TURNS = 8
-"""Turns about the vertical in which a part may arrive at a place."""
+"""Rotations about the vertical in which a part may be put down at a drop-off pose."""
 
 
 def builtin_cells() -> tuple[str, ...]:
-    """Return names of the cells that come with the package."""
+    """Return the names of the built-in cells."""
     folder = files("falsework.robots.cells")
     return tuple(sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml")))
 
@@ -36,7 +36,7 @@ def load_cell(name: str | Path, *, check: bool = True) -> Cell:
 
     Args:
         name: a TOML file, or the name of a built-in cell such as `dome-37`.
-        check: refuse a cell that cannot work, as `check_cell` does.
+        check: whether to reject an invalid cell, as `check_cell` does.
 
     Raises:
         CellError: no such cell, a key that is missing, unknown or wrong, or an invalid arrangement of robots.
@@ -50,7 +50,7 @@ def load_cell(name: str | Path, *, check: bool = True) -> Cell:
         cell = parse_cell(text, f"{name}.toml", Path())
     else:
         known = ", ".join(builtin_cells())
-        raise CellError(f"no cell {name}; give a TOML file, or one of the built-in cells {known}")
+        raise CellError(f"unknown cell {name}; give a TOML file, or one of the built-in cells {known}")
     if check:
         check_cell(cell)
     return cell
@@ -61,8 +61,8 @@ def parse_cell(text: str, source: str, folder: Path) -> Cell:
 
     Args:
         text: TOML.
-        source: how messages call it.
-        folder: where relative paths start.
+        source: name of the text in messages.
+        folder: folder that relative paths start from.
 
     Raises:
         CellError: as `load_cell`.
@@ -133,7 +133,7 @@ def _robot(table: Table, grippers: dict[str, Gripper], folder: Path) -> CellRobo
 
 
 def _model(table: Table, folder: Path) -> RobotModel:
-    """Return the arm that a robot entry names."""
+    """Return the arm of a robot entry."""
     name = table.text("model")
     base = table.text("base_link") if table.has("base_link") else None
     tip = table.text("tip_link") if table.has("tip_link") else None
@@ -159,7 +159,7 @@ def _from_file(path: str, base: str | None, tip: str | None) -> RobotModel:
 
 
 def _home(table: Table, model: RobotModel) -> Array:
-    """Return the joint values in degrees: a list, or a table by joint; the home of the model where there are none."""
+    """Return the home joint values, given in degrees as a list or a table by joint; by default those of the model."""
     if not table.has("home"):
         return model.home
     given = table.take("home")
@@ -186,7 +186,7 @@ def _gripper(name: str, table: Table) -> Gripper:
         raise table.fail("kind", f"is {kind!r}; give suction or jaw")
     pieces = tuple(piece for entry in table.tables("shapes") for piece in _shapes(entry))
     if not pieces:
-        raise table.fail("shapes", "is missing; give at least one box or cylinder, or the gripper cannot be kept clear")
+        raise table.fail("shapes", "is missing; give at least one box or cylinder, for collision checks")
     tool = _pose(table.table("tool"))
     made = Gripper(
         name=name,
@@ -213,7 +213,7 @@ def _obstacle(table: Table) -> Obstacle:
 
 
 def _shapes(table: Table) -> list[Array]:
-    """Return the box and the cylinder of an entry."""
+    """Return the shapes of the box and the cylinder of an entry."""
     found = []
     at = _pose(table)
     if table.has("box"):
@@ -236,7 +236,7 @@ def _shapes(table: Table) -> list[Array]:
 
 
 def _pose(table: Table) -> Array:
-    """Return the position and rotation (roll, pitch, yaw about fixed axes, or yaw alone), degrees."""
+    """Return the pose of a position and rotation (roll, pitch, yaw about fixed axes, or yaw alone), degrees."""
     made = np.array(pose(table.numbers("position", 3, (0, 0, 0))))
     turned = table.numbers("rpy", 3, (0, 0, 0))
     if table.has("yaw"):
@@ -254,7 +254,7 @@ def _pose(table: Table) -> Array:
 
 
 def _down(position: Array, turn: float) -> Array:
-    """Return a tool frame whose z points down, turned about the vertical."""
+    """Return a tool frame whose z points down, rotated about the vertical."""
     made = np.eye(4)
     made[:3, :3] = [[np.cos(turn), np.sin(turn), 0], [np.sin(turn), -np.cos(turn), 0], [0, 0, -1]]
     made[:3, 3] = position

@@ -25,22 +25,22 @@ from falsework.robots.model.simplify import outer_hull
 Array = NDArray[np.float64]
 
 COLLISION_SAMPLES = 1000
-"""Random configurations in which pairs of links are tried where no SRDF names those to ignore."""
+"""Random configurations in which pairs of links are tested where no SRDF lists the pairs to ignore."""
 ALWAYS_SHARE = 0.95
-"""Pairs that touch in this share of them are ignored: their hulls overlap at the joint between."""
+"""Pairs that touch in this share of them are ignored: their hulls overlap at their common joint."""
 
 
 def load_urdf(path: str | Path, *, base: str | None = None, tip: str | None = None) -> RobotModel:
-    """Read an arm. Pairs of links that are not checked come from an SRDF beside it, else from random configurations.
+    """Read an arm. Ignored pairs of links come from an SRDF beside it, else from random configurations.
 
     Args:
         path: URDF file; mesh paths are relative to it.
-        base: name of the base link; the root of the file if not given.
-        tip: name of the link that a gripper is mounted on; `tool0` or `flange` if there is one, else the end of the
+        base: name of the base link; by default the root of the file.
+        tip: name of the link that a gripper is mounted on; by default `tool0` or `flange`, else the end of the
             longest chain.
 
     Raises:
-        CellError: the file cannot be read, or describes no arm; the message names file and joint.
+        CellError: the file cannot be read, or does not describe an arm; the message names file and joint.
         DependencyError: yourdfpy is missing.
     """
     file = Path(path)
@@ -101,7 +101,7 @@ def load_urdf(path: str | Path, *, base: str | None = None, tip: str | None = No
 
 
 def always_touching(model: RobotModel) -> set[tuple[int, int]]:
-    """Return pairs of links that touch in nearly all random configurations, so that a check of them says nothing."""
+    """Return pairs of links that touch in nearly all random configurations, so that checking them is meaningless."""
     configurations = np.random.default_rng(0).uniform(model.lower, model.upper, (COLLISION_SAMPLES, model.joints))
     bare = Gripper("none", "suction", (), np.eye(4), 0.0)
     robot = CellRobot("arm", model, np.eye(4), bare, model.home, np.zeros((0, 4, 4)))
@@ -130,13 +130,13 @@ def _parse(file: Path) -> Any:
         return yourdfpy.URDF.load(
             str(file), build_scene_graph=False, load_meshes=False, build_collision_scene_graph=False
         ).robot
-    except Exception as error:  # the reader raises what its XML parser does
+    except Exception as error:  # the reader passes on any error of its XML parser
         text = " ".join(str(error).split()) or type(error).__name__
-        raise CellError(f"{file} is no URDF that can be read: {text}") from error
+        raise CellError(f"{file} is not a readable URDF: {text}") from error
 
 
 def _tip(links: dict[str, Any], below: dict[str, Any], root: str) -> str:
-    """Link for the gripper: a usual name, else the end of the chain with most joints."""
+    """Return the link for the gripper: a usual name, else the end of the chain with most joints."""
     for name in ("tool0", "flange"):
         if name in links:
             return name
@@ -157,7 +157,7 @@ def _chain(file: Path, below: dict[str, Any], root: str, end: str) -> list[Any]:
     found, name = [], end
     while name != root:
         if name not in below:
-            raise CellError(f"{file}: {end} does not hang on {root}; name base and tip of one arm")
+            raise CellError(f"{file}: {end} is not connected to {root}; name base and tip of one arm")
         found.append(below[name])
         name = below[name].parent
     return found[::-1]
@@ -183,16 +183,16 @@ def _axis(file: Path, joint: Any) -> Array:
     axis = np.array([1.0, 0, 0] if joint.axis is None else joint.axis, float)
     length = np.linalg.norm(axis)
     if not length > 0:
-        raise CellError(f"{file}: joint {joint.name} has axis {axis.tolist()}; it must point somewhere")
+        raise CellError(f"{file}: joint {joint.name} has axis {axis.tolist()}; it must not be zero")
     return axis / length
 
 
 def _limits(file: Path, joint: Any) -> tuple[float, float, float]:
     limit = joint.limit
     if joint.type not in ("revolute", "continuous", "prismatic"):
-        raise CellError(f"{file}: joint {joint.name} is {joint.type}; only revolute and prismatic joints are known")
+        raise CellError(f"{file}: joint {joint.name} is {joint.type}; only revolute and prismatic joints are supported")
     if limit is None or limit.velocity is None or not limit.velocity > 0:
-        raise CellError(f"{file}: joint {joint.name} has no limit of velocity; add velocity to its <limit>")
+        raise CellError(f"{file}: joint {joint.name} has no velocity limit; add velocity to its <limit>")
     if joint.type == "continuous":
         return -2 * np.pi, 2 * np.pi, float(limit.velocity)
     if limit.lower is None or limit.upper is None or not limit.lower < limit.upper:
@@ -201,7 +201,7 @@ def _limits(file: Path, joint: Any) -> tuple[float, float, float]:
 
 
 def _shapes(file: Path, link: Any) -> Iterable[TriangleMesh]:
-    """Yield every collision shape of a link, in the frame of the link; round ones as polytopes around them."""
+    """Yield every collision shape of a link, in the frame of the link; spheres and cylinders as enclosing polytopes."""
     for collision in link.collisions:
         pose = np.eye(4) if collision.origin is None else np.asarray(collision.origin, float)
         shape = collision.geometry
@@ -221,15 +221,15 @@ def _shapes(file: Path, link: Any) -> Iterable[TriangleMesh]:
 
 
 def _ball(radius: float) -> Array:
-    """Return corners of a polytope around a ball: an icosahedron, grown by what its faces cut off."""
+    """Return vertices of a polytope around a sphere: an icosahedron, scaled up to contain the sphere."""
     golden = (1 + 5**0.5) / 2
     corners = [(0, a, b * golden) for a in (-1, 1) for b in (-1, 1)]
     points = np.array([np.roll(corner, k) for corner in corners for k in range(3)], float)
-    return points / np.linalg.norm(points[0]) * radius * 1.2585  # circumscribed by inscribed radius
+    return points / np.linalg.norm(points[0]) * radius * 1.2585  # ratio of circumscribed to inscribed radius
 
 
 def hull_mesh(points: Array) -> TriangleMesh:
-    """The convex hull of points as triangles that face outwards."""
+    """Return the convex hull of points as triangles with outward normals."""
     found = ConvexHull(points)
     corners = points[found.simplices]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -246,7 +246,7 @@ def _read_mesh(file: Path, mesh: Any) -> TriangleMesh:
         name = name.removeprefix("package://").split("/", 1)[-1]
     found = next((p for p in (file.parent / name, *(up / name for up in file.parents)) if p.is_file()), None)
     if found is None:
-        raise CellError(f"{file}: mesh {mesh.filename} is not there; keep it beside the description")
+        raise CellError(f"{file}: mesh {mesh.filename} does not exist; keep it beside the description")
     try:
         loaded: Any = trimesh.load(found, force="mesh")
         points, faces = np.asarray(loaded.vertices, float), np.asarray(loaded.faces)
@@ -260,7 +260,7 @@ def _read_mesh(file: Path, mesh: Any) -> TriangleMesh:
 
 
 def _named_pairs(srdf: Path, owner: dict[str, int]) -> set[tuple[int, int]]:
-    """Return pairs of links that an SRDF says need no check."""
+    """Return pairs of links that an SRDF excludes from collision checking."""
     try:
         tree = ElementTree.parse(srdf)
     except ElementTree.ParseError as error:

@@ -89,7 +89,7 @@ def no_parts() -> PartShapes:
 
 
 def overlap(a: Array, b: Array) -> bool:
-    """Return whether two convex pieces share space: whether no plane has one on each side."""
+    """Return whether two convex pieces intersect: whether no plane separates them."""
     if (a.min(axis=0) > b.max(axis=0)).any() or (b.min(axis=0) > a.max(axis=0)).any():
         return False
     middle = b.mean(axis=0)
@@ -98,7 +98,7 @@ def overlap(a: Array, b: Array) -> bool:
 
 
 def shrunk(pieces: Pieces) -> Pieces:
-    """Shrink pieces towards their middle by `BASE_DEPTH` along every axis, so that a base may rest on another body."""
+    """Shrink pieces towards their centre by `BASE_DEPTH` along every axis, so that a base may rest on another body."""
     found = []
     for piece in pieces:
         low, high = piece.min(axis=0), piece.max(axis=0)

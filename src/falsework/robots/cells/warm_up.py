@@ -15,7 +15,7 @@ MESSAGE = "compiling the motion code; this happens once and takes up to 15 secon
 
 
 def is_compiled() -> bool:
-    """Return whether numba finds compiled code of all entry points that fits their sources."""
+    """Return whether numba has cached code of all entry points that matches their sources."""
     functions = (
         rrt_connect._run,
         forward.place_many,
@@ -37,13 +37,13 @@ def is_compiled() -> bool:
 
 
 def compile_kernels(report: Callable[[str], None] | None = None) -> float:
-    """Make sure that collision checks, planning and kinematics are compiled.
+    """Ensure that collision checks, planning and kinematics are compiled.
 
     Args:
-        report: called with one line if there is something to wait for.
+        report: called with one line if anything has to be compiled.
 
     Returns:
-        Seconds that it took.
+        Duration in seconds.
     """
     began = time.perf_counter()
     if report is not None and not is_compiled():

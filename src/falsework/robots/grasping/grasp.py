@@ -22,32 +22,32 @@ from falsework.robots.model.part_shapes import PartShapes
 Array = NDArray[np.float64]
 
 SUCTION_TURNS = 8
-"""Turns about the normal of a face that a suction grasp is tried at."""
+"""Rotations about the normal of a face at which a suction grasp is tried."""
 JAW_TURNS = 8
-"""Directions around the jaws' axis from which a jaw grasp is tried."""
+"""Directions around the axis of the jaws from which a jaw grasp is tried."""
 CUP_OFFSET_SHARE = 0.8
-"""How far out other places for the cup lie on a face, as a share of the way to where it just fits."""
+"""Distance of off-centre cup positions on a face, as a share of the distance at which the cup just fits."""
 STANDOFF = 0.0005
-"""Distance that the tool frame keeps from the face it grips, metres: what a soft cup makes up for."""
+"""Distance of the tool frame from the gripped face, metres; a soft cup compensates for it."""
 GRIPPER_MARGIN = 0.001
-"""Distance that a gripper keeps from other parts at the grasp and on its way there, metres."""
+"""Distance that a gripper keeps from other parts at the grasp and on the approach, metres."""
 APPROACH_LENGTH = 0.1
-"""Length of the straight way to a part on which the gripper alone is checked, metres."""
+"""Length of the straight approach on which the gripper alone is checked, metres."""
 APPROACH_SAMPLES = 6
-"""Places on the way to the part at which the gripper is checked."""
+"""Positions on the approach at which the gripper is checked."""
 
 
 @dataclass(frozen=True, eq=False)
 class Grasp:
-    """One way to hold a part."""
+    """Grasp candidate: pose of the tool frame, approach direction and quality."""
 
     part: int
     tool: Array
     """Pose of the tool frame in the world, shape (4, 4)."""
     approach: Array
-    """Unit vector along which the gripper comes, shape (3,)."""
+    """Unit vector of the gripper's approach, shape (3,)."""
     quality: float
-    """Between 0 and 1: near the centre of mass, on a face with room, drawn along a way out."""
+    """From 0 to 1: near the centre of mass, on a large face, pulled along an exit direction."""
     width: float = 0.0
     """Opening of the jaws, metres; 0 for suction."""
 
@@ -61,25 +61,25 @@ def grasps(
     *,
     limit: int = 64,
 ) -> list[Grasp]:
-    """Return grasps of a part among the parts that are there, best first; the arm is not considered.
+    """Return grasps of a part among the present parts, best first; the arm is not considered.
 
-    The gripper, on the last stretch of its way and at the part, keeps off all other parts. The list is the same
-    every time: the best faces first, each at one turn about its normal, then at the next.
+    The gripper keeps clear of all other parts on the last segment of its approach and at the part. The list is
+    deterministic: the best faces first, each at one rotation about its normal, then at the next.
 
     Args:
-        assembly: the structure; its clearance table says along which ways the part will leave.
+        assembly: the structure; its clearance table gives the exit directions of the part.
         parts: its parts in the cell.
-        part: which one to hold.
-        present: which parts are there: a mask or a state, shape (parts,).
-        robot: whose gripper; a part heavier than its payload has no grasp.
-        limit: how many grasps are returned at most.
+        part: index of the part.
+        present: present parts: a mask or a state, shape (parts,).
+        robot: robot with the gripper; a part heavier than its payload has no grasp.
+        limit: largest number of returned grasps.
 
     Raises:
         StateError: another number of parts, or no such part.
     """
     there = np.asarray(present) > 0
     if there.shape != (parts.part_count,):
-        raise StateError(f"present has shape {there.shape}; expected ({parts.part_count},), one value a part")
+        raise StateError(f"present has shape {there.shape}; expected ({parts.part_count},), one value per part")
     if not 0 <= part < parts.part_count:
         raise StateError(f"no part {part}; parts are 0 to {parts.part_count - 1}")
     gripper = robot.gripper
@@ -107,9 +107,9 @@ def grasps(
 
 
 def _on_face(gripper: Gripper, face: Face, part: int, center: Array, ways: Array, size: float) -> list[list[Grasp]]:
-    """Return suction grasps on one face: where the cup fits, as near to the centre of mass as that allows, then off it.
+    """Return suction grasps on one face: where the cup fits closest to the centre of mass, then off-centre.
 
-    Off the middle, two arms can hold stones that lie side by side.
+    Off-centre grasps let two arms hold blocks that lie side by side.
     """
     room = shapely.buffer(face.outline, -gripper.cup * 1.02)
     if shapely.is_empty(room):
@@ -127,7 +127,7 @@ def _on_face(gripper: Gripper, face: Face, part: int, center: Array, ways: Array
 
 
 def _spots(room: shapely.Geometry, middle: Array, cup: float) -> list[Array]:
-    """Return points of a flat region: the nearest to the middle, then outer ones, at least a cup's radius apart."""
+    """Return points of a flat region: the nearest to the centre, then outer ones, at least a cup radius apart."""
     first = shapely.get_coordinates(shapely.shortest_line(shapely.Point(middle), room))[-1]
     spots = [first]
     corners = shapely.get_coordinates(shapely.minimum_rotated_rectangle(room))
@@ -169,7 +169,7 @@ def _between_faces(
             group = []
             for k in range(JAW_TURNS):
                 angle = 2 * np.pi * k / JAW_TURNS
-                way = np.cos(angle) * face.frame[0] + np.sin(angle) * face.frame[1]  # of the gripper, towards the part
+                way = np.cos(angle) * face.frame[0] + np.sin(angle) * face.frame[1]  # approach direction
                 nearest = float((vertices @ way).min())
                 shift = min(0.0, nearest + gripper.depth - inside @ way)  # the palm stays outside
                 point = inside + shift * way
@@ -182,7 +182,7 @@ def _between_faces(
 
 
 def _quality(lever: float, room: float, pull: Array, ways: Array) -> float:
-    """Rate a grasp from 0 to 1: half for a short lever, a third for pulling along an exit, the rest for room."""
+    """Rate a grasp from 0 to 1: half for a short lever arm, a third for pulling along an exit, the rest for room."""
     along = max(0.0, float((ways @ pull).max(initial=0.0)))
     return 0.5 * max(0.0, 1.0 - 2 * lever) + 0.35 * along + 0.15 * room
 
@@ -201,13 +201,13 @@ def _tool(point: Array, z: Array, x: Array, turn: float) -> Array:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Return the vector product of two vectors; numpy's own is made for many and slow for two."""
+    """Return the cross product of two vectors; numpy's own is slow for single vectors."""
     (a0, a1, a2), (b0, b1, b2) = a.tolist(), b.tolist()
     return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
 
 
 def _open_way(parts: PartShapes, part: int, there: NDArray[np.bool_], gripper: Gripper):
-    """Return a test whether the gripper alone keeps off all other parts at a grasp and on the way to it."""
+    """Return a test whether the gripper alone keeps clear of all other parts at a grasp and on the approach."""
     others = np.flatnonzero(there).tolist()
     obstacles, _ = make_obstacles([parts.pieces[other] for other in others if other != part])
     pieces = gripper.pieces
@@ -217,7 +217,7 @@ def _open_way(parts: PartShapes, part: int, there: NDArray[np.bool_], gripper: G
     radius = np.array([np.linalg.norm(p - c, axis=1).max() for p, c in zip(pieces, center, strict=True)])
     start = np.concatenate([[0], np.cumsum([len(piece) for piece in pieces])]).astype(np.int64)
     count = len(pieces)
-    # The gripper slides along one axis: the way to the part.
+    # The gripper slides along one axis: its approach to the part.
     bodies = Bodies(np.ones(count, np.int64), start, np.concatenate(pieces), center, radius, np.ones((count, 1)))
     rules = Rules(
         np.ones((count, len(obstacles.low)), bool),
@@ -234,7 +234,7 @@ def _open_way(parts: PartShapes, part: int, there: NDArray[np.bool_], gripper: G
 
     def test(grasp: Grasp) -> bool:
         pose = grasp.tool @ back
-        # The slide is along z of the joint's frame; turn that onto the approach and the gripper back.
+        # The slide is along z of the joint's frame; rotate z to the approach and the gripper back.
         turn = _tool(np.zeros(3), grasp.approach, pose[:3, int(np.argmin(np.abs(grasp.approach @ pose[:3, :3])))], 0.0)
         local = np.linalg.inv(turn) @ pose
         moved = Bodies(

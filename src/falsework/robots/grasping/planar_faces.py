@@ -13,7 +13,7 @@ from falsework.geometry.mesh.mesh import TriangleMesh
 Array = NDArray[np.float64]
 
 FLAT_DEGREES = 12.0
-"""Largest angle between the triangles of one face, degrees: what the lip of a cup makes up for."""
+"""Largest angle between the triangles of one face, degrees; the lip of a cup compensates for it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,11 +21,11 @@ class Face:
     """Neighbouring triangles with nearly the same normal."""
 
     normal: Array
-    """Outwards, shape (3,)."""
+    """Outward normal, shape (3,)."""
     frame: Array
-    """Two directions in the face, shape (2, 3)."""
+    """Two orthogonal directions in the face, shape (2, 3)."""
     outline: shapely.Geometry
-    """The face seen along its normal, in the coordinates of `frame`, metres."""
+    """Projection of the face along its normal, in the coordinates of `frame`, metres."""
     triangles: Array
     """Shape (triangles, 3, 3), metres."""
     area: float
@@ -46,14 +46,14 @@ class Face:
 
 
 def faces_of(mesh: TriangleMesh, smallest: float = 0.0) -> list[Face]:
-    """Return faces of a mesh, largest first.
+    """Return the faces of a mesh, largest first.
 
-    The largest triangle that is left collects its neighbours, and theirs, whose normals are within `FLAT_DEGREES` of
+    The largest remaining triangle collects its neighbours, and theirs, whose normals are within `FLAT_DEGREES` of
     its own.
 
     Args:
-        mesh: closed mesh that faces outwards.
-        smallest: faces of less area are left out, m2.
+        mesh: closed mesh with outward normals.
+        smallest: least area of a face, m2.
     """
     corners = mesh.triangles
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -82,7 +82,7 @@ def faces_of(mesh: TriangleMesh, smallest: float = 0.0) -> list[Face]:
 
 def _face(triangles: Array, normal: Array, area: float) -> Face:
     normal = normal / np.linalg.norm(normal)
-    # The frame does not depend on how the mesh is triangulated: horizontal first, where there is a horizontal.
+    # The frame does not depend on the triangulation of the mesh: horizontal first, where there is a horizontal.
     helper = np.array([0.0, 0.0, 1.0]) if abs(normal[2]) < 0.99 else np.array([1.0, 0.0, 0.0])
     first = np.cross(helper, normal)
     first /= np.linalg.norm(first)
@@ -93,7 +93,7 @@ def _face(triangles: Array, normal: Array, area: float) -> Face:
 
 
 def _neighbours(mesh: TriangleMesh) -> list[list[int]]:
-    """Return triangles that share an edge, by position, since some meshes repeat their vertices."""
+    """Return triangles that share an edge, by vertex position, since some meshes repeat their vertices."""
     scale = max(float(np.ptp(mesh.vertices, axis=0).max()), 1e-12)
     _, same = np.unique(np.round(mesh.vertices / scale * 1e7).astype(np.int64), axis=0, return_inverse=True)
     faces = same.reshape(-1)[mesh.faces]
@@ -110,5 +110,5 @@ def _neighbours(mesh: TriangleMesh) -> list[list[int]]:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Cross product in the plane."""
+    """Return the cross product in the plane."""
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

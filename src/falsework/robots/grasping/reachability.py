@@ -1,4 +1,4 @@
-"""Reachability of parts by the robots of a cell, and proposals for better robot bases."""
+"""Reachability of parts by the robots of a cell, and proposals of better robot bases."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ BASE_ANGLES, BASE_DISTANCES = 24, (0.55, 0.65, 0.75, 0.85)
 BASE_SPACING = 0.7
 """Least distance between two bases, as a share of the arm's reach."""
 PLACEMENT_SWEEPS = 2
-"""Rounds in which each base is moved in turn while the others stay."""
+"""Rounds in which each base is moved in turn with the others fixed."""
 
 
 class Reachability(IntEnum):
-    """What a robot can do with a part, from nothing to holding it."""
+    """Reachability of a part by a robot, from out of reach to a collision-free grasp."""
 
     TOO_HEAVY = 0
     NO_GRASP = 1
@@ -41,7 +41,7 @@ class Reachability(IntEnum):
 
     @property
     def words(self) -> str:
-        """For a table."""
+        """Description for tables."""
         return ("too heavy", "no grasp", "out of reach", "in collision", "yes")[self.value]
 
 
@@ -50,12 +50,12 @@ class ReachTable:
     """Reachability of every part that is not boundary by every robot."""
 
     parts: NDArray[np.int64]
-    """Ids, shape (parts,)."""
+    """Part indices, shape (parts,)."""
     robots: tuple[str, ...]
     levels: NDArray[np.int8]
     """`Reachability` of each robot for each part, shape (parts, robots)."""
     pairs: dict[tuple[int, int], tuple[str, str]]
-    """What comes too near, for (part id, robot) in collision."""
+    """Names of the colliding bodies by (part id, robot)."""
 
     @property
     def unreached(self) -> list[int]:
@@ -70,22 +70,22 @@ class BaseProposal:
     cell: Cell
     """The same cell with other bases."""
     before: int
-    """Pairs of robot and part within reach now."""
+    """Pairs of robot and part within reach with the present bases."""
     after: int
     pairs: int
-    """Pairs that there are."""
+    """Number of all pairs."""
 
 
 def reach_table(
     assembly: Assembly, cell: Cell, parts: PartShapes, report: Callable[[int, int], None] = lambda done, total: None
 ) -> ReachTable:
-    """Try to hold every part by every robot, with nothing but the boundary around and the other robots at home.
+    """Test whether each robot can hold each part, alone with the boundary and with the other robots at home.
 
     Args:
         assembly: the structure.
         cell: the cell.
-        parts: the structure in the cell, as `place_parts` makes it.
-        report: called with the parts done and all parts.
+        parts: the structure in the cell, as `place_parts` returns it.
+        report: callback `(done, total)` with numbers of parts.
     """
     world = CollisionWorld(cell, parts)
     ids = np.flatnonzero(~parts.boundary)
@@ -119,10 +119,10 @@ def reach_table(
 def propose_bases(
     assembly: Assembly, cell: Cell, parts: PartShapes, report: Callable[[int, int], None] = lambda done, total: None
 ) -> BaseProposal:
-    """Search for bases from which more parts are within reach, by kinematics alone.
+    """Search for bases with more parts within reach, by kinematics alone.
 
-    One robot after the other is tried on rings around the structure, looking at its middle, while the others stand.
-    Check the result with `reach_table`, which looks at collisions too.
+    One robot after the other is tried on rings around the structure, facing its centre, with the others fixed.
+    Check the result with `reach_table`, which includes collisions.
     """
     ids = np.flatnonzero(~parts.boundary).tolist()
     held = [[_few(assembly, parts, part, robot) for part in ids] for robot in cell.robots]
@@ -163,19 +163,19 @@ def propose_bases(
 
 
 def _few(assembly: Assembly, parts: PartShapes, part: int, robot) -> list[Grasp]:
-    """Return a few grasps of a part, of different faces and turns."""
+    """Return a few grasps of a part, of different faces and rotations."""
     alone = parts.boundary.copy()
     alone[part] = True
     return grasps(assembly, parts, part, alone, robot, limit=4)
 
 
 def _score(reached: list[NDArray[np.bool_]]) -> tuple[int, int]:
-    """Return parts within reach of any robot, then pairs."""
+    """Return the number of parts within reach of any robot, then the number of pairs."""
     return int(np.any(reached, axis=0).sum()), int(np.sum(reached))
 
 
 def _on_ring(base: Array, middle: Array, distance: float, turn: float) -> Array:
-    """Return a base at a distance from the middle, looking at it, at the height it has now."""
+    """Return a base at a distance from the centre, facing it, at its present height."""
     x, y = middle[0] + distance * np.cos(turn), middle[1] + distance * np.sin(turn)
     return pose((x, y, base[2, 3]), turn + np.pi)
 
@@ -190,5 +190,5 @@ def _stands_free(cell: Cell, robot: int, base: Array, others: list[Array], stand
 
 
 def _moved(robot, base: Array) -> Array:
-    """Return places keep where they are as seen from the robot."""
+    """Return the drop-off poses of a robot moved with its base."""
     return base @ np.linalg.inv(robot.base) @ robot.places if len(robot.places) else robot.places

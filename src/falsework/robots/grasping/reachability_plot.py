@@ -16,11 +16,11 @@ from falsework.robots.model.shapes import move
 
 
 def check_picture(path: Path) -> None:
-    """Raise before any work if a picture cannot be written there.
+    """Check before any work that a picture can be written.
 
     Raises:
         DependencyError: matplotlib is missing.
-        InputError: an ending that is no picture, or no such folder.
+        InputError: an ending that is not a picture format, or no such folder.
     """
     try:
         import matplotlib  # noqa: F401
@@ -33,13 +33,13 @@ def check_picture(path: Path) -> None:
 
 
 def draw_reach(cell: Cell, parts: PartShapes, table: ReachTable, path: Path) -> None:
-    """Draw parts from above in the colour of how many robots reach them, and robots with the circle of their reach.
+    """Draw parts from above, coloured by the number of robots that reach them, and the circle of each robot's reach.
 
     Args:
         cell: the cell.
         parts: the structure in it.
-        table: who reaches what.
-        path: picture to write; replaced if it is there.
+        table: reachability of each part by each robot.
+        path: picture to write; an existing file is replaced.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

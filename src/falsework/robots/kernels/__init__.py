@@ -1,1 +1,1 @@
-"""Compiled collision, path search and numeric inverse kinematics on flat arrays."""
+"""Compiled collision checking, motion planning and numeric inverse kinematics on flat arrays."""

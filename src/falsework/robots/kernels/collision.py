@@ -1,7 +1,7 @@
 """Compiled collision check of an arm with its load at given joint values.
 
 Forward kinematics, broad phase (spheres against boxes, of groups and of single pieces) and narrow phase (`gjk.gap`) run
-in one function on flat arrays. An answer of "clear" is a proof for every pair; see `docs/decisions/0040`.
+in one function on flat arrays. The result "clear" is a proof for every pair; see `docs/decisions/0040`.
 """
 
 from __future__ import annotations
@@ -18,32 +18,32 @@ from falsework.robots.kernels.gjk import INNER, OUTER, gap
 Array = NDArray[np.float64]
 
 CLEAR = -1
-"""What the check returns where nothing is hit; else the number of the first pair found."""
+"""Result of the check without a collision; else the number of the first pair found."""
 
 
 class Chain(NamedTuple):
-    """Joints with their frames turned so that every axis is z."""
+    """Joints with their frames rotated so that every axis is z."""
 
     base: Array
     """Pose of the base in the world, shape (3, 4)."""
     origin: Array
-    """Frame of each joint at zero in the frame before it, shape (joints, 3, 4)."""
+    """Pose of each joint frame at joint value zero in the frame before it, shape (joints, 3, 4)."""
     prismatic: NDArray[np.bool_]
 
 
 class Bodies(NamedTuple):
-    """Convex pieces of a robot and of what it carries."""
+    """Convex pieces of a robot and its load."""
 
     frame: NDArray[np.int64]
-    """Frame that carries the piece: 0 for the base, 1 for what the first joint moves, shape (bodies,)."""
+    """Frame that carries the piece: 0 for the base, 1 for the link that the first joint moves, shape (bodies,)."""
     start: NDArray[np.int64]
     """Rows of `vertices` of piece b are `start[b]:start[b + 1]`."""
     vertices: Array
     center: Array
-    """Of a ball around the piece, in its frame, shape (bodies, 3)."""
+    """Centre of a bounding sphere of the piece, in its frame, shape (bodies, 3)."""
     radius: Array
     sweep: Array
-    """No point of the piece moves farther than this when a joint moves by one, m/rad, shape (bodies, joints)."""
+    """Bound on the motion of any point of the piece when a joint moves by one unit, m/rad, shape (bodies, joints)."""
 
 
 class Obstacles(NamedTuple):
@@ -52,7 +52,7 @@ class Obstacles(NamedTuple):
     start: NDArray[np.int64]
     vertices: Array
     low: Array
-    """Boxes around the pieces, shape (obstacles, 3)."""
+    """Lower corners of the bounding boxes of the pieces, shape (obstacles, 3)."""
     high: Array
     group_start: NDArray[np.int64]
     """Group g has the pieces `group_start[g]:group_start[g + 1]`."""
@@ -66,7 +66,7 @@ class Rules(NamedTuple):
     pair: NDArray[np.bool_]
     """Whether a body and an obstacle are checked, shape (bodies, obstacles)."""
     self_pairs: NDArray[np.int64]
-    """Pairs of bodies of the same arm that are checked, shape (pairs, 2); they must only not touch."""
+    """Pairs of bodies of the same arm that are checked for contact only, shape (pairs, 2)."""
     floor: float
     """Height of the floor, metres."""
     on_floor: NDArray[np.bool_]
@@ -88,9 +88,9 @@ class CollisionScratch(NamedTuple):
     self_axis: Array
     scratch: Array
     swept: Array
-    """How far the points of every body move along an edge at most, metres, shape (bodies,)."""
+    """Bound on the motion of the points of every body along an edge, metres, shape (bodies,)."""
     self_swept: Array
-    """How far the two bodies of every self pair move against each other at most, metres, shape (pairs,)."""
+    """Bound on the relative motion of the two bodies of every self pair, metres, shape (pairs,)."""
 
 
 def make_work(chain: Chain, bodies: Bodies, obstacles: Obstacles, rules: Rules) -> CollisionScratch:
@@ -113,8 +113,8 @@ def make_work(chain: Chain, bodies: Bodies, obstacles: Obstacles, rules: Rules) 
 
 @nb.njit(**INNER)
 def place_frames(values, chain, frames):
-    """Forward kinematics: poses of all frames in the world, shape (joints + 1, 3, 4)."""
-    for r in range(3):  # entry by entry: assigning rows to rows would compile the text of its errors, for seconds
+    """Compute forward kinematics: poses of all frames in the world, shape (joints + 1, 3, 4)."""
+    for r in range(3):  # entry by entry: assigning rows would compile numba's error messages, for seconds
         for c in range(4):
             frames[0, r, c] = chain.base[r, c]
     for j in range(len(values)):
@@ -137,7 +137,7 @@ def place_frames(values, chain, frames):
 
 @nb.njit(**INNER)
 def _place(body, bodies, work):
-    """World vertices of one body and the box around them."""
+    """Write the world vertices of one body and their bounding box."""
     pose = work.frames[bodies.frame[body]]
     for r in range(3):
         work.low[body, r], work.high[body, r] = 1e300, -1e300
@@ -153,7 +153,7 @@ def _place(body, bodies, work):
 
 @nb.njit(inline="always", **INNER)
 def _outside(x, y, z, low, high, k):
-    """Square of the distance of a point from box k."""
+    """Return the squared distance of a point from box k."""
     dx = max(low[k, 0] - x, x - high[k, 0], 0.0)
     dy = max(low[k, 1] - y, y - high[k, 1], 0.0)
     dz = max(low[k, 2] - z, z - high[k, 2], 0.0)
@@ -166,8 +166,8 @@ def first_hit(values, share, chain, bodies, obstacles, rules, work):
 
     Args:
         values: joint values, shape (joints,).
-        share: this share of `work.swept` and `work.self_swept` is added to the margins; 0 asks about `values` alone.
-        chain, bodies, obstacles, rules, work: see there.
+        share: share of `work.swept` and `work.self_swept` that is added to the margins; 0 checks `values` alone.
+        chain, bodies, obstacles, rules, work: the named tuples of this module.
 
     Returns:
         With n obstacles and m bodies: `b n + o` for body b and obstacle o, `m n + b` for body b and the floor,
@@ -181,7 +181,7 @@ def first_hit(values, share, chain, bodies, obstacles, rules, work):
             work.center[b, r] = pose[r, 0] * c[0] + pose[r, 1] * c[1] + pose[r, 2] * c[2] + pose[r, 3]
         work.placed[b] = False
     for back in range(count):
-        b = count - 1 - back  # what is carried and the gripper hit first
+        b = count - 1 - back  # load and gripper are the likeliest to collide
         margin = rules.margin
         if share > 0.0:
             margin += share * work.swept[b]
@@ -255,5 +255,5 @@ def first_hit(values, share, chain, bodies, obstacles, rules, work):
 
 @nb.njit(**OUTER)
 def distance_between(a, b):
-    """Return a proven lower bound on the distance of two convex pieces, exact to 1e-6 of itself; 0 where they touch."""
+    """Return a proven lower bound on the distance of two convex pieces, tight to 1e-6 of itself; 0 where they touch."""
     return gap(a, 0, len(a), b, 0, len(b), 1e300, 0.0, np.zeros(3), np.empty((6, 3)))

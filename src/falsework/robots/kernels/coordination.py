@@ -1,9 +1,9 @@
-"""Compiled test of which stretches of two arms' motions may coincide.
+"""Compiled test of which segments of two arms' motions may coincide in time.
 
-A motion is cut into cells. Every body of the arm sweeps a ball-like neighbourhood of its place at the middle of a cell:
+A motion is divided into cells. Every body of the arm is enclosed in an offset of its pose at the middle of a cell:
 none of its points moves farther than a known bound within the cell. Two cells of two arms are compatible if each pair
-of bodies keeps the margin plus both bounds; whatever the two arms do within those cells, they cannot meet. Cells that
-fail are cut into `SPLIT` finer ones each and count as compatible if all pairs of these are.
+of bodies keeps the margin plus both bounds; then the arms cannot collide at any point of these cells. Incompatible
+cells are divided into `SPLIT` finer ones each and count as compatible if all pairs of these are.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ from falsework.robots.kernels.gjk import INNER, OUTER, gap
 Array = NDArray[np.float64]
 
 SPLIT = 4
-"""Finer cells that a cell is cut into."""
+"""Finer cells per cell."""
 
 
 class Swept(NamedTuple):
-    """Bodies of one arm over the cells of one motion."""
+    """Swept bodies of one arm over the cells of one motion."""
 
     start: NDArray[np.int64]
     """Rows of `vertices[cell]` of body b are `start[b]:start[b + 1]`."""
     vertices: Array
-    """At the middle of each cell, world, shape (cells, vertices, 3)."""
+    """World coordinates at the middle of each cell, shape (cells, vertices, 3)."""
     center: Array
-    """Of the ball around each body, shape (cells, bodies, 3)."""
+    """Centres of bounding spheres of the bodies, shape (cells, bodies, 3)."""
     radius: Array
-    """Of that ball, shape (bodies,)."""
+    """Radii of these spheres, shape (bodies,)."""
     swept: Array
-    """No point of a body is farther from its place at the middle of the cell, shape (cells, bodies)."""
+    """Bound on the distance of any point of a body from its place at the middle of the cell, shape (cells, bodies)."""
     low: Array
-    """Box around all bodies, bounds included, shape (cells, 3)."""
+    """Lower corner of a box around all bodies, bounds included, shape (cells, 3)."""
     high: Array
 
 
@@ -77,11 +77,11 @@ def _place(values, spread, chain, bodies, first, vertices, center, swept, low, h
 
 
 def sweep(values: Array, spread: Array, chain: Chain, bodies: Bodies) -> Swept:
-    """Return the bodies of an arm over some cells; the base, which stands, is left out.
+    """Return the swept bodies of an arm over some cells, without its base, which does not move.
 
     Args:
         values: joint values at the middle of each cell, shape (cells, joints).
-        spread: how far each joint is from there within the cell at most, shape (cells, joints).
+        spread: largest deviation of each joint from there within the cell, shape (cells, joints).
         chain: kinematics of the arm.
         bodies: its pieces, those of the base first.
     """
@@ -112,7 +112,7 @@ def sweep(values: Array, spread: Array, chain: Chain, bodies: Bodies) -> Swept:
 
 
 def still(pieces: tuple[Array, ...]) -> Swept:
-    """Return bodies that stand, such as a part at its place, as one cell."""
+    """Return fixed bodies, such as a part in place, as a single cell."""
     vertices = np.concatenate(pieces)
     middle = np.array([(piece.min(axis=0) + piece.max(axis=0)) / 2 for piece in pieces])
     radius = [np.linalg.norm(piece - center, axis=1).max() for piece, center in zip(pieces, middle, strict=True)]
@@ -134,7 +134,7 @@ def _meet(one, i, other, j, margin, axis, scratch):
         if one.low[i, r] - margin > other.high[j, r] or one.high[i, r] + margin < other.low[j, r]:
             return False
     for back in range(len(one.radius)):
-        a = len(one.radius) - 1 - back  # what is carried and the gripper meet first
+        a = len(one.radius) - 1 - back  # load and gripper are the likeliest to collide
         for b in range(len(other.radius)):
             keep = margin + one.swept[i, a] + other.swept[j, b]
             reach = keep + one.radius[a] + other.radius[b]
@@ -179,7 +179,7 @@ def conflicts(one: tuple[Swept, Swept], other: tuple[Swept, Swept], margin: floa
     """Return which cells of two motions are not proven to keep a distance.
 
     Args:
-        one, other: a motion in cells and in finer cells, a whole number of them to a cell.
+        one, other: a motion in cells and in finer cells, a fixed number of them per cell.
         margin: the distance, metres.
 
     Returns:
@@ -202,7 +202,7 @@ def _first_clear(one, other, margin, axis, scratch, found):
 
 
 def first_clear(one: Swept, other: Swept, margin: float) -> NDArray[np.int64]:
-    """Return for each cell of one motion the first of another that is proven to keep a distance, -1 if none is.
+    """Return for each cell of one motion the first of another with a proven distance, -1 if there is none.
 
     Args:
         one, other: cells of two arms.

@@ -1,9 +1,9 @@
-"""Compiled distance between two convex pieces: Gilbert, Johnson and Keerthi's algorithm with proofs of separation.
+"""Compiled distance between two convex pieces: the Gilbert-Johnson-Keerthi algorithm with proofs of separation.
 
-The algorithm walks over the Minkowski difference A - B towards the origin. Its current point v gives an upper bound
+The algorithm descends over the Minkowski difference A - B towards the origin. Its current point v gives an upper bound
 |v| on the distance; the plane through the support point w of -v gives a lower bound v.w / |v|, which is a proof:
-no point of A is closer to B. A pair counts as apart only with such a proof, so whatever stops the walk early (a flat
-simplex, no progress, the limit of iterations) can only make the answer too careful.
+no point of A is closer to B. A pair counts as separated only with such a proof, so early termination (a flat
+simplex, no progress, the iteration limit) can only make the result conservative.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ FAST = {"contract", "reassoc", "nsz", "arcp", "nnan", "ninf"}
 """Rounding may differ in the last digits; the bounds are compared at 1e-9 and above."""
 
 INNER: dict[str, Any] = {"cache": True, "fastmath": FAST, "error_model": "numpy", "no_cpython_wrapper": True}
-"""Options of functions that only compiled functions call: neither checks of divisions nor wrappers."""
+"""Options of functions that only compiled functions call: no division checks and no wrappers."""
 OUTER: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
 """Options of functions that Python calls."""
 
@@ -39,7 +39,7 @@ def _farthest(vertices, start, stop, x, y, z):
 
 @nb.njit(**INNER)
 def _segment(s, i, j, out):
-    """Return the closest point of segment i, j of a simplex to the origin; which of the two it needs, as bits."""
+    """Return the closest point of segment i, j of a simplex to the origin, and a bit mask of its vertices."""
     ex, ey, ez = s[j, 0] - s[i, 0], s[j, 1] - s[i, 1], s[j, 2] - s[i, 2]
     length = ex * ex + ey * ey + ez * ez
     along = -(s[i, 0] * ex + s[i, 1] * ey + s[i, 2] * ez)
@@ -56,7 +56,7 @@ def _segment(s, i, j, out):
 
 @nb.njit(**INNER)
 def _triangle(s, i, j, k, out):
-    """Return the closest point of triangle i, j, k of a simplex to the origin; which of the three it needs, as bits."""
+    """Return the closest point of triangle i, j, k of a simplex to the origin, and a bit mask of its vertices."""
     ux, uy, uz = s[j, 0] - s[i, 0], s[j, 1] - s[i, 1], s[j, 2] - s[i, 2]
     wx, wy, wz = s[k, 0] - s[i, 0], s[k, 1] - s[i, 1], s[k, 2] - s[i, 2]
     nx, ny, nz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
@@ -72,7 +72,7 @@ def _triangle(s, i, j, k, out):
         height = (nx * ax + ny * ay + nz * az) / area
         out[0], out[1], out[2] = height * nx, height * ny, height * nz
         return (1 << i) | (1 << j) | (1 << k)
-    # The closest point lies on the rim: on an edge whose weight is not positive, else on any.
+    # The closest point lies on the boundary: on an edge whose weight is not positive, else on any.
     best, kept = 1e300, 0
     px, py, pz = 0.0, 0.0, 0.0
     for edge in range(3):
@@ -94,7 +94,7 @@ def _triangle(s, i, j, k, out):
 
 @nb.njit(**INNER)
 def _tetrahedron(s, out, spare):
-    """Closest point of a tetrahedron to the origin; which corners it needs, as bits, 15 if the origin is inside."""
+    """Return the closest point of a tetrahedron to the origin, and a bit mask of its vertices; 15 if it is inside."""
     best, kept = 1e300, 15
     for face in range(4):
         if face == 0:
@@ -126,12 +126,12 @@ def gap(a, a_start, a_stop, b, b_start, b_stop, enough, near, axis, scratch):
     Args:
         a, b: vertices, shape (vertices, 3); piece A has the rows `a_start:a_stop`, B likewise.
         enough: stop as soon as the bound is above this.
-        near: stop as soon as the distance is known to be at most this.
+        near: stop as soon as the distance is proven to be at most this.
         axis: in and out: a direction from B to A that separated the pair last time, or zero. Shape (3,).
         scratch: shape (6, 3), overwritten.
 
     Returns:
-        The best bound found. Where nothing stopped the walk it is the distance, to 1e-6 of itself.
+        The best bound found; without early termination the distance, to 1e-6 of itself.
     """
     s, v, spare = scratch[:4], scratch[4], scratch[5]
     vx, vy, vz = axis[0], axis[1], axis[2]
@@ -152,7 +152,7 @@ def gap(a, a_start, a_stop, b, b_start, b_stop, enough, near, axis, scratch):
             if bound > enough:
                 axis[0], axis[1], axis[2] = vx / length, vy / length, vz / length
                 return bound
-        if size > 0:  # before, v is a guess and no point of the difference
+        if size > 0:  # before that, v is a guess and not a point of the difference
             if length <= near or length - bound <= 1e-6 * length or square >= last:
                 return bound
             last = square

@@ -17,7 +17,7 @@ from falsework.robots.model.shapes import Pieces, move
 Array = NDArray[np.float64]
 
 GROUP = 6
-"""Obstacles that share a box in the broad phase."""
+"""Obstacles per bounding box in the broad phase."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,9 +30,9 @@ class Carried:
 
 @lru_cache(maxsize=64)
 def turns(model: RobotModel) -> Array:
-    """Return for every joint the rotation from the turned frame, whose z is the axis, to the link frame.
+    """Return for every joint the rotation from the rotated frame, whose z is the axis, to the link frame.
 
-    Shape (joints, 4, 4). With frames turned so, every axis is z and the compiled kinematics has no branch.
+    Shape (joints, 4, 4). With such frames every axis is z and the compiled kinematics has no branches.
     """
     found = np.tile(np.eye(4), (model.joints, 1, 1))
     for j, axis in enumerate(model.axes):
@@ -45,11 +45,11 @@ def turns(model: RobotModel) -> Array:
 
 
 def make_chain(model: RobotModel, base: Array) -> Chain:
-    """Return joints of an arm that stands at `base`, shape (4, 4)."""
+    """Return the joints of an arm with base pose `base`, shape (4, 4)."""
     turn = turns(model)
     origin = model.origins @ turn
     origin[1:] = np.swapaxes(turn[:-1], 1, 2) @ origin[1:]
-    # Copies: compiled functions tell arrays that may be written from those that may not.
+    # Copies: numba compiles read-only and writable arrays as different types.
     return Chain(np.array(base[:3], order="C"), np.array(origin[:, :3], order="C"), np.array(model.prismatic))
 
 
@@ -59,7 +59,7 @@ def make_bodies(
     """Pack the moving bodies of a robot; its base belongs to frame 0, which does not move.
 
     Returns:
-        The pieces, their names, and what each belongs to: a link (0 is the base), `joints + 1` the gripper,
+        The pieces, their names, and the body of each: a link (0 is the base), `joints + 1` the gripper,
         `joints + 2` the part.
     """
     model = robot.model
@@ -94,10 +94,10 @@ def make_bodies(
 
 
 def _sweep(model: RobotModel, origin: Array, frame: int, piece: Array) -> Array:
-    """Farthest that a point of a piece moves when each joint moves by one, whatever the other joints do, (joints,).
+    """Return a bound on the motion of any point of a piece when each joint moves by one unit, shape (joints,).
 
-    A point is at most as far from the axis of joint j as the next frame's origin is from it, plus the lengths of all
-    offsets from there on, plus its own distance from the origin of its frame; slides add their longest travel.
+    A point is at most as far from the axis of joint j as the origin of the next frame, plus the lengths of all
+    later offsets, plus its own distance from the origin of its frame; prismatic joints add their full stroke.
     """
     found = np.zeros(model.joints)
     travel = np.where(model.prismatic, np.maximum(np.abs(model.lower), np.abs(model.upper)), 0.0)
@@ -115,14 +115,14 @@ def _sweep(model: RobotModel, origin: Array, frame: int, piece: Array) -> Array:
 
 
 def self_pairs(model: RobotModel, links: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return pairs of moving pieces of one arm that can meet, shape (pairs, 2).
+    """Return pairs of moving pieces of one arm that can collide, shape (pairs, 2).
 
-    The gripper is not checked against the last two links, nor a part in it against the last link and the gripper:
-    they hardly move against each other, and whether they fit is a question for the cell, asked once.
+    The gripper is not checked against the last two links, nor its part against the last link and the gripper:
+    they hardly move relative to each other, and whether they fit is checked once, with the cell.
 
     Args:
         model: the arm.
-        links: what every piece belongs to, as `make_bodies` returns it.
+        links: the body of every piece, as `make_bodies` returns it.
     """
     joints = model.joints
     found = []
@@ -144,7 +144,7 @@ def make_obstacles(bodies: Sequence[Pieces]) -> tuple[Obstacles, NDArray[np.int6
     """Pack static pieces in groups of neighbours.
 
     Returns:
-        The pieces and, for each, the index of the body that it belongs to.
+        The pieces and, for each, the index of its body.
     """
     pieces = [piece for body in bodies for piece in body]
     owner = np.repeat(np.arange(len(bodies)), [len(body) for body in bodies])
@@ -173,7 +173,7 @@ def make_obstacles(bodies: Sequence[Pieces]) -> tuple[Obstacles, NDArray[np.int6
 
 
 def _groups(centers: Array) -> list[NDArray[np.int64]]:
-    """Split points at the median of their widest spread until few are left in each group."""
+    """Split points at the median of their widest extent until each group is small."""
     pending, found = [np.arange(len(centers))], []
     while pending:
         group = pending.pop()
@@ -187,6 +187,6 @@ def _groups(centers: Array) -> list[NDArray[np.int64]]:
 
 
 def _stack(pieces: Sequence[Array]) -> tuple[NDArray[np.int64], Array]:
-    """Return the first row of every piece, and all vertices below each other."""
+    """Return the first row of every piece, and all vertices stacked."""
     start = np.concatenate([[0], np.cumsum([len(piece) for piece in pieces])]).astype(np.int64)
     return start, np.array(np.concatenate(pieces), order="C")

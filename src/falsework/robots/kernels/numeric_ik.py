@@ -11,19 +11,19 @@ from falsework.robots.kernels.collision import place_frames
 from falsework.robots.kernels.gjk import INNER, OUTER
 
 TOLERANCE = 1e-9
-"""Metres and radians at which a pose counts as reached."""
+"""Tolerance of a reached pose, metres and radians."""
 
 
 @nb.njit(**INNER)
 def _reach_pose(q, target, chain, tail, steps, damping, longest, frames, columns, system, error):
-    """Move joint values until the frame at the end of the chain is at a pose; whether it is.
+    """Move joint values until the frame at the end of the chain reaches a pose; return whether it does.
 
     Args:
         q: joint values, overwritten.
-        target: pose wanted, shape (3, 4).
+        target: target pose, shape (3, 4).
         tail: pose of the end in the last frame, shape (3, 4).
         damping: weight of the squared error in the damping of a step.
-        longest: no joint moves farther in one step.
+        longest: largest change of a joint per step.
         frames, columns, system, error: scratch, shapes (joints + 1, 3, 4), (6, joints), (6, 7), (6,).
     """
     joints = len(q)
@@ -35,7 +35,7 @@ def _reach_pose(q, target, chain, tail, steps, damping, longest, frames, columns
             for k in range(3):
                 at += last[r, k] * tail[k, 3]
             error[r] = target[r, 3] - at
-        # Rotation vector from the present orientation to the wanted one, by the columns of both.
+        # Rotation vector from the present orientation to the target, from the columns of both.
         error[3] = error[4] = error[5] = 0.0
         trace = 0.0
         for c in range(3):
@@ -50,7 +50,7 @@ def _reach_pose(q, target, chain, tail, steps, damping, longest, frames, columns
         sine = math.sqrt(error[3] ** 2 + error[4] ** 2 + error[5] ** 2)
         angle = math.atan2(sine, 0.5 * (trace - 1.0))
         if sine > 1e-9:
-            stretch = min(angle / sine, 1e3)  # half a turn away the direction is anybody's guess
+            stretch = min(angle / sine, 1e3)  # at a half turn the axis is undetermined
             for r in range(3, 6):
                 error[r] *= stretch
         if angle < TOLERANCE and math.sqrt(error[0] ** 2 + error[1] ** 2 + error[2] ** 2) < TOLERANCE:
@@ -78,7 +78,7 @@ def _reach_pose(q, target, chain, tail, steps, damping, longest, frames, columns
                 system[r, c] = total
             system[r, r] += weight
             system[r, 6] = error[r]
-        for r in range(6):  # Cholesky would do; elimination without pivots is as good for a positive matrix
+        for r in range(6):  # elimination without pivoting: the matrix is positive definite
             for below in range(r + 1, 6):
                 factor = system[below, r] / system[r, r]
                 for c in range(r, 7):
@@ -103,12 +103,12 @@ def _reach_pose(q, target, chain, tail, steps, damping, longest, frames, columns
 
 @nb.njit(**OUTER)
 def reach_poses(guesses, targets, chain, tail, steps, damping, longest, follow, reached):
-    """Solve for many poses, each from its guess, or along a line, each from the solution before.
+    """Solve for many poses, each from its guess, or along a line, each from the previous solution.
 
     Args:
-        guesses: start values, overwritten with solutions, shape (batch, joints).
+        guesses: initial values, overwritten with solutions, shape (batch, joints).
         targets: poses of the end, shape (batch, 3, 4).
-        follow: take the solution before as the guess, and stop at the first that fails.
+        follow: whether to take the previous solution as the guess, and stop at the first failure.
         reached: out: shape (batch,).
     """
     joints = guesses.shape[1]

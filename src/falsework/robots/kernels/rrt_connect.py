@@ -1,8 +1,8 @@
-"""Compiled motion planning: proof of free edges, RRT-Connect, and shortcutting.
+"""Compiled motion planning: proofs of free edges, RRT-Connect, and shortcutting.
 
-An edge is proven free by intervals. Halfway through an interval every body must keep its distance plus the farthest
-that any of its points moves in half the interval; then all of the interval is free, and nothing can slip between two
-samples. Where that fails, the interval is halved, down to a resolution below which the edge counts as blocked.
+An edge is proven free by intervals. At the midpoint of an interval every body must keep its distance plus the largest
+motion of any of its points over half the interval; then the whole interval is free, and no collision can hide between
+samples. Where that fails, the interval is bisected, down to a resolution below which the edge counts as blocked.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from falsework.robots.kernels.collision import CLEAR, first_hit
 from falsework.robots.kernels.gjk import INNER, OUTER
 
 INTERVALS = 4096
-"""Intervals of one edge that may be open at a time; more, and the edge counts as blocked."""
+"""Largest number of open intervals of one edge; with more, the edge counts as blocked."""
 
 
 @nb.njit(**INNER)
@@ -25,7 +25,7 @@ def edge_free(a, b, resolution, chain, bodies, obstacles, rules, work, values, o
 
     Args:
         a, b: configurations, shape (joints,).
-        resolution: metres; where no point moves farther in an interval, it is not halved again.
+        resolution: metres; an interval in which no point moves farther is not bisected again.
         chain, bodies, obstacles, rules, work: as `first_hit` takes them.
         values: scratch, shape (joints,).
         opened: scratch, shape (2, INTERVALS).
@@ -43,7 +43,7 @@ def edge_free(a, b, resolution, chain, bodies, obstacles, rules, work, values, o
         if bodies.frame[one] > bodies.frame[other]:
             one, other = other, one
         swept = 0.0
-        for j in range(bodies.frame[one], bodies.frame[other]):  # only these joints move the two against each other
+        for j in range(bodies.frame[one], bodies.frame[other]):  # only these joints move the two relative to each other
             swept += bodies.sweep[other, j] * abs(b[j] - a[j])
         work.self_swept[k] = swept
     pending, side, parts = 1, 0, 1
@@ -172,11 +172,11 @@ def _grow(
 
 @nb.njit(**INNER)
 def _shorten(path, size, tries, resolution, seed, chain, bodies, obstacles, rules, work, opened):
-    """Replace stretches of a path by straight edges where those are free; the number of points left.
+    """Replace segments of a path by straight edges where those are free; return the number of points left.
 
     Args:
         path: points, overwritten, shape (room, joints), `size` of them in use; there must be room for two more.
-        tries: how many pairs of points along the path are tried.
+        tries: number of pairs of points along the path to try.
     """
     joints = path.shape[1]
     a, b, values = np.empty(joints), np.empty(joints), np.empty(joints)
@@ -208,7 +208,7 @@ def _shorten(path, size, tries, resolution, seed, chain, bodies, obstacles, rule
             b[j] = path[k, j] + t * (path[k + 1, j] - path[k, j])
         if not edge_free(a, b, resolution, chain, bodies, obstacles, rules, work, values, opened):
             continue
-        # Points i + 1 to k give way to a and b.
+        # Points i + 1 to k are replaced by a and b.
         change = 2 - (k - i)
         if size + change > len(path):
             continue
@@ -305,7 +305,7 @@ def grow(
 
 
 def shorten(path, size, tries, resolution, seed, chain, bodies, obstacles, rules, work, opened) -> int:
-    """Replace stretches of a path by straight edges; see `_shorten`."""
+    """Replace segments of a path by straight edges; see `_shorten`."""
     arrays = (chain, bodies, obstacles, rules, work, opened)
     rest = (_NO_TREES, _NO_PARENTS, np.array([size]), _NO_LIMITS, _NO_LIMITS, resolution, seed)
     return _run(SHORTEN, path, _NO_INTEGERS, tries, 0.0, *rest, *arrays)[0]

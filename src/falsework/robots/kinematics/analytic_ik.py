@@ -1,6 +1,6 @@
 """Closed-form inverse kinematics of arms with six revolute joints, on batches of poses.
 
-All of it is written in the axes at zero, so it does not matter how a description places its frames or turns its signs.
+All formulas use the joint axes at zero joint values, so the frames and signs of a robot description do not matter.
 Points move by `x -> e1 e2 ... e6 x`, with `ei` the rotation of joint i about its axis at zero; target T and flange
 at zero H give `G = T H^-1 = e1 ... e6`.
 """
@@ -18,23 +18,23 @@ Array = NDArray[np.float64]
 Owner = NDArray[np.int64]
 
 WRIST_ANGLES = 120
-"""Angles of the sixth joint at which the equation of an offset wrist is looked at."""
+"""Angles of the sixth joint at which the equation of an offset wrist is sampled."""
 NEAR_ROOT = 0.15
-"""A dip of the equation below this, without a change of sign, is worth a try."""
+"""Minima of the equation below this value, without a change of sign, are also tried as roots."""
 
 
 @dataclass(frozen=True, eq=False)
 class Screws:
-    """Axes of an arm at zero, in the frame of the base."""
+    """Joint axes of an arm at zero joint values, in the frame of the base."""
 
     axes: Array
     """Unit vectors, shape (6, 3)."""
     points: Array
     """A point on each axis, shape (6, 3), metres."""
     home: Array
-    """Pose of the flange, shape (4, 4)."""
+    """Pose of the flange at zero joint values, shape (4, 4)."""
     center: Array | None = None
-    """Where two axes of the wrist meet, shape (3,)."""
+    """Intersection of two wrist axes, shape (3,)."""
     spherical: bool = False
 
     def distance(self, joint: int, point: Array) -> float:
@@ -42,7 +42,7 @@ class Screws:
         return float(np.linalg.norm(np.cross(point - self.points[joint], self.axes[joint])))
 
     def meeting(self, a: int, b: int) -> Array | None:
-        """Return the point where two axes meet, or None if they are more than a micrometre apart."""
+        """Return the intersection of two axes, or None if they are more than a micrometre apart."""
         across = np.cross(self.axes[a], self.axes[b])
         square = across @ across
         if square < 1e-12:
@@ -54,12 +54,12 @@ class Screws:
         return self.points[a] + along * self.axes[a]
 
     def with_center(self, center: Array, spherical: bool = False) -> Screws:
-        """Return the same, with the centre of the wrist."""
+        """Return the same axes with the centre of the wrist."""
         return replace(self, center=center, spherical=spherical)
 
 
 def solve_wrist(screws: Screws, targets: Array) -> tuple[Array, Owner]:
-    """Guesses for arms whose fourth and fifth axes meet, shape (batch, 4, 4) to (guesses, 6) and the row of each."""
+    """Return guesses for arms whose fourth and fifth axes meet, (batch, 4, 4) to (guesses, 6) and the row of each."""
     turn, shift = _moved(screws, targets)
     if screws.spherical:
         q6 = np.zeros((len(targets), 1))
@@ -95,7 +95,7 @@ def solve_parallel(screws: Screws, targets: Array) -> tuple[Array, Owner]:
     q1, good = _level(w[0], w[1], moved - p[0], float((center - p[0]) @ w[1]))  # (batch, 2)
     back = _about(w[0], -q1)  # (batch, 2, 3, 3)
     inner = back @ turn[:, None]
-    # The part of the sixth axis along the parallel ones does not change under them: it gives the fifth angle.
+    # The component of the sixth axis along the parallel ones is invariant under them: it gives the fifth angle.
     level = np.einsum("i,bkij,j->bk", w[1], inner, w[5])
     base = np.array([w[1] @ w[5], w[1] @ np.cross(w[4], w[5])])
     reach = np.hypot(*base)
@@ -105,13 +105,13 @@ def solve_parallel(screws: Screws, targets: Array) -> tuple[Array, Owner]:
     tilt = np.arctan2(base[1], base[0])
     q5 = np.stack([tilt + spread, tilt - spread], axis=2)  # (batch, 2, 2)
     good = np.repeat(good[:, :, None], 2, axis=2)
-    # The parallel axis as the sixth joint sees it gives the sixth angle.
+    # The direction of the parallel axes in the frame of the sixth joint gives the sixth angle.
     seen = np.einsum("bkji,j->bki", inner, w[1])[:, :, None]
     before = np.einsum("bklji,j->bkli", _about(w[4], q5), w[1])
     q6 = -_turn_between(w[5], before, np.broadcast_to(seen, before.shape))
     rest = inner[:, :, None] @ np.swapaxes(_about(w[5], q6), -1, -2) @ np.swapaxes(_about(w[4], q5), -1, -2)
     total = _turn_between(w[1], *_pair(rest, w[1]))
-    # Where the fourth axis goes: a point of it, moved by the second and third joints alone.
+    # Target of the fourth axis: a point on it, moved by the second and third joints alone.
     about5 = p[4] + np.einsum("bklij,j->bkli", _about(w[4], -q5), p[3] - p[4])
     here = p[5] + np.einsum("bklij,bklj->bkli", _about(w[5], -q6), about5 - p[5])
     world = np.einsum("bij,bklj->bkli", turn, here) + shift[:, None, None]
@@ -127,13 +127,13 @@ def solve_parallel(screws: Screws, targets: Array) -> tuple[Array, Owner]:
 
 
 def _moved(screws: Screws, targets: Array) -> tuple[Array, Array]:
-    """Return the rotation and shift of G = T H^-1, shapes (batch, 3, 3) and (batch, 3)."""
+    """Return rotation and translation of G = T H^-1, shapes (batch, 3, 3) and (batch, 3)."""
     moved = targets @ inverse_pose(screws.home)
     return moved[:, :3, :3], moved[:, :3, 3]
 
 
 def _arm(screws: Screws, turn: Array, shift: Array, q6: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return the first three joints that bring the centre of the wrist where it must be for given sixth angles.
+    """Return the first three joints that bring the wrist centre to its target for given sixth angles.
 
     Args:
         turn, shift: G, shapes (batch, 3, 3) and (batch, 3).
@@ -141,7 +141,7 @@ def _arm(screws: Screws, turn: Array, shift: Array, q6: Array) -> tuple[Array, A
 
     Returns:
         Joint values, shape (batch, angles, 4, 3), the rotations e1 e2 e3, shape (batch, angles, 4, 3, 3), and whether
-        there are any, shape (batch, angles, 4).
+        solutions exist, shape (batch, angles, 4).
     """
     w, p, center = screws.axes, screws.points, screws.center
     assert center is not None
@@ -177,7 +177,7 @@ def _euler(screws: Screws, turn: Array, first: Array, turned: Array, good: NDArr
 
 
 def _offset_equation(screws: Screws, turn: Array, turned: Array, q6: Array) -> Array:
-    """Return zero where the fourth and fifth joints can do what is left; shape (batch, angles, 4)."""
+    """Return the residual of the offset wrist equation, zero at solutions; shape (batch, angles, 4)."""
     w = screws.axes
     seen = np.einsum("bgij,j->bgi", _about(w[5], -q6), w[4])
     world = np.einsum("bij,bgj->bgi", turn, seen)
@@ -222,7 +222,7 @@ def _level(axis: Array, across: Array, arm: Array, level: float) -> tuple[Array,
 def _two_bars(
     w: Array, start: Array, elbow: Array, end: Array, target: Array
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Second and third angles, two each, that bring the end of two bars to a point; shape (..., 3) to (..., 2)."""
+    """Return second and third angles, two each, that bring two links to a point; shape (..., 3) to (..., 2)."""
     helper = np.eye(3)[int(np.argmin(np.abs(w[1])))]
     e = np.cross(helper, w[1])
     e /= np.linalg.norm(e)
@@ -249,7 +249,7 @@ def _turn_between(axis: Array, before: Array, after: Array) -> Array:
 
 
 def _pair(turn: Array, axis: Array) -> tuple[Array, Array]:
-    """Return a vector at right angles to an axis, and its image under rotations about the axis, shape (..., 3)."""
+    """Return a vector orthogonal to an axis, and its image under rotations about the axis, shape (..., 3)."""
     helper = np.cross(np.eye(3)[int(np.argmin(np.abs(axis)))], axis)
     helper /= np.linalg.norm(helper)
     image = turn @ helper

@@ -21,7 +21,7 @@ def link_poses(model: RobotModel, configurations: ArrayLike, base: Array | None 
     Args:
         model: the arm.
         configurations: joint values.
-        base: pose of the base link in the world, shape (4, 4); the identity if not given.
+        base: pose of the base link in the world, shape (4, 4); by default the identity.
     """
     values = np.ascontiguousarray(np.atleast_2d(configurations), dtype=np.float64)
     chain = make_chain(model, np.eye(4) if base is None else base)
@@ -47,6 +47,6 @@ def tool_pose(robot: CellRobot, configurations: ArrayLike) -> Array:
 
 @nb.njit(**OUTER)
 def place_many(values, chain, found):
-    """`place_frames` for a batch, shape (batch, joints + 1, 3, 4)."""
+    """Compute `place_frames` for a batch, shape (batch, joints + 1, 3, 4)."""
     for i in range(len(values)):
         place_frames(values[i], chain, found[i])

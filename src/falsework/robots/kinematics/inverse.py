@@ -4,13 +4,13 @@ Arms with six revolute joints whose second and third axes are parallel, at right
 (products of exponentials and Paden-Kahan subproblems, Murray, Li and Sastry 1994, chapter 3):
 
 - `wrist`: the fourth and fifth axes meet. If the sixth passes through the same point (IRB 2600 and most industrial
-  arms), everything is closed; with an offset (GoFa), one equation in the sixth angle is left, whose roots are
+  arms), the solution is closed-form; with an offset (GoFa), one equation in the sixth angle remains, whose roots are
   bracketed on a grid.
 - `parallel`: the fourth axis is parallel to the third, the fifth meets the sixth (Universal Robots).
-- `general`: everything else, seven joints among them: damped Newton steps from many starts. With seven joints the
-  solutions are a curve, of which samples are returned.
+- `general`: all other arms, such as those with seven joints: damped Newton steps from many starts. With seven joints
+  the solutions form a curve, of which samples are returned.
 
-Every solution is polished and checked by forward kinematics before it is returned.
+Every solution is refined and checked by forward kinematics before it is returned.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ Kind = Literal["spherical", "wrist", "parallel", "general"]
 RANDOM_STARTS = 80
 """Random starts for arms without a closed form."""
 REDUNDANT_SOLUTIONS = 24
-"""Solutions that are kept of the curves of an arm with more than six joints."""
+"""Solutions that are kept per pose for an arm with more than six joints."""
 SAME_SOLUTION = 1e-4
-"""Solutions of an arm with six joints closer than this, rad, are one."""
+"""Distance below which solutions of an arm with six joints count as equal, rad."""
 SOLUTION_SPACING = 0.25
-"""Solutions of an arm with more joints are at least this far apart, rad."""
+"""Least distance between solutions of an arm with more joints, rad."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ class IkSolver:
     model: RobotModel
     kind: Kind
     screws: Screws | None
-    """Axes at zero, for arms with a closed form."""
+    """Joint axes at zero, for arms with a closed form."""
 
 
 def inverse(robot: CellRobot, tools: ArrayLike) -> list[Array]:
@@ -71,7 +71,7 @@ def inverse(robot: CellRobot, tools: ArrayLike) -> list[Array]:
 
 
 def inverse_flange(model: RobotModel, flanges: ArrayLike) -> list[Array]:
-    """Solve as `inverse` for flange poses in the base frame, shape (4, 4) or (batch, 4, 4).
+    """Solve as `inverse` does for flange poses in the base frame, shape (4, 4) or (batch, 4, 4).
 
     Raises:
         InputError: no poses.
@@ -98,7 +98,7 @@ def inverse_flange(model: RobotModel, flanges: ArrayLike) -> list[Array]:
 
 @lru_cache(maxsize=64)
 def solver_of(model: RobotModel) -> IkSolver:
-    """Look at the axes of an arm and choose how to invert it."""
+    """Analyse the axes of an arm and choose its inverse kinematics."""
     if model.joints != 6 or model.prismatic.any():
         return IkSolver(model, "general", None)
     poses = link_poses(model, np.zeros(6))
@@ -118,7 +118,7 @@ def solver_of(model: RobotModel) -> IkSolver:
 
 
 def tail_of(model: RobotModel, tool: Array | None = None) -> Array:
-    """Return the pose of a frame at the flange in the last turned frame of the compiled chain, shape (3, 4)."""
+    """Return the pose of a frame at the flange in the last rotated frame of the compiled chain, shape (3, 4)."""
     end = model.flange if tool is None else model.flange @ tool
     return np.array((inverse_pose(turns(model)[-1]) @ end)[:3], order="C")
 
@@ -126,7 +126,7 @@ def tail_of(model: RobotModel, tool: Array | None = None) -> Array:
 def _polish(
     model: RobotModel, guesses: Array, targets: Array, owner: NDArray[np.int64]
 ) -> tuple[Array, NDArray[np.int64]]:
-    """Newton steps from guesses; those that reach their pose."""
+    """Refine guesses by Newton steps; return those that reach their pose."""
     values = np.array(guesses, order="C")
     reached = np.zeros(len(values), bool)
     chain = make_chain(model, np.eye(4))
@@ -136,7 +136,7 @@ def _polish(
 
 
 def _from_many_starts(model: RobotModel, targets: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Damped Newton steps from random configurations."""
+    """Solve by damped Newton steps from random configurations."""
     random = np.random.default_rng(0)
     low = np.where(model.prismatic, model.lower, np.maximum(model.lower, -np.pi))
     high = np.where(model.prismatic, model.upper, np.minimum(model.upper, np.pi))
@@ -150,7 +150,7 @@ def _from_many_starts(model: RobotModel, targets: Array) -> tuple[Array, NDArray
 
 
 def _distinct(values: Array, owner: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
-    """Return solutions without repetitions, by pose and then in order."""
+    """Return distinct solutions, by pose and then in order."""
     keys = np.concatenate([owner[:, None], np.cos(values), np.sin(values)], axis=1)
     _, first = np.unique(np.round(keys / SAME_SOLUTION), axis=0, return_index=True)
     first = first[np.lexsort((*np.round(values[first], 6).T[::-1], owner[first]))]
@@ -172,7 +172,7 @@ def _spread(values: Array, owner: NDArray[np.int64], turning: NDArray[np.bool_])
 
 
 def _windings(model: RobotModel, values: Array, owner: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
-    """Return every solution with all full turns that the limits allow, those without a turn first."""
+    """Return every solution with all full turns that the limits allow, those without one first."""
     room = (model.lower < -np.pi) | (model.upper > np.pi)
     options = [
         (0.0, -2 * np.pi, 2 * np.pi) if wide and not slide else (0.0,)

@@ -1,8 +1,8 @@
 """Built-in arms: published joints and limits, with links as simple convex pieces.
 
-Each link is one bevelled block, its sizes taken from the outer extents of public collision models and rounded. It
-covers the convex hull of such a model to a few millimetres and sticks out of it by up to 11 cm at corners. Cables and
-fittings are not in it: add obstacles or a wider margin for a real cell.
+Each link is one bevelled block, with sizes taken from the outer dimensions of public collision models and rounded. It
+covers the convex hull of such a model to a few millimetres and exceeds it by up to 11 cm at corners. Cables and
+fittings are not included: add obstacles or a wider margin for a real cell.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def builtin_robot(name: str) -> RobotModel:
     """Return an arm by name.
 
     Raises:
-        InputError: no such arm; the message lists those there are.
+        InputError: no such arm; the message lists the available ones.
     """
     if name not in BUILTIN:
         raise InputError(
@@ -33,7 +33,7 @@ def builtin_robot(name: str) -> RobotModel:
 
 
 def irb2600_12_165() -> RobotModel:
-    """ABB IRB 2600-12/1.65: 12 kg, 1.65 m, spherical wrist."""
+    """Return the ABB IRB 2600-12/1.65: 12 kg, 1.65 m, spherical wrist."""
     return _arm(
         "irb2600-12/1.65",
         origins=_parallel((0, 0, 0.445), (0.15, 0, 0), (0, 0, 0.7), (0, 0, 0.115), (0.795, 0, 0), (0.085, 0, 0)),
@@ -81,7 +81,7 @@ def irb2600_12_165() -> RobotModel:
 
 
 def crb15000_5_095() -> RobotModel:
-    """ABB GoFa CRB 15000-5/0.95: 5 kg, 0.95 m, offset wrist."""
+    """Return the ABB GoFa CRB 15000-5/0.95: 5 kg, 0.95 m, offset wrist."""
     return _arm(
         "crb15000-5/0.95",
         origins=_parallel((0, 0, 0.265), (0, 0, 0), (0, 0, 0.444), (0, 0, 0.11), (0.47, 0, 0), (0.101, 0, 0.08)),
@@ -118,7 +118,7 @@ def crb15000_5_095() -> RobotModel:
 
 
 def ur10e() -> RobotModel:
-    """Universal Robots UR10e: 12.5 kg, 1.3 m, offset wrist with three parallel axes."""
+    """Return the Universal Robots UR10e: 12.5 kg, 1.3 m, offset wrist with three parallel axes."""
     quarter = np.pi / 2
     return _arm(
         "ur10e",
@@ -145,7 +145,7 @@ def ur10e() -> RobotModel:
             block((-0.05, -0.06, -0.055), (0.05, 0.07, 0.05), y=(0.0, 0.0, 0.03, 0.03)),
             block((-0.045, -0.055, -0.05), (0.045, 0.045, 0.0), z=(0.035, 0.035, 0.02, 0.02)),
         ),
-        ignored=((0, 2),),  # the upper arm swings beside the base and cannot meet it
+        ignored=((0, 2),),  # the upper arm swings beside the base and cannot collide with it
         flange=np.eye(4),
         home=(0, -1.6, 1.8, -1.8, -1.57, 0),
         payload=12.5,
@@ -153,16 +153,16 @@ def ur10e() -> RobotModel:
 
 
 _ALONG_X = np.array([[0.0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1]])
-"""A flange whose z, outwards, is x of the last link."""
+"""Flange frame whose z axis, outwards, is the x axis of the last link."""
 
 
 def _parallel(*offsets: tuple[float, float, float]) -> Array:
-    """Frames that are all parallel to that of the base at zero, as ABB draws its arms, each offset from the last."""
+    """Return frames that are all parallel to the base frame at zero, as in ABB's drawings, each with an offset."""
     return np.stack([pose(offset) for offset in offsets])
 
 
 def _fork(back: float, axis: float, radius: float, sides: tuple[float, float]) -> Array:
-    """Return a link along x that ends round about a joint axis along y."""
+    """Return a link along x with a rounded end about a joint axis along y."""
     angle = np.radians(np.arange(-75, 90, 30))
     reach = radius / np.cos(np.radians(15))
     outline = np.stack([axis + reach * np.cos(angle), reach * np.sin(angle)], axis=1)
@@ -171,7 +171,7 @@ def _fork(back: float, axis: float, radius: float, sides: tuple[float, float]) -
 
 
 def _rolled(offset: tuple[float, float, float], angle: float) -> Array:
-    """Return a frame offset from the last and turned about x."""
+    """Return a frame offset from the last and rotated about x."""
     made = np.array(pose(offset))
     made[1:3, 1:3] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
     return made
@@ -191,7 +191,7 @@ def _arm(
     home: tuple[float, ...],
     payload: float,
 ) -> RobotModel:
-    """Return an arm with one piece a link; limits in degrees and degrees per second, as data sheets have them."""
+    """Return an arm with one piece per link; limits in degrees and degrees per second, as in data sheets."""
     joints = len(origins)
     pairs = {(link, link + 1) for link in range(joints)} | set(ignored)
     speed = np.radians(velocity)
@@ -219,4 +219,4 @@ BUILTIN: dict[str, Callable[[], RobotModel]] = {
     "crb15000-5/0.95": crb15000_5_095,
     "ur10e": ur10e,
 }
-"""Arms by the name that a cell file calls them."""
+"""Built-in arms by their name in cell files."""

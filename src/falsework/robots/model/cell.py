@@ -1,4 +1,4 @@
-"""Immutable robot cell: robots with bases and grippers, obstacles, storage and drop-off places."""
+"""Immutable robot cell: robots with bases and grippers, obstacles, storage and drop-off poses."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Gripper:
-    """Tool on the flange. Frames: z points out of the flange; the tool frame is where a part is touched.
+    """Tool on the flange. Frames: z points out of the flange; the origin of the tool frame touches the part.
 
     A suction gripper touches a face with its cup, z of the tool frame into the face. A parallel jaw closes along x of
     the tool frame; the part is between its jaws at the origin of the tool frame.
@@ -30,20 +30,20 @@ class Gripper:
     tool: Array
     """Pose of the tool frame in the frame of the flange, shape (4, 4)."""
     payload: float
-    """Heaviest part that it holds, kg."""
+    """Payload of the gripper, kg."""
     mass: float = 0.0
-    """Its own mass, kg; counts against the payload of the arm."""
+    """Mass of the gripper, kg; counts against the payload of the arm."""
     cup: float = 0.0
     """Suction: radius of the cup, metres; a face must be at least as large."""
     opening: float = 0.0
-    """Jaw: widest opening between the jaws, metres."""
+    """Jaw: largest opening, metres."""
     depth: float = 0.0
-    """Jaw: length of the jaws along z that is in touch with the part, metres."""
+    """Jaw: contact length of the jaws along z, metres."""
 
 
 @dataclass(frozen=True, eq=False)
 class CellRobot:
-    """Robot of a cell: arm, base, gripper, home configuration and drop-off places."""
+    """Robot of a cell: arm, base, gripper, home configuration and drop-off poses."""
 
     name: str
     model: RobotModel
@@ -51,10 +51,10 @@ class CellRobot:
     """Pose of the base link in the world, shape (4, 4)."""
     gripper: Gripper
     home: Array
-    """Configuration to rest in, shape (joints,)."""
+    """Home configuration, shape (joints,)."""
     places: Array
-    """Tool frames in the world where a carried part is handed over, shape (places, 4, 4): drop-off when a structure is
-    taken apart, pick-up when it is assembled. Which way up the part arrives is free; z points into the part."""
+    """Tool frames in the world where a carried part is handed over, shape (places, 4, 4): drop-off in disassembly,
+    pick-up in assembly. The orientation of the part is free; z points into the part."""
 
     @property
     def payload(self) -> float:
@@ -76,13 +76,13 @@ class Placement:
     """Pose, scale and density of a structure in the cell."""
 
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Where the origin of the structure's own frame goes, metres."""
+    """Position of the origin of the structure's own frame, metres."""
     yaw: float = 0.0
-    """Turn about z, rad."""
+    """Rotation about z, rad."""
     scale: float = 1.0
-    """Size of the real thing by the size of its meshes."""
+    """Ratio of real size to the size of the meshes."""
     density: float | None = None
-    """Density of what it is built of in the cell, kg/m3; None: that of the structure."""
+    """Density of the material in the cell, kg/m3; None: that of the structure."""
 
     @property
     def pose(self) -> Array:
@@ -95,9 +95,9 @@ class Margins:
     """Distances that motions keep, metres."""
 
     free: float = 0.005
-    """Between everything during free moves."""
+    """Between all bodies during free motions."""
     line: float = 0.001
-    """During straight approaches and withdrawals; pairs that a contact rule names may touch."""
+    """During straight approaches and withdrawals; pairs in a contact rule may touch."""
     approach: float = 0.10
     """Length of a straight approach or withdrawal."""
 
@@ -110,11 +110,11 @@ class Cell:
     robots: tuple[CellRobot, ...]
     obstacles: tuple[Obstacle, ...] = ()
     floor: float | None = 0.0
-    """Height of the floor, metres; None: there is none."""
+    """Height of the floor, metres; None: no floor."""
     placement: Placement = field(default_factory=Placement)
     margins: Margins = field(default_factory=Margins)
     speed: float = 1.0
-    """Share of the robots' limits of velocity that motions may use; acceleration by its square."""
+    """Share of the robots' velocity limits that motions may use; of acceleration limits its square."""
 
     @property
     def robot_count(self) -> int:
@@ -128,9 +128,9 @@ class Cell:
 
 
 def cell_identity(cell: Cell) -> str:
-    """Return the digest of everything in a cell that motions depend on; hexadecimal SHA-256.
+    """Return the SHA-256 digest, hexadecimal, of everything in a cell that motions depend on.
 
-    Names of files and where a description came from do not count, nor meshes that only the check looks at.
+    File names and the source of a description do not count, nor do meshes that only the check uses.
     """
     digest = hashlib.sha256(b"falsework.cell/1")
     _feed(digest, cell)
@@ -144,7 +144,7 @@ def _feed(digest, value: Any) -> None:
                 digest.update(entry.name.encode())
                 _feed(digest, getattr(value, entry.name))
     elif isinstance(value, np.ndarray):
-        # Rounded, so that a cell that went through a file keeps its digest.
+        # Rounded, so that the digest survives a round trip through a file.
         digest.update((np.round(value.astype(np.float64), 9) + 0.0).astype("<f8").tobytes())
     elif isinstance(value, (tuple, list)):
         digest.update(np.int64(len(value)).tobytes())

@@ -16,41 +16,41 @@ from falsework.robots.model.shapes import Pieces, hull
 Array = NDArray[np.float64]
 
 MAX_PIECES = 32
-"""Most pieces of one part; when they are used up, the cover stays looser than asked for."""
+"""Largest number of pieces per part; beyond it the cover stays looser than the tolerance."""
 IDLE_CUTS = 2
-"""Cuts in a row that may take nothing off: a ring must be halved before a cut of the halves helps."""
+"""Consecutive cuts that may gain nothing: a ring must be halved before a cut of the halves helps."""
 CUT_PLANES = 16
-"""Planes that are tried for one cut."""
+"""Number of planes tried per cut."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Cut:
-    """Remainder of a solid on one side of some planes: its surface there, open where it was cut."""
+    """Part of a solid on one side of some planes: its surface there, open at the cuts."""
 
     triangles: Array
     """Shape (triangles, 3, 3)."""
     planes: tuple[Array, ...]
-    """Of the cuts, `n . x <= d` inside, each as (n, d), shape (4,)."""
+    """Cutting planes, `n . x <= d` inside, each as (n, d), shape (4,)."""
     corners: Array
     """Vertices of the convex hull, shape (corners, 3)."""
     volume: float = field(default=0.0)
-    """Of the convex hull, m3."""
+    """Volume of the convex hull, m3."""
     idle: int = 0
-    """Cuts in a row that took nothing off."""
+    """Consecutive cuts that gained nothing."""
 
 
 def convex_pieces(mesh: TriangleMesh, tolerance: float = 0.05, pieces: int = MAX_PIECES) -> Pieces:
     """Return convex pieces whose union contains the solid that a mesh encloses.
 
-    The solid is cut by planes, at each step where that takes most off the convex hulls, until the hulls together are
-    at most `tolerance` larger than the solid. Every piece is the hull of what it covers, so nothing of the solid is
+    The solid is cut by planes, in each step where that reduces the volume of the convex hulls most, until together
+    they exceed the solid by at most `tolerance`. Every piece is the hull of what it covers, so no part of the solid is
     ever outside; where the limit of pieces is reached first, or a surface is curved, the cover is larger than the
-    solid and motions keep farther away than they must.
+    solid and motions keep a larger distance than necessary.
 
     Args:
-        mesh: closed mesh that faces outwards.
+        mesh: closed mesh with outward normals.
         tolerance: share of the volume by which the pieces may exceed the solid.
-        pieces: most pieces.
+        pieces: largest number of pieces.
 
     Raises:
         InputError: the mesh spans no volume.
@@ -59,7 +59,7 @@ def convex_pieces(mesh: TriangleMesh, tolerance: float = 0.05, pieces: int = MAX
     start = _Cut(mesh.triangles, (), corners, float(ConvexHull(corners).volume))
     solid = mesh.volume
     parts: list[_Cut] = [start]
-    done: dict[int, _Cut] = {}  # by identity; kept, so that no other takes over the number
+    done: dict[int, _Cut] = {}  # by identity; kept, so that Python does not reuse the number
     while len(parts) < pieces and sum(part.volume for part in parts) > solid * (1 + tolerance):
         order = np.argsort([-part.volume for part in parts], kind="stable").tolist()
         for index in order:
@@ -78,7 +78,7 @@ def convex_pieces(mesh: TriangleMesh, tolerance: float = 0.05, pieces: int = MAX
 
 
 def _halve(part: _Cut, mesh: TriangleMesh) -> tuple[_Cut, _Cut] | None:
-    """Cut across the middle of the longest side, though it takes nothing off."""
+    """Cut across the middle of the longest side, even without gain."""
     low, high = part.corners.min(axis=0), part.corners.max(axis=0)
     axis = int(np.argmax(high - low))
     plane = np.append(np.eye(3)[axis], (low[axis] + high[axis]) / 2)
@@ -89,7 +89,7 @@ def _halve(part: _Cut, mesh: TriangleMesh) -> tuple[_Cut, _Cut] | None:
 
 
 def _best_cut(part: _Cut, mesh: TriangleMesh) -> tuple[_Cut, _Cut] | None:
-    """Return the cut that leaves least hull on its two sides together, or None if none takes off a thousandth."""
+    """Return the cut with the least hull volume of its two sides together; None if none gains a thousandth."""
     most = part.volume * (1 - 1e-3)
     best, chosen = most, None
     for plane in _candidates(part):
@@ -106,7 +106,7 @@ def _best_cut(part: _Cut, mesh: TriangleMesh) -> tuple[_Cut, _Cut] | None:
 
 
 def _candidates(part: _Cut) -> list[Array]:
-    """Return planes of faces that lie inside the hull, and planes across its middle; shape (4,) each."""
+    """Return planes of faces inside the hull, and planes across its middle; shape (4,) each."""
     corners = part.triangles
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(cross, axis=1)
@@ -114,7 +114,7 @@ def _candidates(part: _Cut) -> list[Array]:
     normals = cross[good] / area[good, None]
     levels = np.einsum("ij,ij->i", normals, corners[good, 0])
     size = float(np.ptp(part.corners, axis=0).max())
-    # A face plane cuts if there is solid in front of it; each plane once, the largest faces first.
+    # A face plane cuts if there is solid in front of it; each plane once, largest faces first.
     front = (part.corners @ normals.T).max(axis=0) - levels > 1e-4 * size
     key = np.round(np.c_[normals, levels / size][front] * 1e4).astype(np.int64)
     flip = np.sign(key[np.arange(len(key)), np.argmax(np.abs(key) > 10, axis=1)])
@@ -131,12 +131,12 @@ def _candidates(part: _Cut) -> list[Array]:
 
 
 def _clip(part: _Cut, plane: Array, mesh: TriangleMesh | None) -> _Cut | None:
-    """Return the part behind a plane, or None if there is nothing to speak of; an estimate where no mesh is given."""
+    """Return the part behind a plane, or None if it is negligible; an estimate where no mesh is given."""
     normal, level = plane[:3], plane[3]
     size = float(np.ptp(part.corners, axis=0).max())
     height = part.triangles @ normal - level
     height[np.abs(height) < 1e-9 * max(size, 1e-9)] = 0.0
-    # A face in the plane bounds what is behind it if it looks along the normal, else what is in front.
+    # A face in the plane bounds the part behind it if its normal agrees, else the part in front.
     along = np.cross(part.triangles[:, 1] - part.triangles[:, 0], part.triangles[:, 2] - part.triangles[:, 0]) @ normal
     whole = (height <= 0).all(axis=1) & ((height < 0).any(axis=1) | (along > 0))
     split = (height < 0).any(axis=1) & (height > 0).any(axis=1)

@@ -28,7 +28,7 @@ class PartShapes:
     pieces: tuple[Pieces, ...]
     """Convex pieces in the world frame that cover each part; exact for convex parts."""
     mass: Array
-    """Of what is built in the cell, kg, shape (parts,)."""
+    """Masses in the cell, kg, shape (parts,)."""
     center: Array
     """Centres of mass in the world frame, shape (parts, 3)."""
     turn: Array
@@ -41,15 +41,15 @@ class PartShapes:
 
 
 def place_parts(assembly: Assembly, placement: Placement = Placement(), *, tolerance: float = 0.05) -> PartShapes:
-    """Put the parts of a structure into a cell.
+    """Place the parts of a structure in a cell.
 
     Args:
         assembly: the structure.
-        placement: where it stands, its scale and its density.
+        placement: its pose, scale and density.
         tolerance: share of a part's volume by which its convex pieces may exceed it, as `convex_pieces` takes it.
 
     Raises:
-        InputError: a part that no convex pieces cover.
+        InputError: a part that convex pieces cannot cover.
     """
     scale, world = placement.scale, placement.pose
     meshes = tuple(

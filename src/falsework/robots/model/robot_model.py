@@ -15,7 +15,7 @@ from falsework.robots.model.shapes import Pieces
 Array = NDArray[np.float64]
 
 ACCELERATION_TIME = 0.5
-"""Seconds in which a joint reaches full speed if its description gives no acceleration limit."""
+"""Time in which a joint reaches full speed if its description gives no acceleration limit, s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +23,7 @@ class RobotModel:
     """Chain of joints, each of which moves one link; link 0 is the base and does not move.
 
     Frames: `origins[j]` is the pose of the frame of link `j + 1`, at joint value zero, in the frame of link `j`; joint
-    `j` turns about (or slides along) `axes[j]` in the frame of link `j + 1`.
+    `j` rotates about (or slides along) `axes[j]` in the frame of link `j + 1`.
     """
 
     name: str
@@ -50,14 +50,14 @@ class RobotModel:
     flange: Array
     """Pose of the frame that a gripper is mounted on (`tool0`, z outwards) in the frame of the last link."""
     home: Array
-    """A configuration to rest in, shape (joints,)."""
+    """Home configuration, shape (joints,)."""
     payload: float | None = None
-    """What the arm carries at the flange, gripper included, kg; None: not known."""
+    """Payload at the flange, gripper included, kg; None: unknown."""
     meshes: tuple[tuple[TriangleMesh, ...], ...] | None = None
-    """Collision shapes of every link as the description has them, in the frame of the link, for checks that do not
-    trust `pieces`; None: there are none but the pieces."""
+    """Collision meshes of every link from the robot description, in the frame of the link, for checks that do not
+    use `pieces`; None: there are only the pieces."""
     source: str = field(default="built-in")
-    """Where the description is from: `built-in` or the path of a URDF file."""
+    """Source of the description: `built-in` or the path of a URDF file."""
 
     @property
     def joints(self) -> int:
@@ -66,7 +66,7 @@ class RobotModel:
 
     @cached_property
     def reach(self) -> float:
-        """No point of the flange is farther than this from the first joint's axis origin, metres."""
+        """Bound on the distance of the flange from the origin of the first joint axis, metres."""
         steps = np.linalg.norm(self.origins[1:, :3, 3], axis=1).sum() + np.linalg.norm(self.flange[:3, 3])
         slides = np.maximum(np.abs(self.lower), np.abs(self.upper))[self.prismatic].sum()
         return float(steps + slides)
@@ -77,10 +77,10 @@ class RobotModel:
         return np.asarray(inside.all(axis=-1))
 
     def check_configuration(self, values: object, what: str = "configuration") -> Array:
-        """Return one configuration from outside as an array of shape (joints,).
+        """Return one user-supplied configuration as an array of shape (joints,).
 
         Raises:
-            InputError: wrong length, no numbers, or outside the limits; the message names the joint.
+            InputError: wrong length, not numbers, or outside the limits; the message names the joint.
         """
         try:
             found = np.array(values, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Convex pieces, of which links, grippers, obstacles and parts consist in collision queries.
+"""Convex pieces of links, grippers, obstacles and parts for collision queries.
 
 A piece is the convex hull of its vertices, an array of shape (vertices, 3) in metres.
 """
@@ -16,7 +16,7 @@ Pieces = tuple[Array, ...]
 """Convex pieces that together cover one body."""
 
 CYLINDER_SIDES = 12
-"""Sides of the prism that stands for a cylinder."""
+"""Number of sides of the prism that replaces a cylinder."""
 
 
 def block(low: ArrayLike, high: ArrayLike, **bevels: tuple[float, float, float, float]) -> Array:
@@ -24,12 +24,12 @@ def block(low: ArrayLike, high: ArrayLike, **bevels: tuple[float, float, float, 
 
     Args:
         low, high: opposite corners, metres.
-        bevels: `x`, `y` or `z`: how far the bevels of the four edges along that axis reach, metres. With `u`, `v` the
+        bevels: `x`, `y` or `z`: sizes of the bevels of the four edges along that axis, metres. With `u`, `v` the
             other two axes in the order of the alphabet: at low u and low v, high u and low v, high u and high v, low u
             and high v.
 
     Returns:
-        Its corners, shape (8 or more, 3).
+        Its vertices, shape (8 or more, 3).
     """
     low, high = np.asarray(low, float), np.asarray(high, float)
     planes = [np.append(-np.eye(3)[k], low[k]) for k in range(3)] + [
@@ -51,7 +51,7 @@ def block(low: ArrayLike, high: ArrayLike, **bevels: tuple[float, float, float, 
 def cylinder(radius: float, low: float, high: float) -> Array:
     """Return a prism around a cylinder about the z axis from `low` to `high`, metres. Shape (2 * CYLINDER_SIDES, 3).
 
-    The cylinder lies inside: the prism sticks out by at most 3.5 % of the radius with twelve sides.
+    The cylinder lies inside: the prism exceeds it by at most 3.5 % of the radius with twelve sides.
     """
     angle = 2 * np.pi * np.arange(CYLINDER_SIDES) / CYLINDER_SIDES
     outer = radius / np.cos(np.pi / CYLINDER_SIDES)
@@ -61,7 +61,7 @@ def cylinder(radius: float, low: float, high: float) -> Array:
 
 
 def hull(points: ArrayLike) -> Array:
-    """Return vertices of the convex hull. Shape (vertices, 3).
+    """Return the vertices of the convex hull. Shape (vertices, 3).
 
     Raises:
         InputError: the points span no volume.
@@ -76,17 +76,17 @@ def hull(points: ArrayLike) -> Array:
 
 
 def move(pose: Array, vertices: Array) -> Array:
-    """Return vertices moved by a pose, shapes (4, 4) and (vertices, 3)."""
+    """Return vertices transformed by a pose, shapes (4, 4) and (vertices, 3)."""
     return vertices @ pose[:3, :3].T + pose[:3, 3]
 
 
 def move_pieces(pose: Array, pieces: Pieces) -> Pieces:
-    """Return pieces moved by a pose, shape (4, 4)."""
+    """Return pieces transformed by a pose, shape (4, 4)."""
     return tuple(_frozen(move(pose, piece)) for piece in pieces)
 
 
 def pose(position: ArrayLike = (0.0, 0.0, 0.0), yaw: float = 0.0) -> Array:
-    """Return a pose that stands upright, turned about z by `yaw` radians. Shape (4, 4)."""
+    """Return an upright pose, rotated about z by `yaw` radians. Shape (4, 4)."""
     made = np.eye(4)
     made[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
     made[:3, 3] = position

@@ -11,18 +11,18 @@ from falsework.robots.model.shapes import hull
 Array = NDArray[np.float64]
 
 MAX_PLANES = 48
-"""Planes that a simplified hull has at most."""
+"""Largest number of planes of a simplified hull."""
 
 
 def outer_hull(points: ArrayLike, tolerance: float = 0.004, planes: int = MAX_PLANES) -> Array:
     """Return vertices of a polytope with few faces around the convex hull of points.
 
-    Starts from the box and adds, where a corner sticks out farthest, the plane of the hull that it violates most.
+    Starts from the bounding box and repeatedly adds the plane of the hull that the farthest corner violates most.
 
     Args:
         points: shape (points, 3), metres.
-        tolerance: how far corners may stick out, metres.
-        planes: most planes; corners may stick out farther where these are used up.
+        tolerance: largest distance of corners from the hull, metres.
+        planes: largest number of planes; with all of them used, corners may be farther out.
 
     Returns:
         Shape (vertices, 3); the hull itself where that has no more vertices.

@@ -1,1 +1,1 @@
-"""Collision-free paths and their timing."""
+"""Collision-free paths and their time parameterisation."""

@@ -39,11 +39,11 @@ class Scene:
     configurations: tuple[Array, ...]
     """Joint values of every robot."""
     present: NDArray[np.bool_]
-    """Which parts stand at their place in the structure, held or not; shape (parts,)."""
+    """Which parts are in place in the structure, held or not; shape (parts,)."""
     attached: tuple[Attached | None, ...]
-    """What each robot carries; such a part is not `present`."""
+    """Part in the gripper of each robot; such a part is not `present`."""
     elsewhere: tuple[tuple[int, Array], ...] = ()
-    """Parts that lie somewhere else, with their pose (4, 4) relative to their place in the structure."""
+    """Parts lying elsewhere, with their pose (4, 4) relative to their place in the structure."""
 
     @staticmethod
     def at_home(cell: Cell, parts: PartShapes) -> Scene:
@@ -51,19 +51,19 @@ class Scene:
         return Scene(cell.homes, np.ones(parts.part_count, bool), (None,) * cell.robot_count)
 
     def with_configuration(self, robot: int, values: ArrayLike) -> Scene:
-        """Return the same with one robot elsewhere."""
+        """Return the same scene with one robot in another configuration."""
         changed = list(self.configurations)
         changed[robot] = np.array(values, dtype=np.float64)
         return replace(self, configurations=tuple(changed))
 
     def with_removed(self, *parts: int) -> Scene:
-        """Return the same without some parts."""
+        """Return the same scene without some parts."""
         present = self.present.copy()
         present[list(parts)] = False
         return replace(self, present=present)
 
     def with_attached(self, robot: int, part: int, tool: Array) -> Scene:
-        """The same with a part taken off its place by a robot whose tool frame is at `tool` in the world, (4, 4)."""
+        """Return the same scene with a part removed by a robot whose tool frame is at `tool` in the world, (4, 4)."""
         carried = list(self.attached)
         carried[robot] = Attached(part, inverse_pose(tool))
         return replace(self.with_removed(part), attached=tuple(carried))
@@ -75,7 +75,7 @@ class Contact:
 
     For an approach or a withdrawal: the gripper may touch the part that it grips. For the withdrawal of a part: the
     carried part may touch the parts (and the floor) that it leaves. The second rule is only safe along a straight line
-    that the clearance table has proven free for the parts that are present; nothing is checked here for those pairs.
+    that the clearance table has proven free for the present parts; these pairs are not checked here.
     """
 
     gripper: frozenset[int] = frozenset()
@@ -93,7 +93,7 @@ NO_CONTACT = Contact()
 class CollisionQuery:
     """Collision queries for one moving robot in a static scene; made by `CollisionWorld.view`.
 
-    Not to be shared between threads, since queries reuse scratch arrays; make one view a thread.
+    Not to be shared between threads, since queries reuse scratch arrays; make one query object per thread.
     """
 
     world: CollisionWorld
@@ -110,12 +110,12 @@ class CollisionQuery:
 
     @property
     def model(self):
-        """The arm that moves."""
+        """The moving arm."""
         return self.world.cell.robots[self.robot].model
 
     @property
     def margin(self) -> float:
-        """Distance that is kept, metres."""
+        """Distance to keep, metres."""
         return float(self.rules.margin)
 
     def hits(self, configurations: ArrayLike) -> NDArray[np.int64]:
@@ -130,7 +130,7 @@ class CollisionQuery:
         return found
 
     def collides(self, configurations: ArrayLike) -> NDArray[np.bool_]:
-        """Return whether something is nearer than the margin.
+        """Return whether any pair is nearer than the margin.
 
         Shape (batch, joints) to (batch,). Limits are not checked.
         """
@@ -147,13 +147,13 @@ class CollisionQuery:
         return self.body_names[a], self.body_names[b]
 
     def explain(self, configuration: ArrayLike) -> tuple[str, str] | None:
-        """Return the first pair that is too near at one configuration, by name, or None."""
+        """Return the names of the first pair that is too near at one configuration, or None."""
         hit = int(self.hits(configuration)[0])
         return None if hit == CLEAR else self.pair(hit)
 
 
 class CollisionWorld:
-    """Cell with the parts of a structure; data that depends on them alone is computed once."""
+    """Cell with the parts of a structure; data that depends only on these is computed once."""
 
     def __init__(self, cell: Cell, parts: PartShapes) -> None:
         self.cell = cell
@@ -170,7 +170,7 @@ class CollisionWorld:
         return (*found, *((obstacle.name, obstacle.pieces) for obstacle in self.cell.obstacles))
 
     def carried(self, robot: int, scene: Scene) -> Carried | None:
-        """Return pieces of what a robot carries, in the frame of the flange."""
+        """Return the pieces of a robot's load, in the frame of the flange."""
         held = scene.attached[robot]
         if held is None:
             return None
@@ -203,10 +203,10 @@ class CollisionWorld:
         """Prepare collision queries for one moving robot in a static scene.
 
         Args:
-            scene: where everything is; the configuration of `robot` in it does not matter.
-            robot: which one moves.
+            scene: poses of everything; the configuration of `robot` in it is ignored.
+            robot: index of the moving robot.
             contact: pairs that may touch.
-            margin: distance to keep, metres; that of free moves if not given.
+            margin: distance to keep, metres; by default that of free motions.
 
         Raises:
             InputError: no such robot.
@@ -240,7 +240,7 @@ class CollisionWorld:
         pair = np.ones((len(kinds), len(owner)), bool)
         links = np.array(kinds)
         joints = entry.model.joints
-        pair[links == 0] = False  # the base stands; robots are checked against it when they move
+        pair[links == 0] = False  # the base is fixed; other robots are checked against it when they move
         pair[np.ix_(links == joints + 1, np.isin(label, list(contact.gripper)))] = False
         pair[np.ix_(links == joints + 2, np.isin(label, list(contact.carried)))] = False
         on_floor = np.full(len(kinds), self.cell.floor is not None)

@@ -13,19 +13,19 @@ from falsework.robots.motion.path_planner import Motion, plan_free
 Array = NDArray[np.float64]
 
 _CACHED_VIEWS = 256
-"""Views that are kept; the oldest goes first."""
+"""Largest number of cached query objects; the oldest is evicted first."""
 
 
 class MotionCache:
-    """Cache of the views and free motions of one collision world."""
+    """Cache of collision queries and free motions of one collision world."""
 
     def __init__(self, world: CollisionWorld, *, nodes: int, seed: int) -> None:
-        """Nothing is computed yet.
+        """Create an empty cache.
 
         Args:
             world: the cell with the parts in it.
-            nodes: of the trees of one free motion.
-            seed: of the free motions.
+            nodes: limit on the nodes of the trees of one free motion.
+            seed: seed of the free motions.
         """
         self.world = world
         self.motions = self.motions_kept = self.views = 0
@@ -34,11 +34,11 @@ class MotionCache:
         self._views: dict[bytes, CollisionQuery] = {}
 
     def motion(self, scene: Scene, robot: int, start: Array, goal: Array) -> Motion:
-        """Return a free motion of one robot; its seed depends on what is asked alone.
+        """Return a free motion of one robot; its seed depends only on the arguments.
 
         Args:
-            scene: where everything else is.
-            robot: the one that moves.
+            scene: poses of everything else.
+            robot: index of the moving robot.
             start: shape (joints,).
             goal: shape (joints,).
         """
@@ -56,10 +56,10 @@ class MotionCache:
         """Return the collision queries of one robot in a scene.
 
         Args:
-            scene: where everything else is.
-            robot: the one that moves.
-            contact: what it may touch.
-            margin: how far it keeps from everything else, metres.
+            scene: poses of everything else.
+            robot: index of the moving robot.
+            contact: pairs that may touch.
+            margin: distance to keep from everything else, metres.
         """
         key = (
             _digest(scene, robot)
@@ -74,7 +74,7 @@ class MotionCache:
 
 
 def _digest(scene: Scene, robot: int) -> bytes:
-    """Return a key of all data that a motion of one robot depends on in a scene."""
+    """Return a key of all data of a scene that a motion of one robot depends on."""
     others = [np.round(values, 6) + 0.0 for other, values in enumerate(scene.configurations) if other != robot]
     pieces = [bytes([robot]), np.packbits(scene.present).tobytes(), *(values.tobytes() for values in others)]
     for owner, carried in enumerate(scene.attached):

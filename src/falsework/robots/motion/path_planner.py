@@ -21,20 +21,20 @@ Array = NDArray[np.float64]
 LONGEST_EDGE = 1.0
 """Longest edge of a tree, rad in joint space."""
 SHORTCUTS = 60
-"""Shortcuts tried on a path that the trees found."""
+"""Shortcuts tried on a path found by the trees."""
 BLOCKED_MARGIN_SHARE = 0.5
 """Share of the margin below which an interval that is not proven free counts as blocked."""
 BLOCKED_LENGTH = 0.0005
 """Lower bound of the same length where the margin is small, metres."""
 SAMPLED_TURN = float(np.pi)
-"""Joints that turn farther than this are sampled within it, unless start or goal lie outside, rad."""
+"""Joints with a larger range are sampled within it, unless start or goal lie outside, rad."""
 ROUNDS_PER_CALL = 50
-"""Rounds of tree growth between two looks at the clock."""
+"""Rounds of tree growth between two deadline checks."""
 
 LINE_STEP = 0.01
-"""First distance between points of a line, metres; halved where the tool deviates or a joint moves too far."""
+"""Initial distance between points of a line, metres; halved where the tool deviates or a joint moves too far."""
 LINE_HALVINGS = 4
-"""Halvings of that distance before the line counts as impossible."""
+"""Halvings of that distance before the line counts as infeasible."""
 LINE_DEVIATION = 0.0002
 """Largest distance of the tool from the line between two points, metres."""
 LINE_JOINT_STEP = 0.2
@@ -55,15 +55,15 @@ Reason = Literal[
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Path of one robot, or the reason why there is none."""
+    """Path of one robot, or the reason for its absence."""
 
     reason: Reason
     path: Array | None = None
-    """Configurations that straight lines in joint space connect, proven free; shape (points, joints)."""
+    """Configurations connected by straight edges in joint space, proven free; shape (points, joints)."""
     pair: tuple[str, str] | None = None
-    """Bodies that came too near, where the reason is a collision."""
+    """Names of the bodies that came too near, where the reason is a collision."""
     at: Array | None = None
-    """Configuration at which they do, shape (joints,)."""
+    """Configuration of the failure, shape (joints,)."""
     samples: int = 0
     """Nodes of the trees when the search ended."""
 
@@ -82,14 +82,14 @@ def plan_free(
 ) -> Motion:
     """Return a path from one configuration to another that keeps the margin of the view everywhere.
 
-    The straight edge is tried first, then two trees grow (RRT-Connect), then shortcuts follow. Every edge is
-    proven free between its ends too (`rrt_connect.edge_free`). The same seed gives the same path.
+    The straight edge is tried first, then RRT-Connect, then the path is shortened by shortcuts. Every edge is
+    proven free over its whole length (`rrt_connect.edge_free`). The same seed gives the same path.
 
     Args:
-        view: who moves in what.
+        view: collision queries of the moving robot.
         start, goal: configurations, shape (joints,).
-        seed: of the samples.
-        nodes: of each tree; when they are used up, there is no connection.
+        seed: seed of the samples.
+        nodes: largest number of nodes per tree, after which the search ends with "no connection".
     """
     model = view.model
     a, b = (np.ascontiguousarray(values, dtype=np.float64) for values in (start, goal))
@@ -131,20 +131,20 @@ def plan_free(
 
 
 def resolution_of(view: CollisionQuery) -> float:
-    """Return the motion of the farthest point within half an interval at which halving ends, metres."""
+    """Return the motion of the farthest point in half an interval at which bisection ends, metres."""
     return max(BLOCKED_MARGIN_SHARE * view.margin, BLOCKED_LENGTH)
 
 
 def follow_line(view: CollisionQuery, start: ArrayLike, direction: ArrayLike, distance: float) -> Motion:
-    """Move the tool along a straight line without turning it, on one branch of the inverse kinematics.
+    """Move the tool along a straight line without rotation, on one branch of the inverse kinematics.
 
-    What may touch is said by the contact rule of the view, the distance to everything else by its margin. The path is
+    The contact rule of the view gives the pairs that may touch, its margin the distance to all others. The path is
     proven free between its points too.
 
     Args:
-        view: who moves in what.
+        view: collision queries of the moving robot.
         start: configuration at the start of the line, shape (joints,).
-        direction: in the world, shape (3,); any length.
+        direction: direction in the world, shape (3,); any length.
         distance: metres.
 
     Raises:
@@ -155,7 +155,7 @@ def follow_line(view: CollisionQuery, start: ArrayLike, direction: ArrayLike, di
     if along.shape != (3,) or not length > 0 or not np.isfinite(length):
         raise InputError(f"direction is {direction!r}; give three numbers that are not all zero")
     if not distance > 0:
-        raise InputError(f"a line of {distance:g} m leads nowhere; give a distance above zero")
+        raise InputError(f"the length of the line is {distance:g} m; give a distance above zero")
     first = np.array(start, dtype=np.float64)
     if not view.model.within_limits(first):
         return Motion("start outside limits", at=first)
@@ -208,7 +208,7 @@ def _branch(tree: Array, parents: NDArray[np.int64], leaf: int) -> list[Array]:
 
 
 def _blocked(view: CollisionQuery, path: Array, edge: int) -> Motion:
-    """Say what is in the way on an edge that is not free."""
+    """Return the failure on an edge that is not free."""
     for share in np.linspace(0, 1, 9):
         values = path[edge] + share * (path[edge + 1] - path[edge])
         hit = int(view.hits(values)[0])

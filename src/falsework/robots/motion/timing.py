@@ -22,13 +22,13 @@ TIME_STEP = 0.05
 CORNER_DEVIATION = 0.0005
 """Largest distance of a point of the arm from its path where corners are rounded, metres: well below all margins."""
 LIMIT_SHARE = 0.98
-"""Share of the limits that the optimiser is given; it keeps them on a grid, and samples lie between."""
+"""Share of the limits given to the optimiser, which enforces them only on a grid."""
 SLOWDOWNS = 8
 
 
 @dataclass(frozen=True, eq=False)
 class Timed:
-    """A trajectory of one robot."""
+    """Trajectory of one robot."""
 
     times: Array
     """Seconds from its start, ascending from 0, shape (samples,)."""
@@ -41,12 +41,12 @@ class Timed:
 
     @property
     def duration(self) -> float:
-        """Seconds."""
+        """Duration of the trajectory, s."""
         return float(self.times[-1])
 
 
 def time_path(model: RobotModel, path: ArrayLike, speed: float = 1.0) -> Timed:
-    """Run along a path of straight edges as fast as velocity and acceleration limits allow.
+    """Compute the time-optimal trajectory along a path of straight edges under velocity and acceleration limits.
 
     Corners are rounded, so that the robot need not stop at them, by so little that no point of the arm leaves the path
     by more than `CORNER_DEVIATION`. The speed along it comes from TOPP-RA (Pham and Pham 2018).
@@ -57,10 +57,10 @@ def time_path(model: RobotModel, path: ArrayLike, speed: float = 1.0) -> Timed:
         speed: share of the velocity limits; accelerations are limited to its square.
 
     Raises:
-        InputError: a path of another number of joints, outside the limits or with values that are not finite, or a
+        InputError: a path with another number of joints, outside the limits or with values that are not finite, or a
             speed that is not in (0, 1].
         DependencyError: toppra is missing.
-        SolverError: the optimiser found no speed; a defect.
+        SolverError: the optimiser found no feasible speed; this is a defect.
     """
     points = _distinct(model, path)
     if not 0 < speed <= 1:
@@ -82,15 +82,15 @@ def time_path(model: RobotModel, path: ArrayLike, speed: float = 1.0) -> Timed:
         if over <= 1.0:
             return timed
         stretch *= over * 1.001
-    raise SolverError(f"no time along a path of {model.name} keeps its limits; this is a defect")
+    raise SolverError(f"no time parameterisation of a path of {model.name} keeps its limits; this is a defect")
 
 
 class _Curve:
-    """Straight edges with corners rounded by parabolas, by length along the edges."""
+    """Straight edges with corners rounded by parabolas, parameterised by length along the edges."""
 
     def __init__(self, points: Array, deviation: float) -> None:
         edges = np.diff(points, axis=0)
-        # Length in the norm in which every joint counts by itself bounds how far points of the arm move.
+        # Length in the 1-norm of joint values bounds how far points of the arm move.
         length = np.abs(edges).sum(axis=1)
         self.along = np.concatenate([[0.0], np.cumsum(length)])
         self.points, self.slopes = points, edges / length[:, None]
@@ -101,12 +101,12 @@ class _Curve:
         self.path_interval = np.array([0.0, self.along[-1]])
 
     def breaks(self) -> Array:
-        """Return the positions where straight stretches and rounded corners meet."""
+        """Return the positions where straight segments and rounded corners meet."""
         inner = self.along[1:-1]
         return np.unique(np.concatenate([[0.0], inner - self.half, inner, inner + self.half, [self.along[-1]]]))
 
     def __call__(self, where: Any, order: int = 0) -> Array:
-        """Position or derivative by length, shape (...) to (..., joints)."""
+        """Return position or derivative by length, shape (...) to (..., joints)."""
         s = np.atleast_1d(np.asarray(where, float))
         edge = np.clip(np.searchsorted(self.along, s, side="right") - 1, 0, len(self.slopes) - 1)
         if order == 0:
@@ -140,7 +140,7 @@ def _optimal(curve: _Curve, velocity: Array, acceleration: Array) -> Any:
     logging.getLogger("toppra").setLevel(logging.ERROR)
 
     class Path(toppra.interpolator.AbstractGeometricPath):
-        """The curve as toppra wants it."""
+        """The curve in the interface of toppra."""
 
         dof: Any = curve.dof
         path_interval: Any = curve.path_interval
@@ -166,7 +166,7 @@ def _optimal(curve: _Curve, velocity: Array, acceleration: Array) -> Any:
     solver = toppra.algorithm.TOPPRA(limits, Path(), gridpoints=grid, parametrizer="ParametrizeConstAccel")
     found = solver.compute_trajectory(0.0, 0.0)
     if found is None:
-        raise SolverError("no speed along a path keeps the limits; this is a defect")
+        raise SolverError("no speed profile along a path keeps the limits; this is a defect")
     return found
 
 
@@ -188,7 +188,7 @@ def _sample(trajectory: Any, duration: float, stretch: float, velocity: Array) -
 
 
 def _distinct(model: RobotModel, path: ArrayLike) -> Array:
-    """Return a path from outside, checked, without points that repeat the one before."""
+    """Return a validated path without consecutive duplicate points."""
     points = np.array(path, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != model.joints or not len(points):
         raise InputError(f"path has shape {points.shape}; {model.name} needs (points, {model.joints})")

@@ -14,29 +14,29 @@ from falsework.search.problem.task import Direction
 Array = NDArray[np.float64]
 
 _LOOKED_AT = 12
-"""Best actions of a keyframe of which it is asked whether the part can leave at once."""
+"""Best actions of a keyframe for which it is checked whether the part can leave immediately."""
 _ASKED = 6
-"""Searches for an answer at one keyframe; beyond, what is not known counts as no."""
+"""Searches for solvability at one keyframe; after these, unknown counts as unsolvable."""
 
 
 class ExecutionHeuristic:
     """Score of the actions of a state: ease of execution by arms, plus an action heuristic.
 
-    Removals first: they set a robot free. Then parts that nothing blocks, and high up. A guide knows what stands, not
-    what an arm can do: a policy followed alone leads to states where no part can be drawn out.
+    Removals come first, since they free a robot; then unblocked and high parts. The heuristic knows stability, not
+    reachability: a policy followed alone leads to states where no part can be withdrawn.
     """
 
     def __init__(self, graph: KeyframeGraph, guide: Guide | None) -> None:
-        """Score actions.
+        """Prepare the score.
 
         Args:
             graph: keyframes of the structure in the cell.
-            guide: ranks actions, such as a trained policy.
+            guide: action heuristic, such as a trained policy.
         """
         self.graph, self.guide = graph, guide
 
     def __call__(self, states: States, actions: Mask) -> Array:
-        """As `solvability.ActionScore`: shapes (batch, parts) and (batch, 2 parts), which is returned too."""
+        """Return scores as `solvability.ActionScore`: shapes (batch, parts) and (batch, 2 parts), the latter out."""
         scores = self.guided(states, actions)
         for row, action in zip(*(index.tolist() for index in np.nonzero(actions)), strict=True):
             scores[row, action] += self.of(states[row], action)
@@ -60,12 +60,12 @@ class ActionRanking:
     """Order of the legal actions of keyframes."""
 
     def __init__(self, graph: KeyframeGraph, ease: ExecutionHeuristic, solvability: SolvabilityCheck) -> None:
-        """Rank actions.
+        """Prepare the ranking.
 
         Args:
             graph: keyframes of the structure in the cell.
-            ease: how easy actions are, wherever the robots are.
-            solvability: which actions are legal, and which are known to keep the way open.
+            ease: ease of execution, independent of configurations.
+            solvability: legal actions, and those known to keep the target reachable.
         """
         self.graph, self.ease, self.solvability = graph, ease, solvability
 
@@ -73,9 +73,9 @@ class ActionRanking:
         """Return the legal actions in order of trial: easy ones near a free robot and far from busy ones.
 
         Args:
-            node: where to go on.
-            attempt: number of the search; later ones are shaken more.
-            rng: shakes the order.
+            node: the keyframe.
+            attempt: number of the search; later ones are perturbed more.
+            rng: random generator of the perturbation.
         """
         actions = self.solvability.legal(node.state)
         if not actions:
@@ -107,7 +107,7 @@ class ActionRanking:
         return [a for a in looked if a not in waiting] + waiting + actions[_LOOKED_AT:]
 
     def waits(self, edge: Edge) -> bool:
-        """Return whether an arm would hold a part that could leave, while it has no way to carry it away."""
+        """Return whether an arm would hold a part that is unblocked but cannot be carried away yet."""
         parts, state = len(edge.node.state), edge.node.state
         removal = edge.action + parts
         if not self.graph.settings.haste or edge.action >= parts or removal not in self.solvability.legal(state):
@@ -115,7 +115,7 @@ class ActionRanking:
         return self.solvability.known(state, removal) and next(self.graph.edges(edge.node, removal), None) is None
 
     def _score(self, node: Node, action: int) -> float:
-        # What is known costs nothing to judge; a part with its way blocked is worse than an unknown answer.
+        # Known results cost nothing; a part with blocked exits is worse than an unknown result.
         score = 3.0 * self.solvability.preferred(node.state, action) + self.solvability.known(node.state, action)
         score += self.ease.of(node.state, action)
         if action >= len(node.state):

@@ -1,4 +1,4 @@
-"""Actions that fail at keyframes, and the holds that are to blame: where a search goes back to."""
+"""Actions that fail at keyframes, and the holds that caused the failures: targets of backjumping."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from falsework.robots.planning.solvability import SolvabilityCheck
 
 
 class FailedActions:
-    """Actions without a motion, each with the robots that are in its way.
+    """Actions without a motion, each with the robots that block it.
 
     Conflict-directed backjumping: Prosser, Hybrid algorithms for the constraint satisfaction problem (1993).
     """
 
     def __init__(self, graph: KeyframeGraph, solvability: SolvabilityCheck) -> None:
-        """Nothing has failed yet.
+        """Create an empty set.
 
         Args:
-            graph: keyframes, which log why motions fail.
-            solvability: knows the legal actions.
+            graph: keyframe graph, which logs why motions fail.
+            solvability: source of the legal actions.
         """
         self.graph, self.solvability = graph, solvability
         self._robots: dict[tuple[bytes, int], set[int]] = {}
@@ -29,12 +29,12 @@ class FailedActions:
         return (node.key, action) in self._robots
 
     def add(self, node: Node, action: int) -> bool:
-        """Note an action that has just failed: in its way are robots that others met, and the one with the part.
+        """Record an action that has just failed: blocked by robots in collisions, and by the robot that holds the part.
 
-        Where nothing is in the way, those are to blame that could hold the part if they did not hold another one.
+        Without any, it is blocked by the robots that could hold the part if they held no other.
 
         Returns:
-            Whether parts turned out to be ones that no two arms can hold at the same time.
+            Whether two parts turned out to be ones that no two arms can hold at the same time.
         """
         parts, names = self.graph.assembly.part_count, [robot.name for robot in self.graph.cell.robots]
         found = {node.held.index(action - parts)} if action >= parts else set()
@@ -55,14 +55,14 @@ class FailedActions:
         return [action for action in self.solvability.legal(node.state) if (node, action) in self]
 
     def blamed(self, node: Node, chain: Sequence[Edge]) -> set[int]:
-        """Return the holds without which an action that failed at a keyframe might not have.
+        """Return the holds without which an action that failed at a keyframe might have succeeded.
 
         Args:
             node: the keyframe.
             chain: the edges that lead to it.
 
         Returns:
-            Numbers of edges.
+            Indices of edges.
         """
         robots = {robot for action in self.of(node) for robot in self._robots[node.key, action]}
         last = {edge.robot: number for number, edge in enumerate(chain)}

@@ -14,7 +14,7 @@ from falsework.utils.bits import pack, unpack
 Array = NDArray[np.float64]
 
 _TILT_DEGREES = (20.0, 50.0, 85.0)
-"""Angles to the vertical of the ways that are tried besides straight up, degrees."""
+"""Angles to the vertical of the directions that are tried besides straight up, degrees."""
 _HEADINGS = 6
 _LOWEST_SLOPE = -1e-6
 
@@ -22,12 +22,12 @@ _LOWEST_SLOPE = -1e-6
 class ExitDirections:
     """Fan of exit directions for every part, none downwards, with the parts that block each.
 
-    The clearance table answers whether a part can leave, for which one free way is as good as another. A robot has
-    preferences: it cannot drag a part along the floor for long, nor pull where its arm does not reach.
+    The clearance table decides whether a part can leave at all, for which any free direction will do. A robot has
+    preferences: it cannot drag a part along the floor for long, nor pull beyond the reach of its arm.
     """
 
     def __init__(self, assembly: Assembly, turn: Array) -> None:
-        """Sweep all parts.
+        """Compute the blocking parts of every part and direction.
 
         Args:
             assembly: the structure.
@@ -48,7 +48,7 @@ class ExitDirections:
                 blockers = np.concatenate([blockers, sweeper.blocked(part, fan)])
             world = directions @ turn.T
             rises = world[:, 2] > _LOWEST_SLOPE
-            # Ways that lead down are missed only where something that never leaves does not block them anyway.
+            # Downward directions are missed only where something that never leaves does not block them anyway.
             missed = blockers[~rises & ~blockers[:, assembly.boundary].any(axis=1)]
             world, blockers = world[rises], blockers[rises]
             exact[part] &= all(includes_one(row, blockers) for row in missed)
@@ -62,14 +62,14 @@ class ExitDirections:
             exact,
             known.sampled,
         )
-        """The same as a clearance table, for the rules of a task: a part that could only fall out cannot leave."""
+        """The same as a clearance table, for the rules of a task: a part that can only leave downwards cannot leave."""
 
     def blockers(self, part: int) -> NDArray[np.bool_]:
-        """Return parts that block each way of a part, shape (ways, parts)."""
+        """Return the parts that block each exit direction of a part, shape (directions, parts)."""
         return self._ways[part][1]
 
     def free(self, part: int, state: States) -> Array:
-        """Ways that nothing present blocks, in the world, steepest first, shape (n, 3)."""
+        """Return the exit directions that no present part blocks, in the world, steepest first, shape (n, 3)."""
         directions, blockers = self._ways[part]
         return directions[~(blockers & (state != REMOVED)).any(axis=1)]
 

@@ -1,4 +1,4 @@
-"""Choice of actions for robots that move at the same time: expected times, and work on the sides of all robots."""
+"""Choice of actions for robots that move at the same time: expected times, and a balance of work between robots."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ class Clock:
     """Times at a keyframe if every robot moves as soon as its own motions and the order of the states allow."""
 
     robots: tuple[float, ...] = ()
-    """When each is done with what it does, seconds; empty at the start."""
+    """Time at which each robot is done, seconds; empty at the start."""
     state: float = 0.0
-    """When the structure comes to the state of the keyframe."""
+    """Time at which the structure reaches the state of the keyframe, seconds."""
 
     def of(self, robot: int) -> float:
-        """Return how much longer than the first to be done a robot is busy, seconds."""
+        """Return how much longer than the first available robot a robot is busy, seconds."""
         return self.robots[robot] - min(self.robots) if self.robots else 0.0
 
     def held(self, robot: int, seconds: float, robots: int) -> Clock:
-        """Return the clock after a robot has gone to a part, which takes `seconds`, and holds it."""
+        """Return the clock after a robot has moved to a part, which takes `seconds`, and holds it."""
         times = list(self.robots or (0.0,) * robots)
         times[robot] = max(times[robot] + seconds, self.state)
         return Clock(tuple(times), times[robot])
 
     def removed(self, robot: int, seconds: float, robots: int) -> Clock:
-        """Return the clock after a robot has left with the part that it holds, and carried it away in `seconds`."""
+        """Return the clock after a robot has left with its part, and carried it away in `seconds`."""
         times = list(self.robots or (0.0,) * robots)
         begin = max(times[robot], self.state)
         times[robot] = begin + seconds
@@ -45,11 +45,11 @@ class Clock:
 
 
 NO_TIME = Clock()
-"""At the start."""
+"""Clock at the start."""
 
 
 def expected_seconds(model: RobotModel, path: Array, speed: float) -> float:
-    """Return about how long a path takes from rest to rest: that of the joint that needs longest for its travel.
+    """Return an estimate of the duration of a path from rest to rest: that of the joint that needs longest.
 
     Args:
         model: the arm.
@@ -64,9 +64,9 @@ def expected_seconds(model: RobotModel, path: Array, speed: float) -> float:
 
 
 class BalanceGuide:
-    """Heuristic that keeps the shares of parts that are left near each robot alike, on top of another heuristic.
+    """Heuristic that balances the shares of remaining parts near each robot, on top of another heuristic.
 
-    Each part counts for the robot that stands nearest to it. Robots then find work on their own sides at any time, far
+    Each part counts for the nearest robot. Robots then find work on their own sides at any time, far
     from each other.
     """
 
@@ -78,7 +78,7 @@ class BalanceGuide:
         self._near = (nearest[:, None] == np.arange(cell.robot_count)) & ~parts.boundary[:, None]
 
     def __call__(self, states: States, actions: Mask, direction: Direction) -> NDArray[np.float64]:
-        """As `Guide`."""
+        """Return scores as `Guide`."""
         near = self._near.astype(np.float64)
         left = (states != REMOVED).astype(np.float64) @ near
         whole = near.sum(axis=0)

@@ -25,17 +25,17 @@ class LoggedFailure:
     robot: int
     what: str
     pair: tuple[str, str] | None = None
-    """Bodies that came too near."""
+    """Names of the bodies that came too near."""
 
 
 @dataclass
 class FailureLog:
-    """Failure counts of a search; one configuration of each kind is kept as an example."""
+    """Failure counts of a search, with one example configuration of each kind."""
 
     counts: Counter[LoggedFailure] = field(default_factory=Counter)
     examples: dict[LoggedFailure, Array] = field(default_factory=dict)
     recent: set[LoggedFailure] = field(default_factory=set)
-    """Failures since it was cleared."""
+    """Failures since the last reset."""
 
     def add(
         self,
@@ -46,7 +46,7 @@ class FailureLog:
         pair: tuple[str, str] | None = None,
         at: Array | None = None,
     ) -> None:
-        """Take note of a failure."""
+        """Record a failure."""
         reason = LoggedFailure(action, int(part), int(robot), what, pair)
         self.counts[reason] += 1
         self.recent.add(reason)
@@ -54,7 +54,7 @@ class FailureLog:
             self.examples.setdefault(reason, np.asarray(at))
 
     def of(self, part: int) -> list[tuple[LoggedFailure, int]]:
-        """Return failures with one part, most frequent first."""
+        """Return the failures of one part, most frequent first."""
         return [(reason, count) for reason, count in self.counts.most_common() if reason.part == part]
 
 
@@ -67,18 +67,18 @@ class Explanation:
     reached: int
     """Steps of the longest plan that was found."""
     steps: int
-    """Steps of a whole plan."""
+    """Steps of a complete plan."""
     unreachable: tuple[int, ...]
     """Parts that no robot can hold at all."""
     hopeless: tuple[int, str] | None
-    """Part and kind of the action that failed most often where the search came farthest."""
+    """Part and kind of the action that failed most often where the search got farthest."""
     details: tuple[dict[str, Any], ...]
-    """Most frequent failures there: action, part, robot, what, pair, configuration, count."""
+    """Most frequent failures there: action, part, robot, reason (`what`), pair, configuration, count."""
     text: str
-    """All of it in one line."""
+    """Everything in one line."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the failure as a JSON object."""
+        """Return the explanation as a JSON object."""
         return {
             "outcome": self.outcome,
             "reached": self.reached,
@@ -91,22 +91,22 @@ class Explanation:
 
 
 def fall_in_words(what: str, route: Route, row: int, names: Sequence[str], plans: int = 0) -> str:
-    """Return in words where the replay of a plan falls.
+    """Return in words where the structure collapses in the replay of a plan.
 
     Args:
-        what: the plan.
+        what: name of the plan.
         route: its states and actions.
-        row: the state, by its number in the order of assembly.
-        names: of the parts.
-        plans: how many such plans there were.
+        row: number of the state in assembly order.
+        names: names of the parts.
+        plans: number of such plans.
     """
-    place = "at the beginning"
+    place = "in the first state"
     if row:
         action, parts = int(route.actions[::-1][row - 1]), len(names)
         doing = "inserting" if action >= parts else "releasing"
         place = f"at step {row} of assembly, {doing} {names[action % parts]}"
     counted = f" ({plans} such plans)" if plans else ""
-    return f"every state of a {what} stood, but built up in order it fell {place}{counted}"
+    return f"every state of a {what} is stable, but the structure collapses in the replay {place}{counted}"
 
 
 def explain(
@@ -123,26 +123,26 @@ def explain(
     abstract: bool = False,
     shown: int = 8,
 ) -> Explanation:
-    """Put what a search met into words.
+    """Describe the failures of a search.
 
     Args:
-        outcome: how it ended.
+        outcome: outcome of the search.
         reached: steps of the longest plan that was found.
-        steps: steps of a whole plan.
+        steps: steps of a complete plan.
         reasons: all failures.
-        tried: actions that failed where the search came farthest, as kind and part, with how often.
+        tried: actions that failed where the search got farthest, as kind and part, with counts.
         robots: names of the robots.
         names: names of the parts.
-        unreachable: parts that no robot can hold even where they stand alone.
-        limit: what ended the search.
-        abstract: whether there is not even a plan without motions.
-        shown: failures to list.
+        unreachable: parts that no robot can hold even when they are alone.
+        limit: limit that ended the search.
+        abstract: whether even a plan without motions is missing.
+        shown: number of failures to list.
     """
     hopeless = max(tried, key=lambda key: (tried[key], -key[1])) if tried else None
     focus = {(kind, part) for kind, part in tried} | {("hold", part) for part in unreachable}
     details = []
     for reason, count in reasons.counts.most_common():
-        # What stops a part from being held may be that it could not leave from that grip later.
+        # A hold may fail because the part could not leave later with that grasp.
         if (reason.action, reason.part) not in focus and ("hold", reason.part) not in focus:
             continue
         at = reasons.examples.get(reason)
@@ -166,15 +166,15 @@ def explain(
     }
     pieces = [words[outcome]]
     if abstract:
-        pieces.append("stability and clear ways out alone leave no order of actions; falsework plan says why")
+        pieces.append("stability and exit directions alone allow no order of actions; falsework plan explains why")
     else:
-        pieces.append(f"it came to step {reached} of {steps}")
+        pieces.append(f"the search reached step {reached} of {steps}")
     if unreachable:
         listed = ", ".join(names[part] for part in unreachable[:8]) + (", ..." if len(unreachable) > 8 else "")
         pieces.append(f"no robot can hold {listed}")
     if hopeless is not None:
         kind, part = hopeless
-        pieces.append(f"there it could not {kind} {names[part]}")
+        pieces.append(f"most failures there: {kind} {names[part]}")
     for entry in details[:2]:
         pair = "" if entry["pair"] is None else f" ({entry['pair'][0]} and {entry['pair'][1]})"
         pieces.append(f"{entry['robot']}, {entry['action']} {entry['part']}: {entry['what']}{pair}")

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class GraspConfiguration:
-    """Grasp of a part by one robot, with its configuration."""
+    """Grasp of a part by one robot, with a configuration that reaches it."""
 
     robot: int
     grasp: Grasp
@@ -34,14 +34,14 @@ class GraspConfigurations:
     """Grasp configurations of the robots of a cell, computed on demand."""
 
     def __init__(self, assembly: Assembly, cache: MotionCache, reasons: FailureLog, *, limit: int) -> None:
-        """Look at the `limit` best grasps of a part in the scenes of `cache`; log to `reasons` why none is possible."""
+        """Try the `limit` best grasps of a part in the scenes of `cache`; log to `reasons` why none is possible."""
         self.assembly, self.cell, self.parts = assembly, cache.world.cell, cache.world.parts
         self.cache, self.reasons, self.limit = cache, reasons, limit
         self._grips: dict[tuple[int, int, bytes], list[GraspConfiguration]] = {}
         self._places: dict[int, Array] = {}
 
     def of(self, robot: int, part: int, state: States) -> list[GraspConfiguration]:
-        """Return all ways in which a robot can hold a part among the parts of a state; other robots do not count."""
+        """Return all grasps of a part by a robot among the parts of a state; other robots are ignored."""
         present = state != REMOVED
         key = (robot, part, np.packbits(present).tobytes())
         if key not in self._grips:
@@ -49,7 +49,7 @@ class GraspConfigurations:
         return self._grips[key]
 
     def places(self, robot: int) -> Array:
-        """Return configurations in which a robot puts parts down, shape (n, joints)."""
+        """Return drop-off configurations of a robot, shape (n, joints)."""
         if robot not in self._places:
             entry = self.cell.robots[robot]
             found = [values for values in inverse(entry, entry.places) if len(values)]
@@ -59,14 +59,14 @@ class GraspConfigurations:
     def best(
         self, grips: list[GraspConfiguration], robot: int, scene: Scene, held: tuple[int | None, ...], count: int
     ) -> list[GraspConfiguration]:
-        """Return the grips to try, best first: near to where the robot is, and out of the way of others.
+        """Return the grasps to try, best first: near the robot's configuration, and away from other arms.
 
         Args:
-            grips: of one robot.
-            robot: which one.
-            scene: where everything is.
-            held: the part that each of them holds.
-            count: most grips that are returned.
+            grips: grasps of one robot.
+            robot: index of that robot.
+            scene: poses of everything.
+            held: the part that each robot holds.
+            count: largest number of returned grasps.
         """
         room = self._room(grips, robot, scene.configurations, held)
         here = scene.configurations[robot]
@@ -76,10 +76,10 @@ class GraspConfigurations:
     def _room(
         self, grips: list[GraspConfiguration], robot: int, configurations: Sequence[Array], held: tuple[int | None, ...]
     ) -> Array:
-        """Return the distance between grips and other arms, in approach margins, shape (grips,).
+        """Return the distance between grasps and other arms, in approach margins, shape (grasps,).
 
-        The gripper's end at the flange had better be on the side of the own base, and away from what others hold.
-        Zeros for fewer than three arms: two seldom crowd each other, and nearest first does better for them.
+        The flange end of the gripper should be on the side of its own base, and away from parts that others hold.
+        Zeros for fewer than three arms: two seldom obstruct each other, and nearest first does better for them.
         """
         if not grips or self.cell.robot_count < 3:
             return np.zeros(len(grips))
@@ -104,7 +104,7 @@ class GraspConfigurations:
             return []
         found = grasps(self.assembly, self.parts, part, present, entry, limit=self.limit)
         if not found:
-            self.reasons.add("hold", part, robot, "no face that the gripper can take")
+            self.reasons.add("hold", part, robot, "no face that the gripper can grasp")
             return []
         branches = inverse(entry, np.array([grasp.tool for grasp in found]))
         if not sum(len(solutions) for solutions in branches):
@@ -121,12 +121,12 @@ class GraspConfigurations:
             if (hits >= 0).any():
                 pair = view.pair(int(hits[hits >= 0][0]))
         if not grips:
-            self.reasons.add("hold", part, robot, "every grip collides", pair)
+            self.reasons.add("hold", part, robot, "every grasp collides", pair)
         return grips
 
 
 def _spread(grips: list[GraspConfiguration], count: int) -> list[GraspConfiguration]:
-    """Return the first grips, of each grasp one at a time, so that a single grasp does not use up all tries."""
+    """Return the first configurations, one of each grasp in turn, so that a single grasp does not use up all tries."""
     rank: dict[int, int] = {}
     keyed = []
     for place, grip in enumerate(grips):

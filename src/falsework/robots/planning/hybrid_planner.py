@@ -39,13 +39,13 @@ from falsework.search.problem.task import Task
 from falsework.stability.oracle import Stability
 
 _EDGES_PER_ACTION = 3
-"""Motions of one action that are tried at a keyframe."""
+"""Motions per action that are tried at a keyframe."""
 _ACTIONS_PER_KEYFRAME = 8
-"""Actions that are tried at a keyframe with motions, before it counts as a dead end."""
+"""Actions that are tried with motions at a keyframe before it counts as a dead end."""
 _SOLVABILITY_CHECKS = 4
-"""Checks of solvability at one keyframe in the first search; later searches may make more."""
+"""Solvability checks at one keyframe in the first search; later searches may make more."""
 _LAST_VERDICTS = 400
-"""Verdicts for such checks where no action has worked yet, before the keyframe counts as a dead end."""
+"""Verdicts for such checks where no action has succeeded yet, before the keyframe counts as a dead end."""
 _MAX_FALLEN_REPLAYS = 40
 """Plans with motions whose replay may fall before the search is given up."""
 _POSTPONED_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
@@ -69,15 +69,15 @@ def plan_robots(
 
     Args:
         assembly: the structure.
-        cell: the robots and what is around them.
-        task: from which state to which, and rules; by default the complete structure is taken apart. Its number of
+        cell: the robots and their surroundings.
+        task: start and target states, and rules; by default the complete structure is disassembled. Its number of
             robots is that of the cell, and every removed part needs a free exit direction, not downwards.
-        configurations: where the robots are at the start, one a robot, shape (joints,) each; at home if not given.
+        configurations: joint values of the robots at the start, shape (joints,) each; by default their home.
         held: the part that each robot holds at the start; needed if the start state has held parts.
         oracle: decides stability; pass an existing one to reuse its cache.
-        guide: ranks actions, such as a trained policy; how easy they are for the arms counts beside it.
-        settings: how hard to look.
-        progress: called now and then.
+        guide: action heuristic, such as a trained policy, added to the ease of execution by the arms.
+        settings: limits of the search.
+        progress: callback, called at intervals.
         graph: keyframe graph of the same structure and cell, whose motions are used again.
 
     Raises:
@@ -128,11 +128,11 @@ class _Search:
         self.attempt = 0
         self.unreachable: list[int] | None = None
         self.fallen = ""
-        """Where the replay of the last plan that was not delivered falls, in words."""
+        """Where the replay of the last rejected plan fails, in words."""
         self._reported = self.began
 
     def run(self, root: Node) -> HybridResult:
-        """Find an abstract plan, then motions for it or for one near it."""
+        """Find an abstract plan, then motions for it or for a similar one."""
         self.abstract = self.solvability.prepare(self.deadline_passed)
         if not self.abstract.found:
             if self.solvability.fallen is not None:
@@ -141,7 +141,7 @@ class _Search:
         if self.task.steps == 0:
             return self.solved(root, [])
         limit = ""
-        # Where parts are missing, they may have to come sooner than stability asks for, so that the arms get them in.
+        # Missing parts may have to come earlier than stability requires, so that the arms can insert them.
         shares = _POSTPONED_SHARES if any(self.solvability.postponed) else (1.0,)
         for share in shares:
             self.solvability.relax(share)
@@ -159,8 +159,8 @@ class _Search:
                     limit = f"the deadline of {self.settings.deadline:g} s has passed"
                     return self.failed(root, "interrupted", limit)
                 if self._hopeless():
-                    return self.failed(root, "not_found", "more searching would be in vain")
-                limit = f"{self.attempt} searches did not do{f'; {self.fallen}' if self.fallen else ''}"
+                    return self.failed(root, "not_found", "further search cannot succeed")
+                limit = f"{self.attempt} searches failed{f'; {self.fallen}' if self.fallen else ''}"
         return self.failed(root, "not_found", limit)
 
     def depth_first_pass(self, root: Node, rng: np.random.Generator) -> list[Edge] | None:
@@ -201,7 +201,7 @@ class _Search:
                 keep = self._keyframes_before_fall(root, chain)
                 if keep is None:
                     return chain
-                # What comes before the forbidden state is as good as it was: only the way on from there is another.
+                # The plan up to the forbidden state remains valid: only its continuation changes.
                 del nodes[keep:], options[keep - 1 :], causes[keep:], chain[max(keep - 1, 0) :]
                 if not nodes:
                     return None
@@ -213,10 +213,10 @@ class _Search:
         return None
 
     def _keyframes_before_fall(self, root: Node, chain: list[Edge]) -> int | None:
-        """Replay a plan with motions and forbid the state in which it falls.
+        """Replay a plan with motions and forbid the state in which the structure collapses.
 
         Returns:
-            The number of keyframes before that state, 0 if there is no other way; None if the replay stands.
+            The number of keyframes before that state, 0 if there is no other path; None if the replay succeeds.
         """
         route = self._route(root, chain)
         row = self.solvability.falls(route)
@@ -224,7 +224,7 @@ class _Search:
             return None
         self.counts["replays_fallen"] += 1
         self.fallen = fall_in_words("plan with motions", route, row, self.assembly.names, self.counts["replays_fallen"])
-        self.best = []  # what falls is not handed back as a part of a plan either
+        self.best = []  # a plan that collapses is not returned as a partial plan either
         self.dead.clear()
         forbidden = self.solvability.forbid(route, row)
         if forbidden is None or self.counts["replays_fallen"] == _MAX_FALLEN_REPLAYS:
@@ -232,7 +232,7 @@ class _Search:
         return len(chain) - forbidden
 
     def _options(self, node: Node, rng: np.random.Generator) -> Iterator[Edge]:
-        """Yield edges out of a keyframe in the order in which to try them."""
+        """Yield edges out of a keyframe in order of trial."""
         tried, probes, worked = 0, _SOLVABILITY_CHECKS * (1 + self.attempt), False
         idle: list[Edge] = []
         verdicts = 0
@@ -240,7 +240,7 @@ class _Search:
             if (node, action) in self.failures or self.deadline_passed():
                 continue
             if not self.solvability.known(node.state, action):
-                # Where nothing has worked yet, there is no cheaper way on than to ask, or than going back at last.
+                # Where no action has succeeded yet, further checks are the cheapest way on, apart from backtracking.
                 if (probes <= 0 and worked) or verdicts > _LAST_VERDICTS:
                     continue
                 probes -= 1
@@ -272,14 +272,14 @@ class _Search:
         yield from idle
 
     def _note_dead_end(self, node: Node, depth: int) -> None:
-        """Actions that failed where the search came farthest."""
+        """Count the actions that failed where the search got farthest."""
         if depth < len(self.best):
             return
         for action in self.failures.of(node):
             self.tried["hold" if action < len(node.state) else "remove", action % len(node.state)] += 1
 
     def _hopeless(self) -> bool:
-        """Return whether a part must leave that no robot can hold even where it stands alone."""
+        """Return whether a part must leave that no robot can hold even when it is alone."""
         if self.unreachable is None:
             leaving = np.flatnonzero((self.task.target == REMOVED) & (self.task.start != REMOVED)).tolist()
             self.unreachable = [part for part in leaving if not self.graph.reachable(part)]
@@ -303,12 +303,12 @@ class _Search:
             self.progress(HybridProgress(len(self.best), self.task.steps, self.attempt, dead_ends, now - self.began))
 
     def solved(self, root: Node, chain: list[Edge]) -> HybridResult:
-        """Prove and time a chain of edges."""
+        """Certify a chain of edges and compute its trajectories."""
         plan = self._plan(root, chain)
         return HybridResult(plan, None, None, plan.statistics)
 
     def failed(self, root: Node, outcome: str, limit: str) -> HybridResult:
-        """Say why there is no plan, and keep what there is."""
+        """Explain why there is no plan, and return the partial one."""
         why = explain(
             outcome,
             len(self.best),

@@ -17,16 +17,16 @@ class HybridSettings:
     """Limits of the search for a robot plan."""
 
     seed: int = 0
-    """Same seed, same machine, same result, unless the deadline strikes."""
+    """Same seed, same machine, same result, unless the deadline passes."""
     deadline: float | None = None
     """Seconds after which the search ends with what it has."""
     attempts: int = 40
-    """Searches, each in another order."""
+    """Number of searches, each in another order."""
     dead_ends: int = 15
-    """Dead ends in the first search; when they are used up, the next one begins and may have more."""
+    """Dead ends in the first search; then the next one begins and may have more."""
     keyframes: KeyframeSettings = field(default_factory=KeyframeSettings)
     forces: bool = False
-    """Keep the contact forces that prove each state in the plan."""
+    """Whether to keep the contact forces that prove each state in the plan."""
 
     def __post_init__(self) -> None:
         if min(self.attempts, self.dead_ends) < 1:
@@ -37,14 +37,14 @@ class HybridSettings:
 
 @dataclass(frozen=True, eq=False)
 class HybridResult:
-    """End of a search for a robot plan."""
+    """Result of a search for a robot plan."""
 
     plan: RobotPlan | None
-    """From the start to the target, or None."""
+    """Plan from start to target, or None."""
     partial: RobotPlan | None
     """Without a plan: the longest partial plan whose replay succeeds, if it has any step."""
     explanation: Explanation | None
-    """Where there is no plan: why."""
+    """Explanation where there is no plan."""
     statistics: dict[str, Any]
 
     @property

@@ -1,4 +1,4 @@
-"""Initial keyframe: the task of a cell, and the configurations in which the robots begin."""
+"""Initial keyframe: the task of a cell, and the initial configurations of the robots."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from falsework.search.problem.task import Task
 
 
 def task_in_cell(assembly: Assembly, cell: Cell, task: Task | None, exits: ExitDirections) -> Task:
-    """Return a task with as many robots as the cell has, and with clear ways out, none of them downwards.
+    """Return a task with the number of robots of the cell, and with free exit directions, none of them downwards.
 
     Raises:
         InputError: more parts held at start or target than there are robots.
@@ -41,12 +41,12 @@ def first_keyframe(
     configurations: Sequence[ArrayLike] | None,
     held: Sequence[int | None] | None,
 ) -> Node:
-    """Return the keyframe to begin with, checked.
+    """Return the validated initial keyframe.
 
     Args:
         graph: keyframes of the structure in the cell.
-        task: begins at its start.
-        configurations: where the robots are, one a robot, shape (joints,) each; at home if not given.
+        task: task whose start state is used.
+        configurations: joint values of the robots, shape (joints,) each; by default their home.
         held: the part that each robot holds.
 
     Raises:
@@ -57,7 +57,7 @@ def first_keyframe(
     values = graph.cell.homes if configurations is None else tuple(configurations)
     held = (None,) * len(robots) if held is None else tuple(held)
     if len(values) != len(robots) or len(held) != len(robots):
-        raise InputError(f"{graph.cell.name} has {len(robots)} robots; say of each where it is and what it holds")
+        raise InputError(f"{graph.cell.name} has {len(robots)} robots; give configuration and held part of each")
     checked = tuple(
         robot.model.check_configuration(entry, f"configuration of {robot.name}")
         for robot, entry in zip(robots, values, strict=True)
@@ -66,7 +66,7 @@ def first_keyframe(
     named = sorted(part for part in held if part is not None)
     if named != wanted:
         raise StateError(
-            f"the robots hold parts {named}, the start state has {wanted} held; say which robot holds which part"
+            f"the robots hold parts {named}, the start state has {wanted} held; give the part that each robot holds"
         )
     node = graph.start(task.start, checked, held)
     for robot in range(len(robots)):

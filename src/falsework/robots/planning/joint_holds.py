@@ -18,36 +18,36 @@ from falsework.stability.verdict import Verdicts
 Array = NDArray[np.float64]
 
 _MOST_GRIPS = 120
-"""Grips of one arm that are compared with those of another, spread over all that it has."""
+"""Grasp configurations of one arm that are compared with those of another, spread over all of them."""
 
 
 class JointHolds:
     """Pairs of parts of which one could not be held while an arm held the other.
 
-    Two arms that collide with every pair of their grips do not hold the two parts at the same time, nor where more
-    parts stand, since grips only become fewer. That rules out states for all orders of actions (conflict-driven
+    If two arms collide with every pair of their grasps, they cannot hold the two parts at the same time, nor with more
+    parts present, since grasps only become fewer. That excludes states for all orders of actions (conflict-driven
     learning: Dechter, Enhancement schemes for constraint processing, 1990).
     """
 
     def __init__(self, grips: GraspConfigurations) -> None:
-        """Begin without any pair; `grips` are those of the robots of a cell."""
+        """Create an empty set; `grips` are the grasp configurations of the robots of a cell."""
         self.grips, self.cell = grips, grips.cell
         self.rivals: dict[int, set[int]] = defaultdict(set)
-        """Parts that could not be held while a part was, by that part; both ways."""
+        """Parts that could not be held at the same time as a part, by that part; symmetric."""
         self.excluded = 0
-        """Pairs ruled out so far, each among some parts."""
+        """Number of excluded pairs, each with the parts present."""
         self._excluded: dict[tuple[int, int], list[Mask]] = defaultdict(list)
         self._possible: dict[tuple[int, int], list[Mask]] = defaultdict(list)
 
     def learn(self, part: int, other: int, state: States) -> bool:
-        """Note two parts that could not be held at the same time, and compare their grips.
+        """Record two parts that could not be held at the same time, and compare their grasps.
 
         Args:
             part, other: the parts.
-            state: where one of them could not be held, shape (parts,).
+            state: state in which one of them could not be held, shape (parts,).
 
         Returns:
-            Whether that rules out states that were not ruled out before.
+            Whether that excludes further states.
         """
         self.rivals[part].add(other)
         self.rivals[other].add(part)
@@ -63,12 +63,12 @@ class JointHolds:
         return True
 
     def exclude(self, part: int, other: int, state: States) -> None:
-        """Rule out that two parts are held together where all parts of a state stand, shape (parts,)."""
+        """Exclude holding two parts together where all parts of a state are present, shape (parts,)."""
         self.excluded += 1
         self._excluded[_pair(part, other)].append(state != REMOVED)
 
     def learn_from(self, states: States) -> bool:
-        """Compare the grips of all rivals that are held together in some states; whether that rules out any of them.
+        """Compare the grasps of all rivals that are held together in some states; return whether that excludes any.
 
         Args:
             states: shape (batch, parts).
@@ -82,7 +82,7 @@ class JointHolds:
         return new
 
     def possible(self, states: States) -> Mask:
-        """Return which states, shape (batch, parts), hold no two parts that are ruled out together; shape (batch,)."""
+        """Return which of the states, shape (batch, parts), hold no excluded pair; shape (batch,)."""
         found: Mask = np.ones(len(states), dtype=bool)
         for (one, other), least in self._excluded.items():
             rows = np.flatnonzero((states[:, one] == HELD) & (states[:, other] == HELD))
@@ -91,7 +91,7 @@ class JointHolds:
         return found
 
     def _together(self, part: int, other: int, state: States) -> bool:
-        """Return whether two arms have grips of two parts that do not collide."""
+        """Return whether two arms have grasps of two parts that do not collide."""
         robots = range(self.cell.robot_count)
         for one in robots:
             mine = _some(self.grips.of(one, part, state))
@@ -112,16 +112,16 @@ class JointHolds:
 
 
 class HoldingOracle:
-    """Stability oracle that leaves states open in which no arms can hold what is held."""
+    """Stability oracle that leaves states undecided whose held parts no arms can hold together."""
 
     def __init__(self, oracle: Stability, joint: JointHolds) -> None:
-        """Ask `oracle` about the states that `joint` does not rule out."""
+        """Query `oracle` for the states that `joint` does not exclude."""
         self._oracle, self._joint = oracle, joint
         self.holds_keep_stable, self.replayer = oracle.holds_keep_stable, oracle.replayer
         self.keeps = getattr(oracle, "keeps", None)
 
     def judge(self, states: States, *, parents: States | None = None) -> Verdicts:
-        """As `falsework.search.problem.oracle.Oracle`; states that are ruled out stay undecided."""
+        """Return verdicts as `falsework.search.problem.oracle.Oracle`; excluded states stay undecided."""
         rows = np.flatnonzero(self._joint.possible(states))
         if len(rows) == len(states):
             return self._oracle.judge(states, parents=parents)

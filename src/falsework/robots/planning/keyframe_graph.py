@@ -1,8 +1,8 @@
 """Keyframe graph: robot configurations in each state, and the motions of one robot between states.
 
-Section 6 of the paper, figures 9 and 10. A node is a state with joint values of all robots and which of them holds
-which part. An edge carries out one action: one robot moves, all others are at rest. The graph is never built as a
-whole: edges are computed on demand and cached.
+Section 6 of the paper, figures 9 and 10. A node is a state with the joint values of all robots and the part that each
+holds. An edge carries out one action: one robot moves, all others are at rest. The graph is never built
+completely: edges are computed on demand and cached.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 _APPROACH_LENGTHS = (1.0, 0.4, 1.8)
 """Lengths of the line on which a gripper approaches a part, in approach margins of the cell."""
 _MAX_PLACES = 4
-"""Free motions to a drop-off that are tried."""
+"""Number of free motions to a drop-off pose that are tried."""
 
 
 @dataclass(frozen=True)
@@ -42,14 +42,14 @@ class KeyframeSettings:
     """Limits on the candidates tried for one step."""
 
     grasps: int = 128
-    """Grasps of a part, best first."""
+    """Grasps per part, best first."""
     candidates: int = 24
-    """Configurations of one robot for one grasp or place that are looked at closely, nearest first."""
+    """Configurations of one robot for one grasp or drop-off pose that are tried, nearest first."""
     nodes: int = 500
-    """Nodes of the trees of one free motion."""
+    """Limit on the nodes of the trees of one free motion."""
     haste: float = 0.0
-    """Weight of a second that robots who move at the same time would wait, against the other reasons to choose an
-    action; 0: robots move one at a time."""
+    """Weight of a second of waiting of robots that move at the same time, against the other terms of the action
+    score; 0: robots move one at a time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,28 +62,28 @@ class Node:
     held: tuple[int | None, ...]
     """The part that each robot holds."""
     clock: Clock = NO_TIME
-    """When the robots were here, if they move at the same time; does not tell nodes apart."""
+    """Times at this keyframe if robots move at the same time; not part of the identity of nodes."""
 
     @cached_property
     def present(self) -> NDArray[np.bool_]:
-        """Which parts stand at their place, shape (parts,)."""
+        """Which parts are in place, shape (parts,)."""
         return self.state != REMOVED
 
     @cached_property
     def key(self) -> bytes:
-        """Equal nodes have equal keys."""
+        """Key that is equal for equal nodes."""
         rounded = np.round(np.concatenate(self.configurations), 6) + 0.0
         return self.state.tobytes() + rounded.tobytes() + repr(self.held).encode()
 
     @property
     def scene(self) -> Scene:
-        """The node as the collision world takes it."""
+        """The node as a scene of the collision world."""
         return Scene(self.configurations, self.present, (None,) * len(self.configurations))
 
 
 @dataclass(frozen=True, eq=False)
 class PathSegment:
-    """Path of one robot without timing."""
+    """Path of one robot without time parameterisation."""
 
     kind: str
     """`free` or `line`."""
@@ -92,7 +92,7 @@ class PathSegment:
     part: int | None = None
     touches: int | None = None
     view: CollisionQuery | None = None
-    """The scene in which a free path was planned."""
+    """Collision queries of the scene in which a free path was planned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +103,7 @@ class Edge:
     robot: int
     segments: tuple[PathSegment, ...]
     node: Node
-    """Where it leads."""
+    """Keyframe after the action."""
 
 
 class KeyframeGraph:
@@ -117,7 +117,7 @@ class KeyframeGraph:
         settings: KeyframeSettings = KeyframeSettings(),
         seed: int = 0,
     ) -> None:
-        """Nothing is computed yet.
+        """Create an empty graph.
 
         Args:
             assembly: the structure.
@@ -136,7 +136,7 @@ class KeyframeGraph:
         self.exits = ExitDirections(assembly, self.parts.turn)
 
     def start(self, state: States, configurations: tuple[Array, ...], held: tuple[int | None, ...]) -> Node:
-        """Return a node to begin with."""
+        """Return an initial node."""
         return Node(np.asarray(state, np.uint8), tuple(np.array(c, float) for c in configurations), held)
 
     def edges(self, node: Node, action: int) -> Iterator[Edge]:
@@ -168,7 +168,7 @@ class KeyframeGraph:
         return self._grips.of(robot, part, state)
 
     def way_out(self, part: int, state: States) -> tuple[States, Array]:
-        """Return the state in which the least blocked exit of a part is free, and the exit directions there, (n, 3)."""
+        """Return the state in which the least blocked exit of a part is free, and its free exit directions, (n, 3)."""
         blockers = self.exits.blockers(part) & (state != REMOVED)
         count = blockers.sum(axis=1) + 1000 * (blockers & self.assembly.boundary).any(axis=1)
         later = state.copy()
@@ -202,7 +202,7 @@ class KeyframeGraph:
 
     def collision(self, node: Node, robot: int) -> tuple[str, str] | None:
         """Return the names of two bodies that collide at a robot's configuration, or None."""
-        # At the start of a plan robots stand as they stand: what does not touch is good enough.
+        # Robots at the start of a plan are where they are: absence of contact suffices.
         return self._view(node, robot, 0.0).explain(node.configurations[robot])
 
     # Holding
@@ -211,7 +211,7 @@ class KeyframeGraph:
         free = [robot for robot, held in enumerate(node.held) if held is None]
         center = self.parts.center[part]
         free.sort(key=lambda robot: self._reluctance(node, robot, center))
-        # One way with each robot before another way with the first: who holds a part matters more than how.
+        # One grasp with each robot before another with the first: which robot holds a part matters more than how.
         turns = [self._hold_with(node, part, robot) for robot in free]
         while turns:
             for ways in list(turns):
@@ -222,7 +222,7 @@ class KeyframeGraph:
                     yield edge
 
     def _reluctance(self, node: Node, robot: int, center: Array) -> float:
-        """Rank free robots for a part: near ones first, and those first that are done early with what they do."""
+        """Rank free robots for a part: near ones first, and those first that are available early."""
         far = float(np.linalg.norm(self.cell.robots[robot].base[:2, 3] - center[:2]))
         return far + self.settings.haste * self.spread * node.clock.of(robot)
 
@@ -235,7 +235,7 @@ class KeyframeGraph:
         values = np.array([grip.configuration for grip in grips])
         hits = view.hits(values)
         for row in np.flatnonzero(hits >= 0)[:1]:
-            self.reasons.add("hold", part, robot, "a robot is in the way of every grip", view.pair(int(hits[row])))
+            self.reasons.add("hold", part, robot, "a robot blocks every grasp", view.pair(int(hits[row])))
         open_grips = [grips[row] for row in np.flatnonzero(hits < 0)]
         for grip in self._grips.best(open_grips, robot, node.scene, node.held, self.settings.candidates):
             edge = self._try_grip(node, part, grip, view)
@@ -258,12 +258,12 @@ class KeyframeGraph:
             self.reasons.add("hold", part, robot, "approach: too near", clear.pair(hit), retreat.path[-1])
         if outside is None:
             return None
-        # A robot cannot grip anew later: the part must be able to leave in this grip, when its way is free.
+        # A robot cannot regrasp later: the part must be able to leave with this grasp once its exit is free.
         if not self._can_leave_later(node, part, grip):
             return None
         free = self.cache.motion(node.scene, robot, node.configurations[robot], outside)
         if not free:
-            self.reasons.add("hold", part, robot, f"way to the part: {free.reason}", free.pair, free.at)
+            self.reasons.add("hold", part, robot, f"motion to the part: {free.reason}", free.pair, free.at)
             return None
         state = node.state.copy()
         state[part] = HELD
@@ -284,7 +284,7 @@ class KeyframeGraph:
             for robot, (entry, held) in enumerate(zip(self.cell.robots, node.held, strict=True))
         )
         scene = Scene(values, later != REMOVED, (None,) * len(values))
-        lines = self._withdrawal.lines(scene, part, grip.robot, grip.configuration, ways, "later way out")
+        lines = self._withdrawal.lines(scene, part, grip.robot, grip.configuration, ways, "later withdrawal")
         return next(lines, None) is not None
 
     # Removing
@@ -294,7 +294,7 @@ class KeyframeGraph:
         here = node.configurations[robot]
         ways = self.exits.free(part, node.state)
         if not len(ways):
-            self.reasons.add("remove", part, robot, "no clear way out")
+            self.reasons.add("remove", part, robot, "no free exit direction")
             return
         for paths, scene in self._withdrawal.lines(node.scene, part, robot, here, ways, "way out"):
             edge = self._carry(node, part, robot, paths, scene)
@@ -307,14 +307,12 @@ class KeyframeGraph:
         end = paths[-1][-1]
         places = self._grips.places(robot)
         if not len(places):
-            self.reasons.add("remove", part, robot, "no place to put parts is within reach")
+            self.reasons.add("remove", part, robot, "no drop-off pose is within reach")
             return None
         hits = view.hits(places)
         clear = places[hits < 0]
         if not len(clear):
-            self.reasons.add(
-                "remove", part, robot, "every place to put it collides", view.pair(int(hits[0])), places[0]
-            )
+            self.reasons.add("remove", part, robot, "every drop-off pose collides", view.pair(int(hits[0])), places[0])
         for goal in clear[np.argsort(np.abs(clear - end).max(axis=1), kind="stable")][:_MAX_PLACES]:
             free = self.cache.motion(scene, robot, end, goal)
             if free:
@@ -326,10 +324,10 @@ class KeyframeGraph:
                 clock = node.clock.removed(robot, self._expected(robot, segments), self.cell.robot_count)
                 after = replace(_replaced(node, state, robot, goal, None), clock=clock)
                 return Edge(self.assembly.part_count + part, robot, segments, after)
-            self.reasons.add("remove", part, robot, f"way to {entry.name}'s place: {free.reason}", free.pair, free.at)
+            self.reasons.add("remove", part, robot, f"to {entry.name}'s drop-off: {free.reason}", free.pair, free.at)
         return None
 
-    # What both need
+    # Helpers of both
 
     def _expected(self, robot: int, segments: tuple[PathSegment, ...]) -> float:
         model = self.cell.robots[robot].model

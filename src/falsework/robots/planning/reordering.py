@@ -1,8 +1,8 @@
-"""Another order of the steps of a plan, in which robots that move at the same time wait less for each other.
+"""Reordering of the steps of a plan so that robots that move at the same time wait less for each other.
 
-Each robot keeps its own steps in their order. A schedule whose states may come in another order than planned, within
-limits, says which order is wanted; the plan is brought near it by exchanging neighbouring steps, each time with a
-verdict on the state between them. The motions are proven again in the new order, or planned again.
+Each robot keeps the order of its own steps. A schedule in which states may be reordered within limits gives the target
+order; the plan is brought close to it by exchanging neighbouring steps, each time with a
+verdict on the state between them. The motions are proven again in the new order, or replanned.
 """
 
 from __future__ import annotations
@@ -29,24 +29,24 @@ from falsework.stability.oracle import Stability
 Array = NDArray[np.float64]
 
 SLACK = 6
-"""Places by which two steps may change their order."""
+"""Positions by which two steps may change their order."""
 _SOLVER = ScheduleSettings(seconds=4.0)
 _PINS = 12
-"""Steps that are left where they are, because their motions fail elsewhere, before the plan stays as it is."""
+"""Steps that are kept in place because their motions fail elsewhere, before the plan stays unchanged."""
 _SAME_WAY = 1 - 1e-6
-"""Cosine between a line and the way out that it is."""
+"""Cosine above which a line and an exit direction count as the same."""
 _NODES = 1000
 
 
 def reorder(graph: KeyframeGraph, oracle: Stability, root: Node, chain: Sequence[Edge], plan: RobotPlan) -> list[Edge]:
-    """Return the edges of a plan in an order that makes a shorter schedule possible; as they are if there is none.
+    """Return the edges of a plan in an order that allows a shorter schedule; unchanged if there is none.
 
     Args:
         graph: keyframes of the structure in the cell.
         oracle: decides stability.
         root: the first keyframe.
         chain: the edges.
-        plan: the plan that they make, timed.
+        plan: the robot plan of these edges, timed.
     """
     rows = Itineraries(plan, graph.world, slack=SLACK)
     wanted = solve(rows.nodes, fixed_precedences(rows), choices(rows), graph.cell.robot_count, _SOLVER)
@@ -69,7 +69,7 @@ def reorder(graph: KeyframeGraph, oracle: Stability, root: Node, chain: Sequence
 
 
 def _way_out(graph: KeyframeGraph, before: Node, edge: Edge) -> Array | None:
-    """Return the direction in which a part is drawn out; None for a hold."""
+    """Return the exit direction along which a part is withdrawn; None for a hold."""
     if edge.action < graph.assembly.part_count:
         return None
     path = edge.segments[0].path
@@ -86,7 +86,7 @@ def _towards(
     ways: Sequence[Array | None],
     pinned: set[int],
 ) -> tuple[list[int], States]:
-    """Exchange neighbouring steps of different robots while that brings the order nearer to the one wanted."""
+    """Exchange neighbouring steps of different robots while that brings the order closer to the target order."""
     order = list(range(len(chain)))
     states = [root.state, *(edge.node.state for edge in chain)]
     refused: set[tuple[int, int, bytes]] = set()
@@ -116,7 +116,7 @@ def _after(state: States, action: int) -> States:
 
 
 def _leaves(graph: KeyframeGraph, state: States, action: int, way: Array | None) -> bool:
-    """Return whether nothing that is there blocks the line on which a part is drawn out."""
+    """Return whether no present part blocks the line on which a part is withdrawn."""
     if way is None:
         return True
     free = graph.exits.free(action - len(state), state)
@@ -124,7 +124,7 @@ def _leaves(graph: KeyframeGraph, state: States, action: int, way: Array | None)
 
 
 def _follow(graph: KeyframeGraph, root: Node, edges: Sequence[Edge]) -> list[Edge] | int:
-    """Return edges proven in their new order, or the first that cannot be carried out there."""
+    """Return edges proven in their new order, or the index of the first that fails there."""
     node, found = root, []
     for k, edge in enumerate(edges):
         segments = []
@@ -144,7 +144,7 @@ def _follow(graph: KeyframeGraph, root: Node, edges: Sequence[Edge]) -> list[Edg
 
 
 def _views(graph: KeyframeGraph, node: Node, edge: Edge) -> list[CollisionQuery]:
-    """Return for each segment of an edge the scene in which it is carried out, and what it may touch."""
+    """Return for each segment of an edge the collision queries of its scene, with the pairs that may touch."""
     parts, margins, robot = len(node.state), graph.cell.margins, edge.robot
     scene, part = node.scene, edge.action % parts
     contacts = [Contact(gripper=frozenset({part}))]
@@ -163,7 +163,7 @@ def _views(graph: KeyframeGraph, node: Node, edge: Edge) -> list[CollisionQuery]
 
 
 def _proven(segment: PathSegment, view: CollisionQuery, seed: int) -> Array | None:
-    """Return the path of a segment if it is free, another if it may be another, or None."""
+    """Return the path of a segment if it is free, a new path if it may be replanned, or None."""
     path = np.ascontiguousarray(segment.path)
     arrays = (view.chain, view.bodies, view.obstacles, view.rules, view.work)
     if edges_free(path, resolution_of(view), *arrays, np.empty((2, INTERVALS), np.int64)) == len(path) - 1:

@@ -1,6 +1,6 @@
-"""Shorter free motions for a plan that is found: other trees, shortcuts of single joints, and rounded corners.
+"""Shortening of the free motions of a plan: other trees, shortcuts of single joints, and rounded corners.
 
-A motion is planned for any path; where arms move at the same time, the longest row of motions is what the plan takes.
+The search accepts any path; where arms move at the same time, the longest chain of motions determines the makespan.
 Every path is proven free again, in the scene that it was planned for. Shortcuts of single joints: Geraerts and
 Overmars, Creating high-quality paths for motion planning (2007).
 """
@@ -22,18 +22,18 @@ from falsework.robots.planning.keyframe_graph import Edge, PathSegment
 Array = NDArray[np.float64]
 
 _TREES = 4
-"""Other pairs of trees that are grown for one motion."""
+"""Additional pairs of trees that are grown for one motion."""
 _NODES = 1000
 _SHORTCUTS = 60
-"""Attempted shortcuts, each of a subset of the joints."""
+"""Shortcuts tried, each on a subset of the joints."""
 _CORNER = 0.1
 """Cost of a corner in the choice of a path, seconds."""
 _EXCESS = 0.05
 """Motions at most this much longer than the straight one are not shortened, seconds."""
 _ROUNDINGS = (0.48, 0.3, 0.15, 0.07)
-"""Shares of the edges at a corner that its rounding takes, largest first."""
+"""Shares of the edges at a corner that its rounding may take, largest first."""
 _ARC = 10
-"""Edges of a rounded corner."""
+"""Number of edges of a rounded corner."""
 
 
 def shorten_motions(chain: list[Edge], speed: float, seed: int) -> list[Edge]:
@@ -82,7 +82,7 @@ def _free(view: CollisionQuery, path: Array, opened: NDArray[np.int64]) -> bool:
 def _by_joints(
     view: CollisionQuery, path: Array, speed: float, rng: np.random.Generator, opened: NDArray[np.int64]
 ) -> Array:
-    """Return a path in which stretches of some joints run straight, and points that are not needed are left out."""
+    """Return a path in which segments of some joints are straight, without the points that are not needed."""
     cost = _cost(view, path, speed)
     for _ in range(_SHORTCUTS):
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
@@ -111,7 +111,7 @@ def _by_joints(
 
 
 def _needed(path: Array) -> Array:
-    """Return a path without points that repeat the one before or lie on the edge between their neighbours."""
+    """Return a path without points that repeat the previous one or lie on the edge between their neighbours."""
     path = path[np.concatenate([[True], np.abs(np.diff(path, axis=0)).sum(axis=1) > 1e-9])]
     if len(path) < 3:
         return path
@@ -122,7 +122,7 @@ def _needed(path: Array) -> Array:
 
 
 def _rounded(view: CollisionQuery, path: Array, opened: NDArray[np.int64]) -> Array:
-    """Return a path with its corners rounded by parabolas, as far as these are free."""
+    """Return a path with its corners rounded by parabolas, where these are free."""
     found = [path[:1]]
     u = np.linspace(0.0, 1.0, _ARC + 1)[:, None]
     for before, corner, after in zip(path[:-2], path[1:-1], path[2:], strict=True):

@@ -1,11 +1,11 @@
-"""Solvability check: states from which the target is known to be reachable, and a search that joins others to them.
+"""Solvability check: states from which the target is known to be reachable, and a search that connects others to them.
 
-One abstract plan is found first: by a rollout where there is a score to follow, else by a search. Its states are
-solvable, and so is every state from which a short search, forwards and narrow, meets one that is. The set grows with
-every answer, so that alternatives near a plan are cheap to judge.
+One abstract plan is found first: by a rollout if there is an action score, else by a search. Its states are
+solvable, and so is every state from which a short, narrow forward search reaches a solvable one. The set grows with
+every result, so that alternatives near a plan are cheap to check.
 
-Under the criterion `contact` a plan is followed only if its replay in the order of assembly stands. The state in which
-a replay falls is forbidden from then on, and what could only go on through it is no longer solvable.
+Under the criterion `contact` a plan is followed only if its replay in assembly order succeeds. The state in which
+the structure collapses is then forbidden, and states that could only continue through it are no longer solvable.
 """
 
 from __future__ import annotations
@@ -29,26 +29,26 @@ from falsework.search.settings import PlannerSettings
 from falsework.stability.oracle import Stability
 
 ActionScore = Callable[[States, Mask], NDArray[np.floating]]
-"""Scores the actions that lead out of states, as a `falsework.search.problem.guide.Guide` in disassembly."""
+"""Score of the actions out of states, like a `falsework.search.problem.guide.Guide` in disassembly."""
 
 _JOIN_LEVELS = 8
-"""Steps that the joining search looks ahead."""
+"""Lookahead of the joining search, in steps."""
 _JOIN_WIDTH = 6
-"""States that it keeps at each step."""
+"""Beam width of the joining search."""
 _JOIN_VERDICTS = 48
-"""Verdicts that it asks for before it gives up: what does not join soon rarely does."""
+"""Verdict budget of the joining search: states that do not join soon rarely do."""
 _FEWEST_JOIN_VERDICTS = 12
-"""Least budget of verdicts, where the ways found so far took fewer."""
+"""Least verdict budget, where the successful searches so far took fewer."""
 _FIRST_BEAM_WIDTH = 256
 """Widest beam for the first plan."""
 _VARIED_BEAM_WIDTH = 16
-"""Widest beam for another one."""
+"""Widest beam for a varied plan."""
 _VARIED_VERDICTS = 2000
-"""Verdicts for another one from each end: a beam that needs more is stuck, and costs minutes under `contact`."""
+"""Verdict budget for a varied plan from each end: a beam that needs more is stuck, and slow under `contact`."""
 _ROLLOUTS = 16
-"""Rollouts with random actions at once."""
+"""Number of simultaneous rollouts with random actions."""
 _MAX_FALLEN_REPLAYS = 40
-"""Plans of one search whose replay may fall before it is given up."""
+"""Plans of one search whose replay may fail before the search ends."""
 
 
 class SolvabilityCheck:
@@ -65,16 +65,16 @@ class SolvabilityCheck:
         seed: int = 0,
         joint: JointHolds | None = None,
     ) -> None:
-        """Nothing is known yet but the target.
+        """Create a check in which only the target is known to be solvable.
 
         Args:
             assembly: the structure.
-            task: rules, with clear ways out.
+            task: task with its rules, free exit directions included.
             oracle: decides stability.
-            guide: ranks actions in the search for the first plan; by default parts with much support go in first.
-            score: scores actions for rollouts, which are tried before a search for a plan.
-            seed: of that search.
-            joint: which parts arms cannot hold at the same time.
+            guide: action heuristic of the search for the first plan; by default parts with much support go in first.
+            score: action score of rollouts, which are tried before a search for a plan.
+            seed: seed of that search.
+            joint: parts that arms cannot hold at the same time.
         """
         self.joint = joint
         self.oracle = oracle if joint is None else HoldingOracle(oracle, joint)
@@ -84,11 +84,11 @@ class SolvabilityCheck:
         self._assembly, self._seed = assembly, seed
         self.postponed: tuple[int, ...] = ()
         self.fallen: tuple[Route, int] | None = None
-        """Where `prepare` finds nothing: the plan that came farthest in its replay, and the state in which it falls."""
+        """Where `prepare` finds nothing: the plan that got farthest in its replay, and the state of its collapse."""
         self._left = 0
-        self._costs: list[int] = []  # verdicts that each way to a solvable state took
+        self._costs: list[int] = []  # verdicts spent on each path found to a solvable state
         self.spent = 0
-        """Verdicts that were asked for on ways to solvable states."""
+        """Number of verdicts spent on paths to solvable states."""
         self._preferred: set[bytes] = set()
         self._solvable: set[bytes] = {task.target.tobytes()}
         self._not_found: set[bytes] = set()
@@ -99,13 +99,13 @@ class SolvabilityCheck:
         return len(self._solvable)
 
     def prepare(self, stop: Stop | None = None) -> SearchResult:
-        """Find one abstract plan. Where parts are missing, the task then says how late they can come."""
+        """Find one abstract plan. Where parts are missing, the task then has the latest step of each."""
         settings = PlannerSettings(width=_FIRST_BEAM_WIDTH, seed=self._seed)
         planner = Planner(self.task, self.oracle, settings, guide=self._guide)
         route = self.roll_out(None, stop) or self.roll_out(np.random.default_rng(self._seed), stop)
         if route is not None:
             planner.begin_with(route)
-        result = planner.run(stop=stop)  # which replays what it finds
+        result = planner.run(stop=stop)  # replays the plans that it finds
         self.fallen = planner.fallen
         if result.found:
             self.postponed = planner.postponed
@@ -114,7 +114,7 @@ class SolvabilityCheck:
         return result
 
     def perturb(self, seed: int) -> None:
-        """Find another abstract plan to follow, with the guide's score disturbed; the old one stays known."""
+        """Find another abstract plan to follow, with a perturbed guide score; the old one stays known."""
         rng = np.random.default_rng([self._seed, seed])
         route = self.roll_out(rng)
         if route is not None:
@@ -134,24 +134,24 @@ class SolvabilityCheck:
                 return
 
     def falls(self, route: Route) -> int | None:
-        """Return the first state in the order of assembly in which the replay of a route falls; None if it stands.
+        """Return the first state in assembly order in which the replay of a route collapses; None if it succeeds.
 
-        Always None under the criterion `equilibrium`, which knows no history.
+        Always None under the criterion `equilibrium`, which has no history.
         """
         replayer = self.oracle.replayer
         return None if replayer is None else replayer.replay(route.states[::-1]).falls_at
 
     def forbid(self, route: Route, row: int) -> int | None:
-        """Rule out the state in which the replay of a route falls, and all that could go on through it alone.
+        """Forbid the state in which the replay of a route collapses, and all states that continue only through it.
 
-        Where that is the first or the last state of the task, which every plan has, the one next to it is ruled out.
+        If that is the first or the last state of the task, which every plan has, its neighbour is forbidden.
 
         Args:
-            route: whose replay falls.
-            row: state at which it does, in the order of assembly.
+            route: route whose replay collapses.
+            row: index of that state in assembly order.
 
         Returns:
-            The number of that state in the order of assembly; None for a route that has nothing between its ends.
+            Index of the forbidden state in assembly order; None for a route without states between its ends.
         """
         states, last = route.states[::-1], len(route.states) - 1
         row = min(max(row, 1), last - 1)
@@ -166,7 +166,7 @@ class SolvabilityCheck:
         return state.tobytes() in self._solvable
 
     def reroute(self, state: States) -> bool:
-        """Find a way from a state to the target around holds that have been ruled out; whether there is one.
+        """Find a path from a state to the target that avoids excluded holds; return whether there is one.
 
         Args:
             state: stable, shape (parts,).
@@ -186,7 +186,7 @@ class SolvabilityCheck:
         return False
 
     def _prune(self) -> None:
-        """Keep of the solvable states those from which a way to the target is left."""
+        """Keep the solvable states that still have a path to the target."""
         known = np.array([np.frombuffer(key, np.uint8) for key in self._solvable - self._forbidden])
         if self.joint is not None:
             known = known[self.joint.possible(known)]
@@ -202,7 +202,7 @@ class SolvabilityCheck:
         self._preferred &= left
 
     def _search(self, beam: AdaptiveBeam, widest: int, verdicts: float = np.inf) -> Sequence[Route]:
-        """Return routes of a beam whose replays stand; none if it finds none with so many verdicts."""
+        """Return routes of a beam search with successful replays; none if it finds none within so many verdicts."""
         for _ in range(_MAX_FALLEN_REPLAYS):
             if self._forbidden:
                 beam.search.forbid(np.array([np.frombuffer(key, np.uint8) for key in sorted(self._forbidden)]))
@@ -217,7 +217,7 @@ class SolvabilityCheck:
     def roll_out(self, rng: np.random.Generator | None, stop: Stop | None = None) -> Route | None:
         """Roll out the action score to the target, greedily or sampled; None without a score or a complete rollout.
 
-        After every action the structure stands, or the next best one is taken; none leads to a forbidden state.
+        After every action the structure is stable, or the next best one is taken; none leads to a forbidden state.
         """
         score = self._score
         if score is None or self.task.steps == 0:
@@ -259,13 +259,13 @@ class SolvabilityCheck:
             self._solvable |= self._preferred
 
     def relax(self, share: float) -> None:
-        """Let missing parts come after a share of the steps that stability alone would let them wait for."""
+        """Let missing parts come after a share of the steps that stability alone allows them to wait."""
         if share == 1.0:
             return
         self.task = self.task.postpone([int(share * steps) for steps in self.postponed])
         self._moves.clear()
         self._not_found.clear()
-        # What is known lies around the plan for the latest parts: add one for the new rules.
+        # The known states surround the plan with the latest parts: add one for the new rules.
         beam = AdaptiveBeam(self.task, self.oracle, AdaptiveSettings(seed=self._seed), guide=self._guide)
         self._follow(self._search(beam, _FIRST_BEAM_WIDTH))
 
@@ -281,7 +281,7 @@ class SolvabilityCheck:
         return self._after(state, action).tobytes() in self._solvable
 
     def solvable(self, state: States, action: int) -> bool:
-        """Return whether the state after an action stands and a way from there to the target is found; asked once."""
+        """Return whether the state after an action is stable and a path from there to the target is found; cached."""
         after = self._after(state, action)
         key = after.tobytes()
         if key in self._solvable:
@@ -300,10 +300,10 @@ class SolvabilityCheck:
         return self.task.follow(state[None], np.array([action]), Direction.DISASSEMBLY)[0]
 
     def _join(self, start: States) -> bool:
-        """Search forwards from a stable state until one is met that is solvable; all on the way then are."""
+        """Search forwards from a stable state until a solvable one is reached; all on the path then are."""
         refused: set[bytes] = set()
         while (way := self._way_to_solvable(start, refused)) is not None:
-            # Holds rarely fail, and most searches meet nothing: they are asked about where something was met.
+            # Holds rarely fail, and most searches reach nothing: holds are checked only on a path that was found.
             holds = way[1:][(way[1:] != REMOVED).sum(axis=1) == (way[:-1] != REMOVED).sum(axis=1)]
             if not self.oracle.holds_keep_stable and len(holds):
                 fallen = holds[~self.oracle.stable(holds)]
@@ -316,22 +316,22 @@ class SolvabilityCheck:
         return False
 
     def _allowance(self) -> int:
-        """Return the verdicts that a search for a way may ask for: somewhat more than most that were found took."""
+        """Return the verdict budget of a search for a path: somewhat more than most successful ones took."""
         if len(self._costs) < _JOIN_LEVELS:
             return _JOIN_VERDICTS
         usual = 1.5 * float(np.percentile(self._costs, 75))
         return int(np.clip(usual, _FEWEST_JOIN_VERDICTS, _JOIN_VERDICTS))
 
     def _way_to_solvable(self, start: States, refused: set[bytes]) -> States | None:
-        """Return states from a stable one to the last before one that is solvable; holds on the way are not judged.
+        """Return states from a stable one to the last before a solvable one; holds on the path are not checked.
 
         Args:
-            start: where to begin, shape (parts,).
+            start: initial state, shape (parts,).
             refused: states that are not stable.
         """
         self._left = self._allowance()
         ways: States = start[None, None]
-        judged: States = start[None]  # on each way, the last state that has a verdict
+        judged: States = start[None]  # on each path, the last state that has a verdict
         for _ in range(_JOIN_LEVELS):
             states = ways[:, -1]
             rows, actions = np.nonzero(self.task.moves(states, Direction.DISASSEMBLY))
@@ -341,7 +341,7 @@ class SolvabilityCheck:
             first, after = _distinct(after)
             rows, actions = rows[first], actions[first]
             hit = next((k for k, state in enumerate(after) if state.tobytes() in self._solvable), None)
-            if hit is not None:  # what is solvable is stable, so the step to it needs no verdict
+            if hit is not None:  # solvable states are stable, so the step to one needs no verdict
                 return ways[rows[hit]]
             kept = self._stable_few(states[rows], judged[rows], after, actions, refused)
             if not len(kept):
@@ -354,7 +354,7 @@ class SolvabilityCheck:
     def _stable_few(
         self, before: States, judged: States, after: States, actions: NDArray[np.intp], refused: set[bytes]
     ) -> NDArray[np.intp]:
-        """Return the most promising successors: few held, then the guide's score; after removals those that stand."""
+        """Return the most promising successors: few held, then the guide's score; after removals only stable ones."""
         removal = actions >= self.task.part_count
         mask = np.zeros((len(before), 2 * self.task.part_count), dtype=bool)
         mask[np.arange(len(before)), actions] = True
@@ -363,7 +363,7 @@ class SolvabilityCheck:
         order = np.lexsort((-score, held))
         ruled_out = self._forbidden | refused
         order = order[[after[k].tobytes() not in ruled_out for k in order]]
-        # What is beyond the limits on holds and verdicts is left out.
+        # Successors beyond the limits on holds and verdicts are dropped.
         number = np.where(removal[order], removal[order].cumsum(), (~removal[order]).cumsum())
         order = order[number <= np.where(removal[order], self._left, 2 * _JOIN_WIDTH)]
         kept: list[NDArray[np.intp]] = []

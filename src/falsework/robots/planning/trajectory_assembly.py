@@ -22,9 +22,9 @@ from falsework.stability.oracle import Stability
 Array = NDArray[np.float64]
 
 _STANDSTILL = 1e-7
-"""A path that goes no farther takes no time, rad or m."""
+"""Length below which a path takes no time, rad or m."""
 _SPLINE_ERROR = 2e-5
-"""Samples that cubics between others come so near are left out, rad or m."""
+"""Samples that the cubics between others approximate this closely are dropped, rad or m."""
 _SAMPLE_STRIDES = (64, 32, 16, 8, 4, 2, 1)
 
 
@@ -40,18 +40,18 @@ def make_robot_plan(
     forces: bool = False,
     timed: dict[PathSegment, Trajectory | None] | None = None,
 ) -> RobotPlan:
-    """Prove the states of a route and time the motions along it.
+    """Certify the states of a route and compute the trajectories along it.
 
     Args:
         assembly: the structure.
         cell: the robots.
-        task: what was planned.
-        oracle: proves the states.
+        task: the planned task.
+        oracle: stability oracle that proves the states.
         route: states and actions.
         root: the first keyframe.
         chain: an edge for every action.
-        forces: keep the contact forces in the plan.
-        timed: motions that have their times already; those that have not are added.
+        forces: whether to keep the contact forces in the plan.
+        timed: cache of trajectories; missing ones are added.
 
     Raises:
         PlanError: a state that cannot be proved stable.
@@ -78,7 +78,7 @@ def make_robot_plan(
 
 
 def timed_leg(model: RobotModel, segment: PathSegment, speed: float) -> Trajectory | None:
-    """Return a path as fast as the limits of the arm allow, at a share of them; None if it leads nowhere."""
+    """Return the time-optimal trajectory of a path at a share of the arm's limits; None for a path of zero length."""
     if np.abs(np.diff(segment.path, axis=0)).sum() < _STANDSTILL:
         return None
     timed = time_path(model, segment.path, speed)
@@ -91,7 +91,7 @@ def timed_leg(model: RobotModel, segment: PathSegment, speed: float) -> Trajecto
         segment.part,
         segment.touches,
     )
-    # Where the push changes between two samples, the cubic between them needs a little more of it: slow down for that.
+    # Where the acceleration changes between two samples, the cubic between them needs more of it: slow down for that.
     fastest, strongest = made.peaks()
     over = max(
         float((fastest / (model.velocity * speed)).max()),
@@ -104,7 +104,7 @@ def timed_leg(model: RobotModel, segment: PathSegment, speed: float) -> Trajecto
 
 
 def _enough(times: Array, positions: Array, velocities: Array, acceleration: Array) -> NDArray[np.intp]:
-    """Indices of knots whose cubics stay within `_SPLINE_ERROR` of all samples and within the acceleration limits."""
+    """Return indices of knots whose cubics stay within `_SPLINE_ERROR` of all samples and the acceleration limits."""
     kept = [0]
     while kept[-1] < len(times) - 1:
         here = kept[-1]

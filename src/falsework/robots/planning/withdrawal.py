@@ -16,30 +16,30 @@ from falsework.robots.planning.failure_report import FailureLog
 Array = NDArray[np.float64]
 
 _LENGTHS = (1.0, 2.0, 4.0)
-"""Lengths of the line on which a part leaves, in approach margins of the cell, tried in turn until it is clear."""
+"""Lengths of the withdrawal line of a part, in approach margins of the cell, tried in turn until it is clear."""
 _MAX_WAYS = 16
-"""Ways out that are tried for a part."""
+"""Exit directions that are tried for a part."""
 
 
 class Withdrawal:
     """Straight withdrawal lines for parts that robots hold."""
 
     def __init__(self, cache: MotionCache, reasons: FailureLog) -> None:
-        """Draw parts out in the scenes of `cache`, and log to `reasons` why one cannot leave."""
+        """Withdraw parts in the scenes of `cache`, and log to `reasons` why one cannot leave."""
         self.cell, self.cache, self.reasons = cache.world.cell, cache, reasons
 
     def lines(
         self, scene: Scene, part: int, robot: int, here: Array, ways: Array, what: str
     ) -> Iterator[tuple[tuple[Array, ...], Scene]]:
-        """Yield paths on which a part leaves, each with the scene in which it is carried; computed when asked for.
+        """Yield withdrawal paths of a part, each with the scene in which it is carried; computed on demand.
 
         Args:
-            scene: where everything is.
-            part: the one that leaves.
-            robot: the one that holds it.
-            here: configuration in which it does, shape (joints,).
-            ways: directions that nothing blocks, in the world, shape (n, 3).
-            what: what a way is called where a reason is noted.
+            scene: poses of everything.
+            part: the part to withdraw.
+            robot: the robot that holds it.
+            here: its configuration, shape (joints,).
+            ways: free exit directions in the world, shape (n, 3).
+            what: name of the motion in logged reasons.
         """
         tool = tool_pose(self.cell.robots[robot], here)
         scene = scene.with_configuration(robot, here).with_attached(robot, part, tool)
@@ -67,7 +67,7 @@ class Withdrawal:
                 self.reasons.add("remove", part, robot, f"{what}: not clear at its end", free.pair(hit), path[-1])
 
     def _lift(self, scene: Scene, robot: int, here: Array, free: CollisionQuery) -> Array | None:
-        """Return a part that has been drawn out over the floor is lifted off it before it is carried away."""
+        """Return the path on which a part that was withdrawn along the floor is lifted off it; None if blocked."""
         view = self.cache.view(scene, robot, Contact(carried_floor=True), self.cell.margins.line)
         up = follow_line(view, here, (0.0, 0.0, 1.0), 0.3 * self.cell.margins.approach)
         if up.path is None or free.collides(up.path[-1])[0]:
@@ -75,6 +75,6 @@ class Withdrawal:
         return up.path
 
     def _ordered(self, ways: Array, tool: Array) -> Array:
-        """Ways out to try: best first those away from where the gripper points, then upwards."""
+        """Return the exit directions to try, best first: away from the gripper's pointing direction, then upwards."""
         score = ways @ -tool[:3, 2] + 0.5 * ways[:, 2]
         return ways[np.argsort(-score, kind="stable")][:_MAX_WAYS]

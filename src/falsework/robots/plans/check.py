@@ -25,16 +25,16 @@ Progress = Callable[[int, int], None]
 
 
 _OVERLAP = 0.001
-"""A part that leaves its place, or arrives there, may overlap its neighbours by so much, metres; where the structure's
+"""Allowed overlap of a part with its neighbours as it leaves or reaches its place, metres; where the structure's
 own meshes overlap by more at that place, this is doubled until they do not."""
 _GRIP_DISTANCE = 0.005
-"""A gripper holds a part if it is no farther from it than this, metres."""
+"""Largest distance of a gripper from a part that it holds, metres."""
 _SAME_JOINT = 1e-5
-"""Joint values that differ by no more are the same, rad or m."""
+"""Joint values that differ by no more are equal, rad or m."""
 _LIMIT_EXCESS = 0.01
-"""Share by which rounded knots may exceed a limit of velocity or acceleration."""
+"""Share by which rounded knots may exceed a velocity or acceleration limit."""
 _MAX_PROBLEMS = 20
-"""Problems after which the check stops."""
+"""Number of problems after which the check stops."""
 
 
 @dataclass(frozen=True)
@@ -45,11 +45,11 @@ class PlanProblem:
     """Step of the plan, from 0."""
     robot: str
     what: str
-    """In words."""
+    """Description of the problem."""
     pair: tuple[str, str] | None = None
-    """Bodies that meet, if that is what is wrong."""
+    """Names of the colliding bodies, for a collision."""
     seconds: float | None = None
-    """When, from the start of its trajectory."""
+    """Time from the start of its trajectory."""
     configuration: tuple[float, ...] | None = None
 
     def __str__(self) -> str:
@@ -59,37 +59,37 @@ class PlanProblem:
 
 @dataclass(frozen=True)
 class CheckReport:
-    """End of a check."""
+    """Result of a check."""
 
     problems: tuple[PlanProblem, ...]
     samples: int
-    """Configurations that were checked for collisions."""
+    """Number of configurations that were checked for collisions."""
     trajectories: int
     largest_step: float
     """Largest difference of a joint between neighbouring samples, rad or m."""
     largest_join: float
-    """Largest difference of a joint where one motion ends and the next begins, rad or m."""
+    """Largest jump of a joint between the end of one motion and the start of the next, rad or m."""
     velocity_share: float
-    """Largest speed of a joint as a share of what the cell allows."""
+    """Largest speed of a joint as a share of the limit in the cell."""
     acceleration_share: float
     tolerance: float
-    """Most that a part was shrunk where it leaves or arrives, metres."""
+    """Largest amount by which a part was shrunk where it leaves or arrives, metres."""
     links: dict[str, Literal["meshes", "convex pieces"]]
-    """By robot, what its links were checked as: the meshes of its description, or the convex pieces that a built-in
-    arm is described by."""
+    """Geometry that the links of each robot were checked with: the meshes of its description, or the convex pieces of a
+    built-in arm."""
     seconds: float
-    """That the check took."""
+    """Duration of the check."""
     timed_samples: int = 0
-    """Moments of the schedule at which everything that moves then was checked."""
+    """Number of instants of the schedule at which everything that moves then was checked."""
 
     @property
     def good(self) -> bool:
-        """Whether nothing is wrong."""
+        """Whether no problem was found."""
         return not self.problems
 
 
 class _Checker:
-    """Walks through a plan and keeps what it finds."""
+    """Walk through a plan that collects problems."""
 
     def __init__(self, plan: RobotPlan, assembly: Assembly, cell: Cell, resolution: float) -> None:
         self.plan, self.cell, self.resolution = plan, cell, resolution
@@ -107,13 +107,13 @@ class _Checker:
         self.problems.append(PlanProblem(step, self.cell.robots[robot].name, what, **more))
 
     def keyframe(self, index: int) -> None:
-        """Whether the robots hold exactly the parts that the state says, and touch them."""
+        """Check that the robots hold exactly the held parts of the state, and touch them."""
         state, frame = self.plan.plan.states[index], self.plan.keyframes[index]
         step = min(index, len(self.plan) - 1)
         held = [part for part in frame.held if part is not None]
         wanted = np.flatnonzero((state == HELD) & ~self.boundary).tolist()
         if sorted(held) != wanted:
-            self.say(step, 0, f"the robots hold parts {sorted(held)}, the state says {wanted}")
+            self.say(step, 0, f"the robots hold parts {sorted(held)}, the state has {wanted} held")
         for robot, part in enumerate(frame.held):
             if part is None:
                 continue
@@ -123,7 +123,7 @@ class _Checker:
                 self.say(step, robot, f"the gripper is {1000 * far:.1f} mm away from {name}, which it should hold")
 
     def step(self, index: int) -> None:
-        """One action: contents, continuity, limits, collisions."""
+        """Check one action: contents, continuity, limits, collisions."""
         before, after = self.plan.keyframes[index], self.plan.keyframes[index + 1]
         step = self.plan.steps[index]
         robot = step.robot
@@ -135,7 +135,7 @@ class _Checker:
             present[part] = False
         for other, (old, new) in enumerate(zip(before.held, after.held, strict=True)):
             if (old != new) != (other == robot):
-                self.say(index, other, "what it holds does not change as the action says")
+                self.say(index, other, "its held part does not change according to the action")
         grip = self._grip(index, robot) if removes else None
         values = before.configurations[robot]
         for order, trajectory in enumerate(step.trajectories):
@@ -152,31 +152,31 @@ class _Checker:
                 self._joins(index, other, old, new, new)
 
     def start(self) -> None:
-        """Nothing is hit where the robots stand at first."""
+        """Check that the initial configurations are free of collisions."""
         frame, present = self.plan.keyframes[0], self.plan.plan.states[0] != REMOVED
         for robot, values in enumerate(frame.configurations):
             move = self.judge.prepare(robot, frame.configurations, present, touches=frame.held[robot])
             pair = move.hits(values)
             if pair is not None:
-                self.say(0, robot, f"at the start {pair[0]} meets {pair[1]}", pair=pair)
+                self.say(0, robot, f"at the start {pair[0]} collides with {pair[1]}", pair=pair)
 
     def _action(self, index: int) -> tuple[int, bool]:
-        """Part of an action, and whether it leaves or enters the structure in the gripper."""
+        """Return the part of an action, and whether it leaves or enters the structure in the gripper."""
         parts = len(self.boundary)
         action = int(self.plan.plan.actions[index])
         return action % parts, action >= parts
 
     def _grip(self, index: int, robot: int) -> Array:
-        """Configuration with which the part of a removal, or an insertion, is gripped at its place."""
+        """Return the configuration in which the part of a removal, or an insertion, is gripped in place."""
         apart = self.plan.direction is Direction.DISASSEMBLY
         return self.plan.keyframes[index if apart else index + 1].configurations[robot]
 
     def _content(self, index: int, order: int, trajectory: Trajectory, part: int, removes: bool) -> None:
-        """A removal carries its part all the way; a hold carries nothing and touches its part on the line only."""
+        """Check that a removal always carries its part, and a hold carries none and touches it only on the line."""
         robot = self.plan.steps[index].robot
         wanted = part if removes else None
         if trajectory.part != wanted:
-            self.say(index, robot, f"motion {order + 1} carries part {trajectory.part}, the action says {wanted}")
+            self.say(index, robot, f"motion {order + 1} carries part {trajectory.part}, the action needs {wanted}")
         if trajectory.touches is not None and (removes or trajectory.touches != part or trajectory.kind != "line"):
             self.say(index, robot, f"motion {order + 1} may not touch part {trajectory.touches}")
 
@@ -199,7 +199,7 @@ class _Checker:
                 joint = model.joint_names[int(np.argmax(found))]
                 self.say(index, robot, f"the {what} of {joint} is {100 * found.max():.0f} % of its limit")
         if any(np.abs(trajectory.velocities[end]).max() > 1e-6 for end in (0, -1)):
-            self.say(index, robot, "a motion starts or ends at speed")
+            self.say(index, robot, "a motion does not start or end at rest")
 
     def _collisions(
         self,
@@ -234,7 +234,7 @@ class _Checker:
         for moment, values in zip(moments, samples, strict=True):
             pair = move.hits(values)
             if pair is not None:
-                what = f"{pair[0]} meets {pair[1]}"
+                what = f"{pair[0]} collides with {pair[1]}"
                 place = tuple(values.tolist())
                 self.say(index, robot, what, pair=pair, seconds=float(moment), configuration=place)
                 return
@@ -253,24 +253,24 @@ def check_robot_plan(
     Parts are their meshes, and so are the links of arms from URDF files; links of built-in arms, grippers and obstacles
     are the convex pieces that they are described by.
 
-    One robot moves, all else stands. Everything that moves is checked against everything that stands, with these
-    exceptions and no others. A schedule is checked as a whole after that: at every moment all that moves against all
-    else, what other robots carry included, and that the states of the structure come in their order.
+    Each step moves one robot. All that moves is checked against all that is fixed, with these
+    exceptions and no others. A schedule is then checked as a whole: at every instant all moving bodies against all
+    others, parts carried by other robots included, and the order of the states.
 
-    - neighbouring links, and the pairs that the description of the arm says never to check;
+    - neighbouring links, and the pairs that the robot description excludes;
     - a gripper and the last two links of its arm, and a part in a gripper and the last link and the gripper;
     - on an approach or a retreat: the gripper and the part that it grips;
-    - on the lines on which a part leaves its place or arrives there, the part is shrunk by the tolerance, since it
+    - on the lines on which a part leaves or reaches its place, the part is shrunk by the tolerance, since it
       touches its neighbours and the floor. Everywhere else it has its full size.
 
     The stability of the states is not checked here; `validate_plan(plan.plan, ...)` does that.
 
     Args:
-        plan: what to check.
-        assembly: the structure that it is for.
-        cell: the cell that it is for.
-        step: farthest that a joint moves between two samples, rad or m.
-        progress: called with steps done and all steps.
+        plan: the robot plan.
+        assembly: its structure.
+        cell: its cell.
+        step: largest motion of a joint between two samples, rad or m.
+        progress: callback `(done, total)` with numbers of steps.
 
     Raises:
         InputError: a step that is too large, or not above zero.
@@ -278,7 +278,7 @@ def check_robot_plan(
         DependencyError: Pinocchio or Coal is missing.
     """
     if not 0 < step <= 0.5:
-        raise InputError(f"a check every {step:g} rad is too coarse or none; give up to 0.5, such as 0.01")
+        raise InputError(f"a step of {step:g} rad is not positive or too coarse; give up to 0.5, such as 0.01")
     plan.check_identity(assembly, cell)
     began = time.perf_counter()
     checker = _Checker(plan, assembly, cell, step)

@@ -1,4 +1,4 @@
-"""Verification of a schedule: all arms at their places at every moment, checked by Pinocchio and Coal."""
+"""Verification of a schedule: all arms at every instant, checked by Pinocchio and Coal."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ Array = NDArray[np.float64]
 INTERVAL = 0.01
 """Longest time between two samples, seconds."""
 _SHORTEST = 1e-9
-"""Stretches of time that are no longer are moments."""
+"""Duration below which a time interval counts as an instant."""
 
 
 @dataclass(frozen=True)
 class ScheduleProblem:
-    """Something wrong at a moment of a schedule."""
+    """Problem at an instant of a schedule."""
 
     step: int
     robot: str
     what: str
     seconds: float
-    """From the start of the schedule."""
+    """Time from the start of the schedule."""
     pair: tuple[str, str] | None = None
 
 
@@ -43,14 +43,14 @@ def check_schedule(
     step: float = 0.01,
     stretch: ArrayLike | None = None,
 ) -> tuple[list[ScheduleProblem], int]:
-    """Check a schedule, as it is or delayed, and return its problems and the number of moments that were looked at.
+    """Check a schedule, nominal or delayed; return its problems and the number of checked instants.
 
     Args:
-        plan: with a schedule.
-        cell: the cell that it is for.
-        judge: the cell and the parts as Pinocchio and Coal see them.
-        step: no joint moves farther between two samples, rad or m; they are at most `INTERVAL` apart.
-        stretch: by what factor each motion takes longer, shape (nodes,); 1 if not given.
+        plan: robot plan with a schedule.
+        cell: its cell.
+        judge: collision checker of the cell and the parts.
+        step: largest motion of a joint between two samples, rad or m; samples are at most `INTERVAL` apart.
+        stretch: factor on the duration of each motion, shape (nodes,); 1 by default.
 
     Raises:
         PlanError: the plan has no schedule.
@@ -61,7 +61,7 @@ def check_schedule(
     factor = np.ones(len(graph.nodes)) if stretch is None else np.asarray(stretch, dtype=np.float64)
     events = event_times(plan, graph, stretch)
     problems = [
-        ScheduleProblem(k + 1, plan.robots[plan.steps[k + 1].robot].name, "it comes before the step before", moment)
+        ScheduleProblem(k + 1, plan.robots[plan.steps[k + 1].robot].name, "it comes before the previous step", moment)
         for k, moment in enumerate(events[:-1].tolist())
         if events[k + 1] < moment - 1e-6
     ]
@@ -88,13 +88,13 @@ def check_schedule(
             pair = _first_hit(prepared[key], values)
             if pair is not None:
                 row, names = pair
-                what, name = f"{names[0]} meets {names[1]}", cell.robots[arm.robot].name
+                what, name = f"{names[0]} collides with {names[1]}", cell.robots[arm.robot].name
                 problems.append(ScheduleProblem(arm.step, name, what, float(moments[row]), names))
     return problems, samples
 
 
 def _moments(doing: list[ArmActivity], begin: float, end: float, step: float) -> Array:
-    """Return times from begin to end, so close that no joint moves farther than a step from one to the next."""
+    """Return times from begin to end, so close that no joint moves farther than `step` from one to the next."""
     count = max(int(np.ceil((end - begin) / INTERVAL)), 1)
     while True:
         found = np.linspace(begin, end, count + 1)

@@ -1,4 +1,4 @@
-"""Motions for those who carry them out: ROS 2 joint trajectories, tables, RAPID and URScript programs."""
+"""Export of motions for execution: ROS 2 joint trajectories, tables, RAPID and URScript programs."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Written:
     """One file of an export."""
 
     name: str
-    """Path inside the folder that is written."""
+    """Path inside the output folder."""
     text: str
 
 
@@ -41,12 +41,12 @@ def export_plan(plan: RobotPlan, folder: Path | str, form: str, *, rate: float =
     """Write the motions of a robot plan into a folder.
 
     Args:
-        plan: what to write; reverse it first to export the assembly of a plan for disassembly.
-        folder: where to; made if it is not there.
-        form: `ros2-json` and `ros2-yaml` (one file a step and one for the plan), `csv` (the same), `rapid` and
-            `urscript` (one program a robot, which wait for each other as the schedule has it), or `mcap` (one bag with
+        plan: the robot plan; reverse it first to export the assembly of a plan for disassembly.
+        folder: output folder; created if it does not exist.
+        form: `ros2-json` and `ros2-yaml` (one file per step and one for the plan), `csv` (the same), `rapid` and
+            `urscript` (one program per robot, synchronised according to the schedule), or `mcap` (one bag with
             the times of the schedule).
-        rate: positions a second for `csv` and `urscript`; the others get the knots.
+        rate: positions per second for `csv` and `urscript`; the other formats get the knots.
 
     Returns:
         The files written.
@@ -57,7 +57,7 @@ def export_plan(plan: RobotPlan, folder: Path | str, form: str, *, rate: float =
     if form not in FORMATS:
         raise InputError(f"no export format {form!r}; choose {', '.join(FORMATS)}")
     if not 0 < rate <= 10_000:
-        raise InputError(f"a rate of {rate:g} positions a second cannot be exported; give one up to 10000")
+        raise InputError(f"a rate of {rate:g} positions per second cannot be exported; give one above 0, up to 10000")
     writers: dict[str, Callable[[], Iterable[Written]]] = {
         "ros2-json": lambda: _ros(plan, "json"),
         "ros2-yaml": lambda: _ros(plan, "yaml"),
@@ -85,7 +85,7 @@ def export_plan(plan: RobotPlan, folder: Path | str, form: str, *, rate: float =
 
 
 def joint_trajectory(plan: RobotPlan, robot: int, trajectory: Trajectory, start: float = 0.0) -> dict[str, Any]:
-    """A `trajectory_msgs/JointTrajectory` message as plain values; its times begin at `start` seconds."""
+    """Return a `trajectory_msgs/JointTrajectory` message as plain values; its times begin at `start` seconds."""
     record = plan.robots[robot]
     return {
         "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": record.name},
@@ -147,7 +147,7 @@ def _json(value: Any) -> str:
 
 
 def _yaml(value: Any, indent: int = 0) -> str:
-    """Plain values as YAML: mappings and lists of mappings in blocks, lists of numbers in one line."""
+    """Return plain values as YAML: mappings and lists of mappings in blocks, lists of numbers in one line."""
     space = "  " * indent
     lines = []
     if isinstance(value, dict):
@@ -164,7 +164,7 @@ def _yaml(value: Any, indent: int = 0) -> str:
 
 
 def _yaml_value(value: Any) -> str:
-    """A number, a text or a list of such. YAML 1.1 takes 1e-05 for a text, 1.0e-05 for a number."""
+    """Return a number, a text or a list of such. YAML 1.1 reads 1e-05 as text, 1.0e-05 as a number."""
     if isinstance(value, list):
         return "[" + ", ".join(_yaml_value(entry) for entry in value) + "]"
     written = json.dumps(value, ensure_ascii=False)

@@ -2,9 +2,9 @@
 
 Topics, for each robot: `/NAME/joint_trajectory` (`trajectory_msgs/JointTrajectory`) and `/NAME/robot_trajectory`
 (`moveit_msgs/RobotTrajectory`), a message at the start of each motion; and `/planning_scene`
-(`moveit_msgs/PlanningScene`), a difference whenever a gripper takes a part with it or puts it down, as the planning
-scene monitor of MoveIt reads it. Parts have their names there; their shapes are those of the scene that the reader has.
-A part that disassembly puts down leaves the scene. Messages are CDR, their definitions are in the bag.
+(`moveit_msgs/PlanningScene`), a difference whenever a gripper picks up or puts down a part, as the planning
+scene monitor of MoveIt reads it. Parts have their names there; their shapes are those of the reader's scene.
+A part put down in disassembly leaves the scene. Messages are CDR, with their definitions in the bag.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ _DEFINITIONS = {
 
 
 class _Bag:
-    """A bag in memory."""
+    """MCAP bag in memory."""
 
     def __init__(self) -> None:
         try:
@@ -110,7 +110,7 @@ class _Bag:
         return self.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
 
     def finish(self) -> bytes:
-        """Return the file."""
+        """Return the bytes of the file."""
         self.writer.finish()
         return self.data.getvalue()
 
@@ -119,7 +119,7 @@ def write_bag(plan: RobotPlan, path: Path) -> int:
     """Write the motions of a robot plan as an MCAP bag, and return the number of messages.
 
     Args:
-        plan: with a schedule, or without one, then one motion after the other.
+        plan: robot plan; without a schedule its motions are sequential.
         path: file to write.
 
     Raises:
@@ -187,7 +187,7 @@ def _trajectory(bag: _Bag, plan: RobotPlan, robot: int, trajectory: Trajectory, 
 
 
 def _difference(bag: _Bag, plan: RobotPlan, step: int, operation: int, now: float) -> Any:
-    """Return the difference of the planning scene when a gripper takes a part with it or puts it down."""
+    """Return the difference of the planning scene when a gripper picks up or puts down a part."""
     flange = f"{plan.robots[plan.steps[step].robot].name}_tool0"
     attached = bag.make(
         "moveit_msgs/msg/AttachedCollisionObject",
@@ -199,7 +199,7 @@ def _difference(bag: _Bag, plan: RobotPlan, step: int, operation: int, now: floa
         ),
         weight=0.0,
     )
-    # MoveIt puts a part that is detached where it is, before it looks at the world of the difference.
+    # MoveIt leaves a detached part where it is, before it reads the world of the difference.
     gone = operation == _REMOVE and plan.direction is Direction.DISASSEMBLY
     nowhere = bag.header("", now)
     return bag.make(
@@ -255,7 +255,7 @@ def _difference(bag: _Bag, plan: RobotPlan, step: int, operation: int, now: floa
 
 
 def _part(bag: _Bag, plan: RobotPlan, step: int, operation: int, frame: str, now: float) -> Any:
-    """Return the part of a step as a collision object without shapes: those that the scene has."""
+    """Return the part of a step as a collision object without shapes: those of the scene apply."""
     name = plan.plan.part_names[int(plan.plan.actions[step]) % len(plan.plan.boundary)]
     lists = ("primitives", "primitive_poses", "meshes", "mesh_poses", "planes", "plane_poses")
     return bag.make(
@@ -272,7 +272,7 @@ def _part(bag: _Bag, plan: RobotPlan, step: int, operation: int, frame: str, now
 
 
 def _identity(bag: _Bag) -> Any:
-    """Return the pose of a frame in itself."""
+    """Return the identity pose."""
     return bag.make(
         "geometry_msgs/msg/Pose",
         position=bag.make("geometry_msgs/msg/Point", x=0.0, y=0.0, z=0.0),

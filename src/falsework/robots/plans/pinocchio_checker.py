@@ -1,8 +1,8 @@
-"""Collisions by Pinocchio and Coal: another code, another geometry, for checking what our own kernels found.
+"""Collision checker with Pinocchio and Coal: independent code and geometry for verifying robot plans.
 
-Parts are their exact surfaces here, and links the meshes of their description, where it has meshes: the planner's
-convex pieces of either are not looked at. Links of built-in arms, grippers and obstacles are described as convex
-pieces, so these are what is checked.
+Parts are represented by their exact surfaces, and links by the meshes of their description where it has meshes; the
+planner's convex pieces of either are not used. Links of built-in arms, grippers and obstacles are described as convex
+pieces, so these are checked.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from falsework.robots.model.shapes import inverse_pose
 Array = NDArray[np.float64]
 
 WORLD = 0
-"""Joint of Pinocchio that does not move."""
+"""Index of Pinocchio's fixed joint."""
 
 
 def import_pinocchio() -> tuple[Any, Any]:
-    """Pinocchio and Coal.
+    """Return the modules Pinocchio and Coal.
 
     Raises:
         DependencyError: not installed; the message names the extra.
@@ -47,38 +47,38 @@ def import_pinocchio() -> tuple[Any, Any]:
 
 @dataclass(frozen=True, eq=False)
 class CollisionBody:
-    """Something that takes part in a check."""
+    """Body in a collision check."""
 
     name: str
     shape: Any
     joint: int
     placement: Array
-    """In the frame of the joint, shape (4, 4)."""
+    """Pose in the frame of the joint, shape (4, 4)."""
     against: frozenset[int] | None = None
-    """Where given, it is checked against these parts at their places, shrunk as it is itself, and nothing else."""
+    """If given, the body is checked only against these parts in place, shrunk like the body itself."""
     slack: float = 0.0
-    """By how much it is shrunk, metres."""
+    """Distance by which it is shrunk, metres."""
     spared: frozenset[int] = frozenset()
-    """Parts at their places that it is not checked against."""
+    """Parts in place that it is not checked against."""
 
 
 @dataclass(frozen=True, eq=False)
 class PreparedQuery:
-    """A check prepared: one robot moves, everything else stands."""
+    """Prepared collision check: one robot moves, everything else is fixed."""
 
     model: Any
     data: Any
     geometry: Any
     found: Any
-    """Pinocchio's results; the manager points into it, so it must live as long."""
+    """Pinocchio's data; the collision manager points into it, so it must outlive the manager."""
     manager: Any
     names: tuple[str, ...]
     values: Array
-    """Joint values of all robots; those of the one that moves are filled in for each sample."""
+    """Joint values of all robots; those of the moving one are filled in for each sample."""
     slot: slice
 
     def hits(self, configuration: Array) -> tuple[str, str] | None:
-        """The first two bodies found to meet at joint values of the robot that moves, or None."""
+        """Return the names of the first two bodies that collide at joint values of the moving robot, or None."""
         pinocchio, _ = import_pinocchio()
         self.values[self.slot] = configuration
         if not pinocchio.computeCollisions(self.model, self.data, self.manager, self.values, True):
@@ -91,15 +91,15 @@ class PreparedQuery:
 
 
 class PinocchioCollisionChecker:
-    """A cell and the parts of a structure in it, as Pinocchio and Coal see them."""
+    """Cell and parts of a structure as models of Pinocchio and Coal."""
 
     def __init__(self, cell: Cell, parts: PartShapes, tolerance: float) -> None:
         """Build shapes and kinematics.
 
         Args:
-            cell: robots and what is around them.
-            parts: exact surfaces where they stand.
-            tolerance: a part is shrunk by so much where it may touch its neighbours, metres.
+            cell: robots and their surroundings.
+            parts: exact surfaces of the parts in place.
+            tolerance: distance by which a part is shrunk where it may touch its neighbours, metres.
         """
         self.cell, self.parts, self.tolerance = cell, parts, tolerance
         pinocchio, coal = import_pinocchio()
@@ -116,7 +116,7 @@ class PinocchioCollisionChecker:
         self._shrunken: dict[tuple[int, float], Any] = {}
         self._looseness: dict[int, list[tuple[float, frozenset[int]]]] = {}
         self.slack = tolerance
-        """Most that a part had to be shrunk so far, metres."""
+        """Largest distance by which a part had to be shrunk so far, metres."""
         self._floor = coal.Box(np.array([100.0, 100.0, 1.0]))
 
     def prepare(
@@ -131,18 +131,18 @@ class PinocchioCollisionChecker:
         at_place: bool = False,
         loads: Mapping[int, tuple[int, Array]] | None = None,
     ) -> PreparedQuery:
-        """One robot moves, or several of which one is checked.
+        """Prepare the check of one moving robot; others may move at the same time.
 
         Args:
-            robot: which one.
-            configurations: joint values of all robots; those of the one that moves do not matter.
-            present: parts that stand at their place, shape (parts,).
+            robot: index of the checked robot.
+            configurations: joint values of all robots; those of the moving one are ignored.
+            present: parts in place, shape (parts,).
             carried: part in the gripper.
-            grip: configuration in which the carried part is at its place, shape (joints,).
+            grip: configuration in which the carried part is in place, shape (joints,).
             touches: part that the gripper may touch.
             at_place: whether the carried part starts or ends at its place; it is then shrunk by the tolerance, since
                 it touches its neighbours there.
-            loads: parts that other robots carry, each with the configuration in which it is at its place.
+            loads: parts that other robots carry, each with the configuration in which it is in place.
         """
         moving = self._robot_bodies(robot)
         joints = self.cell.robots[robot].model.joints
@@ -187,7 +187,7 @@ class PinocchioCollisionChecker:
         return PreparedQuery(self.model, data, geometry, found, manager, names, values, self.slots[robot])
 
     def grip_distance(self, robot: int, configuration: Array, part: int) -> float:
-        """Distance between a gripper and a part at its place, metres; 0 where they touch."""
+        """Return the distance between a gripper and a part in place, metres; 0 where they touch."""
         flange = self.flange(robot, configuration)
         coal = self._coal
         here = coal.Transform3s()
@@ -199,7 +199,7 @@ class PinocchioCollisionChecker:
         return max(least, 0.0)
 
     def flange(self, robot: int, configuration: Array) -> Array:
-        """Pose of a flange in the world, shape (4, 4)."""
+        """Return the pose of a flange in the world, shape (4, 4)."""
         values = np.zeros(self.model.nq)
         values[self.slots[robot]] = configuration
         data = self.model.createData()
@@ -222,7 +222,7 @@ class PinocchioCollisionChecker:
         self.slots.append(slice(begin, self.model.nq))
 
     def _robot_bodies(self, robot: int) -> list[tuple[int, CollisionBody]]:
-        """Moving bodies: the link that each is of, `joints + 1` for the gripper."""
+        """Return the moving bodies with the link of each, `joints + 1` for the gripper."""
         entry = self.cell.robots[robot]
         found = []
         for link in range(1, entry.model.joints + 1):
@@ -235,9 +235,9 @@ class PinocchioCollisionChecker:
         return found
 
     def _carried(self, robot: int, part: int, grip: Array, at_place: bool) -> list[CollisionBody]:
-        """The part in a gripper; where it may touch its neighbours once for each distance that it is shrunk by."""
+        """Return the part in a gripper; where it may touch its neighbours, once for each shrinking distance."""
         entry = self.cell.robots[robot]
-        # A part at its place has the identity as its pose, so in the flange it is the inverse of the flange's pose.
+        # A part in place has the identity as its pose, so in the flange it has the inverse of the flange's pose.
         placement = entry.model.flange @ inverse_pose(self.flange(robot, grip))
         name, joint = f"part {self.parts.names[part]}", self._joints[robot][-1]
         if not at_place:
@@ -257,10 +257,10 @@ class PinocchioCollisionChecker:
         return self._shrunken[part, slack]
 
     def _loose(self, part: int) -> list[tuple[float, frozenset[int]]]:
-        """How far a part is shrunk where it may touch its neighbours, and for which of them.
+        """Return the distances by which a part is shrunk where it may touch its neighbours, and the neighbours of each.
 
-        By the tolerance, as long as it does not meet them at its place then. Where the meshes themselves overlap by
-        more, both are shrunk, by twice as much again and again until they come apart, and once more for the way; at
+        The tolerance, as long as the part does not collide with them in place then. Where the meshes themselves overlap
+        by more, both are shrunk, doubling the distance until they separate, and once more for the motion; at
         most by a quarter of their thickness. The clearance table treats such pairs in the same way.
         """
         if part in self._looseness:
@@ -289,7 +289,7 @@ class PinocchioCollisionChecker:
         return found
 
     def _meet(self, one: Any, other: Any) -> bool:
-        """Whether two shapes collide where they are."""
+        """Return whether two shapes collide at their poses."""
         here, request, result = self._coal.Transform3s(), self._coal.CollisionRequest(), self._coal.CollisionResult()
         return bool(self._coal.collide(one, here, other, here, request, result))
 
@@ -316,14 +316,14 @@ class PinocchioCollisionChecker:
 
     @staticmethod
     def _against_itself(one: int, other: int, joints: int, ignored: frozenset[tuple[int, int]]) -> bool:
-        """Whether two bodies of one arm are checked: not neighbours, nor the gripper with the wrist that it is on."""
+        """Return whether two bodies of one arm are checked: not neighbours, nor the gripper with its own wrist."""
         low, high = sorted((one, other))
         if high <= joints:
             return low != high and (low, high) not in ignored
         return low < (joints - 1 if high == joints + 1 else joints)
 
     def _link_shapes(self, model: RobotModel) -> list[list[Any]]:
-        """Shapes of every link: the triangles of its meshes, or its convex pieces where there are no meshes."""
+        """Return the shapes of every link: the triangles of its meshes, or its convex pieces if there are no meshes."""
         if model.meshes is None:
             return [[self._convex(piece) for piece in link] for link in model.pieces]
         return [[self._triangles(mesh.vertices, mesh.faces) for mesh in link] for link in model.meshes]
@@ -335,7 +335,7 @@ class PinocchioCollisionChecker:
         return self._coal.ConvexBase.convexHull(vertices, True, None)
 
     def _surface(self, mesh: TriangleMesh, vertices: Array) -> Any:
-        """A convex solid where the part is one, else its triangles."""
+        """Return a convex solid if the part is convex, else its triangles."""
         hull = ConvexHull(vertices)
         corners = vertices[mesh.faces]
         volume = np.einsum("ti,ti->t", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6

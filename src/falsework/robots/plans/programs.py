@@ -1,8 +1,8 @@
-"""Programs for robot controllers, ABB RAPID and URScript, that keep the order of a robot plan between them.
+"""Programs for robot controllers, ABB RAPID and URScript, that keep the order of a robot plan across robots.
 
 Each arm counts the motions that it has finished, and others wait for its count. Controllers share the counts by their
-own means: RAPID by group signals, URScript by the Modbus registers of each controller. What may begin in the middle of
-another arm's motion by the schedule begins at its end here: that adds waiting and keeps the order of all motions.
+own means: RAPID by group signals, URScript by the Modbus registers of each controller. A motion that the schedule
+starts during another arm's motion starts at its end here: that adds waiting and keeps the order of all motions.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from falsework.search.problem.task import Direction
 Array = NDArray[np.float64]
 
 COUNT_FROM = 3
-"""Count of an arm that has finished nothing; 1 and 2 are said before all arms are ready."""
+"""Count of an arm that has not finished any motion; 1 and 2 are handshake values before all arms are ready."""
 MOST_COUNT = 65535
-"""Largest count that 16 bits hold."""
+"""Largest 16-bit count."""
 REGISTER = 128
-"""First of the general purpose Modbus registers of a UR controller."""
+"""First general-purpose Modbus register of a UR controller."""
 
 
 @dataclass(frozen=True)
 class Wait:
-    """Wait until another arm has come so far."""
+    """Command to wait until another arm reaches a count."""
 
     robot: int
     count: int
@@ -40,21 +40,21 @@ class Wait:
 
 @dataclass(frozen=True)
 class Grip:
-    """Close or open the gripper."""
+    """Command to close or open the gripper."""
 
     close: bool
 
 
 @dataclass(frozen=True)
 class Reach:
-    """Tell the others how far this arm has come."""
+    """Command to publish the count of this arm."""
 
     count: int
 
 
 @dataclass(frozen=True)
 class Begin:
-    """Begin a step of the plan."""
+    """Command that begins a step of the plan."""
 
     step: int
 
@@ -63,10 +63,10 @@ Command = Wait | Grip | Reach | Begin | Trajectory
 
 
 def events_of(plan: RobotPlan, step: int) -> Iterator[Trajectory | Grip]:
-    """Yield the motions of a step and what the gripper does before or after them, in time."""
+    """Yield the motions of a step and the gripper actions before or after them, in time."""
     removes = int(plan.plan.actions[step]) >= len(plan.plan.boundary)
     apart = plan.direction is Direction.DISASSEMBLY
-    # Taking apart: hold = approach, close; remove = leave, carry, open. Putting together is the mirror image.
+    # Disassembly: hold = approach, close; remove = leave, carry, open. Assembly is the mirror image.
     if not apart:
         yield Grip(removes)
     yield from plan.steps[step].trajectories
@@ -75,7 +75,7 @@ def events_of(plan: RobotPlan, step: int) -> Iterator[Trajectory | Grip]:
 
 
 def commands_of(plan: RobotPlan, robot: int) -> Iterator[Command]:
-    """Yield what one arm does, in its order: motions and grips, and where it waits for others and tells them."""
+    """Yield the commands of one arm in order: motions, gripper actions, waits and counts."""
     graph = _graph(plan)
     own = {node: COUNT_FROM + 1 + k for k, node in enumerate(graph.of_robot(robot))}
     counts = {node: COUNT_FROM + 1 + k for r in range(graph.robots) for k, node in enumerate(graph.of_robot(r))}
@@ -99,7 +99,7 @@ def commands_of(plan: RobotPlan, robot: int) -> Iterator[Command]:
             if wait.count > heard[wait.robot]:
                 heard[wait.robot] = wait.count
                 yield wait
-        while left:  # a grip that is no node of the graph goes with the motion before or after it
+        while left:  # a grip without a node in the graph belongs to the motion before or after it
             event = left.pop(0)
             yield event
             if isinstance(event, Grip) == (graph.nodes[node].trajectory is None):
@@ -110,7 +110,7 @@ def commands_of(plan: RobotPlan, robot: int) -> Iterator[Command]:
 
 
 def _graph(plan: RobotPlan) -> TemporalPlanGraph:
-    """Return the schedule of a plan, or one in which every motion waits for the one before."""
+    """Return the schedule of a plan, or one in which every motion waits for the previous one."""
     if plan.schedule is not None:
         return plan.schedule
     nodes, _ = nodes_of(plan)
@@ -119,9 +119,9 @@ def _graph(plan: RobotPlan) -> TemporalPlanGraph:
 
 
 def rapid_modules(plan: RobotPlan) -> Iterator[tuple[str, str]]:
-    """Yield names of files and RAPID modules, one for each arm.
+    """Yield file names and RAPID modules, one for each arm.
 
-    Knots become joint targets in degrees that `MoveAbsJ` goes to in the time that the plan gives them. An arm sets the
+    Knots become joint targets in degrees for `MoveAbsJ` with the durations of the plan. An arm sets the
     group output `go_NAME_count`, and reads those of others as `gi_NAME_count`.
 
     Raises:
@@ -192,14 +192,14 @@ def rapid_modules(plan: RobotPlan) -> Iterator[tuple[str, str]]:
 
 
 def ur_scripts(plan: RobotPlan, rate: float) -> Iterator[tuple[str, str]]:
-    """Yield names of files and URScript programs, one for each arm.
+    """Yield file names and URScript programs, one for each arm.
 
-    Motions are positions at a fixed rate for `servoj`, with a `movej` to the last of each. An arm writes its count into
+    Motions are positions at a fixed rate for `servoj`, with a `movej` to the last of each. An arm writes its count to
     register 128 of its controller; others read it there over Modbus TCP, at the address in the first lines.
 
     Args:
-        plan: what is carried out.
-        rate: positions a second.
+        plan: the robot plan.
+        rate: positions per second.
 
     Raises:
         InputError: an arm with another number of joints than 6, or too many motions for 16 bits.
@@ -261,7 +261,7 @@ def _until(condition: str) -> list[str]:
 
 def _names(plan: RobotPlan) -> list[str]:
     if COUNT_FROM + len(nodes_of(plan)[0]) > MOST_COUNT:
-        raise InputError(f"the plan has more motions than 16 bits count, {MOST_COUNT}; split it")
+        raise InputError(f"the plan has more motions than a 16-bit count holds, {MOST_COUNT}; split it")
     return _distinct([_identifier(robot.name) for robot in plan.robots])
 
 
@@ -293,13 +293,13 @@ def _ur_pose(pose: Array) -> str:
 
 
 def _identifier(text: str) -> str:
-    """A name for both languages: letters, digits and underscores, a letter first, short enough for endings."""
+    """Return a name for both languages: letters, digits and underscores, a letter first, short enough for suffixes."""
     made = re.sub(r"\W", "_", text, flags=re.ASCII)
     return (made if made[:1].isalpha() else f"r{made}")[:16]
 
 
 def _distinct(names: list[str]) -> list[str]:
-    """RAPID names are equal whatever their case."""
+    """Return distinct names: RAPID names are case-insensitive."""
     found: list[str] = []
     for name in names:
         chosen, number = name, 2

@@ -1,4 +1,4 @@
-"""The robot plan: an abstract plan with the motions that carry it out, and with their times if robots move at once."""
+"""Robot plan: an abstract plan with the trajectories that execute it, and a schedule if robots move together."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ Array = NDArray[np.float64]
 class Trajectory:
     """Trajectory of one robot: knots connected by cubic polynomials.
 
-    Between two knots the positions are the cubics that have the positions and velocities of both, as a controller that
-    is given positions and velocities interpolates.
+    Between two knots the positions are the cubics that match the positions and velocities of both, as a controller with
+    position and velocity input interpolates.
     """
 
     kind: Literal["free", "line"]
-    """`free` moves through the open; `line` moves the tool straight to or from the place of a part."""
+    """`free` moves clear of everything; `line` moves the tool straight to or from the place of a part."""
     times: Array
     """Seconds from the start of the trajectory, ascending from 0, shape (knots,)."""
     positions: Array
@@ -40,11 +40,11 @@ class Trajectory:
     part: int | None = None
     """Part in the gripper."""
     touches: int | None = None
-    """Part at its place that the gripper may touch: the one that an approach ends at, or that a retreat starts from."""
+    """Part in place that the gripper may touch: the one that an approach ends at, or that a retreat starts from."""
 
     @property
     def seconds(self) -> float:
-        """How long it takes."""
+        """Duration."""
         return float(self.times[-1])
 
     def reverse(self) -> Trajectory:
@@ -57,15 +57,15 @@ class Trajectory:
         )
 
     def sample(self, seconds: Array) -> Array:
-        """Positions at some times, shape (samples,) to (samples, joints)."""
+        """Return positions at given times, shape (samples,) to (samples, joints)."""
         return self._cubics()(np.clip(seconds, 0.0, self.times[-1]))
 
     def rates(self, seconds: Array) -> Array:
-        """Return velocities at some times, shape (samples,) to (samples, joints)."""
+        """Return velocities at given times, shape (samples,) to (samples, joints)."""
         return self._cubics().derivative(1)(np.clip(seconds, 0.0, self.times[-1]))
 
     def peaks(self) -> tuple[Array, Array]:
-        """Largest speed and acceleration of each joint, exactly; both of shape (joints,)."""
+        """Return the exact largest speed and acceleration of each joint, both of shape (joints,)."""
         cubic = self._cubics()
         speed, acceleration = cubic.derivative(1), cubic.derivative(2)
         # The speed is a parabola between two knots: it peaks at a knot or where the acceleration is zero.
@@ -81,7 +81,7 @@ class Trajectory:
         return np.maximum(ends, top.max(axis=0)), np.maximum(np.abs(first), np.abs(second)).max(axis=0)
 
     def dense(self, step: float) -> tuple[Array, Array]:
-        """Times, and positions of which no joint differs from the last by more than `step`, rad or m."""
+        """Return times, and positions of which no joint differs from the previous one by more than `step`, rad or m."""
         times = [np.zeros(1)]
         reach = self._reach()
         for begin, end, far in zip(self.times[:-1], self.times[1:], reach, strict=True):
@@ -91,10 +91,10 @@ class Trajectory:
         return found, self.sample(found)
 
     def _reach(self) -> Array:
-        """Between knots, duration times the largest speed of a joint: none moves farther. Shape (knots - 1,)."""
+        """Return between knots duration times the largest speed of a joint, a bound on motion. Shape (knots - 1,)."""
         span = np.diff(self.times)
         rise = np.diff(self.positions, axis=0)
-        # A cubic with these ends: its speed is a quadratic in Bernstein form with these three coefficients.
+        # The speed of a cubic with these ends is a quadratic in Bernstein form with these three coefficients.
         middle = 3 * rise - span[:, None] * (self.velocities[:-1] + self.velocities[1:])
         ends = span[:, None] * np.maximum(np.abs(self.velocities[:-1]), np.abs(self.velocities[1:]))
         return np.maximum(np.abs(middle), ends).max(axis=1)
@@ -106,7 +106,7 @@ class Trajectory:
 
 
 def _before(function, times: Array) -> Array:
-    """Values of a piecewise linear function just before each of its knots but the first."""
+    """Return values of a piecewise linear function just before each of its knots but the first."""
     span = np.diff(times)
     start, middle = function(times[:-1]), function(times[:-1] + span / 2)
     return 2 * middle - start
@@ -114,15 +114,15 @@ def _before(function, times: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class RobotStep:
-    """Action of the plan, carried out by one robot."""
+    """Action of the plan, executed by one robot."""
 
     robot: int
     trajectories: tuple[Trajectory, ...]
-    """In their order in time."""
+    """Trajectories in time order."""
 
     @property
     def seconds(self) -> float:
-        """How long the robot moves."""
+        """Duration of the robot's motions."""
         return sum(trajectory.seconds for trajectory in self.trajectories)
 
 
@@ -152,14 +152,14 @@ class RobotRecord:
 
 @dataclass(frozen=True, eq=False)
 class RobotPlan:
-    """An abstract plan, the keyframe of each of its states, and the motions between them."""
+    """Abstract plan, the keyframe of each of its states, and the motions between them."""
 
     plan: Plan
     """States, actions, proofs; its direction is that of the motions."""
     keyframes: tuple[Keyframe, ...]
-    """One for every state of the plan."""
+    """One keyframe for every state of the plan."""
     steps: tuple[RobotStep, ...]
-    """One for every action of the plan."""
+    """One step for every action of the plan."""
     robots: tuple[RobotRecord, ...]
     cell_name: str
     cell_identity: str
@@ -167,14 +167,14 @@ class RobotPlan:
     cell_source: str | None = None
     """Name of the built-in cell, or path of the cell file relative to the file of the plan."""
     statistics: dict[str, Any] = field(default_factory=dict)
-    """How it was found: seconds, seed, counts."""
+    """Statistics of the search: seconds, seed, counts."""
     schedule: TemporalPlanGraph | None = None
-    """Which motions take place at the same time; None: one after the other."""
+    """Schedule of simultaneous motions; None: one after the other."""
 
     def __post_init__(self) -> None:
         if len(self.keyframes) != len(self.plan) + 1 or len(self.steps) != len(self.plan):
             raise PlanError(
-                f"{len(self.keyframes)} keyframes and {len(self.steps)} steps do not go with a plan of "
+                f"{len(self.keyframes)} keyframes and {len(self.steps)} steps do not match a plan of "
                 f"{len(self.plan)} actions; plan again"
             )
 
@@ -183,17 +183,17 @@ class RobotPlan:
 
     @property
     def seconds(self) -> float:
-        """How long the robots take, one after the other."""
+        """Total duration of the motions, one after the other."""
         return sum(step.seconds for step in self.steps)
 
     @property
     def makespan(self) -> float:
-        """How long the robots take as scheduled, or one after the other without a schedule."""
+        """Duration of the schedule, or of sequential motions without a schedule."""
         return self.seconds if self.schedule is None else self.schedule.makespan
 
     @property
     def direction(self) -> Direction:
-        """Whether the motions take apart or put together."""
+        """Whether the motions disassemble or assemble."""
         return self.plan.direction
 
     def describe(self, step: int) -> str:
@@ -202,7 +202,7 @@ class RobotPlan:
         return f"{self.robots[entry.robot].name}: {self.plan.describe(step)} ({entry.seconds:.1f} s)"
 
     def moves(self) -> Iterator[tuple[int, int, Trajectory]]:
-        """Yield all trajectories in order of time: step, robot, trajectory."""
+        """Yield all trajectories in time order: step, robot, trajectory."""
         for index, step in enumerate(self.steps):
             for trajectory in step.trajectories:
                 yield index, step.robot, trajectory
@@ -231,7 +231,7 @@ class RobotPlan:
 
 
 def records_of(cell: Cell) -> tuple[RobotRecord, ...]:
-    """What a plan says of the robots of a cell."""
+    """Return the records of the robots of a cell for a plan."""
     return tuple(
         RobotRecord(
             robot.name,

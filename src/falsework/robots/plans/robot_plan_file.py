@@ -23,17 +23,17 @@ Array = NDArray[np.float64]
 
 FORMAT = "falsework.robot-plan/2"
 FIRST_FORMAT = "falsework.robot-plan/1"
-"""Without a schedule; read, no longer written."""
+"""Format without a schedule; read, no longer written."""
 
 DIGITS = 9
 """Decimals of joint values, velocities and times: coarser ones would show as acceleration where knots are close."""
 JOINS = 1e-5
-"""Joint values that differ by no more than this are the same, rad or m."""
+"""Joint values that differ by no more are equal, rad or m."""
 
 _KEYS = {"format", "cell", "plan", "keyframes", "steps", "statistics"}
 _REASONS = get_args(Reason)
 _TIMES = 1e-3
-"""Times of a schedule that differ by no more are the same, seconds."""
+"""Times of a schedule that differ by no more are equal, seconds."""
 
 
 def robot_plan_schema() -> dict[str, Any]:
@@ -43,7 +43,7 @@ def robot_plan_schema() -> dict[str, Any]:
 
 
 def save_robot_plan(plan: RobotPlan, path: Path | str) -> None:
-    """Write a robot plan as JSON, format `falsework.robot-plan/2`, whole or not at all.
+    """Write a robot plan as JSON, format `falsework.robot-plan/2`, atomically.
 
     Raises:
         InputError: the file cannot be written.
@@ -122,18 +122,18 @@ def _schedule_to_dict(graph: TemporalPlanGraph) -> dict[str, Any]:
 
 
 def load_robot_plan(path: Path | str) -> RobotPlan:
-    """Read a robot plan and check that it is one: format, lengths, that motions and keyframes join.
+    """Read a robot plan and validate it: format, lengths, and continuity of motions and keyframes.
 
     Collisions and limits are not checked; see `check_robot_plan`.
 
     Raises:
-        PlanError: no such file, damaged, of another version, or with motions that do not join.
+        PlanError: no such file, damaged, of another version, or with discontinuous motions.
     """
     return robot_plan_from_dict(_Reader.load(path), str(Path(path)))
 
 
 def robot_plan_from_dict(data: Any, source: str = "the robot plan") -> RobotPlan:
-    """Read a robot plan from plain JSON values; `source` names them in messages.
+    """Read a robot plan from plain JSON values; `source` is its name in messages.
 
     Raises:
         PlanError: as `load_robot_plan`.
@@ -146,7 +146,7 @@ def _numbers(values: Array) -> Any:
 
 
 class _Reader(Reader):
-    """Checks all of a robot plan that can be checked without the cell and the structure."""
+    """Reader that validates everything that does not need the cell and the structure."""
 
     kind, form, command = "robot plan", FORMAT, "falsework robots plan"
 
@@ -159,7 +159,7 @@ class _Reader(Reader):
         robots = tuple(self._robot(entry, f"robot {k}") for k, entry in enumerate(self._list(cell["robots"], "robots")))
         abstract = plan_from_dict(data["plan"], f"the plan in {self._source}")
         if abstract.support:
-            self._fail("its plan holds parts again or has props, which robots here do not")
+            self._fail("its plan holds parts again or has props, which robot plans do not support")
         joints = [len(robot.joint_names) for robot in robots]
         keyframes = tuple(
             self._keyframe(entry, f"keyframe {k}", joints, len(abstract.boundary))
@@ -170,7 +170,7 @@ class _Reader(Reader):
             for k, entry in enumerate(self._list(data["steps"], "steps"))
         )
         if not isinstance(data["statistics"], dict):
-            self._fail("statistics is no object")
+            self._fail("statistics is not an object")
         made = RobotPlan(
             plan=abstract,
             keyframes=keyframes,
@@ -194,10 +194,10 @@ class _Reader(Reader):
             place = f"schedule: motion {k}"
             self._keys(entry, {"robot", "step", "trajectory", "start", "seconds"}, place)
             if (entry["robot"], entry["step"], entry["trajectory"]) != (node.robot, node.step, node.trajectory):
-                self._fail(f"{place} is not that of its step", "the motions must be in the order of the steps")
+                self._fail(f"{place} does not match its step", "the motions must be in the order of the steps")
             starts.append(self._seconds(entry["start"], f"{place}: start"))
             if abs(self._seconds(entry["seconds"], f"{place}: seconds") - node.seconds) > JOINS:
-                self._fail(f"{place} takes another time than its trajectory")
+                self._fail(f"{place} has another duration than its trajectory")
         edges = [
             self._precedence(entry, f"schedule: precedence {k}", expected)
             for k, entry in enumerate(self._list(data["precedences"], "schedule: precedences"))
@@ -206,9 +206,9 @@ class _Reader(Reader):
         try:
             graph = TemporalPlanGraph(expected, tuple(edges), len(plan.robots), bound)
         except PlanError as error:
-            self._fail(f"its schedule does not work: {error}", "schedule it again")
+            self._fail(f"its schedule is invalid: {error}", "schedule it again")
         if starts and np.abs(graph.starts() - starts).max() > _TIMES:
-            self._fail("the times of its schedule are not those that its precedences give", "schedule it again")
+            self._fail("the times of its schedule do not follow from its precedences", "schedule it again")
         return graph
 
     def _precedence(self, data: Any, place: str, nodes: tuple[MotionNode, ...]) -> Precedence:
@@ -241,7 +241,7 @@ class _Reader(Reader):
         self._keys(data, {"configurations", "held"}, place)
         values, held = data["configurations"], data["held"]
         if any(not isinstance(entry, list) or len(entry) != len(joints) for entry in (values, held)):
-            self._fail(f"{place} is not about {len(joints)} robots")
+            self._fail(f"{place} does not have {len(joints)} robots")
         return Keyframe(
             tuple(
                 self._array(entry, (count,), f"{place}: robot {k}")
@@ -276,25 +276,25 @@ class _Reader(Reader):
         )
 
     def _joins(self, plan: RobotPlan) -> None:
-        """Every trajectory begins where the robot is, and leads to the next keyframe."""
+        """Check that every trajectory begins at the robot's configuration, and leads to the next keyframe."""
         for index, (before, after) in enumerate(pairwise(plan.keyframes)):
             step, place = plan.steps[index], f"step {index + 1} ({plan.plan.describe(index)})"
             values = before.configurations[step.robot]
             for trajectory in step.trajectories:
                 if np.abs(trajectory.positions[0] - values).max() > JOINS:
-                    self._fail(f"{place}: a motion begins elsewhere than the last one ended")
+                    self._fail(f"{place}: a motion does not begin where the previous one ended")
                 values = trajectory.positions[-1]
             for robot, (old, new) in enumerate(zip(before.configurations, after.configurations, strict=True)):
                 if np.abs((values if robot == step.robot else old) - new).max() > JOINS:
-                    self._fail(f"{place}: robot {robot} is not where keyframe {index + 1} says")
+                    self._fail(f"{place}: robot {robot} does not reach keyframe {index + 1}")
 
     def _array(self, value: Any, shape: tuple[int, ...] | None, place: str) -> Array:
         try:
             found = np.array(value, dtype=np.float64)
         except (TypeError, ValueError):
-            self._fail(f"{place} holds no numbers")
+            self._fail(f"{place} does not hold numbers")
         if shape is None and found.ndim != 1:
-            self._fail(f"{place} is no list of numbers")
+            self._fail(f"{place} is not a list of numbers")
         if shape is not None and found.shape != shape:
             self._fail(f"{place} has shape {found.shape}", f"expected {shape}")
         if not np.isfinite(found).all():

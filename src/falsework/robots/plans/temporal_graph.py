@@ -1,7 +1,7 @@
-"""Temporal plan graph: the motions of all arms, and which of them may begin only after what.
+"""Temporal plan graph: the motions of all arms, and the precedences between them.
 
-Nodes are motions from rest to rest, and moments at which a gripper takes hold of a part or lets go of it. A precedence
-lets one node begin only when another has come so far; an arm that is late delays those that wait for it, and nothing
+Nodes are motions from rest to rest, and instants at which a gripper closes on a part or opens. A precedence
+lets one node begin only when another has reached an offset; a late arm delays those that wait for it, and nothing
 else changes. Hönig et al., Multi-agent path finding with kinematic constraints (ICAPS 2016), for arms as in Huang et
 al., APEX-MR (RSS 2025).
 """
@@ -23,20 +23,20 @@ Reason = Literal["arm", "state", "part", "volume"]
 
 @dataclass(frozen=True)
 class MotionNode:
-    """Motion of one arm from rest to rest, or, without a trajectory, the moment at which a gripper closes or opens."""
+    """Motion of one arm from rest to rest, or, without a trajectory, the instant at which a gripper closes or opens."""
 
     robot: int
     step: int
-    """Step of the plan that it is of."""
+    """Step of the plan that it belongs to."""
     trajectory: int | None
-    """Number of its trajectory in the step."""
+    """Index of its trajectory in the step."""
     seconds: float
     """Nominal duration."""
 
 
 @dataclass(frozen=True)
 class Precedence:
-    """`after` begins only when `before` has come to `offset`."""
+    """Precedence: `after` begins only when `before` has reached `offset`."""
 
     before: int
     offset: float
@@ -44,19 +44,19 @@ class Precedence:
     after: int
     why: Reason
     """`arm`: the same arm; `state`: the structure must be in the state that the step needs; `part`: a part must have
-    left its place or must not have come there; `volume`: another arm must have left the way."""
+    left its place or must not have reached it; `volume`: another arm must have left the swept volume."""
 
 
 @dataclass(frozen=True, eq=False)
 class TemporalPlanGraph:
-    """Motions and precedences of a robot plan, with the times that they give."""
+    """Motions and precedences of a robot plan, with the times that follow from them."""
 
     nodes: tuple[MotionNode, ...]
-    """In an order in which they can be carried out one by one; those of an arm in its own order."""
+    """Nodes in an order in which they can be executed one by one; those of an arm in its own order."""
     edges: tuple[Precedence, ...]
     robots: int
     lower_bound: float
-    """No order of these motions takes less time, seconds, as far as it is proven."""
+    """Proven lower bound on the makespan of any order of these motions, seconds."""
 
     def __post_init__(self) -> None:
         for edge in self.edges:
@@ -66,14 +66,14 @@ class TemporalPlanGraph:
                 )
             if not 0 <= edge.offset <= self.nodes[edge.before].seconds + 1e-6:
                 raise PlanError(f"a precedence waits {edge.offset:g} s into a motion that is shorter; plan again")
-        self.order  # noqa: B018 - raises where there is a circle
+        self.order  # noqa: B018 - raises where there is a cycle
 
     @cached_property
     def order(self) -> tuple[int, ...]:
         """Return the nodes so that each comes after all that it waits for.
 
         Raises:
-            PlanError: motions wait for each other in a circle.
+            PlanError: a deadlock: motions wait for each other in a cycle.
         """
         waits = np.bincount([edge.after for edge in self.edges], minlength=len(self.nodes))
         ready = [index for index in range(len(self.nodes)) if not waits[index]]
@@ -87,7 +87,7 @@ class TemporalPlanGraph:
                     ready.append(edge.after)
         if len(found) < len(self.nodes):
             node = self.nodes[int(np.flatnonzero(waits)[0])]
-            raise PlanError(f"motions wait for each other in a circle, one of them in step {node.step + 1}; plan again")
+            raise PlanError(f"motions wait for each other in a cycle, one of them in step {node.step + 1}; plan again")
         return tuple(found)
 
     @cached_property
@@ -98,10 +98,10 @@ class TemporalPlanGraph:
         return tuple(tuple(edges) for edges in found)
 
     def starts(self, stretch: ArrayLike | None = None) -> Array:
-        """Return when each node begins if every arm moves as soon as it may, seconds, shape (nodes,).
+        """Return the start time of each node if every arm moves as soon as it may, seconds, shape (nodes,).
 
         Args:
-            stretch: by what factor each motion takes longer than nominal, shape (nodes,); 1 if not given.
+            stretch: factor on the nominal duration of each motion, shape (nodes,); 1 by default.
 
         Raises:
             InputError: factors below 1 or not finite: no motion is faster than nominal.
@@ -116,7 +116,7 @@ class TemporalPlanGraph:
         return found
 
     def finish(self, stretch: ArrayLike | None = None) -> float:
-        """Return when the last motion ends, seconds; arguments as those of `starts`."""
+        """Return the time at which the last motion ends, seconds; arguments as those of `starts`."""
         factor = np.ones(len(self.nodes)) if stretch is None else np.asarray(stretch, dtype=np.float64)
         ends = self.starts(stretch) + factor * self.durations
         return float(ends.max(initial=0.0))
@@ -128,20 +128,20 @@ class TemporalPlanGraph:
 
     @cached_property
     def makespan(self) -> float:
-        """When the last motion ends without delays, seconds."""
+        """Time at which the last motion ends without delays, seconds."""
         return self.finish()
 
     @property
     def sequential(self) -> float:
-        """How long the same motions take one after the other, seconds."""
+        """Duration of the same motions one after the other, seconds."""
         return float(self.durations.sum())
 
     def of_robot(self, robot: int) -> list[int]:
-        """Return the nodes of one arm in their order."""
+        """Return the nodes of one arm in order."""
         return [index for index, node in enumerate(self.nodes) if node.robot == robot]
 
     def reverse(self) -> TemporalPlanGraph:
-        """Return the graph of the reverse plan: what waited for a part of a motion is now waited for as a whole.
+        """Return the graph of the reverse plan: a wait for part of a motion becomes a wait for all of it.
 
         It is as safe, and may be slower than a graph made for that direction.
         """

@@ -1,4 +1,4 @@
-"""Motions and moments of a robot plan in time: nodes of its temporal plan graph, its states, and what each arm does."""
+"""Timeline of a robot plan: nodes of its temporal plan graph, its states, and the activity of each arm."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ArmShares:
-    """Shares of the makespan that one arm spends in each way."""
+    """Shares of the makespan that one arm spends in each activity."""
 
     robot: str
     moves: float
     holds: float
-    """Rests and holds a part at its place."""
+    """Rests while holding a part in place."""
     waits: float
 
 
 def arm_shares(plan: RobotPlan, graph: TemporalPlanGraph) -> list[ArmShares]:
-    """Return what every arm of a plan does with its time."""
+    """Return the shares of time that every arm of a plan spends in each activity."""
     total, starts = max(graph.makespan, 1e-12), graph.starts()
     parts, apart = len(plan.plan.boundary), plan.direction is Direction.DISASSEMBLY
     held = [part is not None for part in plan.keyframes[0].held]
@@ -39,7 +39,7 @@ def arm_shares(plan: RobotPlan, graph: TemporalPlanGraph) -> list[ArmShares]:
         holds[robot] += held[robot] * (starts[index] - free[robot])
         moves[robot] += node.seconds
         free[robot] = starts[index] + node.seconds
-        # A removal ends a hold as it begins, an insertion begins one as it ends; holds change at their own moment.
+        # A removal ends a hold as it begins, an insertion begins one as it ends; holds change at their own instant.
         if node.trajectory is None or last:
             held[robot] = plan.keyframes[node.step + 1].held[robot] is not None
         elif removes and apart:
@@ -53,7 +53,7 @@ def arm_shares(plan: RobotPlan, graph: TemporalPlanGraph) -> list[ArmShares]:
 
 @dataclass(frozen=True)
 class Event:
-    """Moment at which the structure changes its state: the beginning or the end of a node."""
+    """Instant at which the structure changes its state: the beginning or the end of a node."""
 
     node: int
     at_end: bool
@@ -62,8 +62,8 @@ class Event:
 def nodes_of(plan: RobotPlan) -> tuple[tuple[MotionNode, ...], tuple[Event, ...]]:
     """Return the nodes of a plan in its own order, and the event of each of its steps.
 
-    A part leaves its place when the motion that carries it begins, and is at its place when that motion ends. A hold
-    begins, and ends, at a moment of its own: an arm may wait with its gripper at the part.
+    A part leaves its place when the motion that carries it begins, and is in place when that motion ends. A hold
+    begins, and ends, at an instant of its own: an arm may wait with its gripper at the part.
     """
     nodes: list[MotionNode] = []
     events = []
@@ -80,12 +80,12 @@ def nodes_of(plan: RobotPlan) -> tuple[tuple[MotionNode, ...], tuple[Event, ...]
 
 
 def event_times(plan: RobotPlan, graph: TemporalPlanGraph, stretch: ArrayLike | None = None) -> Array:
-    """Return when the structure comes to each state but the first, seconds, shape (steps,).
+    """Return the time at which the structure reaches each state but the first, seconds, shape (steps,).
 
     Args:
         plan: the robot plan.
         graph: its schedule.
-        stretch: as `TemporalPlanGraph.starts` takes it.
+        stretch: as for `TemporalPlanGraph.starts`.
     """
     factor = np.ones(len(graph.nodes)) if stretch is None else np.asarray(stretch, dtype=np.float64)
     starts = graph.starts(stretch)
@@ -95,34 +95,34 @@ def event_times(plan: RobotPlan, graph: TemporalPlanGraph, stretch: ArrayLike | 
 
 @dataclass(frozen=True, eq=False)
 class ArmActivity:
-    """Motion or rest of one arm at a moment of a schedule."""
+    """Motion or rest of one arm at an instant of a schedule."""
 
     robot: int
     step: int
     trajectory: Trajectory | None
-    """None: it rests."""
+    """None: the arm rests."""
     begin: float
     stretch: float
     rest: Array
-    """Where it rests, shape (joints,)."""
+    """Configuration of rest, shape (joints,)."""
     load: tuple[int, Array] | None
-    """The part that it carries, and the configuration in which the part is at its place."""
+    """The part that it carries, and the configuration in which the part is in place."""
 
     def at(self, seconds: Array) -> Array:
-        """Return joint values at some times, shape (samples, joints)."""
+        """Return joint values at given times, shape (samples, joints)."""
         if self.trajectory is None:
             return np.repeat(self.rest[None], len(seconds), axis=0)
         return self.trajectory.sample((seconds - self.begin) / self.stretch)
 
 
 def activities_at(plan: RobotPlan, starts: Array, moment: float, factor: Array | None = None) -> Iterator[ArmActivity]:
-    """Yield what each arm does at a moment of the schedule of a plan.
+    """Yield the activity of each arm at an instant of the schedule of a plan.
 
     Args:
-        plan: with a schedule.
-        starts: when each node begins, as `TemporalPlanGraph.starts` returns it.
+        plan: robot plan with a schedule.
+        starts: start time of each node, as `TemporalPlanGraph.starts` returns it.
         moment: seconds from the start of the schedule.
-        factor: by what factor each motion takes longer, shape (nodes,); 1 if not given.
+        factor: factor on the duration of each motion, shape (nodes,); 1 by default.
     """
     graph = plan.schedule
     assert graph is not None

@@ -1,4 +1,4 @@
-"""Schedule of a robot plan: from motions one after the other to motions at the same time."""
+"""Schedule of a robot plan: from sequential motions to simultaneous ones."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ def schedule_plan(
 ) -> RobotPlan:
     """Return a robot plan with a schedule in which its arms move at the same time.
 
-    Paths and the order of the states stay as they are. Two arms are never in stretches of their motions at the same
-    time unless all of one is proven to keep its distance from all of the other, whatever the delays.
+    Paths and the order of the states stay as they are. Two arms execute segments of their motions at the same
+    time only if all of one is proven to keep its distance from all of the other, whatever the delays.
 
     Args:
-        plan: motions, one after the other.
+        plan: robot plan with sequential motions.
         assembly: the structure.
         cell: the robots.
         settings: limits of the search for the shortest schedule.
-        parts: the parts as bodies in the cell, if they are at hand.
+        parts: the parts as bodies in the cell, if already available.
 
     Raises:
         PlanError: the plan is for another structure or cell.

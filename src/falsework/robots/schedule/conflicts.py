@@ -1,8 +1,8 @@
-"""Conflicts of a plan: which arm must have left which stretch before another enters its own.
+"""Conflicts of a plan: segments of one arm that it must have left before another arm enters its own.
 
-The motions of two arms span a plane, one axis for each; conflicting cells form regions in it. As time goes on the two
-arms move through the plane and pass every connected region on one side or the other: one of the two goes first through
-all of it (O'Donnell and Lozano-Pérez 1989). Each side is a list of precedences, and holds for whatever delays.
+The motions of two arms span a plane, one axis for each; conflicting cells form regions in it. In time the two
+arms trace a path through the plane and pass every connected region on one side or the other: one of them goes first
+through all of it (O'Donnell and Lozano-Pérez 1989). Each side is a list of precedences, valid for any delays.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ class Choice:
 
     robots: tuple[int, int]
     ways: tuple[tuple[Precedence, ...] | None, tuple[Precedence, ...] | None]
-    """Precedences if the first arm goes first, and if the second does; None: it cannot."""
+    """Precedences if the first arm goes first, and if the second does; None where that is impossible."""
     planned: int
-    """Way in the sequential plan."""
+    """Option in the sequential plan."""
 
 
 def fixed_precedences(rows: Itineraries) -> list[Precedence]:
-    """Return precedences that every schedule of a plan keeps: of each arm, of the states, of parts at their places."""
+    """Return the precedences of every schedule of a plan: of each arm, of the states, of parts in place."""
     found = []
     for robot in range(len(rows.rows)):
         found += [Precedence(a, rows.nodes[a].seconds, b, "arm") for a, b in pairwise(rows.of_robot(robot))]
@@ -46,7 +46,7 @@ def fixed_precedences(rows: Itineraries) -> list[Precedence]:
 
 
 def _parts_in_the_way(rows: Itineraries, robot: int) -> list[Precedence]:
-    """Return what keeps motions planned after a part had left, or before it came, from meeting it at its place."""
+    """Return precedences that keep motions planned after a part had left, or before it came, from colliding with it."""
     apart, found = rows.plan.direction is Direction.DISASSEMBLY, []
     for stretch in rows.rows[robot]:
         if stretch.node is None:
@@ -91,7 +91,7 @@ def _of_pair(rows: Itineraries, one: int, other: int) -> list[Choice]:
 
 
 def conflict_table(rows: Itineraries, one: int, other: int) -> NDArray[np.bool_]:
-    """Return which cells of two arms conflict, as far as they can take place at the same time."""
+    """Return which cells of two arms conflict, as far as they can be executed at the same time."""
     size = [rows.rows[robot][-1].first + 1 for robot in (one, other)]
     table = np.zeros(size, dtype=bool)
     for a in rows.rows[one]:
@@ -109,12 +109,12 @@ def _margin(rows: Itineraries, stretch: Stretch) -> float:
 
 
 def _proven(one: Stretch, other: Stretch) -> bool:
-    """Return whether the planner has proven the two free of each other: one rests where the other was planned."""
+    """Return whether the planner has proven two segments free of each other: one rests where the other was planned."""
     return (one.node is None or other.node is None) and not one.frames.isdisjoint(other.frames)
 
 
 def _node_after(rows: Itineraries, robot: int, cell: int) -> int:
-    """Return the node that a cell is in, or that follows the rest that it is."""
+    """Return the node that a cell belongs to, or that follows the rest that it belongs to."""
     row = rows.rows[robot]
     k = bisect_right([stretch.first for stretch in row], cell) - 1
     node = row[k].node
@@ -122,7 +122,7 @@ def _node_after(rows: Itineraries, robot: int, cell: int) -> int:
 
 
 def _ends_rest(rows: Itineraries, robot: int, place: int) -> int:
-    """Return the node with which a rest ends, one more than there are for the last: a motion, or a grip."""
+    """Return the node that ends a rest, a motion or a grip; the number of nodes for the last rest."""
     row = rows.rows[robot]
     if place + 1 == len(row):
         return len(rows.nodes)
@@ -131,7 +131,7 @@ def _ends_rest(rows: Itineraries, robot: int, place: int) -> int:
 
 
 def _goes_first(rows: Itineraries, one: int, other: int, cells: NDArray[np.intp]) -> tuple[Precedence, ...] | None:
-    """Return what holds if one arm goes first through a region, cells of it and of the other; None if it cannot."""
+    """Return the precedences if one arm goes first through a region, cells of it and of the other; None if not."""
     leaving, entering = rows.rows[one], rows.rows[other]
     firsts = [stretch.first for stretch in leaving]
     furthest, found = -1, []

@@ -1,4 +1,4 @@
-"""Itineraries: the motions of every arm of a plan in a row, cut into cells for the test of what may coincide."""
+"""Itineraries: the sequence of motions of every arm of a plan, divided into cells for conflict tests."""
 
 from __future__ import annotations
 
@@ -21,28 +21,28 @@ from falsework.search.problem.task import Direction
 Array = NDArray[np.float64]
 
 CELL = 0.05
-"""Longest cell, seconds."""
+"""Longest duration of a cell, seconds."""
 _SAME = 1e-5
-"""Joint values that differ by no more are the same, rad or m."""
+"""Joint values that differ by no more are equal, rad or m."""
 
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """Motion or rest of one arm, with when in the plan it can take place and what it sweeps."""
+    """Motion or rest of one arm, with its time range in the plan and its swept bodies."""
 
     node: int | None
-    """None: a rest."""
+    """Node of a motion; None for a rest."""
     first: int
-    """First cell in the row of the arm."""
+    """Index of its first cell in the sequence of the arm."""
     cells: int
     after: int
-    """It takes place after this event, -1 for the beginning."""
+    """Event that it takes place after, -1 for the beginning."""
     before: int
-    """It takes place before this event."""
+    """Event that it takes place before."""
     ends: Array
     """Nominal seconds into the motion at which each cell ends, shape (cells,)."""
     swept: tuple[Swept, Swept]
-    """In cells and in finer cells."""
+    """Swept bodies in cells and in finer cells."""
     line: bool
     """Whether it keeps the margin of straight lines only."""
     frames: frozenset[int]
@@ -50,15 +50,15 @@ class Stretch:
 
 
 class Itineraries:
-    """All arms of a plan."""
+    """Itineraries of all arms of a plan."""
 
     def __init__(self, plan: RobotPlan, world: CollisionWorld, *, slack: int = 0) -> None:
-        """Cut motions into cells and place the bodies.
+        """Divide motions into cells and compute swept bodies.
 
         Args:
-            plan: the motions.
+            plan: the robot plan.
             world: the cell and the parts.
-            slack: events whose numbers differ by no more than this may come in another order.
+            slack: events whose indices differ by at most this may be reordered.
         """
         self.plan, self.world, self.slack = plan, world, slack
         self.nodes, self.events = nodes_of(plan)
@@ -79,7 +79,7 @@ class Itineraries:
             first += 1
             if index is None:
                 return
-            if self.nodes[index].trajectory is None:  # rests before and after it are told apart
+            if self.nodes[index].trajectory is None:  # rests before and after it are distinct
                 after = starts[index]
                 continue
             after = int(starts.get(index, after))
@@ -117,7 +117,7 @@ class Itineraries:
         return Stretch(None, first, 1, after, before, np.zeros(1), (found, found), False, frozenset(frames))
 
     def _load(self, index: int) -> tuple[int, Array] | None:
-        """Return the part that a motion carries, and the configuration in which the part is at its place."""
+        """Return the part that a motion carries, and the configuration in which the part is in place."""
         node, trajectory = self.nodes[index], self._trajectory(index)
         if trajectory.part is None:
             return None
@@ -149,7 +149,7 @@ class Itineraries:
         return Scene.at_home(self.world.cell, self.world.parts)
 
     def present(self, node: int) -> NDArray[np.bool_]:
-        """Return the parts at their places for which a motion was planned, shape (parts,)."""
+        """Return the parts that were in place when a motion was planned, shape (parts,)."""
         entry = self.nodes[node]
         state = self.plan.plan.states[entry.step] != REMOVED
         action, parts = int(self.plan.plan.actions[entry.step]), len(state)
@@ -159,19 +159,19 @@ class Itineraries:
         return state
 
     def moved(self, event: int) -> int | None:
-        """Return the part that leaves its place, or comes to it, at an event; None for a hold."""
+        """Return the part that leaves its place, or reaches it, at an event; None for a hold."""
         action, parts = int(self.plan.plan.actions[event]), len(self.plan.plan.boundary)
         return action - parts if action >= parts else None
 
     def standing(self, part: int) -> Swept:
-        """Return a part at its place."""
+        """Return the body of a part in place."""
         if part not in self._standing:
             self._standing[part] = still(self.world.parts.pieces[part])
         return self._standing[part]
 
 
 def reach_of(trajectory: Trajectory, cells: int) -> tuple[Array, Array]:
-    """Return joint values in the middle of each cell of a trajectory, and how far each joint is from there at most.
+    """Return joint values in the middle of each cell of a trajectory, and the largest deviations from them.
 
     The bound is exact: a cubic lies within the control points of its Bézier form. Both shapes are (cells, joints).
     """

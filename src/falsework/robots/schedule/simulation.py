@@ -16,29 +16,29 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class SimulationReport:
-    """Runs of one schedule under random delays."""
+    """Results of simulated executions of one schedule under random delays."""
 
     makespans: Array
     """Seconds, shape (runs,)."""
     out_of_order: int
-    """Runs in which the structure was in a state that the plan has not, or in another order."""
+    """Number of runs in which the structure reached a state that is not in the plan, or in another order."""
     stuck: int
-    """Runs in which an arm waited for ever."""
+    """Number of runs that ended in a deadlock."""
 
     @property
     def good(self) -> bool:
-        """Whether every run came to its end through the states of the plan."""
+        """Whether every run ended through the states of the plan in order."""
         return not (self.out_of_order or self.stuck)
 
 
 def simulate(plan: RobotPlan, *, runs: int = 1000, most: float = 1.0, seed: int = 0) -> SimulationReport:
-    """Carry out a schedule many times; each motion takes longer by a random share.
+    """Simulate a schedule many times; each motion takes longer by a random share.
 
     Args:
-        plan: with a schedule.
-        runs: how often.
+        plan: robot plan with a schedule.
+        runs: number of runs.
         most: largest share by which a motion takes longer; uniform from 0.
-        seed: of the delays.
+        seed: seed of the delays.
 
     Raises:
         PlanError: the plan has no schedule.
@@ -48,7 +48,7 @@ def simulate(plan: RobotPlan, *, runs: int = 1000, most: float = 1.0, seed: int 
     if graph is None:
         raise PlanError("the robot plan has no schedule to simulate; plan again, or schedule it")
     if not 0 <= most < np.inf or runs < 1:
-        raise InputError(f"{runs} runs with delays of up to {most:g} make no simulation; give finite numbers above 0")
+        raise InputError(f"cannot simulate {runs} runs with delays of up to {most:g}; give finite numbers above 0")
     rng = np.random.default_rng(seed)
     makespans = np.zeros(runs)
     out_of_order = stuck = 0

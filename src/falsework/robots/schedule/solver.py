@@ -1,4 +1,4 @@
-"""Order of the conflicts of a plan: a schedule with least makespan, by constraint programming."""
+"""Order of conflicting motions of a plan: a schedule with least makespan, by constraint programming."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from falsework.robots.plans.temporal_graph import MotionNode, Precedence, Tempor
 from falsework.robots.schedule.conflicts import Choice
 
 _TICKS = 10_000
-"""Units of time of the solver in a second."""
+"""Time units of the solver per second."""
 _SEED = 1
 
 
@@ -19,13 +19,13 @@ class ScheduleSettings:
     """Limits of the search for a schedule."""
 
     seconds: float = 5.0
-    """Time that the solver has at most."""
+    """Time limit of the solver, s."""
     workers: int = 2
-    """Threads of the solver."""
+    """Number of solver threads."""
 
     def __post_init__(self) -> None:
         if not self.seconds > 0 or self.workers < 1:
-            raise InputError("a schedule needs time and a thread; give seconds above 0 and workers from 1 on")
+            raise InputError("the schedule solver needs time and a thread; give seconds above 0 and at least 1 worker")
 
 
 def import_ortools():
@@ -50,7 +50,7 @@ def solve(
     robots: int,
     settings: ScheduleSettings = ScheduleSettings(),
 ) -> TemporalPlanGraph:
-    """Return the graph of a schedule with the least makespan found.
+    """Return the temporal plan graph of a schedule with the least makespan found.
 
     Args:
         nodes: the motions, in the order of the sequential plan.
@@ -114,7 +114,7 @@ def _chosen(
 
 
 def _needed(edges: Sequence[Precedence]) -> list[Precedence]:
-    """Return of the precedences between two nodes the one that waits longest."""
+    """Return only the latest precedence between each two nodes."""
     longest: dict[tuple[int, int], Precedence] = {}
     for edge in edges:
         kept = longest.get((edge.before, edge.after))

@@ -1,4 +1,4 @@
-"""Compiled verdict under `contact` of one state at rest, and of a run of states without the GIL."""
+"""Compiled verdict under `contact` for one state and for a range of states, without the GIL."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from falsework.stability.stiffness import MOVEMENT, TANGENTIAL_RATIO, normal_sti
 from falsework.utils.kernels import njit
 
 NEAR_RINGS = 3
-"""Contacts away from a changed part within which parts come to rest first; fewer where those are half of all."""
+"""Distance from a changed part, in contacts, within which parts settle first; smaller where that is half of all."""
 
 
 class ContactOptions(NamedTuple):
@@ -38,7 +38,7 @@ class ContactOptions(NamedTuple):
     warm_steps: int
     """The same from the displacement of a parent."""
     near_steps: int
-    """The same of the parts near a change, while the others stay where they are."""
+    """The same for the parts near a change, while the others are fixed."""
     first_step: float
     """First time step from rest."""
     warm_first_step: float
@@ -48,20 +48,20 @@ class ContactOptions(NamedTuple):
 def build_contact_structure(
     assembly: Assembly, problem: Problem, gravity: float, ratio: float = TANGENTIAL_RATIO
 ) -> ContactArrays:
-    """Lay the stiffness of a structure out for the kernel.
+    """Lay out the stiffness of a structure for the kernel.
 
     Args:
         assembly: the structure.
-        problem: the same, scaled.
+        problem: its scaled equilibrium problem.
         gravity: m/s2.
-        ratio: tangential over normal stiffness.
+        ratio: ratio of tangential to normal stiffness.
     """
     stiffness = normal_stiffness(assembly, gravity) / problem.force_scale**2
     scale = 1.0 / float(np.median(stiffness)) if len(stiffness) else 1.0
     return ContactArrays(
         normal=stiffness * scale,
         tangential=ratio * stiffness * scale,
-        # Copies even where there is no pair: a read-only view is another type, for which numba would compile all anew.
+        # Copies even where there is no pair: a read-only view is another type, for which numba would recompile all.
         turned_a=np.array(problem.transfer_a.transpose(0, 2, 1), order="C"),
         turned_b=np.array(problem.transfer_b.transpose(0, 2, 1), order="C"),
         scale=scale,
@@ -72,7 +72,7 @@ def build_contact_structure(
 
 @njit(cache=True)
 def place_contacts(structure, contact_structure, state, work, contact, pairs):
-    """Bring stiffness and gravity into the compact order of a state, without history."""
+    """Copy stiffness and gravity into the compact order of a state, without history."""
     normal, tangential = contact_structure.normal, contact_structure.tangential
     for p in range(pairs):
         shift = structure.pair_start[work.pair[p]] - work.start[p]
@@ -102,7 +102,7 @@ def read_displacement(structure, contact_structure, work, displacement, out):
 
 @njit(cache=True)
 def write_displacement(structure, contact_structure, work, whitened, out):
-    """Displacement in m and rad of the parts that can move from a whitened one; other rows of (parts, 6) are kept."""
+    """Write the displacement in m and rad of the parts that can move; other rows of (parts, 6) are kept."""
     order, turn = structure.elimination.order, structure.acceleration
     for j in range(len(work.free)):
         if work.free[j]:
@@ -116,7 +116,7 @@ def write_displacement(structure, contact_structure, work, whitened, out):
 
 @njit(cache=True)
 def write_forces(structure, work, contact, pairs, out):
-    """Contact forces in N, shape (points, 3), from the spring forces of a state."""
+    """Write contact forces in N, shape (points, 3), from the spring forces of a state."""
     out[:] = 0.0
     for p in range(pairs):
         shift = structure.pair_start[work.pair[p]] - work.start[p]
@@ -130,7 +130,7 @@ def write_forces(structure, work, contact, pairs, out):
 
 @njit(cache=True)
 def lacks_contact(work, pairs):
-    """Return whether a part that can move touches nothing that is present."""
+    """Return whether a part that can move has no contact with a present part."""
     touched = np.zeros(len(work.free), dtype=np.bool_)
     for p in range(pairs):
         if work.slot_a[p] >= 0:
@@ -144,13 +144,13 @@ def lacks_contact(work, pairs):
 def settle_near(
     structure, contact_structure, state, parent, options, tolerance, work, contact, near, moved, displacement
 ):
-    """Let the parts near where a state differs from its parent come to rest, while the others stay where they are.
+    """Move the parts near the difference of a state from its parent to rest, while the others are fixed.
 
-    Forces change most there, and a whole structure is not factored for it. Improves `displacement`, in m and rad, of
-    shape (parts, 6), even where the parts are still on their way; `near` (parts,) and `moved` (n, 6) are scratch.
+    Forces change most there, and the matrix of the whole structure is not factored. Improves `displacement`, in m and
+    rad, shape (parts, 6), even where the parts do not reach rest; `near` (parts,) and `moved` (n, 6) are scratch.
 
     Returns:
-        Iterations.
+        Number of iterations.
     """
     rings, kept, free = NEAR_RINGS + 1, 1, 0
     while 2 * kept > free and rings > 0:
@@ -192,14 +192,15 @@ def settle_near(
 
 @njit(cache=True)
 def solve_contact_state(structure, contact_structure, state, options, work, contact, displacement, forces, warm):
-    """Look for a displacement at which a state is in equilibrium.
+    """Search for a displacement at which a state is in equilibrium.
 
     Args:
-        structure, contact_structure, options, work, contact: see there.
+        structure, contact_structure, options, work, contact: `KernelArrays`, `ContactArrays`, `ContactOptions`,
+            `Scratch` and `ContactScratch`.
         state: shape (parts,).
         displacement: in: a guess in m and rad where `warm`; out: the displacement. Shape (parts, 6).
         forces: out: contact forces in N, shape (points, 3) or (0, 3).
-        warm: start from the guess; else the structure is loaded from rest.
+        warm: whether to start from the guess; else the structure is loaded from rest.
 
     Returns:
         `RESTS`, `MOVES_AWAY` or `OPEN`; the residual; iterations.
@@ -234,13 +235,13 @@ def solve_contact_state(structure, contact_structure, state, options, work, cont
 def rest_range(
     structure, contact_structure, states, parents, options, displacement, forces, warm, verdict, residual, steps, found
 ):
-    """Look for rest of the states whose `verdict` is `UNDECIDED`; arrays as in `solve_contact_state`, batched.
+    """Search for rest positions of states whose `verdict` is `UNDECIDED`; arrays as in `solve_contact_state`, batched.
 
     States at rest become `STABLE`. `forces` may be empty; `parents` is read where `warm`; `found` is `RESTS`,
-    `MOVES_AWAY` or `OPEN`, and steps are added to those there.
+    `MOVES_AWAY` or `OPEN`, and iterations are added to `iterations`.
 
     Returns:
-        How many states are left undecided.
+        Number of states left undecided.
     """
     nothing = np.zeros((0, 3))
     work, contact = make_scratch(structure), make_contact_scratch(structure)

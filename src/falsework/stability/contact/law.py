@@ -1,14 +1,14 @@
 """Contact law: normal springs without prestress that bear little or no tension, and non-associated Coulomb friction.
 
-At a contact point with relative displacement `d = (d_n, d_t)` of part `b` against part `a` in the contact's frame,
+At a contact point with displacement `d = (d_n, d_t)` of part `b` relative to part `a` in the contact's frame,
 
     f_n = max(-p, o_n - k_n d_n),    t = o_t - k_t d_t,    f_t = t min(1, (mu (f_n + p) + s) / gauge(t)).
 
-A dry contact point has `p = s = 0`. One that pulls bears the tension `p`, and by cohesion the tangential force `s`
-there (`Strength`). Where the spring would bear more, it goes on bearing that, or it tears and bears nothing, see
+A dry contact point has `p = s = 0`. One with tensile strength bears the tension `p`, and by cohesion the tangential
+force `s` there (`Strength`). Where the spring would exceed `p`, a ductile point keeps it and a brittle one breaks, see
 `come_to_rest`. The offset `o` is zero for a structure that is loaded from rest; a replay carries the history of the
 point in it. `gauge` is the Euclidean norm (quadratic cone) or the norm whose unit ball is the octagon, so the force
-lies in the friction cone of the settings by construction. Sliding does not open the contact: the law is not associated.
+lies in the friction cone of the settings by construction. Sliding causes no dilation: the law is non-associated.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def gauge_gradient(cone, x, y):
 
 @njit(inline="always", fastmath=True)
 def contact_force(cone, mu, pull, stick, n, x, y):
-    """Return the force of a contact point whose springs alone would give `(n, x, y)`."""
+    """Return the force of a contact point whose elastic trial force is `(n, x, y)`."""
     n += pull
     if n <= 0.0:
         if stick <= 0.0:

@@ -1,8 +1,8 @@
 """Pseudo-transient Newton iteration for the displacement at which contact forces balance the load.
 
 The method is that of Kelley and Keyes (1998). Each iteration is a linearly implicit Euler step of `du/dt = r(u)`, the
-motion of the structure in a viscous medium, with `r` the wrenches that contacts and load leave. The time step grows as
-the residual falls, so iterations end as Newton's method where there is an equilibrium, and follow the parts that move
+motion of the structure in a viscous medium, with `r` the unbalanced wrenches. The time step grows as
+the residual falls, so the method becomes Newton's where there is an equilibrium, and follows the moving parts
 where there is none. Velocities, displacements and wrenches are whitened by the masses as in `Problem`.
 """
 
@@ -21,29 +21,29 @@ from falsework.utils.kernels import njit
 RESTS, MOVES_AWAY, OPEN = 1, -1, 0
 
 FIRST_STEP = 30.0
-"""First time step, in units in which the median contact stiffness is 1: longer in a thinner medium. From much longer
-steps iterations may jump to an equilibrium that parts, as they sink into their contacts, do not come to."""
+"""First time step, in units in which the median contact stiffness is 1: longer means lower viscosity. With much longer
+steps iterations may jump to an equilibrium that parts would not reach as they settle into their contacts."""
 WARM_FIRST_STEP = 1e4
-"""The same from the displacement of a parent, from which there is less to go."""
+"""The same from the displacement of a parent, which is closer to the solution."""
 _GROWTH = 4.0
-"""Growth of the time step after a full step, at least; by the fall of the residual where that is more."""
+"""Least growth of the time step after a full step; it grows by the decrease of the residual where that is more."""
 _SHORTEST = 0.1
-"""Shortest share of a step that is taken before the time step is cut instead ..."""
+"""Smallest share of a step that is taken before the time step is reduced instead ..."""
 _CUT = 0.1
-"""... to this share."""
+"""... by this factor."""
 _LONGEST_STEP = 1e14
 _TEARS = 1.0 + 0.5e-6
-"""Times its tension at which a contact point tears, within the rounding that the certificate checker grants."""
+"""A contact point breaks at this multiple of its tensile strength, within the rounding that the checker allows."""
 _BONDED_STEPS = 3
-"""Iterations in which a structure with joints that pull is given a chance to stay as it is."""
+"""Iterations in which a structure with tensile joints is tried as bonded."""
 _ROUNDS = 12
-"""Times that a rest is looked for anew with other points torn."""
+"""Times that a rest position is sought again with other points broken."""
 _FAR = 10.0
-"""Times the limit on movement at which iterations end: on the way to rest they may overshoot."""
+"""Multiple of the displacement limit at which iterations end: on the way to rest they may overshoot."""
 
 
 class ContactArrays(NamedTuple):
-    """Arrays that the criterion adds to a `Structure`: scaled stiffness, and units of displacement."""
+    """Arrays that the criterion adds to `KernelArrays`: scaled stiffness, and units of displacement."""
 
     normal: NDArray[np.float64]
     """Normal stiffness of each contact point in scaled variables, median 1, shape (points,)."""
@@ -54,29 +54,29 @@ class ContactArrays(NamedTuple):
     scale: float
     """Metres (or radians) of displacement per scaled unit."""
     reach: NDArray[np.float64]
-    """Radius of gyration of each part, m: turns rotations into movements, shape (parts,)."""
+    """Radius of gyration of each part, m: converts rotations to movements, shape (parts,)."""
     limit: float
-    """Movement of a part beyond which the structure counts as falling, m."""
+    """Movement of a part beyond which the structure counts as collapsing, m."""
 
 
 class ContactScratch(NamedTuple):
-    """Scratch of one thread, beside `Work`; points in the compact order of the state at hand."""
+    """Scratch memory of one thread, in addition to `Scratch`; points in the compact order of the current state."""
 
     normal: NDArray[np.float64]
     """Scaled stiffness of the acting points, shape (points,)."""
     tangential: NDArray[np.float64]
     pull: NDArray[np.float64]
-    """Scaled tension that the acting points bear, zero where they are torn, shape (points,)."""
+    """Scaled tensile strength of the acting points, zero where they are broken, shape (points,)."""
     stick: NDArray[np.float64]
     offset: NDArray[np.float64]
-    """Spring forces at zero displacement: what a replay remembers, shape (points, 3)."""
+    """Spring forces at zero displacement: the history in a replay, shape (points, 3)."""
     trial: NDArray[np.float64]
-    """Spring forces before they are cut to the law, shape (points, 3)."""
+    """Elastic trial forces of the springs, shape (points, 3)."""
     next_trial: NDArray[np.float64]
     upper: NDArray[np.float64]
     """Transposed blocks above the diagonal, shape (blocks, 6, 6)."""
     load: NDArray[np.float64]
-    """Whitened wrenches on the parts beside contact forces, shape (n, 6)."""
+    """Whitened external wrenches on the parts, shape (n, 6)."""
     displacement: NDArray[np.float64]
     """Shape (n, 6), whitened and scaled."""
     next_displacement: NDArray[np.float64]
@@ -110,7 +110,7 @@ def make_contact_scratch(structure):
 
 @njit(fastmath=FAST, cache=True)
 def evaluate(structure, work, contact, pairs, displacement, trial, out):
-    """Write the residual `load + G f(displacement)`, and the spring forces; return the residual's norm."""
+    """Write the residual `load + G f(displacement)` and the elastic trial forces; return the residual's norm."""
     basis, start, pair, slot_a, slot_b = work.basis, work.start, work.pair, work.slot_a, work.slot_b
     ta, tb, cone, mu = structure.transfer_a, structure.transfer_b, structure.cone, work.friction
     pull, stick = contact.pull, contact.stick
@@ -195,7 +195,7 @@ def assemble_tangent(structure, contact_structure, work, contact, pairs, shift):
 
 @njit(cache=True)
 def mend(work, contact, pairs):
-    """Let all acting points bear what they bear untorn."""
+    """Restore the strength of all acting points."""
     whole, sticky, pull, stick = work.pull, work.stick, contact.pull, contact.stick
     for j in range(work.start[pairs]):
         pull[j], stick[j] = whole[j], sticky[j]
@@ -203,9 +203,9 @@ def mend(work, contact, pairs):
 
 @njit(cache=True)
 def tear(work, contact, pairs, mends):
-    """Tear the points whose springs pull more than they bear; return whether anything changed.
+    """Break the points whose springs exceed their tensile strength; return whether anything changed.
 
-    With `mends`, torn points whose springs pull less become whole, so that a displacement alone says which are torn.
+    With `mends`, broken points whose springs pull less are restored, so that the displacement alone decides which are.
     """
     whole, sticky, pull, stick, trial = work.pull, work.stick, contact.pull, contact.stick, contact.trial
     tears, changed = work.tears, False
@@ -225,7 +225,7 @@ def tear(work, contact, pairs, mends):
 
 @njit(fastmath=FAST, cache=True)
 def largest_residual(structure, work, wrench):
-    """Return the residual of whitened wrenches: the largest acceleration that they cause, times `measure`."""
+    """Return the residual of whitened wrenches: the largest acceleration that they cause, scaled by `measure`."""
     free, order = work.free, structure.elimination.order
     turn, measure = structure.acceleration, structure.measure
     worst = 0.0
@@ -261,17 +261,17 @@ def largest_movement(structure, contact_structure, work, displacement):
 
 @njit(cache=True)
 def _at_rest(structure, contact_structure, work, displacement):
-    """`RESTS`, or `MOVES_AWAY` where parts came to rest only beyond the limit on movement."""
+    """Return `RESTS`, or `MOVES_AWAY` where parts came to rest only beyond the displacement limit."""
     moved = largest_movement(structure, contact_structure, work, displacement)
     return MOVES_AWAY if moved > contact_structure.limit else RESTS
 
 
 @njit(fastmath=FAST, cache=True)
 def find_rest(structure, contact_structure, work, contact, pairs, steps, tolerance, first_step):
-    """Iterate from `contact.displacement` until the parts rest, move away, or the steps are used up.
+    """Iterate from `contact.displacement` until the parts come to rest, move away, or the steps are used up.
 
     Args:
-        structure, contact_structure, work, contact, pairs: a state laid out by `restrict` and `place_contacts`.
+        structure, contact_structure, work, contact, pairs: a state prepared by `restrict` and `place_contacts`.
         steps: limit on iterations.
         tolerance: largest residual of a state at rest, as `largest_residual`.
         first_step: first time step.
@@ -340,15 +340,15 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
 
 @njit(cache=True)
 def come_to_rest(structure, contact_structure, work, contact, pairs, steps, tolerance, first_step, mends):
-    """Find a rest as `find_rest`, at which no contact point bears more tension than it can.
+    """Find a rest position as `find_rest` does, at which no contact point exceeds its tensile strength.
 
-    Points that would are torn and bear nothing, and the rest is looked for again from there. With `mends`, those that
-    close again are whole, as the law has it that knows no history; where that comes to no end, the state is left open.
+    Points that exceed it are broken and bear nothing, and the search continues from there. With `mends`, those that
+    close again are restored, as in the law without history; if that does not terminate, the state is left undecided.
     """
     mend(work, contact, pairs)
     spent = 0
     if work.pulled[0] > 0.0:
-        # Joints that pull hold mostly everything where it is: the elastic solution, in a step or two of Newton's.
+        # Tensile joints mostly keep everything in place: the elastic solution, in one or two Newton steps.
         begin = contact.displacement.copy()
         result, residual, spent = find_rest(
             structure, contact_structure, work, contact, pairs, _BONDED_STEPS, tolerance, _LONGEST_STEP
@@ -356,7 +356,7 @@ def come_to_rest(structure, contact_structure, work, contact, pairs, steps, tole
         if result == RESTS and not tear(work, contact, pairs, mends):
             return result, residual, spent
         mend(work, contact, pairs)
-        for j in range(len(begin)):  # entry by entry, lest the text of errors be compiled
+        for j in range(len(begin)):  # entry by entry: array assignment would compile error messages
             for r in range(6):
                 contact.displacement[j, r] = begin[j, r]
     result, residual, taken = find_rest(

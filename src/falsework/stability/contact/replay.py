@@ -1,4 +1,4 @@
-"""Replay of a sequence of states in the order of assembly, with contact history.
+"""Replay of a sequence of states in assembly order, with contact history.
 
 A state that is stable from rest may not be stable when it is reached as on site, because friction depends on earlier
 sliding and on the load that a robot carried before its release. A replay carries displacements and spring forces from
@@ -30,12 +30,12 @@ from falsework.stability.stiffness import structure_size
 Array = NDArray[np.float64]
 
 _NEAR_STEPS, _WARM_STEPS = 16, 32
-"""Newton iterations of the parts near a change while the others stay where they are, and then of the whole, before the
-whole is taken from where it was."""
+"""Newton iterations of the parts near a change with the others fixed, and then of the whole structure, before the
+whole is solved again from where it was."""
 _LONGER_STEP = 1e4
-"""Times the first time step with which the whole begins after the parts near the change came to rest."""
+"""Factor on the first time step of the whole structure after the parts near the change came to rest."""
 _SET = 1_000_000
-"""Age in steps of joints that were there before the first state."""
+"""Age in steps of joints that exist before the first state."""
 
 
 @dataclass(frozen=True)
@@ -43,16 +43,16 @@ class ReplaySettings:
     """Numerical settings of a replay; the result for a stable plan must not depend on them."""
 
     increments: int = 4
-    """Parts in which the load of a robot is taken up when it lets go."""
+    """Increments in which the load of a robot is transferred to the contacts when it releases a part."""
     first_step: float = FIRST_STEP
-    """First time step of the Newton iterations; the shorter, the thicker the medium in which parts move."""
+    """First time step of the Newton iterations; a shorter one means higher viscosity."""
     friction_noise: float = 0.0
-    """Largest tangential force in new contact points before they carry anything, as a share of what the friction limit
-    of a typical point is under its share of a part's weight."""
+    """Largest tangential force in new contact points before they carry load, as a share of the friction limit of a
+    typical point under its share of a part's weight."""
     seed: int = 0
-    """Of the noise."""
+    """Seed of the noise."""
     steps: int = 100
-    """Newton iterations an increment before it is left open."""
+    """Newton iterations per increment before it is left undecided."""
 
     def __post_init__(self) -> None:
         if self.increments < 1 or self.steps < 1:
@@ -72,17 +72,17 @@ class History:
     springs: Array
     """Spring forces of the contact points in scaled variables, shape (points, 3)."""
     torn: NDArray[np.bool_]
-    """Contact points whose tension was exceeded, shape (points,)."""
+    """Contact points whose tensile strength was exceeded, shape (points,)."""
     age: NDArray[np.int32]
-    """Steps since both parts of each contact point are there, shape (points,)."""
+    """Steps for which both parts of each contact point have been present, shape (points,)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """Result of a replay in the order of assembly, up to the first state that does not come to rest."""
+    """Result of a replay in assembly order, up to the first state that does not come to rest."""
 
     stands: NDArray[np.int8]
-    """For each state: 1 it comes to rest, -1 parts move away, 0 not decided or not reached; shape (states,)."""
+    """For each state: 1 it comes to rest, -1 parts move away, 0 undecided or not reached; shape (states,)."""
     moved: Array
     """Largest movement of a part since it was placed, m, shape (states,)."""
     part: NDArray[np.int32]
@@ -92,7 +92,7 @@ class Replay:
     size: float
     """Diagonal of the structure, m."""
     histories: tuple[History, ...] = ()
-    """After each state that was reached."""
+    """Histories after each state that was reached."""
 
     @property
     def good(self) -> bool:
@@ -121,13 +121,13 @@ class Replayer:
         replay: ReplaySettings = ReplaySettings(),
         solver: ContactSolver | None = None,
     ) -> None:
-        """Lay the structure out.
+        """Lay out the structure.
 
         Args:
             assembly: the structure.
             settings: cone, gravity, tolerance and stiffness ratio.
-            replay: how steps are taken.
-            solver: of the assembly under these settings, if it is at hand; its layout then serves both.
+            replay: numerical settings of the replay.
+            solver: solver of the assembly under these settings, whose layout is then shared.
         """
         self.assembly = assembly
         self.settings = settings
@@ -155,9 +155,9 @@ class Replayer:
         """Replay consecutive states up to the first that does not come to rest.
 
         Args:
-            states: in the order of assembly, shape (states, parts).
-            history: of the first state; without it, gravity comes slowly on the first state.
-            increments: instead of those of the settings.
+            states: in assembly order, shape (states, parts).
+            history: history of the first state; without it, gravity is ramped up on the first state.
+            increments: replaces the increments of the settings.
 
         Raises:
             StateError: states of the wrong length or with other values.
@@ -197,21 +197,21 @@ class Replayer:
         """Take one step in a single increment, for a search.
 
         Args:
-            history: of the state before.
-            before, after: consecutive states in the order of assembly, shape (parts,).
+            history: history of the state before.
+            before, after: consecutive states in assembly order, shape (parts,).
 
         Returns:
-            Whether the structure comes to rest, and what it then remembers.
+            Whether the structure comes to rest, and its history then.
         """
         replay = self.replay(np.stack([before, after]), history, increments=1)
         return bool(replay.stands[1] == RESTS), replay.histories[-1]
 
     def _ages(self, states: States, age: NDArray[np.int32] | None) -> NDArray[np.int32]:
-        """Return how many steps ago both parts of each contact point were there first, shape (states, points).
+        """Return for how many steps both parts of each contact point have been present, shape (states, points).
 
         Args:
-            states: in the order of assembly, shape (states, parts).
-            age: in the first of them; without it, what is there has set.
+            states: in assembly order, shape (states, parts).
+            age: age in the first of them; without it, the joints present there have set.
         """
         there = (states[:, self.problem.part_a] != REMOVED) & (states[:, self.problem.part_b] != REMOVED)
         ages = np.zeros(there.shape, np.int32)
@@ -233,7 +233,7 @@ class Replayer:
 
 
 def replay_plans(replayer: Replayer, plans: Sequence[States]) -> list[Replay]:
-    """Replay several sequences of states, one a thread."""
+    """Replay several sequences of states, one per thread."""
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         return list(pool.map(replayer.replay, plans))
 

@@ -1,8 +1,8 @@
 """Compiled step of a replay: contacts with history, and gradual release by robots.
 
-Between two steps the structure remembers where its parts are and the spring forces of its contact points. A part comes
-in unstressed. When a robot lets go, or a part is taken away, the wrenches that are missing then are taken up by the
-contacts in equal increments; after each, points that slid keep the friction that they have.
+Between two steps the structure keeps the positions of its parts and the spring forces of its contact points. Parts are
+inserted unstressed. When a robot releases a part, or a part is removed, the wrenches that are then missing are
+transferred to the contacts in equal increments; after each, points that slid keep their friction force.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from falsework.utils.kernels import njit
 
 @njit(cache=True)
 def _load_history(structure, contact_structure, state, work, contact, springs, torn, set_share, missing, share):
-    """Lay a state out with the spring forces that it remembers, under gravity less a share of the missing wrenches.
+    """Prepare a state with the spring forces of its history, under gravity minus a share of the missing wrenches.
 
     Returns:
-        How many pairs of parts act on each other, and how many parts can move.
+        Number of acting pairs of parts, and number of parts that can move.
     """
     pairs, count = restrict(structure, state, work)
     for p in range(pairs):
@@ -57,7 +57,7 @@ def _load_history(structure, contact_structure, state, work, contact, springs, t
 
 @njit(cache=True)
 def _keep_history(structure, contact_structure, work, contact, pairs, displacement, springs, torn):
-    """Add the increment to the displacement, and remember the spring forces with friction cut back to the law."""
+    """Add the increment to the displacement, and store the spring forces with friction limited by the law."""
     order, turn = structure.elimination.order, structure.acceleration
     for j in range(len(work.free)):
         if work.free[j]:
@@ -91,10 +91,10 @@ def _movement(contact_structure, displacement, part):
 
 @njit(cache=True)
 def place_new(structure, before, state, noise, displacement, springs, torn):
-    """Reset what a step brings in: parts where they were planned, contact points without force.
+    """Initialise the parts and contacts that a step adds: parts at their planned pose, contact points without force.
 
     Args:
-        structure: see there.
+        structure: as in `settle_step`.
         before, state: shape (parts,).
         noise: tangential spring forces of new contact points, shape (points, 2).
         displacement, springs, torn: the history, changed in place.
@@ -127,19 +127,19 @@ def settle_step(
     torn,
     set_share,
 ):
-    """Let a structure with history come to rest in a state.
+    """Move a structure with history to rest in a state.
 
-    The parts near the change come to rest first, the others staying where they are, since few of these move much.
+    The parts near the change are solved first with the others fixed, since few of these move much.
 
     Args:
-        structure, contact_structure, options, work, contact: see there.
+        structure, contact_structure, options, work, contact: as in `solve_contact_state`.
         before, state: shape (parts,).
-        increments: in how many the missing wrenches are taken up; all of gravity where the history is empty.
-        displacement: of the parts since they were placed, m and rad, shape (parts, 6); changed in place.
+        increments: in how many the missing wrenches are transferred; all of gravity where the history is empty.
+        displacement: displacement of the parts since they were placed, m and rad, shape (parts, 6); changed in place.
         springs: scaled spring forces of all contact points, shape (points, 3); changed in place.
         near: scratch, shape (parts,).
-        torn: contact points whose tension was exceeded, shape (points,); changed in place.
-        set_share: share of its strength that each contact point has, shape (points,), or (0,) where it is all.
+        torn: contact points whose tensile strength was exceeded, shape (points,); changed in place.
+        set_share: share of its full strength that each contact point has reached, shape (points,), or (0,) if all.
 
     Returns:
         `RESTS`, `MOVES_AWAY` or `OPEN`; residual; iterations; the part that moved most, and its movement in m.
@@ -243,7 +243,7 @@ def replay_range(
     part,
     movement,
 ):
-    """Replay consecutive states until one does not rest; return how many did.
+    """Replay consecutive states until one does not come to rest; return how many did.
 
     Args:
         states: shape (steps + 1, parts); the history belongs to the first, unless `fresh`.
@@ -252,14 +252,14 @@ def replay_range(
         displacement, springs, torn: the history before and after each state, shapes (steps + 1, parts, 6),
             (steps + 1, points, 3) and (steps + 1, points); the first entry is given, the others are written.
         set_share: as in `settle_step`, shape (steps + 1, points) or (steps + 1, 0).
-        result, residual, iterations, part, movement: out, one entry a state.
+        result, residual, iterations, part, movement: out, one entry per state.
     """
     work, contact = make_scratch(structure), make_contact_scratch(structure)
     near = np.empty(states.shape[1], np.uint8)
     for i in range(len(states)):
         settles = fresh
         if i > 0:
-            # Entry by entry: assigning rows to rows would compile the text of its errors, for seconds.
+            # Entry by entry: assigning rows to rows would compile numba's error messages, for seconds.
             for p in range(states.shape[1]):
                 for r in range(6):
                     displacement[i, p, r] = displacement[i - 1, p, r]
@@ -270,7 +270,7 @@ def replay_range(
             place_new(structure, states[i - 1], states[i], noise, displacement[i], springs[i], torn[i])
             settles = False
             for p in range(states.shape[1]):
-                # Holding a part changes nothing; letting go of one or taking one away does.
+                # Holding a part changes nothing; releasing or removing one does.
                 settles = settles or (states[i, p] != states[i - 1, p] and states[i, p] != 2)
         result[i], residual[i], iterations[i] = RESTS, 0.0, 0
         if settles:

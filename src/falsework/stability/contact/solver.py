@@ -19,24 +19,24 @@ from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 
 _WARM_STEPS = 64
-"""Iterations from the displacement of the parent before a state is tested for equilibrium; they go on where it is."""
+"""Iterations from the displacement of the parent before a state is tested for equilibrium; if it is, they continue."""
 _MORE_STEPS = 64
-"""Iterations that follow in large structures where no certificate is asked for: a search has other states to try."""
+"""Further iterations in large structures where no certificate is requested: a search has other states to try."""
 _NEAR_STEPS = 32
 """Iterations of the parts near the difference before those of the whole structure."""
 _MANY_PARTS = 64
-"""Free parts from which iterations start from the displacement of the parent even where a part is let go: in fewer, the
-parts near it, which come to rest first, are most of the structure."""
+"""Free parts from which iterations start from the displacement of the parent even where a part is released: with fewer,
+the nearby parts, which are solved first, are most of the structure."""
 _SLIDES = int(Verdict.SLIDES)
 
 
 class ContactSolver:
     """Solver of batches of states of one structure under the criterion `contact`.
 
-    A state that differs from its parent is first searched for parts that fall near the difference, with a proof
-    (`neighbourhood.py`). Then a displacement is looked for (`newton.py`), from that of the parent where it is known;
-    where there is one the state is stable. Where there is none, the solver of the equilibrium problem says whether the
-    state is unstable, with its proof. If it is not, iterations that were on their way go on; where parts move away, the
+    The parts near the difference of a state from its parent are first searched for a mechanism, with a proof
+    (`neighbourhood.py`). Then a rest position is sought (`newton.py`), from that of the parent where it is known;
+    if there is one the state is stable. If not, the solver of the equilibrium problem decides whether the
+    state is unstable, with its proof. If it is not, iterations that had not ended continue; where parts move away, the
     state slides.
     """
 
@@ -61,21 +61,21 @@ class ContactSolver:
         parents: States | None = None,
         guess: NDArray[np.float64] | None = None,
     ) -> Verdicts:
-        """Judge a batch.
+        """Check a batch of states.
 
         Args:
             states: checked states, shape (batch, parts).
             certificates: return displacement, forces and velocity too.
-            parents: for each state a stable one that differs in few parts, shape (batch, parts); what falls is looked
-                for near the difference first.
+            parents: for each state a stable one that differs in few parts, shape (batch, parts); a mechanism is sought
+                near the difference first.
             guess: displacements of the parents in m and rad, NaN where they are not known, shape (batch, parts, 6);
                 overwritten with the displacements that were found. Iterations start from them where no part of a state
-                is free that was not free in its parent, or many parts are; elsewhere a start from rest takes fewer.
+                is free that was fixed in its parent, or many parts are; elsewhere a start from rest takes fewer.
 
         Returns:
             Verdicts; `UNDECIDED` where nothing was found within the limits of the settings. Without a guess, the
             displacement of a state that slides is the one at which parts were seen to move away; NaN where there is
-            neither that nor rest.
+            neither that nor a rest position.
         """
         states = np.require(states, requirements=COMPILED_LAYOUT)
         if parents is not None:
@@ -103,7 +103,7 @@ class ContactSolver:
         cold = False  # forces hold no guess
 
         def stay(rows: slice) -> bool:
-            """Find the states that joints which pull hold where they are, in an iteration or two; return if all."""
+            """Find the states that tensile joints keep in place, in one or two iterations; return whether all are."""
             start, verdict, residual = displacement[rows].copy(), verdicts.verdict[rows], verdicts.residual[rows]
             kernel = self.structure, self.contact_structure, states[rows], states[rows], self._quick
             cold_start = np.zeros(len(start), bool)
@@ -112,7 +112,7 @@ class ContactSolver:
             return left == 0
 
         def go_on(rows: NDArray[np.intp]) -> None:
-            """Iterate on from where iterations ended; arrays that are indexed by `rows` are copies."""
+            """Continue iterations from where they ended; arrays that are indexed by `rows` are copies."""
             chosen, start, force = states[rows], displacement[rows], forces[rows] if len(forces) else forces
             verdict, residual = np.full(len(rows), UNDECIDED, verdicts.verdict.dtype), verdicts.residual[rows]
             taken, result = steps[rows], found[rows]
@@ -133,7 +133,7 @@ class ContactSolver:
             motion, force, chosen = velocity[rows], forces[rows], states[rows]
             if self._pulls and stay(rows):
                 return
-            # Proofs are asked for mostly of states that stand.
+            # Proofs are mostly requested for stable states.
             if (
                 parents is not None
                 and not certificates
@@ -154,7 +154,7 @@ class ContactSolver:
             verdict[moves & (verdict == STABLE)] = _SLIDES
             verdicts.residual[moves & (verdict == UNDECIDED)] = np.inf
         lost = verdict != STABLE
-        if guess is None:  # what slides must not become a guess
+        if guess is None:  # a sliding displacement must not become a guess
             lost &= verdict != _SLIDES
         displacement[lost] = np.nan
         if verdicts.displacement is not None and displacement is not verdicts.displacement:

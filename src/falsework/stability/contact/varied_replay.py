@@ -1,4 +1,4 @@
-"""Replays of a plan under varied settings, on which the result for a robust plan does not depend."""
+"""Replays of a plan under varied settings, to which the result for a robust plan is insensitive."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
 
 DRAWS = 20
-"""Random states of friction at the start among the variations."""
+"""Number of variations with random initial friction."""
 
 
 class AnyReplayer(Protocol):
-    """Interface of what replays routes for a search."""
+    """Interface of a replayer of routes for a search."""
 
     @property
     def problem(self) -> Problem:
@@ -28,7 +28,7 @@ class AnyReplayer(Protocol):
         ...
 
     def replay(self, states: ArrayLike, history: History | None = None) -> Replay:
-        """Replay consecutive states in the order of assembly."""
+        """Replay consecutive states in assembly order."""
         ...
 
     def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
@@ -59,11 +59,11 @@ class Variation:
 
 
 def variations(settings: StabilitySettings, draws: int) -> list[tuple[str, StabilitySettings, ReplaySettings]]:
-    """Return settings of replay on which the answer must not hang, with names.
+    """Return named settings of replays to which the result must be insensitive.
 
     Args:
-        settings: of the verdicts.
-        draws: how many random states of friction.
+        settings: settings of the verdicts.
+        draws: number of random initial friction states.
     """
     plain = ReplaySettings()
     varied = [
@@ -84,13 +84,13 @@ def variations(settings: StabilitySettings, draws: int) -> list[tuple[str, Stabi
 def replay_varied(
     replayer: VariableReplayer, states: States, *, draws: int = DRAWS, threads: int | None = None
 ) -> list[Variation]:
-    """Replay a plan under other settings: a plan that falls in one of them is marginal.
+    """Replay a plan under other settings: a plan that collapses under one of them is marginal.
 
     Args:
-        replayer: with the settings of the plan.
-        states: in the order of assembly, shape (states, parts).
-        draws: how many random states of friction.
-        threads: all cores by default.
+        replayer: replayer with the settings of the plan.
+        states: in assembly order, shape (states, parts).
+        draws: number of random initial friction states.
+        threads: number of threads; all cores by default.
     """
 
     def run(case: tuple[str, StabilitySettings, ReplaySettings]) -> Variation:
@@ -103,28 +103,28 @@ def replay_varied(
 
 
 class RobustReplayer:
-    """Replayer in which a plan succeeds only if it does so under every variation.
+    """Replayer under which a plan succeeds only if it does so under every variation.
 
-    Variations under which plans failed come first, and the first failure ends a replay: while a search rules out one
-    state after the other, most plans cost one replay more.
+    Variations under which plans failed come first, and the first failure ends a replay: while a search excludes one
+    state after another, most plans cost one additional replay.
     """
 
     def __init__(self, replayer: VariableReplayer, draws: int = DRAWS) -> None:
-        """Vary the settings of `replayer`, with `draws` random states of friction at the start."""
+        """Vary the settings of `replayer`, with `draws` random initial friction states."""
         self._replayer = replayer
         self._cases = [replayer.vary(settings, replay) for _, settings, replay in variations(replayer.settings, draws)]
 
     @property
     def problem(self) -> Problem:
-        """See `Replayer`."""
+        """Contact problem of the structure."""
         return self._replayer.problem
 
     def replay(self, states: ArrayLike, history: History | None = None) -> Replay:
-        """Replay under the settings, and a whole plan under every variation too.
+        """Replay under the settings, and a complete plan under every variation too.
 
         Args:
-            states: in the order of assembly, shape (states, parts).
-            history: of the first state; with it nothing is varied, since it belongs to one setting.
+            states: in assembly order, shape (states, parts).
+            history: history of the first state; with it nothing is varied, since it belongs to one setting.
 
         Returns:
             The plain replay if it and all variations succeed, else one that fails.
@@ -144,7 +144,7 @@ class RobustReplayer:
         return plain
 
     def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
-        """See `Replayer.step`."""
+        """Take one step in a single increment; see `Replayer.step`."""
         return self._replayer.step(history, before, after)
 
 

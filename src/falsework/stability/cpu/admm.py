@@ -1,7 +1,7 @@
-"""Over-relaxed ADMM on one state, in the form of Douglas and Rachford: one vector `u` a contact point.
+"""Over-relaxed ADMM on one state, in Douglas-Rachford form: one vector `u` per contact point.
 
 With `z = proj_K(u)`, an iteration solves `S w = G (2 z - u) + g` and adds `relaxation (z - u - G^T w)` to `u`
-(docs/how-it-works). `z` are the forces, `w` the motion.
+(docs/how-it-works). `z` are the forces, `w` the velocity.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED, check
 from falsework.utils.kernels import njit
 
 _BONDED = 1e-9
-"""Penalty with which the forces of bonded contacts are in balance to rounding."""
+"""Penalty at which the forces of bonded contacts are in balance up to rounding."""
 
 
 @njit(fastmath=FAST, cache=True)
@@ -50,9 +50,9 @@ def factor_admm(structure, work, pairs, rho):
 
 @njit(fastmath=FAST, cache=True)
 def try_bonded(structure, work, pairs, options):
-    """Try the forces of least size, as all contacts would bear them if they were bonded; return verdict and residual.
+    """Try the least-norm forces, those of fully bonded contacts; return verdict and residual.
 
-    Where joints pull they are mostly admissible, and found at once.
+    With tensile joints they are mostly admissible.
     """
     basis, start, pair, slot_a, slot_b = work.basis, work.start, work.pair, work.slot_a, work.slot_b
     z, pull, mu, stick, w, cone = work.z, work.pull, work.friction, work.stick, work.velocity, structure.cone

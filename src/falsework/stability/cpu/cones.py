@@ -19,7 +19,7 @@ _C = math.cos(math.pi / 8)
 _S = math.sin(math.pi / 8)
 _DIAGONAL = math.sqrt(0.5)
 _SMOOTH = 1e-9
-"""Friction below which a cone is a cylinder to the projection."""
+"""Friction below which the projection treats a cone with cohesion as a cylinder."""
 
 
 @njit(inline="always", fastmath=True)
@@ -59,9 +59,9 @@ def project(cone, n, x, y, mu):
 
 @njit(inline="always", fastmath=True)
 def project_joint(cone, n, x, y, mu, stick):
-    """Return the nearest point of the cone with its tip cut off where its radius is `stick`, at `n = 0`.
+    """Return the nearest point of the cone truncated at `n = 0`, where its radius is `stick`.
 
-    Where the projection on the whole cone lies beyond the cut, the nearest point lies on the cut.
+    Where the projection on the whole cone lies beyond the truncation, the nearest point lies on its face.
     """
     if stick <= 0.0:
         return project(cone, n, x, y, mu)

@@ -2,16 +2,16 @@
 
 It solves `min 1/2 |r|^2 - g.r` over velocities `r` with `G^T r` in the dual cone (the least residual's own
 dual; its multipliers are the contact forces) and converges in some ten steps however degenerate the
-structure is. A Newton step reads, with `y = G^T r` and a weight `W` and a target force `b` a contact point,
+structure is. A Newton step reads, with `y = G^T r` and a weight `W` and a target force `b` per contact point,
 
     (I + G W G^T) dr = g - r + G (b - W y)
 
 where for the octagon `W = sum_k (l_k / s_k) ray_k ray_k^T` over the multipliers `l` and slacks `s` of its
-eight rays, and for the quadratic cone `W` is the square of the scaling of Nesterov and Todd. The matrix has
-the pattern of `S`, so the same elimination factors it. Predictor and corrector as in Mehrotra (1992).
+eight rays, and for the quadratic cone `W` is the square of the Nesterov-Todd scaling. The matrix has
+the pattern of `S`, so the same elimination factors it. Predictor and corrector are those of Mehrotra (1992).
 
-What contact points bear by cohesion beyond the cone (`stick`) is left to ADMM and to the exact solver: the cone lies
-inside what is admissible, so forces found here prove as much, and `judge` counts it against a velocity.
+Cohesion beyond the cone (`stick`) is left to ADMM and to the exact solver: the cone lies inside the admissible set, so
+forces found here prove as much, and `termination.judge` accounts for it in the test of a velocity.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _BACK_OFF = 0.99
 def _system(octagon, mu, x, s, j, target, second, w, b):
     """Write weight and target force of one contact point.
 
-    `x` and `s` are multipliers and slacks (octagon: one a ray; quadratic: force and slack in coordinates in
+    `x` and `s` are multipliers and slacks (octagon: one per ray; quadratic: force and slack in coordinates in
     which the cone is its own dual); `second` is the product of their predicted steps.
     """
     if octagon:
@@ -89,7 +89,7 @@ def _system(octagon, mu, x, s, j, target, second, w, b):
 
 @njit(inline="always", fastmath=FAST)
 def _step(octagon, mu, x, s, j, target, second, y0, y1, y2, dx, ds):
-    """Write the steps of one contact point towards `y = G^T (r + dr)`; return how far both may go."""
+    """Write the steps of one contact point towards `y = G^T (r + dr)`; return the largest feasible step of both."""
     reach = 1e30
     if octagon:
         for k in range(8):
@@ -139,7 +139,7 @@ def _to_boundary(x, dx, j):
 
 @njit(fastmath=FAST, cache=True)
 def _start(structure, work, pairs, octagon, mu, r):
-    """Interior multipliers and slacks near what ADMM left in `work.z` and `r`."""
+    """Write interior multipliers and slacks near the ADMM result in `work.z` and `r`."""
     z, v, weights, slacks = work.z, work.v, work.weights, work.slacks
     points = work.start[pairs]
     _strains(structure, work, pairs, r)
@@ -147,7 +147,7 @@ def _start(structure, work, pairs, octagon, mu, r):
     for j in range(points):
         mean_force += z[j, 0]
         mean_slack += abs(v[j, 0])
-    # Where ADMM has found nothing yet, start from a share of what gravity asks of a contact point.
+    # Where ADMM has found no force, start from a share of the gravity load per contact point.
     least = 0.01 * math.sqrt(dot(work, r, r) / points)
     mean_force = max(mean_force / points, least)
     mean_slack = max(mean_slack / points, least)
@@ -165,7 +165,7 @@ def _start(structure, work, pairs, octagon, mu, r):
 
 @njit(fastmath=FAST, cache=True)
 def _strains(structure, work, pairs, velocity):
-    """`work.v = G^T velocity`."""
+    """Write `work.v = G^T velocity`."""
     basis, start, pair, slot_a, slot_b, v = work.basis, work.start, work.pair, work.slot_a, work.slot_b, work.v
     transfer_a, transfer_b = structure.transfer_a, structure.transfer_b
     for p in range(pairs):
@@ -176,7 +176,7 @@ def _strains(structure, work, pairs, velocity):
 
 @njit(fastmath=FAST, cache=True)
 def _assemble(structure, work, pairs, octagon, mu, r, target, matrix):
-    """Write the right-hand side, and the matrix if asked for."""
+    """Write the right-hand side, and the matrix if requested."""
     size = 8 if octagon else 3
     basis, start, pair, slot_a, slot_b = work.basis, work.start, work.pair, work.slot_a, work.slot_b
     ta, tb, block = structure.transfer_a, structure.transfer_b, structure.elimination.pair_block
@@ -240,7 +240,7 @@ def _assemble(structure, work, pairs, octagon, mu, r, target, matrix):
 
 @njit(inline="always", fastmath=FAST)
 def _multiply(left, q, right, out):
-    """`out = left[q] right`."""
+    """Write `out = left[q] right`."""
     for i in range(6):
         for j in range(6):
             total = 0.0
@@ -262,7 +262,7 @@ def _add_product(left, right, q, out, e):
 
 @njit(fastmath=FAST, cache=True)
 def _steps(structure, work, pairs, octagon, mu, r, step, target, corrector):
-    """Write all steps of multipliers and slacks; return how far they may go."""
+    """Write all steps of multipliers and slacks; return the largest feasible step length."""
     size = 8 if octagon else 3
     free, ahead, v = work.free, work.residual, work.v
     weights, slacks, dx, ds = work.weights, work.slacks, work.weight_steps, work.slack_steps
@@ -284,7 +284,7 @@ def _steps(structure, work, pairs, octagon, mu, r, step, target, corrector):
 
 @njit(fastmath=FAST, cache=True)
 def _complementarity(work, points, size, length):
-    """Mean product of multipliers and slacks after a step of this length."""
+    """Return the mean product of multipliers and slacks after a step of this length."""
     weights, slacks, dx, ds = work.weights, work.slacks, work.weight_steps, work.slack_steps
     total = 0.0
     for j in range(points):
@@ -295,7 +295,7 @@ def _complementarity(work, points, size, length):
 
 @njit(fastmath=FAST, cache=True)
 def _advance(work, points, octagon, mu, length):
-    """Step multipliers and slacks, and write the forces they stand for to `work.z`."""
+    """Step multipliers and slacks, and write the resulting forces to `work.z`."""
     z, weights, slacks, dx, ds = work.z, work.weights, work.slacks, work.weight_steps, work.slack_steps
     for j in range(points):
         for k in range(8 if octagon else 3):
@@ -318,7 +318,7 @@ def run_interior(structure, work, pairs, options):
     mu, points = work.friction, work.start[pairs]
     octagon = structure.cone == OCTAGON
     for j in range(points):
-        octagon = octagon or mu[j] < 1e-9  # where there is no friction both cones are the same ray
+        octagon = octagon or mu[j] < 1e-9  # without friction both cones are the same ray
     size = 8 if octagon else 3
     r, step = work.velocity, work.rhs
     set_load(work, r)
@@ -328,7 +328,7 @@ def run_interior(structure, work, pairs, options):
         return verdict, residual, 0
     _start(structure, work, pairs, octagon, mu, r)
     residual = np.nan
-    predict, correct = points == 0, points > 0  # not literals, for each of which numba would compile anew
+    predict, correct = points == 0, points > 0  # not literals, each of which numba would compile separately
     for iteration in range(1, options.interior_steps + 1):
         work.weight_steps[:points] = 0.0
         work.slack_steps[:points] = 0.0
@@ -341,7 +341,7 @@ def run_interior(structure, work, pairs, options):
         centring = max(_complementarity(work, points, size, reach) / gap, 0.0) ** 3
         target = centring * gap / (8.0 if octagon else 1.0)
         if not octagon:
-            work.weight_steps[:points] = 0.0  # the second-order term of the quadratic cone is left out
+            work.weight_steps[:points] = 0.0  # the second-order term of the quadratic cone is neglected
         _assemble(structure, work, pairs, octagon, mu, r, target, predict)
         solve(structure.elimination, work.free, work.diagonal, work.lower, work.filled, step)
         reach = min(1.0, _BACK_OFF * _steps(structure, work, pairs, octagon, mu, r, step, target, octagon))

@@ -1,4 +1,4 @@
-"""Compiled verdict of one state, and of a run of states without the GIL.
+"""Compiled verdict of one state, and of a range of states without the GIL.
 
 ADMM settles most states within fifty cheap iterations; the interior point method settles the rest.
 """
@@ -16,17 +16,17 @@ from falsework.utils.kernels import njit
 
 @njit(cache=True)
 def solve_state(structure, state, options, work, forces, velocity, warm):
-    """Judge one state.
+    """Decide one state.
 
     Args:
-        structure, options, work: see there.
+        structure, options, work: `KernelArrays`, `Options` and `Scratch`.
         state: shape (parts,).
-        forces: in: a guess at the contact forces in N where `warm`; out: the forces. Shape (points, 3) or (0, 3).
+        forces: in: initial contact forces in N where `warm`; out: the forces. Shape (points, 3) or (0, 3).
         velocity: out: the virtual velocity, zero where parts do not move, shape (parts, 6) or (0, 6).
-        warm: whether `forces` holds a guess.
+        warm: whether `forces` holds an initial guess.
 
     Returns:
-        Verdict, the residual it rests on, ADMM iterations, interior-point steps.
+        Verdict, the residual that it is based on, ADMM iterations, interior-point steps.
     """
     pairs, count = restrict(structure, state, work)
     if count == 0:
@@ -65,10 +65,10 @@ def solve_state(structure, state, options, work, forces, velocity, warm):
 
 @njit(nogil=True, cache=True)
 def solve_range(structure, states, options, forces, velocity, warm, verdict, residual, iterations, steps):
-    """Judge the states whose `verdict` is `UNDECIDED`, one by one; arrays as in `solve_state`, batched.
+    """Decide the states whose `verdict` is `UNDECIDED`, one by one; arrays as in `solve_state`, batched.
 
-    `forces` and `velocity` may be empty where no certificates are wanted. Iterations and steps are added to what there
-    is.
+    `forces` and `velocity` may be empty where no certificates are requested. Iterations and steps are added to their
+    arrays.
     """
     nothing_f = np.zeros((0, 3))
     nothing_v = np.zeros((0, 6))

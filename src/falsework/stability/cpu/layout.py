@@ -14,13 +14,13 @@ from falsework.stability.strength import Strength
 from falsework.utils.kernels import njit
 
 FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
-"""Freedoms given to the compiler: all of fast mathematics, but NaN and infinity keep their meaning."""
+"""Compiler options: all of fast mathematics, but NaN and infinity keep their meaning."""
 COMPILED_LAYOUT = ("C", "W")
-"""Contiguous and writable, for `np.require`: for other arrays of states numba would compile the kernels anew."""
+"""Contiguous and writable, for `np.require`: numba would recompile the kernels for other arrays of states."""
 
 
 class KernelArrays(NamedTuple):
-    """Arrays of a `Problem` in the layout of the kernel; fields as there."""
+    """Arrays of a `Problem` in the layout of the kernel; fields of the same name as there."""
 
     elimination: Elimination
     pair_parts: NDArray[np.int32]
@@ -45,18 +45,18 @@ class KernelArrays(NamedTuple):
     friction: NDArray[np.float64]
     """Coefficient of friction of each contact point, shape (points,)."""
     pull: NDArray[np.float64]
-    """Scaled tension that each contact point bears, shape (points,); see `Strength`."""
+    """Scaled tensile strength of each contact point, shape (points,); see `Strength`."""
     stick: NDArray[np.float64]
     """Scaled tangential force that it bears at that tension."""
     tears: NDArray[np.bool_]
     pull_a: NDArray[np.float64]
-    """Whitened wrench on part `a` of the points of a pair that all bear their tension, shape (pairs, 6)."""
+    """Whitened wrench on part `a` of the points of a pair at their tensile strength, shape (pairs, 6)."""
     pull_b: NDArray[np.float64]
     cone: int
 
 
 def build_structure(problem: Problem) -> KernelArrays:
-    """Lay a problem out for the kernel and eliminate its pattern once."""
+    """Lay out a problem for the kernel and eliminate its pattern once."""
     pattern = eliminate(problem)
     pair_of_point = np.repeat(np.arange(problem.pairs), np.diff(problem.pair_start))
     stiffness = np.zeros((problem.pairs, 6, 6))
@@ -90,10 +90,10 @@ def build_structure(problem: Problem) -> KernelArrays:
 
 
 def strength_arrays(problem: Problem, strength: Strength) -> dict[str, NDArray]:
-    """Return the fields of `KernelArrays` that say what contact points bear.
+    """Return the fields of `KernelArrays` that hold the strength of contact points.
 
-    Forces of the kernels are those beyond the tension: `f = z - (pull, 0, 0)` with `z` in the friction cone with its
-    tip cut off. So the wrench of the tension is a load, of the pairs that act.
+    Forces in the kernels are relative to the tensile strength: `f = z - (pull, 0, 0)` with `z` in the friction cone
+    with tension cut-off. So the wrench of the tensile strength is a load, for the pairs that act.
     """
     pull, stick = strength.pull / problem.force_scale, strength.stick / problem.force_scale
     pair_of_point = np.repeat(np.arange(problem.pairs), np.diff(problem.pair_start))
@@ -133,9 +133,9 @@ class Scratch(NamedTuple):
     stick: NDArray[np.float64]
     tears: NDArray[np.bool_]
     pulled: NDArray[np.float64]
-    """Sum of the tensions that the acting points bear, N, shape (1,)."""
+    """Sum of the tensile strengths of the acting points, N, shape (1,)."""
     load: NDArray[np.float64]
-    """Whitened weight, loads and tension of the acting points on the parts that can move, shape (n, 6)."""
+    """Whitened weight, loads and tensile strength of the acting points on the parts that can move, shape (n, 6)."""
     u: NDArray[np.float64]
     """ADMM iterate before projection, shape (points, 3)."""
     z: NDArray[np.float64]
@@ -194,7 +194,7 @@ def make_scratch(structure):
 
 @njit(fastmath=FAST, cache=True)
 def set_gravity(structure, state, out):
-    """`out =` whitened weight and loads of the parts that can move, shape (n, 6)."""
+    """Write the whitened weight and loads of the parts that can move to `out`, shape (n, 6)."""
     gravity, order = structure.gravity, structure.elimination.order
     for j in range(len(order)):
         if state[order[j]] == 1:
@@ -204,7 +204,7 @@ def set_gravity(structure, state, out):
 
 @njit(cache=True)
 def restrict(structure, state, work):
-    """Copy what acts in a state to the front of the scratch; return the number of pairs and of free parts."""
+    """Copy the acting pairs and points of a state to the front of the scratch; return numbers of pairs and parts."""
     position, order = structure.elimination.position, structure.elimination.order
     parts, first, basis, scale = structure.pair_parts, structure.pair_start, structure.basis, structure.force_scale
     free, pair, start = work.free, work.pair, work.start
@@ -254,7 +254,7 @@ def restrict(structure, state, work):
 
 @njit(inline="always", fastmath=FAST)
 def pair_velocity(transfer_a, transfer_b, q, a, b, velocity):
-    """Compute the relative velocity and rotation at the middle of pair `q`, six numbers.
+    """Return the relative velocity and rotation at the centre of pair `q`, six numbers.
 
     `a` and `b` are the positions of its parts, -1 where a part is held or boundary.
     """
@@ -282,7 +282,7 @@ def pair_velocity(transfer_a, transfer_b, q, a, b, velocity):
 
 @njit(inline="always", fastmath=FAST)
 def add_pair_wrench(transfer_a, transfer_b, q, a, b, f0, f1, f2, f3, f4, f5, out):
-    """Add the six numbers of a force and moment at the middle of pair `q` to its parts that can move."""
+    """Add the six numbers of a force and moment at the centre of pair `q` to its parts that can move."""
     if a >= 0:
         for r in range(6):
             out[a, r] += (
@@ -307,7 +307,7 @@ def add_pair_wrench(transfer_a, transfer_b, q, a, b, f0, f1, f2, f3, f4, f5, out
 
 @njit(inline="always", fastmath=FAST)
 def point_velocity(basis, j, s0, s1, s2, s3, s4, s5):
-    """Return relative velocity of contact point `j` in its frame, given what its pair feels."""
+    """Return the relative velocity of contact point `j` in its frame from the six numbers of its pair."""
     return (
         basis[j, 0, 0] * s0 + basis[j, 1, 0] * s1 + basis[j, 2, 0] * s2
         + basis[j, 3, 0] * s3 + basis[j, 4, 0] * s4 + basis[j, 5, 0] * s5,
@@ -320,7 +320,7 @@ def point_velocity(basis, j, s0, s1, s2, s3, s4, s5):
 
 @njit(fastmath=FAST, cache=True)
 def set_load(work, out):
-    """`out =` whitened weight, loads and tension on the parts that can move."""
+    """Write the whitened weight, loads and tensile strength on the parts that can move to `out`."""
     free, load = work.free, work.load
     for j in range(len(free)):
         if free[j]:
@@ -330,7 +330,7 @@ def set_load(work, out):
 
 @njit(fastmath=FAST, cache=True)
 def add_wrenches(structure, work, pairs, forces, out):
-    """`out += G forces`."""
+    """Add `G forces` to `out`."""
     basis, start = work.basis, work.start
     pair, slot_a, slot_b = work.pair, work.slot_a, work.slot_b
     transfer_a, transfer_b = structure.transfer_a, structure.transfer_b

@@ -1,10 +1,10 @@
 """Local instability test: a search for a mechanism near the changed part before the whole state is solved.
 
-A state differs from one that stands in a part or two, and if it falls, something near them falls. So hold
-every part that is more than a few contacts away and judge what is left: if that is unstable, then so is the
-state, since holding less never helps, and the velocity that proves it, still far away, proves it for the
-whole. Such a proof costs a few parts' worth of work however large the structure is, and unstable states are
-the ones on which the whole takes longest.
+A state differs from a stable one in a part or two, and if it is unstable, the mechanism is mostly near them. So hold
+every part that is more than a few contacts away and check the rest: if that is unstable, then so is the
+state, since holding fewer parts never helps, and the velocity that proves it, zero far away, proves it for the
+whole. Such a proof costs the work of a few parts however large the structure is, and unstable states are
+those that take longest on the whole structure.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from falsework.stability.cpu.termination import UNDECIDED, UNSTABLE
 from falsework.utils.kernels import njit
 
 RINGS = (1, 3)
-"""Contacts away from a changed part, tried in turn. Three rings or more alone gain only half as much."""
+"""Distances from a changed part in contacts, tried in turn. Three rings or more alone gain only half as much."""
 
 
 @njit(cache=True)
 def hold_far_parts(structure, state, parent, rings, near):
-    """Copy `state` to `near` with free parts held that are over `rings` contacts from where it differs from `parent`.
+    """Copy `state` to `near`, holding free parts over `rings` contacts from where it differs from `parent`.
 
     Returns:
-        How many parts stay free, and how many were.
+        Number of parts that stay free, and number of free parts before.
     """
     first, pair, parts = structure.neighbour_start, structure.neighbour_pair, structure.pair_parts
     depth = np.full(len(state), -1, np.int32)
@@ -58,12 +58,12 @@ def hold_far_parts(structure, state, parent, rings, near):
 
 @njit(cache=True)
 def fall_near(structure, state, parent, rings, options, work, near, no_forces, velocity):
-    """Look for parts that fall near where a state differs from its parent.
+    """Search for a mechanism near the difference of a state from its parent.
 
     Returns:
         `UNSTABLE` with its proof in `velocity`, else `UNDECIDED`; residual, ADMM iterations, interior-point steps.
     """
-    cold = len(no_forces) > 0  # not a literal, for which numba would compile the solver anew
+    cold = len(no_forces) > 0  # not a literal, for which numba would recompile the solver
     spent, taken = 0, 0
     for ring in rings:
         kept, free = hold_far_parts(structure, state, parent, ring, near)
@@ -81,10 +81,10 @@ def fall_near(structure, state, parent, rings, options, work, near, no_forces, v
 
 @njit(nogil=True, cache=True)
 def fall_range(structure, states, parents, rings, options, velocity, verdict, residual, iterations, steps):
-    """Look for parts that fall near where states differ from their parents; arrays as in `solve_range`.
+    """Search for mechanisms near the difference of states from their parents; arrays as in `solve_range`.
 
     Returns:
-        How many states are left undecided.
+        Number of states left undecided.
     """
     nothing_f = np.zeros((0, 3))
     nothing_v = np.zeros((0, 6))

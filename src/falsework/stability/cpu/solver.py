@@ -19,11 +19,11 @@ from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
 from falsework.stability.verdict import Solver, Verdicts, proof_of
 
 _TASK = 16
-"""States a thread takes at a time: few enough to share hard states out, enough to hide the cost of a call."""
+"""States per task of a thread: few enough to balance the load, enough to hide the cost of a call."""
 
 
 def kernel_options(settings: StabilitySettings) -> Options:
-    """Return the settings as the kernel takes them."""
+    """Return the settings in the form of the kernel."""
     cpu = settings.cpu
     return Options(
         rho=cpu.rho,
@@ -40,12 +40,12 @@ class Workers:
     """Threads that share the rows of a batch; compiled code runs in them without the GIL."""
 
     def __init__(self, threads: int | None) -> None:
-        """Start as many threads, or one a core."""
+        """Start this many threads, by default one per core."""
         self._threads = threads or os.cpu_count() or 1
         self._pool = ThreadPoolExecutor(self._threads) if self._threads > 1 else None
 
     def run(self, work: Callable[[slice], None], batch: int) -> None:
-        """Call `work` for runs of rows that cover a batch."""
+        """Call `work` on ranges of rows that cover a batch."""
         task = batch if self._pool is None else min(_TASK, -(-batch // self._threads))
         rows = [slice(first, first + task) for first in range(0, batch, max(task, 1))]
         if self._pool is None or len(rows) < 2:
@@ -58,7 +58,7 @@ class Workers:
 class CpuSolver:
     """Solver of batches of states of one structure with compiled code.
 
-    ADMM on the force with one sparse factor a state, then an interior point method for what it leaves open
+    ADMM on the forces with one sparse factorisation per state, then an interior point method for undecided states
     (`docs/decisions/0002`). Both stop at the first proof.
     """
 
@@ -77,13 +77,13 @@ class CpuSolver:
         parents: States | None = None,
         guess: NDArray[np.float64] | None = None,
     ) -> Verdicts:
-        """Judge a batch.
+        """Check a batch of states.
 
         Args:
             states: checked states, shape (batch, parts).
             certificates: return forces and velocity too.
-            parents: for each state one that stands and differs in few parts, shape (batch, parts); what falls
-                is looked for near the difference first.
+            parents: for each state a stable one that differs in few parts, shape (batch, parts); a mechanism is
+                sought near the difference first.
             guess: contact forces in N to start from, shape (batch, points, 3); overwritten with the
                 forces that were found.
 

@@ -15,7 +15,7 @@ from falsework.utils.kernels import njit
 
 STABLE, UNSTABLE, UNDECIDED = 1, -1, 0
 MARGIN = 1e-3
-"""Both tests ask for this much more than the tolerance, so that rounding cannot overturn them."""
+"""Both tests are stricter than the tolerance by this share, so that rounding cannot overturn them."""
 
 
 class Options(NamedTuple):
@@ -32,9 +32,9 @@ class Options(NamedTuple):
 
 @njit(fastmath=FAST, cache=True)
 def check_primal(structure, work, pairs, forces, options, residual):
-    """Return the residual that forces of the cone leave, or infinity if they exceed the force bound.
+    """Return the residual that forces of the cone leave; infinity if they exceed the force bound.
 
-    Leaves the whitened residual in `residual`.
+    The whitened residual is written to `residual`.
     """
     set_load(work, residual)
     add_wrenches(structure, work, pairs, forces, residual)
@@ -60,10 +60,10 @@ def check_primal(structure, work, pairs, forces, options, residual):
 
 @njit(fastmath=FAST, cache=True)
 def check_dual(structure, work, pairs, velocity, options):
-    """Return the residual that every force of the cone below the bound leaves at least, as proven by a velocity.
+    """Return the lower bound, proven by a velocity, on the residual of any forces of the cone below the force bound.
 
     For forces `f` of the cone with sum of normals at most `U W`, `velocity . (G f + g)` is at least
-    `velocity . g - U W max_c support(-G^T velocity)_c`, less what contact points that stick take. It
+    `velocity . g - U W max_c support(-G^T velocity)_c`, minus the power that cohesion absorbs. It
     is at most the residual, the largest acceleration times `measure`, times the 1-norm of the momentum of `velocity`
     divided by `measure`.
     """
@@ -103,7 +103,7 @@ def check_dual(structure, work, pairs, velocity, options):
 
 @njit(fastmath=FAST, cache=True)
 def judge(structure, work, pairs, velocity, options):
-    """Return the verdict on the current forces `work.z` and a velocity, with the residual that it rests on."""
+    """Return the verdict on the current forces `work.z` and a velocity, with the residual that it is based on."""
     worst = check_primal(structure, work, pairs, work.z, options, work.residual)
     if worst < (1.0 - MARGIN) * options.tolerance:
         return STABLE, worst

@@ -1,1 +1,1 @@
-"""Verdicts on CUDA GPUs: one thread block a state."""
+"""Verdicts on CUDA GPUs: one thread block per state."""

@@ -14,14 +14,14 @@ def add_contact(layout: Layout, structure: ContactArrays, gravity: float, ratio:
     """Add stiffness and units of displacement to a layout.
 
     The kernel measures lengths in `layout.length`, masses in the mean mass and accelerations in gravity. With
-    displacements in `scale * gravity` metres, `scale` as in `ContactArrays`, the stiffness of a point is the same
-    number as on the processor.
+    displacements in `scale * gravity` metres, `scale` as in `ContactArrays`, the stiffness of a point has the same
+    value as on the CPU.
 
     Args:
-        layout: of the structure.
-        structure: stiffness and units of the same.
+        layout: layout of the structure.
+        structure: its stiffness and units.
         gravity: m/s2.
-        ratio: tangential over normal stiffness.
+        ratio: ratio of tangential to normal stiffness.
     """
     first, count = layout.arrays["group_first"], layout.arrays["group_count"]
     stiffness = np.zeros((layout.group_size, layout.groups))

@@ -46,24 +46,24 @@ class Driver(Protocol):
 
     multiprocessors: int
     shared_limit: int
-    """Most bytes of shared memory that a block can have."""
+    """Largest shared memory of a block, bytes."""
     most_threads: int
-    """Most threads that a block can have."""
+    """Largest number of threads of a block."""
 
     def put(self, array: NDArray) -> Any:
-        """Copy of an array on the device."""
+        """Return a copy of an array on the device."""
         ...
 
     def empty(self, shape: tuple[int, ...], dtype: DTypeLike) -> Any:
-        """Array on the device, contents undefined."""
+        """Return an uninitialised array on the device."""
         ...
 
     def zeros(self, shape: tuple[int, ...], dtype: DTypeLike) -> Any:
-        """Array of zeros on the device."""
+        """Return an array of zeros on the device."""
         ...
 
     def get(self, array: Any) -> NDArray:
-        """Copy of a device array here."""
+        """Return a copy of a device array on the host."""
         ...
 
     def address(self, array: Any) -> int:
@@ -71,7 +71,7 @@ class Driver(Protocol):
         ...
 
     def blocks(self, kernel: str, threads: int, shared: int) -> int:
-        """Blocks of a kernel that the device holds at a time."""
+        """Return the number of blocks of a kernel that the device can hold at a time."""
         ...
 
     def launch(
@@ -88,7 +88,7 @@ def kernel_source() -> str:
 
 
 class CudaDriver:
-    """A CUDA device, through torch for memory and streams and NVIDIA's `cuda-bindings` for compiling and launching."""
+    """CUDA device driver: torch for memory and streams, NVIDIA's `cuda-bindings` for compiling and launching."""
 
     def __init__(self, device: str, defines: dict[str, int]) -> None:
         try:
@@ -110,26 +110,26 @@ class CudaDriver:
         properties = torch.cuda.get_device_properties(self.device)
         self.multiprocessors = properties.multi_processor_count
         self.shared_limit = getattr(properties, "shared_memory_per_block_optin", 48 * 1024)
-        self.most_threads = 256  # what the kernels are compiled for
+        self.most_threads = 256  # as compiled
         self._architecture = properties.major, properties.minor
         self._defines = defines
         self._functions: dict[str, Any] = {}
         self._shared: dict[str, int] = {}
 
     def put(self, array: NDArray) -> Any:
-        """Copy of an array on the device."""
+        """Return a copy of an array on the device."""
         return self._torch.from_numpy(np.require(array, requirements=["C", "W"])).to(self.device)
 
     def empty(self, shape: tuple[int, ...], dtype: DTypeLike) -> Any:
-        """Return the array on the device, contents undefined."""
+        """Return an uninitialised array on the device."""
         return self._torch.empty(shape, dtype=self._type(dtype), device=self.device)
 
     def zeros(self, shape: tuple[int, ...], dtype: DTypeLike) -> Any:
-        """Return the array of zeros on the device."""
+        """Return an array of zeros on the device."""
         return self._torch.zeros(shape, dtype=self._type(dtype), device=self.device)
 
     def get(self, array: Any) -> NDArray:
-        """Copy of a device array here."""
+        """Return a copy of a device array on the host."""
         return array.cpu().numpy()
 
     def address(self, array: Any) -> int:
@@ -139,7 +139,7 @@ class CudaDriver:
         return array.data_ptr()
 
     def blocks(self, kernel: str, threads: int, shared: int) -> int:
-        """Return blocks of a kernel that the device holds at a time."""
+        """Return the number of blocks of a kernel that the device can hold at a time."""
         function = self._function(kernel, shared)
         each = _ask(self._cuda.cuOccupancyMaxActiveBlocksPerMultiprocessor(function, threads, shared))
         return self.multiprocessors * max(each, 1)
@@ -162,7 +162,7 @@ class CudaDriver:
         return getattr(self._torch, np.dtype(dtype).name)
 
     def _function(self, kernel: str, shared: int) -> Any:
-        """Return a kernel, compiled and loaded at its first use, that may use this much shared memory."""
+        """Return a kernel that may use this much shared memory, compiled and loaded at first use."""
         if kernel not in self._functions:
             defines = {**self._defines, "PART": KERNELS.index(kernel)}
             code = compile_kernel(*self._architecture, tuple(sorted(defines.items())))
@@ -180,10 +180,10 @@ class CudaDriver:
 
 @lru_cache(maxsize=32)
 def compile_kernel(major: int, minor: int, defines: tuple[tuple[str, int], ...]) -> bytes:
-    """Machine code of a kernel for one architecture and one set of compile-time constants, kept on disk.
+    """Return the machine code of a kernel for one architecture and one set of compile-time constants, cached on disk.
 
     Raises:
-        SolverError: the compiler refused the source.
+        SolverError: the compiler rejected the source.
     """
     nvrtc = _bindings("nvrtc")
     options = [f"--gpu-architecture=sm_{major}{minor}", "--std=c++17", "--fmad=true"]
@@ -207,19 +207,19 @@ def compile_kernel(major: int, minor: int, defines: tuple[tuple[str, int], ...])
 
 
 def _identity(options: list[str], nvrtc: Any) -> str:
-    """Return the digest of all that the machine code depends on."""
+    """Return the digest of everything that the machine code depends on."""
     text = "\n".join([kernel_source(), *options, str(nvrtc.nvrtcVersion()[1:])])
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
 def _bindings(name: str) -> Any:
-    """Return a module of NVIDIA's bindings, which type checkers cannot look into."""
+    """Return a module of NVIDIA's bindings, which have no type information."""
     return import_module(f"cuda.bindings.{name}")
 
 
 def _ask(answer: tuple) -> Any:
-    """Return the result of a call of the driver, or an error with its name."""
+    """Return the result of a driver call; raise an error with its name if it failed."""
     status, *result = answer
     if int(status) != 0:
-        raise SolverError(f"CUDA answered {status.name}; update the driver, or use solver='cpu'")
+        raise SolverError(f"CUDA returned {status.name}; update the driver, or use solver='cpu'")
     return result[0] if result else None

@@ -16,7 +16,7 @@ from falsework.stability.settings import StabilitySettings
 _INDEX_LIMIT = 0x7FFF
 _GROUP_SIZES = (3, 4, 5, 6)
 _GROUP_COST = 3
-"""Work of a group of contact points for itself, in contact points."""
+"""Fixed cost of a group of contact points, in contact points."""
 _INT_FIELDS = ("parts", "positions", "groups", "blocks", "levels", "points", "products")
 _SCALAR_FIELDS = ("weight", "friction", "length", "tangential", "unit", "limit")
 _ARRAY_FIELDS = (
@@ -50,7 +50,7 @@ _ARRAY_FIELDS = (
 
 
 class KernelStructure(ctypes.Structure):
-    """`Structure` of the kernel."""
+    """Struct `Structure` of the kernel."""
 
     _fields_ = [
         *((name, ctypes.c_int) for name in _INT_FIELDS),
@@ -60,7 +60,7 @@ class KernelStructure(ctypes.Structure):
 
 
 class KernelOptions(ctypes.Structure):
-    """`Options` of the kernel."""
+    """Struct `Options` of the kernel."""
 
     _fields_ = [
         *((name, ctypes.c_double) for name in ("rho", "relaxation", "tolerance", "force_bound", "first_step")),
@@ -72,7 +72,7 @@ class KernelOptions(ctypes.Structure):
 
 
 class KernelBatch(ctypes.Structure):
-    """`Batch` of the kernel."""
+    """Struct `Batch` of the kernel."""
 
     _fields_ = [
         *(
@@ -120,24 +120,24 @@ class Layout:
     length: float
     """Unit of length of the arrays, metres."""
     group_size: int
-    """Most contact points of a group."""
+    """Most contact points per group."""
     ancestors: int
-    """Pairs of a part and one of its ancestors in the elimination tree of the complete structure."""
+    """Number of pairs of a part and one of its ancestors in the elimination tree of the complete structure."""
     tangential: float = 0.0
-    """Tangential over normal stiffness, under the criterion `contact`."""
+    """Ratio of tangential to normal stiffness, under the criterion `contact`."""
     unit: float = 0.0
-    """Metres of displacement of a variable of 1, under the criterion `contact`."""
+    """Displacement of a unit variable, m, under the criterion `contact`."""
     limit: float = 0.0
-    """Movement of a part that falls, m, under the criterion `contact`."""
+    """Movement of a part that counts as collapsing, m, under the criterion `contact`."""
 
     def kernel_structure(self, addresses: dict[str, int]) -> KernelStructure:
-        """Return the argument of the kernel, given where each array was put."""
+        """Return the argument of the kernel, given the address of each array."""
         scalars = {name: getattr(self, name) for name in _SCALAR_FIELDS}
         return KernelStructure(**self.sizes, **addresses, **scalars)
 
     @property
     def groups(self) -> int:
-        """Groups of contact points of the whole structure."""
+        """Number of groups of contact points of the whole structure."""
         return self.sizes["groups"]
 
     def admm_bytes(self, share: float = 1.0, *, on_chip: bool = True) -> int:
@@ -157,7 +157,7 @@ class Layout:
         return self._stored_bytes() + 4 * (36 * (n + 2 * blocks) + 66 * n) + self._product_index_bytes()
 
     def contact_list_bytes(self) -> int:
-        """Return the memory beside it for products of the factor, and wrenches and stiffness of all groups."""
+        """Return the additional memory for products of the factor, and wrenches and stiffness of all groups."""
         return 240 * self.groups + 4 * self.sizes["products"] + 80
 
     def contact_near_bytes(self) -> int:
@@ -165,7 +165,7 @@ class Layout:
         return self._stored_bytes() + 4 * 66 * self.sizes["positions"]
 
     def group_bytes(self) -> int:
-        """Return the memory for what the later methods keep of all groups, and the products where these are beside."""
+        """Return the memory for the group data of the later methods, and the products where these are stored there."""
         interior = self.groups * (self.group_size * 16 + 21 + 12) * 8
         contact = self.groups * (self.group_size * 48 + 240) + 4 * self.sizes["products"] + 16
         return max(interior, -(-contact // 16) * 16)
@@ -184,7 +184,7 @@ class Layout:
         return 8 * blocks + 4 * (n + 1) + 48
 
     def _counts(self, share: float) -> tuple[int, int, int]:
-        """Return nodes, groups and blocks of the inverse factor: parts have fewer ancestors in a smaller state."""
+        """Return the numbers of nodes, groups and blocks of the inverse factor; smaller states have fewer ancestors."""
         n, groups = (-int(-share * self.sizes[name] // 1) for name in ("positions", "groups"))
         return n, groups, -int(-(share**1.5) * self.ancestors // 1)
 
@@ -214,7 +214,7 @@ def kernel_options(settings: StabilitySettings) -> KernelOptions:
 
 
 def build_layout(problem: Problem) -> Layout:
-    """Lay a problem out for the kernel.
+    """Lay out a problem for the kernel.
 
     Args:
         problem: the structure.
@@ -223,7 +223,7 @@ def build_layout(problem: Problem) -> Layout:
         InputError: the structure has more contacts or fill than the kernel can index.
     """
     pattern = _eliminate(problem)
-    # Contact points of a pair that one thread takes: the size that wastes least.
+    # Contact points of a pair per thread: the size with the least waste.
     group_size = min(_GROUP_SIZES, key=lambda size: (size + _GROUP_COST) * len(_groups(problem, size)[0]))
     first, count, pair = _groups(problem, group_size)
     groups, n = len(first), len(pattern["column"]) - 1
@@ -266,7 +266,7 @@ def _eliminate(problem: Problem) -> dict[str, NDArray]:
     """Return the symbolic elimination in an order whose tree is shallow, with positions numbered level by level.
 
     Minimum degree, ties broken by the fewest levels below: the fill of minimum degree with a fifth fewer levels
-    (vault-62 17 instead of 21, dome-72 24 instead of 30), and levels are what a solve has to wait for.
+    (vault-62 17 instead of 21, dome-72 24 instead of 30); a solve is sequential in the levels.
     """
     removable = np.flatnonzero(~problem.boundary)
     neighbours: dict[int, set[int]] = {int(part): set() for part in removable}
@@ -284,7 +284,7 @@ def _eliminate(problem: Problem) -> dict[str, NDArray]:
             neighbours[other] -= {other, part}
             level[other] = max(level[other], level[part] + 1)
 
-    order = sorted(below, key=lambda part: level[part])  # stable: a part comes after all that it waits for
+    order = sorted(below, key=lambda part: level[part])  # stable sort: a part comes after all that it depends on
     n = len(order)
     position = np.full(problem.parts, -1)
     position[order] = np.arange(n)
@@ -348,10 +348,10 @@ def _lists(keys: NDArray, values: NDArray, count: int) -> tuple[NDArray, NDArray
 def _mechanics(
     problem: Problem, first: NDArray, count: NDArray, pair: NDArray, position: NDArray, size: int
 ) -> tuple[dict[str, NDArray], float]:
-    """Return masses, arms and contact points, in float64 and where ADMM reads them in float32 too; the unit of length.
+    """Return masses, lever arms and contact points, in float64 and for ADMM in float32 too; and the unit of length.
 
-    Lengths are in shares of the mean radius of gyration, masses of the mean mass, accelerations of gravity, so
-    that float32 rounds the same numbers whatever the size of the structure.
+    Lengths are in units of the mean radius of gyration, masses of the mean mass, accelerations of gravity, so
+    that rounding in float32 is the same at any size of the structure.
     """
     groups = len(first)
     order = np.argsort(np.where(position < 0, len(position), position))[: int((position >= 0).sum())]
@@ -378,7 +378,7 @@ def _mechanics(
 
     arm = np.zeros((6, groups))
     for side, (transfer, sign) in enumerate(((problem.transfer_a, -1.0), (problem.transfer_b, 1.0))):
-        # Undo the whitening; what is left is [1 0; arm x 1]. Boundary parts have zeros, and are never asked for.
+        # Undo the whitening, which leaves [1 0; arm x 1]. Boundary parts have zeros, which are never used.
         shift = sign * problem.momentum[problem.pair_parts[:, side]] @ transfer
         arm[side * 3 : side * 3 + 3] = np.stack([shift[:, 5, 1], shift[:, 3, 2], shift[:, 4, 0]])[:, pair] / length
     inertia = factor[:, 3:, 3:] @ factor[:, 3:, 3:].transpose(0, 2, 1) / (heavy * length**2)

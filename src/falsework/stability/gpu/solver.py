@@ -27,36 +27,36 @@ if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
 
 _ADMM_SHARES = (0.5, 1.0)
-"""Sizes of state, as shares of the structure, that ADMM has a launch for: small states leave room on a
+"""Sizes of states, as shares of the structure, that ADMM has a launch for: small states leave room on a
 multiprocessor for more of them."""
 _STATIC_SHARED = 4 * 1024
-"""Shared memory that the kernels have of their own, at most."""
+"""Largest static shared memory of the kernels, bytes."""
 _CHUNK_BYTES = 2 << 30
 """Device memory for the forces and velocities of one chunk of states."""
 
 
 class MemoryWarning(UserWarning):
-    """Batch that did not fit into the memory of the GPU and was halved."""
+    """Warning that a batch did not fit into the memory of the GPU and was halved."""
 
 
 @dataclass(frozen=True)
 class _Stage:
-    """One launch of a chain: states that do not fit on chip go on to the next."""
+    """Launch of a chain: states that do not fit on chip go on to the next."""
 
     kernel: str
     threads: int
     shared: int
     blocks: int
     scratch: Any
-    """Device memory instead of shared memory, or beside it, where the largest state does not fit on chip."""
+    """Device memory instead of shared memory, or in addition to it, where the largest state does not fit on chip."""
     pool: int
-    """Bytes that a state may take."""
+    """Memory per state, bytes."""
     takes: int = 0
-    """List of the states that are taken."""
+    """List of the states to process."""
     large: int = 0
-    """List for those that need more memory than this launch has."""
+    """List for states that need more memory than this launch has."""
     rest: int = 0
-    """List for those that are not proven unstable, or that Newton iterations need more memory for."""
+    """List for states that are not proven unstable, or that need more memory for Newton iterations."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class _Chain:
     open: int
     """List of the states that ADMM leaves undecided."""
     by_group: Any
-    """Device memory for what the later methods keep of each group."""
+    """Device memory for the group data of the later methods."""
 
     @property
     def lists(self) -> int:
@@ -78,18 +78,18 @@ class _Chain:
 class GpuSolver:
     """Solver of batches of states of one structure on a GPU.
 
-    The same methods as on the processor, with the same certificates. Of the equilibrium problem (`CpuSolver`), ADMM
-    iterates in float32, both proofs are found in float64, and an interior point method in float64 takes what ADMM
-    leaves open (`docs/decisions/0011`). Under the criterion `contact` (`ContactSolver`), Newton iterations say which of
-    the states that are not proven unstable come to rest, with steps in float32 and proofs in float64
-    (`docs/decisions/0013`). Lists on the device hand states from one kernel to the next.
+    The same methods as on the CPU, with the same certificates. For the equilibrium problem (`CpuSolver`), ADMM
+    iterates in float32, both proofs are found in float64, and an interior point method in float64 processes the states
+    that ADMM leaves undecided (`docs/decisions/0011`). Under `contact` (`ContactSolver`), Newton iterations decide
+    which of the states that are not proven unstable come to rest, steps in float32 and proofs in float64
+    (`docs/decisions/0013`). Lists on the device pass states from one kernel to the next.
 
     Args:
         assembly: the structure.
-        problem: the same, scaled.
-        settings: what stable means.
+        problem: its scaled equilibrium problem.
+        settings: stability criterion and numerical settings.
         device: a CUDA device, such as `cuda` or `cuda:1`.
-        make_driver: makes a device to run on instead, given the compile-time constants of the kernel.
+        make_driver: creates another device driver, given the compile-time constants of the kernel.
 
     Raises:
         DependencyError: torch or cuda-bindings is missing.
@@ -128,7 +128,7 @@ class GpuSolver:
         self._chunk = 1 << 20
 
     def check(self, states: States, *, certificates: bool = True, guess: NDArray[np.float64] | None = None) -> Verdicts:
-        """Judge a batch.
+        """Check a batch of states.
 
         Args:
             states: checked states, shape (batch, parts).
@@ -156,7 +156,7 @@ class GpuSolver:
         return verdicts
 
     def check_tensor(self, states: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Judge states that are on the device already; nothing waits and nothing is copied to the host.
+        """Check states that are already on the device, without synchronising or copying to the host.
 
         Args:
             states: checked states, `uint8` on the solver's device, contiguous, shape (batch, parts).
@@ -176,7 +176,7 @@ class GpuSolver:
         return verdict, residual
 
     def _in_chunks(self, batch: int, certificates: bool, work: Callable[[slice], None]) -> None:
-        """Do work on runs of rows that fit into the memory of the device, halving them where they do not."""
+        """Run `work` on ranges of rows that fit into device memory, halving them where they do not."""
         first = 0
         while first < batch:
             rows = slice(first, first + self._chunk_size(batch - first, certificates))
@@ -198,7 +198,7 @@ class GpuSolver:
     def _check_rows(
         self, states: States, rows: slice, certificates: bool, guess: NDArray | None, verdicts: Verdicts
     ) -> None:
-        """Judge some rows of a batch that lives on the host."""
+        """Check some rows of a batch in host memory."""
         part = states[rows]
         problem, driver = self.problem, self.driver
         verdict = driver.zeros((len(part),), np.int8)
@@ -241,7 +241,7 @@ class GpuSolver:
         velocity: Any = None,
         displacement: Any = None,
     ) -> None:
-        """Queue the launches that judge a batch; all arguments are device arrays."""
+        """Queue the launches that check a batch; all arguments are device arrays."""
         driver, count = self.driver, len(states)
         if count == 0:
             return
@@ -290,9 +290,9 @@ class GpuSolver:
             driver.launch(stage.kernel, blocks, stage.threads, stage.shared, (self._structure, self._options, batch))
 
     def _chain(self, count: int) -> _Chain:
-        """Launches for a batch of this size, and the lists by which states go from one to the next.
+        """Return the launches for a batch of this size, and the lists by which states pass from one to the next.
 
-        ADMM hands the states that it leaves undecided to the interior point method, by one list, and under `contact`
+        ADMM passes the states that it leaves undecided to the interior point method, by one list, and under `contact`
         those that are not unstable to the Newton iterations, by another. Both run in one launch where states fit on
         chip, so that the few states with very many iterations run beside the others.
         """
@@ -313,15 +313,15 @@ class GpuSolver:
         return self._chains[few]
 
     def _contact_stages(self, left: int, rest: int, large: int, far: int) -> list[_Stage]:
-        """Interior point method and Newton iterations: on chip, and each for states that are too large for that.
+        """Return the stages of interior point method and Newton iterations: on chip, and for states too large for that.
 
-        Registers leave room for one block on a multiprocessor, so there is no gain in a launch for small states.
+        Registers leave room for one block on a multiprocessor, so a launch for small states gains nothing.
 
         Args:
             left: list of the states that ADMM leaves undecided.
             rest: list of those that it does not prove unstable.
-            large: list for those that the interior point method needs more memory for.
-            far: list for those that the Newton iterations need more memory for.
+            large: list for states for which the interior point method needs more memory.
+            far: list for states for which the Newton iterations need more memory.
         """
         driver, layout, threads = self.driver, self.layout, self.driver.most_threads
         largest = _aligned(layout.contact_bytes())
@@ -342,7 +342,7 @@ class GpuSolver:
         return stages
 
     def _admm_stages(self, few: bool) -> list[_Stage]:
-        """ADMM with one thread a group of contact points, from the size that most states have to the largest."""
+        """Return the ADMM stages with one thread per group of contact points, from typical states to the largest."""
         driver, layout = self.driver, self.layout
         needed = -(-max(layout.groups, 1) // 32) * 32
         stages: list[_Stage] = []
@@ -359,7 +359,7 @@ class GpuSolver:
         return stages
 
     def _interior_stages(self) -> list[_Stage]:
-        """Return the single stage of the interior point method, on chip as far as it fits; few states take it."""
+        """Return the single stage of the interior point method, on chip as far as it fits; few states need it."""
         driver, layout, threads = self.driver, self.layout, self.driver.most_threads
         largest = _aligned(layout.interior_bytes())
         shared = min(largest, self._shared_limit)

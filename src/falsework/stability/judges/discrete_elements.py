@@ -1,14 +1,14 @@
-"""Discrete elements at rest: explicit dynamic relaxation as an independent test of stability.
+"""Discrete-element method with explicit dynamic relaxation, as an independent stability check.
 
-Rigid parts touch at the contact points of the structure through normal springs that cannot pull and tangential
-springs with Coulomb friction, whose force is incremental and so remembers how the part has slid (Cundall and Strack
-1979). Local damping takes energy out until the parts rest or move on (Cundall 1987). Displacements are small: arms
-and contact frames are those of the undeformed structure. The masses are those of the springs, not of the parts: every
-degree of freedom gets half the row sum of its stiffness, so that one step of unit length is stable for all of them and
-rest comes within a few thousand steps. What rests is then in equilibrium under its true weight, and what does not
-rest moves on until it has fallen.
+Rigid parts touch at the contact points of the structure through normal springs without tension and tangential springs
+with Coulomb friction, whose force is incremental and so depends on the slip history (Cundall and Strack 1979). Local
+damping dissipates energy until the parts come to rest or move away (Cundall 1987). Displacements are small: lever arms
+and contact frames are those of the undeformed structure. Masses are scaled by the springs, not by the parts: every
+degree of freedom gets half the row sum of its stiffness, so that a unit time step is stable for all of them and
+rest is reached within a few thousand steps. A state at rest is in equilibrium under its true weight; a state that does
+not come to rest moves on until it has collapsed.
 
-The method shares nothing with the solvers of this package but the assembly: no optimisation, no linear algebra, no
+The method shares only the assembly with the solvers of this package: no optimisation, no linear algebra, no
 criterion but rest. Lengths are divided by the size of a typical part and forces by its weight, so neither scale
 nor density matters.
 """
@@ -28,15 +28,15 @@ from falsework.stability.judges.relaxation import FALLS, STANDS, Model, relax
 Array = NDArray[np.float64]
 
 _SINKS = (2e-5, 2e-7)
-"""Sink of a typical part under its weight on eight typical contact points, in sizes of it: soft and stiff springs.
-Between joints nearly parallel to the load, parts slip by thousands of times their sink before they jam. A state that
-falls on the soft springs, which come to rest in the fewest steps, is therefore judged again on the stiff ones."""
+"""Settlement of a typical part under its weight on eight typical contact points, in part sizes: soft and stiff springs.
+Between joints nearly parallel to the load, parts slip by thousands of times this settlement before they jam. A state
+that collapses on the soft springs, which need the fewest steps, is therefore checked again on the stiff ones."""
 _GRAVITY = 9.81
-"""m/s2; weights are measured in that of a typical part, loads alone need it."""
+"""m/s2; only loads depend on it, since weights are measured in that of a typical part."""
 _POINTS = 8
-"""Contact points that carry a typical part."""
+"""Number of contact points that carry a typical part."""
 _LEAST_AREA = 1e-3
-"""Smallest area that a contact point stands for, in mean ones: springs softer than that only slow everything down."""
+"""Smallest tributary area of a contact point, as a share of the mean: softer springs would only slow convergence."""
 
 
 @dataclass(frozen=True)
@@ -44,18 +44,18 @@ class DiscreteElementSettings:
     """Springs, damping, and the number of steps."""
 
     tangential: float = 0.7
-    """Tangential by normal stiffness; Mindlin's theory of elastic spheres gives 0.67 to 1."""
+    """Ratio of tangential to normal stiffness; Mindlin's theory of elastic spheres gives 0.67 to 1."""
     damping: float = 0.7
-    """Share of the unbalanced force that local damping takes from what moves with it."""
+    """Coefficient of local damping: share of the unbalanced force that opposes the velocity."""
     ramp: int = 2000
-    """Steps in which an unbalanced force, such as gravity on the unstressed structure, rises to its full size."""
+    """Steps over which an unbalanced force, such as gravity on the unstressed structure, is ramped up."""
     steps: int = 30000
-    """Steps after which a state that neither rests nor has fallen is left open."""
+    """Steps after which a state that has neither come to rest nor collapsed is left undecided."""
     friction_share: float = 0.0
-    """How unsure the friction is: before a structure at rest is judged, its tangential forces are drawn anew, evenly
-    from the disc of this share of their limit. 0: friction is what history has left."""
+    """Uncertainty of friction: before a structure at rest is checked, its tangential forces are redrawn uniformly from
+    the disc whose radius is this share of their limit. 0: friction as the history has left it."""
     seed: int = 0
-    """Of these draws."""
+    """Seed of these draws."""
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.tangential) and self.tangential > 0):
@@ -73,10 +73,10 @@ class Settling:
     """Results of the relaxation, one entry per state."""
 
     stands: NDArray[np.int8]
-    """1 stands, -1 falls, 0 open after the step limit. Shape (states,)."""
+    """1 stable, -1 collapses, 0 undecided at the step limit. Shape (states,)."""
     moved: Array
     """Largest displacement of a part, metres: of its centre of mass, plus rotation times half the diagonal of its
-    bounding box; infinite for a part that nothing touches. Shape (states,)."""
+    bounding box; infinite for a part without contacts. Shape (states,)."""
     part: NDArray[np.int32]
     """Part that moved most; -1 where no part is free to move. Shape (states,)."""
 
@@ -87,14 +87,14 @@ def settle(
     settings: DiscreteElementSettings = DiscreteElementSettings(),
     forces: ArrayLike | None = None,
 ) -> Settling:
-    """Judge states: gravity rises on an unstressed structure, and what comes to rest stands.
+    """Check states: gravity is ramped up on an unstressed structure, which is stable if it comes to rest.
 
     Args:
         assembly: the structure.
         states: one state (parts,) or a batch (batch, parts).
-        settings: springs, damping, and how long to wait.
-        forces: contact forces to begin with instead of none, N, shape (batch, points, 3), such as those of a verdict.
-            A state whose verdict is right is at rest with them from the first step.
+        settings: springs, damping and step limit.
+        forces: initial contact forces, none by default, N, shape (batch, points, 3), such as those of a verdict.
+            Where the verdict is right, the state is at rest with them from the first step.
 
     Raises:
         InputError: forces of the wrong shape.
@@ -108,7 +108,7 @@ def settle(
         np.zeros((len(batch), points, 3)) if forces is None else np.asarray(forces, float) / _typical_weight(assembly)
     )
     if begin.shape != (len(batch), points, 3):
-        raise InputError(f"forces have shape {begin.shape}; give one of {(len(batch), points, 3)}")
+        raise InputError(f"forces have shape {begin.shape}; expected {(len(batch), points, 3)}")
     for row, state in enumerate(batch):
         for model in models:
             gap, friction = -begin[row, :, 0] / model.stiffness, begin[row, :, 1:].copy()
@@ -125,20 +125,20 @@ def settle(
 def replay_by_discrete_elements(
     assembly: Assembly, states: ArrayLike, settings: DiscreteElementSettings = DiscreteElementSettings()
 ) -> Settling:
-    """Build a structure state by state, remembering at every contact point how far it is pressed and has slid.
+    """Build a structure state by state, keeping compression and slip of every contact point.
 
-    Parts come in held and unstressed: a new contact carries no force, however far its neighbours have sunk. A part
-    that a robot lets go is loaded slowly with what the robot carried; one that a robot takes again stays where it
-    is. The contacts of a part that is removed are forgotten.
+    Parts come in held and unstressed: a new contact carries no force, however far its neighbours have settled. A part
+    that a robot releases is loaded slowly with what the robot carried; one that a robot grasps again stays where it
+    is. The history of the contacts of a removed part is dropped.
 
     Args:
         assembly: the structure.
-        states: in the order of assembly, shape (steps + 1, parts); the first one starts from nothing.
-        settings: springs, damping, and how long to wait.
+        states: in assembly order, shape (steps + 1, parts); the first one has no history.
+        settings: springs, damping and step limit.
 
     Returns:
-        An entry for each state up to the first that falls, which is the last entry; an open one does not end the
-        replay. `moved` counts from the state before.
+        An entry for each state up to the first that collapses, which is the last entry; an undecided one does not end
+        the replay. `moved` is relative to the previous state.
 
     Raises:
         StateError: states of the wrong shape or with wrong values.
@@ -155,7 +155,7 @@ def replay_by_discrete_elements(
 def _replay(
     assembly: Assembly, states: States, model: Model, size: float, settings: DiscreteElementSettings
 ) -> _Answers:
-    """Build a structure with springs of one stiffness, up to the first state that falls."""
+    """Build a structure with springs of one stiffness, up to the first state that collapses."""
     answers, points = _Answers(size), len(model.local)
     gap, friction = np.zeros(points), np.zeros((points, 2))
     ends = model.parts[assembly.contacts.contact_of_point]
@@ -194,7 +194,7 @@ def _numbers(settings: DiscreteElementSettings) -> tuple[float, float, int, int]
 
 
 def _redraw(model: Model, gap: Array, friction: Array, settings: DiscreteElementSettings, row: int) -> None:
-    """Replace the tangential forces by ones that are even in a disc within their limits."""
+    """Replace the tangential forces by random ones, uniform in a disc within their limits."""
     random = np.random.default_rng((settings.seed, row))
     limit = model.friction * model.stiffness * np.maximum(0.0, -gap)
     length = settings.friction_share * limit * np.sqrt(random.random(len(gap)))
@@ -209,9 +209,9 @@ def _typical_weight(assembly: Assembly) -> float:
 
 
 def _models(assembly: Assembly) -> tuple[float, list[Model]]:
-    """Return the size of a typical part, metres, and the structure measured in it, with soft and with stiff springs."""
+    """Return the size of a typical part, metres, and models in units of it, with soft and with stiff springs."""
     if assembly.joints is not None:
-        raise InputError("the discrete-element method knows no joints; replay by the contact law instead")
+        raise InputError("the discrete-element method does not support joints; replay by the contact law instead")
     contacts, mass = assembly.contacts, assembly.mass
     boxes = np.array([np.ptp(mesh.bounds, axis=0) for mesh in assembly.meshes])
     size = float(np.median(boxes.max(axis=1)))

@@ -1,22 +1,22 @@
-"""LMGC90 as an independent test: non-smooth contact dynamics of rigid polyhedra (Dubois et al. 2018).
+"""LMGC90 as an independent stability check: non-smooth contact dynamics of rigid polyhedra (Dubois et al. 2018).
 
-It sees meshes, densities and the coefficient of friction, and finds the contacts itself; of the assembly's contacts
-only the question is asked whether it found them all. Every state is computed in a process of its own, since the Fortran
+It takes meshes, densities and the coefficient of friction, and detects the contacts itself; the assembly's contacts
+only serve to test whether it found them all. Every state is computed in a process of its own, since the Fortran
 core ends the process on an error.
 
-LMGC90 comes with the Python package `compas_lmgc90`, whose wheel holds the compiled core. It names a viewer and more as
-its needs, of which only `compas` is used here:
+LMGC90 comes with the Python package `compas_lmgc90`, whose wheel holds the compiled core. Its metadata requires a
+viewer and other packages, of which only `compas` is used here:
 
     pip install compas
     pip install --no-deps compas_lmgc90
 
 Gravity acts for 0.3 s on the parts at rest, contact law `IQS_CLB_g0` (inelastic shocks, Coulomb friction, initial gaps
-count as closed); held and boundary parts have their velocity prescribed as zero. Within that time a part that is free
-falls 440 mm. On parts of a metre those that stand moved by at most 0.03 mm and those that fall by 7 mm or more; the
+count as closed); held and boundary parts have a prescribed velocity of zero. In that time a free part
+falls 440 mm. Of parts one metre in size, stable ones moved by at most 0.03 mm and collapsing ones by 7 mm or more; the
 limit lies between, at a thousandth of the size of a typical part.
 
-Its contacts are made for polyhedra that are convex or nearly so. Plates with notches and blocks of several voxels stop
-it; on thin vaults it now and then runs out of room for contacts, or misses one. All that is answered by `not judged`.
+Its contact detection is made for polyhedra that are convex or nearly so. Notched plates and blocks of several voxels
+stop it; on thin vaults it sometimes runs out of space for contacts, or misses one. Such states are `not judged`.
 """
 
 from __future__ import annotations
@@ -47,13 +47,13 @@ _CHILD = Path(__file__).with_name("lmgc90_child.py")
 _SECONDS = 0.3
 """Simulated time under gravity, s."""
 _STEP = 2e-3
-"""Seconds a time step."""
+"""Time step, s."""
 _FALLEN = 1e-3
-"""Displacement from which a part counts as falling, in sizes of a typical part."""
+"""Displacement from which a part counts as collapsing, in sizes of a typical part."""
 _ALERT = 1e-3
-"""Smallest distance at which contacts are looked for, in sizes of a typical part."""
+"""Smallest distance at which contacts are detected, in sizes of a typical part."""
 _PATIENCE = 600.0
-"""Seconds after which a child process is ended."""
+"""Time limit of a child process, s."""
 
 
 @dataclass(frozen=True)
@@ -63,18 +63,18 @@ class Lmgc90Answer:
     answer: Literal["stands", "falls", "not judged"]
     moved: float
     """Largest displacement of a part, metres: of its centre, plus rotation times half the diagonal of its bounding box;
-    NaN where LMGC90 came to no end."""
+    NaN where LMGC90 did not finish."""
     part: int
-    """Part that moved most; -1 if none is free to move, or none is known."""
+    """Part that moved most; -1 if none is free to move or LMGC90 did not finish."""
     reason: str
     """Why the state is not judged; otherwise empty."""
 
 
 def judge_by_lmgc90(assembly: Assembly, states: ArrayLike) -> list[Lmgc90Answer]:
-    """Judge states one by one by dynamics; a second to a minute each.
+    """Check states one by one by dynamics, which takes a second to a minute each.
 
     A state is not judged where a part is not a closed polyhedron, where LMGC90 stops with an error, or where parts move
-    and its detection had missed a contact: nothing tells then whether they move for the want of it.
+    although its detection had missed a contact, since that alone may be why they move.
 
     Args:
         assembly: the structure.
@@ -85,14 +85,14 @@ def judge_by_lmgc90(assembly: Assembly, states: ArrayLike) -> list[Lmgc90Answer]
 
     Raises:
         DependencyError: LMGC90 is not installed.
-        InputError: a structure under loads or with joints, which the model that is handed to LMGC90 does not have.
+        InputError: a structure with loads or joints, which the LMGC90 model does not support.
         StateError: states of the wrong shape or with wrong values.
     """
     batch = as_states(states, assembly.boundary)
     if assembly.loads is not None:
-        raise InputError("LMGC90 is given weight alone; leave out the loads, or replay by the contact law")
+        raise InputError("the LMGC90 model takes weight alone; leave out the loads, or replay by the contact law")
     if assembly.joints is not None:
-        raise InputError("the model that LMGC90 is given knows no joints; replay by the contact law instead")
+        raise InputError("the LMGC90 model does not support joints; replay by the contact law instead")
     if find_spec("compas_lmgc90") is None or find_spec("compas") is None:
         raise DependencyError(
             "LMGC90 is not installed; run: pip install falsework[judge] && pip install --no-deps compas_lmgc90"
@@ -102,7 +102,7 @@ def judge_by_lmgc90(assembly: Assembly, states: ArrayLike) -> list[Lmgc90Answer]
 
 
 def _solid(mesh: TriangleMesh) -> trimesh.Trimesh | None:
-    """Mesh with coinciding vertices merged; None if it is not closed then."""
+    """Return the mesh with coinciding vertices merged; None if it is not closed then."""
     solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=True)
     return solid if solid.is_volume else None
 
@@ -115,7 +115,7 @@ def _judge(assembly: Assembly, state: States, solids: list[trimesh.Trimesh | Non
     for part in present:
         solid = solids[part]
         if solid is None:
-            return _unjudged(f"part {assembly.names[part]} is not a closed polyhedron; mend its mesh")
+            return _unjudged(f"part {assembly.names[part]} is not a closed polyhedron; repair its mesh")
         parts.append(solid)
     size = float(np.median([np.ptp(mesh.bounds, axis=0).max() for mesh in assembly.meshes]))
     with tempfile.TemporaryDirectory() as name:
@@ -150,7 +150,7 @@ def _judge(assembly: Assembly, state: States, solids: list[trimesh.Trimesh | Non
     lost = _lost(assembly, state, {(int(present[a]), int(present[b])) for a, b in result["pairs"]})
     if lost is not None:
         first, second = (assembly.names[part] for part in lost)
-        reason = f"parts move, but LMGC90 had not found the contact of parts {first} and {second}"
+        reason = f"parts move, but LMGC90 missed the contact of parts {first} and {second}"
         return Lmgc90Answer("not judged", float(moved[most]), int(present[most]), reason)
     return Lmgc90Answer("falls", float(moved[most]), int(present[most]), "")
 
@@ -169,10 +169,10 @@ def _lost(assembly: Assembly, state: States, found: set[tuple[int, int]]) -> tup
 
 
 def _run(folder: Path) -> str:
-    """Run the child; what it printed, and its exit code."""
+    """Run the child; return its output and its exit code."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "OMP_NUM_THREADS": "1"}
     try:
-        # -P: the folder of the script stays out of the import path, as its modules are named after what they wrap.
+        # -P keeps the script's folder off the import path, since its modules are named after what they wrap.
         done = subprocess.run(
             [sys.executable, "-P", str(_CHILD), str(folder)],
             cwd=folder,
@@ -189,7 +189,7 @@ def _run(folder: Path) -> str:
 
 
 def _error(said: str) -> str:
-    """Return the first error of what was printed with the line after it, or else the last line."""
+    """Return the first error in the output with the line after it, or else the last line."""
     lines = [" ".join(line.split()) for line in said.splitlines() if line.strip()]
     first = next((k for k, line in enumerate(lines) if "error" in line.lower()), len(lines) - 1)
     return " ".join(lines[first : first + 2])

@@ -1,4 +1,4 @@
-"""Child process in which LMGC90 computes one state; it imports nothing of falsework and so starts quickly.
+"""Child process in which LMGC90 computes one state; it imports nothing from falsework, so it starts quickly.
 
 `lmgc90.py` runs this file with the folder of `scene.npz`. The answer goes to `answer.json` in the same folder; there is
 none if LMGC90 stops the process.
@@ -37,7 +37,7 @@ def main(folder: Path) -> None:
         solver.v_drvdof[int(body)] = {freedom: np.zeros(6) for freedom in range(1, 7)}
     solver.contact_law("IQS_CLB_g0", friction, alert=alert)
     solver.preprocess()
-    # The wrapper's own loop moves meshes for pictures at every step, which takes longer than the mechanics.
+    # The wrapper's own loop also moves display meshes at every step, which takes longer than the mechanics.
     result = first = solver.lmgc90.compute_one_step()
     pairs = sorted({tuple(sorted((int(a) - 1, int(b) - 1))) for a, b in first.interaction_bodies})
     for _ in range(steps - 1):
@@ -46,7 +46,7 @@ def main(folder: Path) -> None:
     for body in range(len(fixed)):
         shift = np.linalg.norm(np.asarray(result.bodies[body]) - solver.init_coor[body])
         turn = np.asarray(result.body_frames[body]).reshape(3, 3).T @ solver.init_frame[body]
-        # The length of R - I is 2 sqrt(2) sin(angle / 2), free of the cancellation that the trace suffers from.
+        # The norm of R - I is 2 sqrt(2) sin(angle / 2), free of the cancellation that the trace suffers from.
         half = np.clip(np.linalg.norm(turn - np.eye(3)) / np.sqrt(8.0), 0.0, 1.0)
         moved[body] = 0.0 if fixed[body] else shift + radius[body] * 2.0 * np.arcsin(half)
     (folder / "answer.json").write_text(json.dumps({"moved": moved.tolist(), "pairs": pairs}))

@@ -1,4 +1,4 @@
-"""Compiled loop of the discrete elements: explicit steps of unit length until a state rests or has fallen."""
+"""Compiled loop of the discrete-element method: unit time steps until a state comes to rest or has collapsed."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from falsework.assembly.state import HELD, INSTALLED, REMOVED
 Array = NDArray[np.float64]
 
 STANDS, OPEN, FALLS = 1, 0, -1
-"""Answers of the judge; open: still moving at the step limit."""
+"""Results of the relaxation; open: still moving at the step limit."""
 
 _FALLEN = 0.04
-"""Displacement of a part that has fallen, in sizes of a typical part: 2,000 times what weight compresses."""
+"""Displacement of a collapsed part, in sizes of a typical part: 2,000 times the settlement under its weight."""
 _REST = 1e-4
-"""Largest unbalanced force of a part at rest, in weights of it; moments are divided by the size of a typical part."""
+"""Largest unbalanced force of a part at rest, in weights of the part; moments are divided by the typical size."""
 _EVERY = 100
-"""Steps between two looks at the parts."""
+"""Steps between two checks for rest or collapse."""
 
 
 class Model(NamedTuple):
-    """A structure in sizes and weights of a typical part."""
+    """Structure in units of the size and weight of a typical part."""
 
     parts: NDArray[np.int32]
     """Shape (contacts, 2)."""
@@ -33,12 +33,12 @@ class Model(NamedTuple):
     frames: Array
     """Shape (contacts, 3, 3)."""
     arm_a: Array
-    """From the centre of mass of part `a` to the middle of the contact, shape (contacts, 3)."""
+    """From the centre of mass of part `a` to the centre of the contact, shape (contacts, 3)."""
     arm_b: Array
     local: Array
-    """Contact points about the middle, in the frame of the contact, shape (points, 3)."""
+    """Contact points relative to the centre, in the frame of the contact, shape (points, 3)."""
     stiffness: Array
-    """Of the normal springs, shape (points,)."""
+    """Stiffness of the normal springs, shape (points,)."""
     weight: Array
     """Shape (parts,)."""
     applied: Array
@@ -50,24 +50,24 @@ class Model(NamedTuple):
 
 @nb.njit(cache=True, nogil=True)
 def relax(model, state, gap, friction, tangential, damping, ramp, steps):
-    """Let a state come to rest or fall; step length and unit of mass are one.
+    """Integrate until a state comes to rest or collapses; time step and unit of mass are one.
 
     Args:
         model: the structure.
         state: shape (parts,).
-        gap: in and out: how far each contact point is open, negative where pressed, shape (points,).
+        gap: in and out: opening of each contact point, negative where compressed, shape (points,).
         friction: in and out: tangential forces on part `b`, shape (points, 2).
         tangential, damping, ramp, steps: as in `DiscreteElementSettings`.
 
     Returns:
-        Answer, largest displacement since the start, and the part that moved so.
+        Result, largest displacement since the start, and the part with it.
     """
     slot = np.empty(len(state), np.int64)
     free = np.flatnonzero(state == INSTALLED)
     bodies = len(free)
     if bodies == 0:
         return STANDS, 0.0, -1
-    slot[:] = bodies  # one more body that never moves stands for all fixed parts
+    slot[:] = bodies  # one more body that never moves represents all fixed parts
     for body in range(bodies):
         slot[free[body]] = body
     active, points = _active(model, state)
@@ -106,7 +106,7 @@ def relax(model, state, gap, friction, tangential, damping, ramp, steps):
             if largest > _FALLEN:
                 answer = FALLS
                 break
-            # Twice in a row: an oscillation may pass through a moment of balance.
+            # Twice in a row: an oscillation may pass through momentary balance.
             resting = resting + 1 if (step == 0 or step > ramp) and _balanced(load, weight) else 0
             if resting == 2 or (resting == 1 and step == 0):
                 answer = STANDS
@@ -128,7 +128,7 @@ def relax(model, state, gap, friction, tangential, damping, ramp, steps):
 
 @nb.njit(cache=True, nogil=True)
 def _active(model, state):
-    """Return contacts that act, both parts present and one of them free, and how many points they have."""
+    """Return the acting contacts, both parts present and one of them free, and their number of points."""
     active = np.empty(len(model.parts), np.int64)
     count, points = 0, 0
     for c in range(len(model.parts)):
@@ -144,8 +144,8 @@ def _active(model, state):
 def _inertia(bodies, side_a, side_b, first, frames, arm_a, arm_b, local, stiff, tangential):
     """Return masses that make a unit step stable, shape (bodies, 6).
 
-    Row sums of the absolute stiffness bound the squares of all frequencies by one; a step is stable up to four, of
-    which half is used.
+    With row sums of the absolute stiffness as masses, all squared frequencies would be at most 1. A unit step is stable
+    up to 4; half the row sums allow 2.
     """
     inertia = np.zeros((bodies + 1, 6))
     row = np.zeros((2, 6))
@@ -168,15 +168,15 @@ def _inertia(bodies, side_a, side_b, first, frames, arm_a, arm_b, local, stiff, 
                 inertia[side_a[k]] += 0.5 * spring * total * row[0]
                 inertia[side_b[k]] += 0.5 * spring * total * row[1]
     for body in range(bodies):
-        # A turn that no spring resists, as about the normal through a single point, needs some mass all the same.
+        # A rotation that no spring resists, as about the normal through a single point, still needs some mass.
         inertia[body, 3:] = np.maximum(inertia[body, 3:], 1e-6 * inertia[body, :3].max())
     return inertia[:bodies]
 
 
 @nb.njit(cache=True, nogil=True)
 def _contact(va, vb, load_a, load_b, f, ra, rb, local, stiff, gap, slide, begin, end, tangential, mu):
-    """Move the points of one contact on by one step and add their forces to the loads of both parts."""
-    # Motion of part b against part a at the middle of the contact, then in its frame.
+    """Advance the points of one contact by one step and add their forces to the loads of both parts."""
+    # Motion of part b relative to part a at the centre of the contact, then in its frame.
     x = vb[0] + vb[4] * rb[2] - vb[5] * rb[1] - va[0] - va[4] * ra[2] + va[5] * ra[1]
     y = vb[1] + vb[5] * rb[0] - vb[3] * rb[2] - va[1] - va[5] * ra[0] + va[3] * ra[2]
     z = vb[2] + vb[3] * rb[1] - vb[4] * rb[0] - va[2] - va[3] * ra[1] + va[4] * ra[0]
@@ -235,7 +235,7 @@ def _contact(va, vb, load_a, load_b, f, ra, rb, local, stiff, gap, slide, begin,
 
 @nb.njit(cache=True, nogil=True)
 def _largest(moved, radius, free):
-    """Return the largest displacement of a part, and the part."""
+    """Return the largest displacement of any part, and that part."""
     largest, part = -1.0, -1
     for body in range(len(free)):
         u = moved[body]

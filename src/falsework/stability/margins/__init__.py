@@ -1,1 +1,1 @@
-"""Margins of states: how far friction, tilt, loads and pushes are from where a state stops standing."""
+"""Margins of states: how far friction, tilt, loads and pushes are from the limit of stability."""

@@ -1,4 +1,4 @@
-"""Search for the bound of a one-parameter family of conditions, between one that stands and one that does not."""
+"""Bracketing search for the stability bound of a one-parameter family of conditions."""
 
 from __future__ import annotations
 
@@ -10,39 +10,39 @@ import numpy as np
 from falsework.stability.margins.conditions import Answer
 
 SHARE = 0.005
-"""Largest distance between the two ends of a bracket that is looked for, as a share of the bound."""
+"""Largest width of a bracket, as a share of the bound."""
 OUTSIDE = 0.01
-"""The same where no proof was found at the nearer end."""
+"""Distance from the bound at which a proof is sought where the outer end of the bracket could not be proven."""
 _BESIDE = 0.4
-"""Distance of the next probe below the load at which a proof bounds a family, as a share of `SHARE`."""
+"""Distance of the next probe below the value down to which a velocity proves failure, as a share of `SHARE`."""
 _GROWTH = 4.0
 _WIDTH = 0.006
-"""The same as `SHARE` for families whose failures are costly."""
+"""The same as `SHARE` for families in which failing probes are costly."""
 _STRIDES = (1.0 + 2.0 * _WIDTH, 1.06, 1.4)
-"""Ratios of one probe to the next from the bound of a state nearby, before `growth`."""
+"""Ratios of successive probes, starting from the bound of a nearby state, before `growth` applies."""
 _BELOW = 1.3
-"""Ratio of a value that fails to the next below it."""
+"""Ratio of a failing value to the next one below it."""
 _SLACK = 0.004
-"""Share of the least bound so far by which a family must be weaker to count: of equals only one takes a search."""
+"""Share of the least bound so far by which a family must be weaker to be searched: of equal ones only one is."""
 _CHECKED = (0.4, 0.75)
-"""Shares of a bound at which a family that need not be monotone is probed once more."""
+"""Shares of a bound at which a family that need not be monotone is probed again."""
 
 Probe = Callable[[float, Answer], Answer]
-"""Answer at a value of the parameter, starting from an answer nearby."""
+"""Solution at a value of the parameter, warm-started from a nearby one."""
 
 
 @dataclass(frozen=True, eq=False)
 class Bracket:
-    """The bound of a family: the last value that stands, and the first that does not."""
+    """Bracket of the stability bound of a family: the last stable value and the first failing one."""
 
     inside: float
-    """A value that stands."""
+    """Last stable value."""
     stands: Answer
     outside: float | None
-    """A value within `SHARE` of `inside` that does not; None where there is no bound."""
+    """A failing value within `SHARE` of `inside`; None where there is no bound."""
     fails: Answer | None
     monotone: bool = True
-    """Whether every value that was probed between the state as it is and the bound stands."""
+    """Whether every probed value between the unmodified state and the bound is stable."""
 
 
 def largest(
@@ -55,16 +55,16 @@ def largest(
     cut: Callable[[Answer], float] | None = None,
     known: tuple[float, Answer] | None = None,
 ) -> Bracket:
-    """Find the largest value from 0 up at which a family stands.
+    """Find the largest stable value of a family from 0 up.
 
     Args:
         probe: the family.
-        start: the answer at 0, which stands.
+        start: the stable answer at 0.
         guess: value to try first.
         cap: value beyond which there is no bound.
-        floor: distance between the ends that is small enough whatever the bound.
-        cut: value at which the velocity of an answer still proves that the family fails.
-        known: a value that fails, and its answer, if there is one.
+        floor: absolute width at which a bracket is narrow enough.
+        cut: value down to which the velocity of an answer proves failure.
+        known: a failing value and its answer, if known.
     """
     low, inside = 0.0, start
     high, outside = known if known is not None else (None, None)
@@ -81,7 +81,7 @@ def largest(
         else:
             high, outside = value, answer
             proven = np.inf if cut is None else cut(answer)
-            # One cut after another may come down in ever shorter steps; then the middle is tried in between.
+            # Successive cuts may take ever shorter steps; then bisection takes over.
             slow = cut_last and shrunk is not None and shrunk - min(proven, value) < 0.5 * (shrunk - low)
             cut_last = low < proven < value and not slow
             if proven < value:
@@ -111,18 +111,18 @@ def stride(
     near: bool = False,
     known: tuple[float, Answer] | None = None,
 ) -> Bracket:
-    """Find the largest value at which a family stands whose failures are costly and tell nothing of other values.
+    """Find the largest stable value of a family in which a failing probe is costly and says nothing of other values.
 
     Args:
         probe: the family.
-        start: the answer at `low`, which stands.
+        start: the stable answer at `low`.
         guess: value to try first.
         cap: value beyond which there is no bound.
-        low: value at which the family is known to stand.
-        floor: distance between the ends that is small enough whatever the bound.
-        growth: ratio of one probe to the next while only one end is known.
-        near: the guess is the bound of a state nearby, so steps from it are short at first.
-        known: a value that fails, and its answer, if there is one.
+        low: value at which the family is known to be stable.
+        floor: absolute width at which a bracket is narrow enough.
+        growth: ratio of successive probes while only one end is known.
+        near: whether the guess is the bound of a nearby state, so that the first steps from it are short.
+        known: a failing value and its answer, if known.
     """
     inside, (high, outside) = start, known if known is not None else (None, None)
     ratios = iter(_STRIDES if near else (_BELOW,) if known is not None else ())
@@ -149,16 +149,16 @@ def stride(
 
 
 def least(probe: Probe, start: Answer, *, value: float, floor: float) -> Bracket:
-    """Find the least value at which a family stands, from one at which it does.
+    """Find the least stable value of a family, starting from a stable one.
 
     Args:
         probe: the family.
-        start: the answer at `value`, which stands.
+        start: the stable answer at `value`.
         value: value to begin at.
-        floor: value at and below which the family is asked about 0 instead.
+        floor: value at and below which 0 is tried instead.
 
     Returns:
-        A bracket whose `outside` is below `inside`; `inside` is 0 where the family stands at 0.
+        A bracket whose `outside` is below `inside`; `inside` is 0 where the family is stable at 0.
     """
     high, inside = value, start
     low, outside = 0.0, None
@@ -188,18 +188,18 @@ def checked(
     again: Callable[[float, Answer], Bracket],
     origin: float = 0.0,
 ) -> Bracket:
-    """Probe a family further inside its bound, and where it fails there, return the bound before that.
+    """Probe a family well inside its bound; where it fails there, return the bound before that.
 
     Args:
         bracket: the bound.
-        probe: the family; from rest where no answer nearby is given.
+        probe: the family; solves from rest where no nearby answer is given.
         start: the answer at `origin`.
-        again: finds the bound between `origin` and a value that fails, given with its answer.
-        origin: value of the state as it is.
+        again: finds the bound between `origin` and a failing value, given with its answer.
+        origin: value of the unmodified state.
     """
     for share in _CHECKED:
         value = origin + share * (bracket.inside - origin)
-        # That no rest is found from one side does not say that there is none.
+        # Iterations that find no rest position from one start do not show that there is none.
         answer = probe(value, None)
         for near in (start, bracket.stands):
             answer = answer if answer.stands else probe(value, near)
@@ -214,15 +214,15 @@ def weakest(
     test: Callable[[int, float], Answer],
     bound: Callable[[int, tuple[float, Answer] | None], Bracket],
 ) -> tuple[int, Bracket] | None:
-    """Find the family with the least bound, without finding the bounds of the others.
+    """Find the family with the least bound, without a search for the bounds of the others.
 
-    A family that stands at the least bound so far is not weaker, as far as families are monotone; so one probe each
-    is enough for most. It is made just inside that bound, within the 1 % that a bound is known to.
+    A monotone family that is stable at the least bound so far is not weaker, so for most families one probe is enough.
+    It is made just inside that bound, within the 1 % to which a bound is known.
 
     Args:
-        families: those to compare, the likely weakest first.
+        families: those to compare, likely weakest first.
         test: answer of a family at a value.
-        bound: bound of a family, given a value that fails and its answer where one is known.
+        bound: bound of a family, given a failing value and its answer where known.
 
     Returns:
         The family and its bracket; None where no family has a bound.

@@ -1,4 +1,4 @@
-"""Check of margins that are claimed, such as those of a plan file, without finding the bounds anew."""
+"""Check of claimed margins, such as those of a plan file, without a new search for the bounds."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from falsework.stability.margins.conditions import Answer, Condition, Prober
 from falsework.stability.margins.margins import DIRECTIONS, LARGEST_PUSH, LARGEST_SHARE, MarginFinder
 
 _WITHIN = (1.0, 1.0025, 1.005)
-"""Factors by which a state may miss a claimed bound: numbers are rounded, and mean what they say within 1 %."""
+"""Factors by which a state may miss a claimed bound: numbers are rounded, and are exact to 1 %."""
 _UP_TO = (0.5, 0.8, 0.95, 0.99, 1.0)
-"""Shares of a load in which it grows to what is claimed."""
+"""Shares in which a load is increased to the claimed one."""
 
 
 class MarginClaims:
@@ -25,12 +25,12 @@ class MarginClaims:
         self._finder = MarginFinder(prober)
 
     def holds(self, state: States, kind: str, value: float | None) -> bool:
-        """Return whether a state stands at a claimed margin, within 1 %.
+        """Return whether a state is stable at a claimed margin, within 1 %.
 
         Args:
             state: shape (parts,).
             kind: `friction`, `tilt`, `horizontal` or `push`.
-            value: the margin, SI units; None claims that there is no bound.
+            value: the margin, SI units; None claims that it is unbounded.
         """
         prober = self._finder.prober
         if kind == "friction":
@@ -55,7 +55,7 @@ class MarginClaims:
         return True
 
     def _led_up(self, state: States, condition: Condition, start: Answer) -> Answer:
-        """Return the answer under a load that grows step by step, as it does where a bound is looked for."""
+        """Return the answer under a load that is increased in steps, as in the search for a bound."""
         answer = start
         for share in _UP_TO:
             step = Condition(condition.friction, share * condition.extra)

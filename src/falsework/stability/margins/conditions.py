@@ -1,4 +1,4 @@
-"""Verdicts of states of one structure under another friction and other loads than its own."""
+"""Stability of single states of one structure under modified friction and additional loads."""
 
 from __future__ import annotations
 
@@ -31,23 +31,23 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _WARM_STEPS = 40
-"""Newton iterations from the displacement under a load nearby before a state is loaded from rest."""
+"""Newton iterations from the displacement under a nearby load before a state is loaded from rest."""
 _QUICK_STEPS = 80
-"""The same while a bound is looked for, when nothing is loaded from rest."""
+"""The same during the search for a bound, when no state is loaded from rest."""
 _ABOVE = 1.002
-"""Times the tolerance that a velocity must prove where it cuts a load off."""
+"""Factor on the tolerance for a velocity that cuts off a load: its proof must exceed the tolerance by this much."""
 
 
 @dataclass(frozen=True, eq=False)
 class Condition:
-    """Friction, and wrenches on the parts beside the loads of the structure."""
+    """Friction, and wrenches on the parts in addition to the loads of the structure."""
 
     friction: float
     extra: Array
     """N and Nm about the centres of mass, shape (parts, 6)."""
 
     def of(self, assembly: Assembly) -> Assembly:
-        """Return the structure under this condition, as the certificate checker takes it."""
+        """Return the structure under this condition, in the form that the certificate checker takes."""
         own = assembly.loads or Loads.of(assembly.part_count)
         loads = Loads.of(assembly.part_count, wrench=own.wrench + self.extra, acceleration=own.acceleration)
         return replace(assembly, friction=self.friction, loads=loads)
@@ -55,20 +55,20 @@ class Condition:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """Whether a state stands under a condition, with what proves it."""
+    """Stability of a state under a condition, with its proof."""
 
     condition: Condition
     stands: bool
     moves_away: bool = False
-    """Under `contact`: parts were seen to move away."""
+    """Whether parts were seen to move away, under `contact`."""
     quick: bool = False
-    """Nothing was loaded from rest: where the state does not stand, there may be rest all the same."""
+    """Whether loading from rest was skipped: if the state is not stable, there may still be a rest position."""
     forces: Array | None = None
     """Contact forces in N, shape (points, 3), under `equilibrium`."""
     displacement: Array | None = None
     """Shape (parts, 6), m and rad, under `contact`."""
     velocity: Array | None = None
-    """Shape (parts, 6): a proof that the state is unstable."""
+    """Proof that the state is unstable, shape (parts, 6)."""
 
 
 class Prober:
@@ -81,13 +81,13 @@ class Prober:
         settings: StabilitySettings,
         solver: CpuSolver | ContactSolver | None = None,
     ) -> None:
-        """Lay the structure out, or share the layout of a solver of it.
+        """Lay out the structure, or share the layout of a solver for it.
 
         Args:
             assembly: the structure.
-            problem: the same, scaled.
+            problem: its scaled equilibrium problem.
             settings: criterion, cone and tolerances.
-            solver: on the processor, under the same settings; under `contact` it is needed.
+            solver: CPU solver with the same settings; required under `contact`.
         """
         self.assembly, self.settings, self.problem = assembly, settings, problem
         self.contact = settings.criterion == "contact"
@@ -101,7 +101,7 @@ class Prober:
         self._no_motion = np.zeros((0, 3))
 
     def own(self) -> Condition:
-        """Return the condition under which the structure is as it is."""
+        """Return the condition of the unmodified structure."""
         return Condition(self.assembly.friction, np.zeros((self.problem.parts, 6)))
 
     def ask(
@@ -113,14 +113,14 @@ class Prober:
         moved: Array | None = None,
         quick: bool = False,
     ) -> Answer:
-        """Ask whether a state stands.
+        """Check the stability of a state under a condition.
 
         Args:
             state: shape (parts,).
             condition: friction and loads.
-            near: the answer under a condition nearby, to start from.
-            moved: under `contact`, displacements of parts that do not move freely, shape (parts, 6), m and rad.
-            quick: under `contact`, only go on from the answer nearby: where that fails, there may be rest all the same.
+            near: the answer under a nearby condition, for a warm start.
+            moved: under `contact`, prescribed displacements of fixed parts, shape (parts, 6), m and rad.
+            quick: under `contact`, only iterate from the nearby answer; if that fails, a rest position may still exist.
         """
         if self.contact:
             known = near is not None and near.displacement is not None
@@ -135,7 +135,7 @@ class Prober:
         return Answer(condition, forces is not None, forces=forces, velocity=velocity)
 
     def balance(self, state: States, condition: Condition, near: Answer | None = None) -> Answer:
-        """Ask whether a state is in equilibrium, whatever the criterion; the rest as `ask`."""
+        """Check whether a state is in equilibrium, whatever the criterion; arguments as for `ask`."""
         structure = self._under(condition.friction)._replace(gravity=self._whitened(condition))
         warm = near is not None and near.forces is not None
         forces, velocity = np.zeros((1, self.problem.points, 3)), np.zeros((1, self.problem.parts, 6))
@@ -186,7 +186,7 @@ class Prober:
         )
 
     def forces(self, state: States, answer: Answer) -> Array:
-        """Return the contact forces of an answer that stands, N, shape (points, 3)."""
+        """Return the contact forces of a stable answer, N, shape (points, 3)."""
         if answer.displacement is None:
             assert answer.forces is not None
             return answer.forces
@@ -194,11 +194,11 @@ class Prober:
         return forces_of_displacement(changed, state[None], answer.displacement[None], self.settings.claim)[0]
 
     def cut(self, state: States, answer: Answer, direction: Array) -> float:
-        """Return how many times a load may be added at most, as the velocity of an answer proves; else infinity.
+        """Return the largest multiple of a load not ruled out by the velocity of an answer; infinity without a limit.
 
         Args:
             state: shape (parts,).
-            answer: of a condition with the same friction.
+            answer: answer under a condition with the same friction.
             direction: the load, N and Nm, shape (parts, 6).
         """
         if answer.velocity is None:
@@ -214,10 +214,10 @@ class Prober:
         return (float(taken[0]) + _ABOVE * claim.tolerance * float(momentum[0]) - present) / power
 
     def certify(self, state: States, answer: Answer) -> Verdicts:
-        """Return the verdict of an answer with the proof that the certificate checker accepts, else undecided.
+        """Return the verdict of an answer with a proof that the certificate checker accepts, else undecided.
 
         Under `contact` a state that fails is unstable if a velocity proves it; else it slides if parts were seen to
-        move away, and forces in equilibrium come with it.
+        move away, and comes with forces in equilibrium.
         """
         verdicts = Verdicts.blank(1, points=self.problem.points, parts=self.problem.parts, displaced=self.contact)
         assert verdicts.forces is not None
@@ -247,7 +247,7 @@ class Prober:
         return ExactSolver(condition.of(self.assembly), settings).check(state)
 
     def _certify_failure(self, state: States, answer: Answer, verdicts: Verdicts) -> bool:
-        """Fill in the proof of a state that does not stand; return whether there is none, though it is in balance."""
+        """Write the proof of a state that is not stable; return whether it stays undecided although in equilibrium."""
         assert verdicts.forces is not None
         assert verdicts.velocity is not None
         velocity = answer.velocity
@@ -263,25 +263,25 @@ class Prober:
         return False
 
     def _under(self, friction: float) -> KernelArrays:
-        """Return the structure with another coefficient of friction where no joint gives its own."""
+        """Return the structure with another coefficient of friction at contact points without one of their own."""
         if friction == self.assembly.friction:
             return self._structure
         strength = strength_of(replace(self.assembly, friction=friction), self.settings.gravity)
         return self._structure._replace(**strength_arrays(self.problem, strength))
 
     def _whitened(self, condition: Condition) -> Array:
-        """Return the wrenches of a condition as the kernels take them: read-only, lest they be compiled anew."""
+        """Return the wrenches of a condition for the kernels: read-only, as they are compiled for."""
         wrench = self.problem.gravity_wrench + condition.extra
         whitened = np.ascontiguousarray((self.problem.whitening @ wrench[:, :, None])[:, :, 0])
         whitened.setflags(write=False)
         return whitened
 
     def _offsets(self, moved: Array) -> Array:
-        """Return the spring forces, scaled, that parts which were moved cause at contact points, shape (points, 3)."""
+        """Return the scaled spring forces that displaced fixed parts cause at contact points, shape (points, 3)."""
         problem, law = self.problem, self._contact
         assert law is not None
         relative = np.einsum("pri,pr->pi", problem.wrench_a, moved[problem.part_a])
         relative += np.einsum("pri,pr->pi", problem.wrench_b, moved[problem.part_b])
         stiffness = np.stack([law.normal, law.tangential, law.tangential], axis=1)
-        # Springs take displacements in units of `scale`, of variables that are forces times `force_scale`.
+        # Scaled springs act on relative displacements times `force_scale`, in units of `scale`.
         return -stiffness * relative * (problem.force_scale / law.scale)[:, None]

@@ -1,4 +1,4 @@
-"""Brackets of a state's families of conditions: less friction, and more of a load."""
+"""Brackets of the families of conditions of a state: decreasing friction and increasing loads."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from falsework.stability.margins.conditions import Answer, Condition, Prober
 
 Array = NDArray[np.float64]
 Near = dict[str, tuple[int, float]]
-"""Bounds of a state nearby: which of several loads is the weakest, by its number, and its bound."""
+"""Bounds of a nearby state: the number of the weakest load, and its bound."""
 
 SMOOTH = 1e-3
-"""Friction below which a state is asked about none at all."""
+"""Friction below which zero friction is tried instead."""
 FLOOR = 1e-4
-"""Distance between the ends that is small enough: shares of gravity, factors and weights of a part."""
+"""Absolute width at which a bracket is narrow enough: shares of gravity, factors and weights of a part."""
 
 
 def friction_bracket(prober: Prober, state: States, start: Answer, near: Near) -> Bracket:
     """Return the bracket of the least friction.
 
     Args:
-        prober: of the structure.
+        prober: solver of the structure.
         state: shape (parts,).
-        start: that the state stands.
-        near: bound of a state nearby; replaced with that of this one.
+        start: the stable answer for the unmodified state.
+        near: bound of a nearby state; replaced by that of this one.
     """
     extra, own = start.condition.extra, start.condition.friction
     floor = SMOOTH * max(own, 1.0)
@@ -64,7 +64,7 @@ def friction_bracket(prober: Prober, state: States, start: Answer, near: Near) -
         bracket = least(ask, start, value=own, floor=floor)
     else:
         bracket = _from_rest_too(find(None, probe=ask), from_rest, lambda low, stands: find(None, low, stands))
-        # Checks of the number begin at rest, and near the bound the start matters.
+        # A check of the number starts from rest, and near the bound the start matters.
         loaded = from_rest(bracket.inside, None)
         bracket = replace(bracket, stands=loaded) if loaded.stands else find((bracket.inside, loaded))
         bracket = checked(bracket, ask, start, lambda value, answer: find((value, answer)), origin=own)
@@ -87,14 +87,14 @@ def load_bracket(
     """Return the bracket of the largest multiple of a load.
 
     Args:
-        prober: of the structure.
+        prober: solver of the structure.
         state: shape (parts,).
-        start: that the state stands.
+        start: the stable answer for the unmodified state.
         load: N and Nm, shape (parts, 6).
         guess: multiple to try first.
         cap: multiple beyond which there is no bound.
-        near: the guess is the bound of a state nearby.
-        known: a multiple that fails, and its answer, if there is one.
+        near: whether the guess is the bound of a nearby state.
+        known: a failing multiple and its answer, if known.
     """
     friction = start.condition.friction
 
@@ -113,7 +113,7 @@ def load_bracket(
         )
         if bracket.fails is None or bracket.outside is None:
             return bracket
-        # A velocity may prove more than where it was found.
+        # A velocity may prove failure below the value at which it was found.
         return replace(bracket, fails=replace(bracket.fails, condition=Condition(friction, bracket.outside * load)))
 
     def find(known: tuple[float, Answer] | None, low: float = 0.0, stands: Answer = start) -> Bracket:
@@ -141,24 +141,24 @@ def weakest_load(
     near: Near,
     numbers: Sequence[int] | None = None,
 ) -> tuple[int, Bracket] | None:
-    """Return the load of which the least can be added, and its bracket; None where none has a bound.
+    """Return the load with the least largest multiple, and its bracket; None where no load has a bound.
 
     Args:
-        prober: of the structure.
+        prober: solver of the structure.
         state: shape (parts,).
-        start: that the state stands.
+        start: the stable answer for the unmodified state.
         loads: N and Nm, shape (loads, parts, 6).
-        order: in which to try them.
-        guess: of the bound of a load.
-        cap: beyond which there is no bound.
-        near: weakest load of a state nearby, and its bound; replaced with that of this one.
-        numbers: what loads are called in all states, one each; by default their places.
+        order: order in which to try them.
+        guess: guess at the bound of a load.
+        cap: multiple beyond which there is no bound.
+        near: weakest load of a nearby state, and its bound; replaced by that of this one.
+        numbers: identifier of each load, the same in all states; its index by default.
     """
     names = range(len(loads)) if numbers is None else numbers
     weak, value = near.get("load", (-1, 0.0))
 
     def test(row: int, value: float) -> Answer:
-        # From rest too: a family that fails here takes a search.
+        # From rest too: a family that fails here costs a search.
         return prober.ask(state, Condition(start.condition.friction, value * loads[row]), start)
 
     def bound(row: int, known: tuple[float, Answer] | None) -> Bracket:
@@ -175,12 +175,12 @@ def weakest_load(
 def _from_rest_too(
     bracket: Bracket, full: Callable[[float, Answer], Answer], find: Callable[[float, Answer], Bracket]
 ) -> Bracket:
-    """Return a bracket at whose outer end there is no rest for a structure that is loaded from rest either.
+    """Return a bracket whose outer end has no rest position from an unloaded start either.
 
     Args:
-        bracket: as it was found.
-        full: answer at a value, from one nearby and from rest.
-        find: the bound from a value that stands up.
+        bracket: the bracket found by quick probes.
+        full: answer at a value, from a nearby answer and from rest.
+        find: the bracket beyond a value that proves stable.
     """
     while bracket.outside is not None and bracket.fails is not None and bracket.fails.quick:
         answer = full(bracket.outside, bracket.stands)

@@ -1,4 +1,4 @@
-"""Compiled search for rest of one state under several loads, without the GIL."""
+"""Compiled search for the rest position of one state under several loads, without the GIL."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from falsework.utils.kernels import njit
 def rest_under(
     structure, contact_structure, state, loads, moved, options, displacement, warm, result, residual, iterations
 ):
-    """Look for the rest of a state under each load; the law is that of `solve_contact_state`.
+    """Search for the rest position of a state under each load; the law is that of `solve_contact_state`.
 
     Args:
-        structure, contact_structure, options: as in `solve_contact_state`; without iterations from rest, what comes of
-            the guesses counts.
+        structure, contact_structure, options: as in `solve_contact_state`; without iterations from rest, the result
+            from the guesses counts.
         state: shape (parts,).
         loads: whitened wrenches on the parts, shape (loads, parts, 6).
-        moved: spring forces of the contact points at zero displacement, scaled, as fixed parts that have moved cause
-            them, shape (points, 3) or (0, 3).
+        moved: scaled spring forces of the contact points at zero displacement, caused by displaced fixed parts,
+            shape (points, 3) or (0, 3).
         displacement: in: guesses in m and rad where `warm`; out: displacements, shape (loads, parts, 6).
         warm: whether `displacement` holds guesses.
-        result, residual, iterations: out, one entry a load.
+        result, residual, iterations: out, one entry per load.
     """
     work, contact = make_scratch(structure), make_contact_scratch(structure)
     order = structure.elimination.order
@@ -39,7 +39,7 @@ def rest_under(
             for r in range(3):
                 contact.offset[j, r] = moved[j + shift, r]
     tolerance = (1.0 - MARGIN) * options.tolerance
-    mends = pairs >= 0  # not a literal, for which numba would compile the search anew
+    mends = pairs >= 0  # not a literal, for which numba would recompile the search
     for k in range(len(loads)):
         iterations[k] = 0
         if count == 0 or adrift:

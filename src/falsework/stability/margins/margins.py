@@ -24,11 +24,11 @@ from falsework.stability.verdict import Verdict, Verdicts
 Array = NDArray[np.float64]
 
 QUICK = ("friction", "tilt", "horizontal", "load_factor", "push", "held")
-"""Margins that are found by default: one probe a part, face or direction."""
+"""Margins that are computed by default: one probe per part, face or direction."""
 KINDS = (*QUICK, "polygon", "settlement")
 
 DIRECTIONS = 36
-"""Horizontal directions, of which the worst counts."""
+"""Number of horizontal directions, of which the worst counts."""
 LARGEST_SHARE = 10.0
 """Horizontal acceleration, in shares of gravity, beyond which there is no bound: a tilt of 84 degrees."""
 LARGEST_FACTOR = 100.0
@@ -36,9 +36,9 @@ LARGEST_FACTOR = 100.0
 LARGEST_PUSH = 10.0
 """Push beyond which there is no bound, in weights of the structure."""
 _ROUGH = 4.0
-"""Largest coefficient of friction at which a state that does not stand is tried."""
+"""Largest coefficient of friction that is tried for a state that is not stable."""
 _RUN = 8
-"""States in a row, such as those of a plan, in which the search for a bound begins at the bound of the state before."""
+"""Consecutive states, such as those of a plan, over which each search starts at the bound of the state before."""
 
 
 class MarginFinder:
@@ -55,33 +55,33 @@ class MarginFinder:
 
     @cached_property
     def pushes(self) -> Pushes:
-        """Faces of the parts that a gripper may touch."""
+        """Faces of the parts that a gripper can push on."""
         return Pushes.on(self._assembly)
 
     def of(self, states: ArrayLike, kinds: Sequence[str] = QUICK) -> list[StateMargins]:
-        """Return the margins of states, the work shared by the cores.
+        """Return the margins of states, computed in parallel on all cores.
 
         Args:
             states: one state `(parts,)` or a batch `(batch, parts)`.
-            kinds: margins to find.
+            kinds: margins to compute.
 
         Raises:
-            InputError: a margin that does not exist, or settlement under `equilibrium`, which has no displacements.
+            InputError: an unknown margin, or settlement under `equilibrium`, which has no displacements.
             StateError: states of the wrong length or with other values.
         """
         for kind in kinds:
             if kind not in KINDS:
-                raise InputError(f"there is no margin {kind!r}; choose among {', '.join(KINDS)}")
+                raise InputError(f"unknown margin {kind!r}; choose among {', '.join(KINDS)}")
         if "settlement" in kinds and not self.prober.contact:
-            raise InputError("the criterion equilibrium knows no settlement; ask for it under contact")
+            raise InputError("the criterion equilibrium has no displacements; compute settlement under contact")
         batch = as_states(states, self._assembly.boundary)
-        assert self.pushes is not None  # made once, before threads ask for it
+        assert self.pushes is not None  # computed once, before threads share it
         with ThreadPoolExecutor(self.prober.settings.cpu.threads) as pool:
             starts = list(pool.map(lambda state: self.prober.ask(state, self.prober.own()), batch))
             found = [StateMargins(start.stands) for start in starts]
 
             def run(job: tuple[int, str]) -> list[StateMargins]:
-                """Find one margin of a run of states, one after another."""
+                """Compute one margin of consecutive states, one after another."""
                 near: Near = {}
                 rows = range(job[0], min(job[0] + _RUN, len(batch)))
                 return [self._one(batch[row], starts[row], job[1], kinds, near) for row in rows]
@@ -94,7 +94,7 @@ class MarginFinder:
         return found
 
     def _one(self, state: States, start: Answer, kind: str, kinds: Sequence[str], near: Near) -> StateMargins:
-        """Return one margin of a state, and what comes with it; `near` has the bounds of the state before."""
+        """Return one margin of a state, and those that come with it; `near` has the bounds of the state before."""
         if not start.stands:
             return self._fallen(state, kinds) if kind == kinds[0] else StateMargins(False)
         if kind == "friction":
@@ -123,7 +123,7 @@ class MarginFinder:
         return StateMargins(True)
 
     def _fallen(self, state: States, kinds: Sequence[str]) -> StateMargins:
-        """Return the least friction of a state that does not stand, if more friction helps, and no other margins."""
+        """Return the least friction of a state that is not stable, if more friction helps, and no other margins."""
         if "friction" not in kinds:
             return StateMargins(False)
         prober, own = self.prober, self._assembly.friction
@@ -162,8 +162,8 @@ class MarginFinder:
         direction = tuple(self.directions[row].tolist())
         horizontal = self._bound(state, bracket, self._times(start.condition, loads[row]), direction=direction)
         if self._assembly.loads is None and self._assembly.joints is None:
-            # Weight and a horizontal acceleration `a g` are the weight on a ground tilted by atan(a), times a factor;
-            # forces, displacements and velocities that prove one prove the other by that factor.
+            # Weight with a horizontal acceleration `a g` is the weight on ground tilted by atan(a), times a factor;
+            # forces, displacements and velocities that prove one prove the other after scaling by that factor.
             tilted = Bracket(
                 float(np.arctan(bracket.inside)),
                 self._tilted(bracket.stands, row, bracket.inside),
@@ -175,7 +175,7 @@ class MarginFinder:
         return self._tilt(state, start, order), horizontal
 
     def tilt_load(self, row: int, angle: float) -> Array:
-        """Return what a tilt adds to the weights, N, shape (parts, 6)."""
+        """Return the wrenches that a tilt adds to the weights, N, shape (parts, 6)."""
         turned = np.sin(angle) * self.directions[row] + np.array([0.0, 0.0, 1.0 - np.cos(angle)])
         return self.weights[:, None] * np.pad(turned, (0, 3))
 
@@ -190,7 +190,7 @@ class MarginFinder:
         )
 
     def _tilt(self, state: States, start: Answer, order: Sequence[int]) -> Bound:
-        """Return the largest tilt under loads that keep their direction."""
+        """Return the largest tilt where other loads keep their direction."""
 
         def probe(row: int, angle: float, near: Answer) -> Answer:
             return self.prober.ask(state, self._tilts(start.condition, row)(angle), near)
@@ -255,7 +255,7 @@ class MarginFinder:
     def _push(self, state: States, start: Answer, near: Near) -> Bound:
         pushes = self.pushes
         rows = pushes.exposed(state)
-        # A part slips once a push exceeds about what friction bears at its contacts.
+        # A part slips at about the push that exceeds the friction limit of its contacts.
         grip = np.maximum(self._grip(state, start)[pushes.part[rows]], 0.1 * self.weights[pushes.part[rows]])
         order = np.argsort(grip, kind="stable").tolist()
         cap = LARGEST_PUSH * self.prober.problem.weight
@@ -278,7 +278,7 @@ class MarginFinder:
         return self._bound(state, found[1], times, part=int(pushes.part[row]), direction=direction)
 
     def _grip(self, state: States, start: Answer) -> Array:
-        """Return what friction bears at the contacts of each part in total, N, shape (parts,)."""
+        """Return the sum of the friction limits at the contacts of each part, N, shape (parts,)."""
         assembly, forces = self._assembly, self.prober.forces(state, start)
         limit = np.maximum(strength_of(assembly).friction * forces[:, 0], 0.0)
         ends = assembly.contacts.parts[assembly.contacts.contact_of_point]
@@ -287,7 +287,7 @@ class MarginFinder:
         return total
 
     def _unbounded(self, state: States, start: Answer) -> Bound:
-        """Return that there is no bound, with the proof of the state as it is."""
+        """Return a margin without bound, with the proof of the unmodified state."""
         return self._bound(state, Bracket(0.0, start, None, None), lambda _: start.condition)
 
     @staticmethod
@@ -317,15 +317,15 @@ class MarginFinder:
         Args:
             state: shape (parts,).
             bracket: the bound.
-            beyond: the family, for a value outside where another proof may be found.
-            shift: of the values that are reported.
-            part, direction: of the weakest load.
-            always: the family has a bound at its inner end and fails below it, as friction does.
+            beyond: the family, for a value further outside where a proof may exist.
+            shift: offset of the reported values.
+            part, direction: those of the weakest load.
+            always: whether the family has a bound even without an outer end, as friction has at zero.
         """
         fails, outside = bracket.fails, bracket.outside
         proof = None if fails is None else self.prober.certify(state, fails)
         if fails is not None and proof is not None and not _fails(proof):
-            # Beside the bound neither side may be provable; try at the far end of what a bracket may span.
+            # Close to the bound neither side may be provable; try at the largest distance that a bracket may span.
             share = 1.0 - OUTSIDE if always else 1.0 + OUTSIDE
             condition = beyond(share * bracket.inside)
             again = self.prober.ask(state, condition)
@@ -346,5 +346,5 @@ class MarginFinder:
 
 
 def _fails(verdicts: Verdicts) -> bool:
-    """Return whether a proof says that the state does not stand."""
+    """Return whether a verdict proves that the state is not stable."""
     return bool(verdicts.verdict[0] in (Verdict.UNSTABLE, Verdict.SLIDES))

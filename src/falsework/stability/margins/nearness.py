@@ -1,4 +1,4 @@
-"""Utilization of friction and contact areas at the parts of a state, from the contact forces of its certificate."""
+"""Utilisation of friction and contact area at the parts of a state, from the contact forces of its certificate."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ Array = NDArray[np.float64]
 
 
 def nearness_to_limit(assembly: Assembly, state: States, forces: Array) -> Array:
-    """Return how near each free part is to its limit, from 0 to 1; NaN for the others. Shape (parts,).
+    """Return the utilisation of each free part, from 0 to 1; NaN for the others. Shape (parts,).
 
-    Of every contact that presses two shares are taken: of the friction and cohesion that its resultant uses, and of the
-    way from the middle of the contact to its edge at which the resultant acts. Of one that pulls it is that of its
-    tension. A part has the larger of the two means over its contacts, weighted by their normal forces. Nothing is
-    proven by it; margins are.
+    A contact in compression has two ratios: tangential resultant over its limit by friction and cohesion, and
+    eccentricity of the normal resultant over the distance from the centre of the contact to its edge. In tension,
+    tension over tensile strength replaces the second. A part has the larger of both means over its contacts, weighted
+    by normal forces. This is an indicator without proof; margins are proven.
 
     Args:
         assembly: the structure.
@@ -48,7 +48,7 @@ def nearness_to_limit(assembly: Assembly, state: States, forces: Array) -> Array
 
 
 def _eccentricity(points: Array, normal: Array) -> float:
-    """Return the share of the way from the middle of a convex polygon to its edge at which its forces act in total."""
+    """Return the eccentricity of the normal resultant in a convex polygon, as a share of the distance to its edge."""
     middle = points.mean(axis=0)
     at = normal @ points / normal.sum() - middle
     around = points[np.argsort(np.arctan2(*(points - middle).T[::-1]))] - middle

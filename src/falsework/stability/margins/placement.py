@@ -1,4 +1,4 @@
-"""Share of states that stand when parts are placed with an error."""
+"""Share of states that are stable when parts are placed with an error."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class PlacementCurve:
-    """Share of draws in which each state stands, by the placement error."""
+    """Share of draws in which each state is stable, by placement error."""
 
     tolerances: Array
-    """Largest movement of a point of a part, m, shape (tolerances,)."""
+    """Placement errors: largest movement of any point of a part, m, shape (tolerances,)."""
     shares: Array
-    """Share of draws that stand, shape (tolerances, states)."""
+    """Share of draws that are stable, shape (tolerances, states)."""
     refused: NDArray[np.int64]
-    """Draws in which a part lost all contacts or ran into another; they count as not standing. Shape (tolerances,)."""
+    """Draws in which a part lost all contacts or overlapped another; they count as not stable. Shape (tolerances,)."""
     draws: int
 
 
@@ -40,33 +40,33 @@ def placement_curve(
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> PlacementCurve:
-    """Move and turn every part at random, find contacts anew, and count the states that stand.
+    """Move and rotate every part at random, detect contacts again, and count the stable states.
 
-    A part is moved by up to half of the tolerance along each axis and turned about its centre so that no corner moves
+    A part is moved by up to half of the tolerance along each axis and rotated about its centre so that no corner moves
     by more than the other half. Joints that open or overlap by as much as two neighbours can be off are closed midway
-    between the parts, as mortar, shims or dressing would. What pulls has the strength per area that it had before.
+    between the parts, as mortar, shims or dressing would. Joints with tensile strength keep their strength per area.
 
     Args:
         assembly: the structure.
         states: shape (batch, parts).
         tolerances: m, each above zero.
-        stable: whether states of a structure stand, such as `Stability(moved, settings).stable`.
-        draws: how many for each tolerance.
-        seed: of the draws; the same draws, scaled, serve all tolerances.
-        progress: told how many draws are done, and of how many.
+        stable: decides which states of a moved structure are stable, such as `Stability(moved, settings).stable`.
+        draws: number of draws per tolerance.
+        seed: seed of the draws; the same draws, scaled, serve all tolerances.
+        progress: callback `(done, total)` with numbers of draws.
 
     Raises:
-        InputError: no tolerance or draw, a tolerance that is not positive, or contacts that were given, not found.
+        InputError: no tolerance or draw, a tolerance that is not positive, or contacts that were given, not detected.
     """
     batch = as_states(states, assembly.boundary)
     if not len(tolerances) or not all(np.isfinite(tolerance) and tolerance > 0 for tolerance in tolerances):
         raise InputError(f"placement errors are {list(tolerances)} m; give numbers above zero")
     if draws < 1:
-        raise InputError(f"{draws} draws are no sample; ask for at least 1")
+        raise InputError(f"the number of draws is {draws}; give at least 1")
     if assembly.contacts_given:
         raise InputError(
-            "contacts of this structure were given, or have fasteners or studs, so they cannot be found anew for parts "
-            "that moved; leave out the placement error"
+            "contacts of this structure were given, or have fasteners or studs, so they cannot be detected again for "
+            "moved parts; leave out the placement error"
         )
     stands, refused = np.zeros((len(tolerances), len(batch))), np.zeros(len(tolerances), np.int64)
     for row, tolerance in enumerate(tolerances):
@@ -83,7 +83,7 @@ def placement_curve(
 
 
 def moved_assembly(assembly: Assembly, tolerance: float, random: np.random.Generator) -> Assembly | None:
-    """Return the structure with its parts off their places; None where they make no assembly."""
+    """Return the structure with its parts displaced at random; None where they make no valid assembly."""
     meshes = []
     for mesh, center, fixed in zip(assembly.meshes, assembly.mass.center, assembly.boundary, strict=True):
         shift, turn = random.uniform(-1, 1, 3), random.uniform(-1, 1, 3)

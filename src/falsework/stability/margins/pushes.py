@@ -1,4 +1,4 @@
-"""Places where a gripper may touch a part: faces, their inward normals, and the contacts that cover them."""
+"""Places where a gripper can push on a part: faces, their inward normals, and the contacts that cover them."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from falsework.geometry.mesh.mesh import TriangleMesh
 Array = NDArray[np.float64]
 
 _FLAT = np.cos(np.radians(15.0))
-"""Cosine of the largest angle between the triangles of a face and its largest one."""
+"""Cosine of the largest angle between the triangles of a face and its largest triangle."""
 _SMALLEST = 0.01
 """Faces below this share of the largest face of their part are left out ..."""
 _MOST = 12
-"""... and all but so many of the largest."""
+"""... and all but this many of the largest."""
 _COVERED = 0.5
-"""Share of a face in contact from which a gripper has no room there."""
+"""Share of a face in contact above which a gripper has no room on it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,7 @@ class Pushes:
     normal: Array
     """Direction of the force, into the part, shape (pushes, 3)."""
     point: Array
-    """Where it acts, the middle of the face, shape (pushes, 3), m."""
+    """Point of application, the centre of the face, shape (pushes, 3), m."""
     wrench: Array
     """Force and moment about the centre of mass per newton, shape (pushes, 6)."""
     covered: Array
@@ -53,7 +53,7 @@ class Pushes:
         return cls(part, normal, point, np.hstack([normal, moment]), _cover(assembly, part, normal, np.array(areas)))
 
     def exposed(self, state: States) -> NDArray[np.intp]:
-        """Return the pushes that can be made in a state: on installed parts, where no other part covers the face."""
+        """Return the pushes that are possible in a state: on installed parts, where no other part covers the face."""
         cover = self.covered @ (state != REMOVED)
         return np.flatnonzero((state[self.part] == INSTALLED) & (cover < _COVERED))
 
@@ -65,7 +65,7 @@ class Pushes:
 
 
 def _faces(mesh: TriangleMesh) -> list[tuple[Array, Array, float]]:
-    """Return outward normal, middle and area of the faces of a part, the largest first."""
+    """Return outward normal, centre and area of the faces of a part, largest first."""
     corners = mesh.triangles
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     twice = np.linalg.norm(cross, axis=1)
@@ -88,7 +88,7 @@ def _cover(assembly: Assembly, part: NDArray[np.int32], inward: Array, areas: Ar
     contacts = assembly.contacts
     covered = np.zeros((len(part), assembly.part_count))
     for own, other, sign in ((0, 1, -1.0), (1, 0, 1.0)):
-        # The normal of a contact points from part `a` to part `b`: out of the first, into the second.
+        # The normal of a contact points from part `a` to part `b`: outwards for the first, inwards for the second.
         for face in range(len(part)):
             touching = (contacts.parts[:, own] == part[face]) & (sign * contacts.normals @ inward[face] >= _FLAT)
             np.add.at(covered[face], contacts.parts[touching, other], contacts.areas[touching] / areas[face])

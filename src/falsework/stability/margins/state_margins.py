@@ -19,9 +19,9 @@ class Bound:
     """Bound of a family of conditions, proven from both sides."""
 
     value: float | None
-    """Last value at which the state is proven to stand; None where there is no bound."""
+    """Last value at which the state is proven stable; None where there is no bound."""
     outside: float | None
-    """First value at which it does not stand, within 1 %; None where there is none."""
+    """First value at which it is not stable, within 1 %; None where there is none."""
     inside_proof: Verdicts
     """Verdict at `value`, a batch of one, with its certificate."""
     outside_proof: Verdicts | None
@@ -30,8 +30,8 @@ class Bound:
     """Friction and loads at `value`."""
     outside_condition: Condition | None
     monotone: bool = True
-    """Whether the state stands at all values probed between its own and the bound: a theorem under `equilibrium`, not
-    under `contact`, where the bound is the one before the first value that was seen to fail."""
+    """Whether the state is stable at all values probed from its own to the bound: a theorem under `equilibrium`, not
+    under `contact`, where the bound is the one before the first failing value."""
     part: int | None = None
     """Part that the weakest load of the family acts on."""
     direction: tuple[float, float, float] | None = None
@@ -39,62 +39,62 @@ class Bound:
 
     @property
     def proven(self) -> bool:
-        """Whether certificates on both sides were accepted, as far as there is a bound."""
+        """Whether certificates on both sides, as far as there is a bound, were accepted."""
         failed = self.outside_proof is None or self.outside_proof.verdict[0] in (Verdict.UNSTABLE, Verdict.SLIDES)
         return bool(self.inside_proof.stable[0]) and failed
 
 
 @dataclass(frozen=True)
 class HeldLoad:
-    """Force and moment that a robot bears for a part that it holds, as the certificate of the state has them."""
+    """Force and moment that a robot exerts on a part that it holds, according to the certificate of the state."""
 
     part: int
     force: tuple[float, float, float]
-    """Of the robot on the part, N."""
+    """Force of the robot on the part, N."""
     moment: tuple[float, float, float]
-    """About the centre of mass of the part, Nm."""
+    """Moment about the centre of mass of the part, Nm."""
 
     @property
     def force_n(self) -> float:
-        """Size of the force, N."""
+        """Magnitude of the force, N."""
         return float(np.linalg.norm(self.force))
 
     @property
     def moment_nm(self) -> float:
-        """Size of the moment, Nm."""
+        """Magnitude of the moment, Nm."""
         return float(np.linalg.norm(self.moment))
 
 
 @dataclass(frozen=True, eq=False)
 class StateMargins:
-    """Margins of one state; those that were not asked for are None."""
+    """Margins of one state; those that were not requested are None."""
 
     stands: bool
-    """Whether the state is stable as it is. If not, nothing can be added to it, and the margins are zero."""
+    """Whether the unmodified state is stable. If not, only `friction` may be given; `to_dict` has 0 for the rest."""
     friction: Bound | None = None
-    """Least coefficient of friction; 0 where the state stands without any."""
+    """Least coefficient of friction; 0 where the state is stable without friction."""
     tilt: Bound | None = None
     """Largest tilt of the ground in the worst direction, rad; loads other than weight keep their direction."""
     horizontal: Bound | None = None
     """Largest horizontal acceleration in the worst direction, shares of gravity."""
     load_factor: Bound | None = None
-    """Largest factor on the weight of one part, the weakest."""
+    """Largest factor on the weight of a single part, for the weakest part."""
     total_load_factor: Bound | None = None
     """Largest factor on the weight of all parts."""
     push: Bound | None = None
-    """Largest force on a free face of a part along its normal, the weakest, N."""
+    """Largest force on a free face of a part along its normal, for the weakest face, N."""
     held: tuple[HeldLoad, ...] = ()
-    """One for each part that a robot holds."""
+    """One entry for each part that a robot holds."""
     polygon: Array | None = None
     """Largest tilt in each of 36 directions from x to y, rad; infinite where there is no bound. Shape (36,)."""
     settlement: tuple[tuple[int, float | None], ...] = ()
-    """Boundary parts with the depth to which each may sink, m; None where there is no bound."""
+    """Boundary parts with their largest settlement, m; None where there is no bound."""
 
     def to_dict(self, names: tuple[str, ...]) -> dict[str, Any]:
         """Return the margins as a JSON object.
 
         Args:
-            names: of the parts.
+            names: names of the parts.
         """
         data: dict[str, Any] = {"stands": self.stands}
         for key, bound, scale in (

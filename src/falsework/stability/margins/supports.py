@@ -1,4 +1,4 @@
-"""Forces and moments that robots bear for held parts, and largest settlements of supports."""
+"""Forces and moments that robots exert on held parts, and largest settlements of supports."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from falsework.stability.stiffness import MOVEMENT, structure_size
 Array = NDArray[np.float64]
 
 _DEEPEST = 0.9
-"""Largest settlement, as a share of the limit on movement: parts settle under their own weight too."""
+"""Largest settlement, as a share of the displacement limit: parts settle under their own weight too."""
 _SHALLOW = 1e-3
-"""Distance between the ends of a bracket of settlements that is small enough, as a share of the largest movement."""
+"""Width at which a bracket of settlements is narrow enough, as a share of the largest movement."""
 
 
 def held_loads(prober: Prober, state: States, start: Answer) -> tuple[HeldLoad, ...]:
-    """Return what each robot bears: the weight of its part, and what leans on it or carries it.
+    """Return the load on each robot: the weight of its part, and the forces of the parts in contact with it.
 
-    Under `contact` the forces are those that the law brings about; under `equilibrium` they are some that balance the
-    state, of which there may be many.
+    Under `contact` the forces follow from the contact law; under `equilibrium` they are one of possibly many sets
+    that balance the state.
 
     Args:
-        prober: of the structure.
+        prober: solver of the structure.
         state: shape (parts,).
-        start: that the state stands.
+        start: the stable answer for the unmodified state.
     """
     assembly, problem = prober.assembly, prober.problem
     held = np.flatnonzero((state == HELD) & ~assembly.boundary)
@@ -44,18 +44,18 @@ def held_loads(prober: Prober, state: States, start: Answer) -> tuple[HeldLoad, 
 
 
 def settlements(prober: Prober, state: States, start: Answer) -> tuple[tuple[int, float | None], ...]:
-    """Return how deep each boundary part that carries something may sink, the others in place.
+    """Return the largest settlement of each boundary part that carries load, with the others in place.
 
-    The law of the criterion tells it: a fixed part sinks, the others follow, and what they find is at rest within the
-    limit on movement, or it is not. So a settlement of nearly a thousandth of the structure counts as no bound.
+    A settlement is imposed on one fixed part; the others follow by the contact law and come to rest within the
+    displacement limit or not. So a settlement of nearly a thousandth of the structure counts as unbounded.
 
     Args:
-        prober: of the structure, under `contact`.
+        prober: solver of the structure, under `contact`.
         state: shape (parts,).
-        start: that the state stands.
+        start: the stable answer for the unmodified state.
 
     Returns:
-        Boundary parts with depths in m, None where there is no bound.
+        Boundary parts with settlements in m, None where there is no bound.
     """
     assembly, problem, claim, depths = prober.assembly, prober.problem, prober.settings.claim, []
     active = problem.active(state[None])[0]

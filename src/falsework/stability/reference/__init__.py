@@ -1,1 +1,1 @@
-"""Conic programs solved by Clarabel or Gurobi."""
+"""Reference solvers: conic programs solved by Clarabel or Gurobi."""

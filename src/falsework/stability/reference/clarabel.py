@@ -1,6 +1,6 @@
-"""Exact solver: the textbook equilibrium problem by Clarabel's interior point method; slow and accurate.
+"""Exact solver: the textbook equilibrium problem solved by Clarabel's interior point method; slow and accurate.
 
-It shares nothing with the fast solvers but the wrench maps of `Problem`, and sits in judgement over them in
+It shares only the wrench maps of `Problem` with the fast solvers, and serves as their reference in
 tests, in `validate_plan`, and for the few states that they leave undecided.
 """
 
@@ -32,17 +32,17 @@ Array = NDArray[np.float64]
 ProgramOf = Callable[[Problem, NDArray[np.bool_], NDArray[np.bool_], StabilityCriterion], Program]
 
 _ROUGH = 1e4
-"""Friction above which the slip that rounding leaves in a velocity can spoil its proof."""
+"""Friction above which rounding errors of the slip in a velocity can spoil its proof."""
 
-_clarabel: Any = clarabel  # its classes come out of a compiled module that type checkers cannot look into
+_clarabel: Any = clarabel  # its classes come from a compiled module without type information
 
 
 class ExactSolver:
-    """Solver of one state at a time with Clarabel.
+    """Exact solver with Clarabel, one state at a time.
 
-    First the least-squares problem of the residual (docs/how-it-works); its forces prove nearly every stable state, its
-    residual nearly every unstable one. What lies between (the least-squares residual is above the tolerance,
-    yet other forces might stay below it) is settled by the linear program that minimises the residual of
+    It first solves the least-squares problem of the residual (docs/how-it-works), whose forces prove nearly every
+    stable state and whose residual nearly every unstable one. The rest (least-squares residual above the tolerance,
+    although other forces might stay below it) is settled by the linear program that minimises the residual of
     `certificate.py` itself, whose dual is the best virtual velocity there is.
     """
 
@@ -106,7 +106,7 @@ class ExactSolver:
         return verdict
 
     def _solve(self, program: Program) -> tuple[Array, Array, int]:
-        """Solution, multipliers of the rows, and steps taken."""
+        """Return the solution, the multipliers of the rows, and the number of iterations."""
         settings = _clarabel.DefaultSettings()
         settings.verbose = False
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-10

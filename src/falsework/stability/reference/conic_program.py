@@ -1,6 +1,6 @@
-"""Textbook conic programs of equilibrium, in a form that any conic solver takes.
+"""Textbook conic programs of equilibrium, in a form that any conic solver accepts.
 
-They use nothing but the wrench maps of `Problem`: no scaling, factoring or projection of the fast solvers.
+They use only the wrench maps of `Problem`: no scaling, factorisation or projection of the fast solvers.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Program:
-    """`min 1/2 x . (curvature * x) + cost . x` over rows `A x` that are bound in one of three ways.
+    """`min 1/2 x . (curvature * x) + cost . x` over rows `A x` that are constrained in one of three ways.
 
-    The first `equalities` rows say `A x = b`, the next `inequalities` rows `A x <= b`, and the rest come in
-    threes that say that `b - A x` lies in the cone `s0 >= |(s1, s2)|`.
+    The first `equalities` rows are `A x = b`, the next `inequalities` rows `A x <= b`, and the rest come in
+    threes in which `b - A x` lies in the cone `s0 >= |(s1, s2)|`.
     """
 
     curvature: Array
@@ -39,7 +39,7 @@ class Program:
     equalities: int
     inequalities: int
     read: Callable[[Array, Array], tuple[Array, Array]]
-    """Turns solution and multipliers (of rows `A x <= b`, so not negative there) into contact forces of the
+    """Maps solution and multipliers (nonnegative for rows `A x <= b`) to contact forces of the
     active points in N, shape (active, 3), and a velocity of the free parts, shape (free, 6)."""
 
     @property
@@ -49,7 +49,7 @@ class Program:
 
 
 def block_diagonal(blocks: Array) -> sp.csc_matrix:
-    """Square blocks along a diagonal, shape (count, size, size) to (count size, count size), without their zeros."""
+    """Return square blocks along a diagonal, shape (count, size, size) to (count size, count size), without zeros."""
     count, size, _ = blocks.shape
     layout = (blocks, np.arange(count), np.arange(count + 1))
     matrix = sp.csc_matrix(sp.bsr_matrix(layout, shape=(count * size, count * size)))
@@ -58,16 +58,16 @@ def block_diagonal(blocks: Array) -> sp.csc_matrix:
 
 
 def least_squares(problem: Problem, free: Mask, active: Mask, claim: StabilityCriterion) -> Program:
-    """`min 1/2 |y|^2` with `y = L^-1 (G f + g)` up to a factor, `f` in the cones (paper, equation 6).
+    """Return `min 1/2 |y|^2` with `y = L^-1 (G f + g)` up to a factor, `f` in the cones (paper, equation 6).
 
     Args:
         problem: the structure.
-        free: parts that can move, shape (parts,).
+        free: parts that can move in the state, shape (parts,).
         active: contact points that act, shape (points,).
         claim: cone and force bound.
     """
-    # Forces in shares of the weight and accelerations in shares of gravity keep the numbers near one, and make them
-    # the same whatever the size of the structure.
+    # Forces as shares of the weight and accelerations as shares of gravity keep the numbers near one, and make them
+    # independent of the size of the structure.
     rows, columns = 6 * int(free.sum()), 3 * int(active.sum())
     units = _force_units(problem, active)
     lightest = (problem.momentum[free, 2, 2] / problem.measure[free, 0]).min()
@@ -94,9 +94,9 @@ def least_squares(problem: Problem, free: Mask, active: Mask, claim: StabilityCr
 
 
 def least_acceleration(problem: Problem, free: Mask, active: Mask, claim: StabilityCriterion) -> Program:
-    """`min t` with `|D M^-1 (G f + g)| <= t`, `f` in the cones, sum of normals below the bound; `D` is `measure`.
+    """Return `min t` with `|D M^-1 (G f + g)| <= t`, `f` in the cones, sum of normals bounded; `D` is `measure`.
 
-    Its multipliers are the best virtual velocity there is: by duality they prove the very residual that its
+    Its multipliers are the best virtual velocity: by strong duality they prove exactly the residual that its
     solution reaches. Arguments as for `least_squares`.
     """
     rows, columns = 6 * int(free.sum()), 3 * int(active.sum())
@@ -152,7 +152,7 @@ def wrench_matrix(problem: Problem, free: Mask, active: Mask) -> sp.csc_matrix:
 
 
 def into_cone(forces: Array, strength: Strength, cone: str) -> Array:
-    """Shrink the tangents of forces that stand outside the cone by a solver's last digits. Shape (points, 3)."""
+    """Return forces with tangents shrunk that a solver's rounding left outside the cone. Shape (points, 3)."""
     forces = forces.copy()
     forces[:, 0] = np.maximum(forces[:, 0], -strength.pull)
     x, y = np.abs(forces[:, 1]), np.abs(forces[:, 2])
@@ -169,37 +169,37 @@ def into_cone(forces: Array, strength: Strength, cone: str) -> Array:
 def without_slip(problem: Problem, free: Mask, active: Mask, velocity: Array) -> Array:
     """Return the nearest velocity of the free parts at which no acting contact point slips, shape (free, 6).
 
-    Friction counts the last digits of a slip in full; where it is very large, only a motion without any proves much.
+    Friction multiplies rounding errors of a slip; where it is very large, only a motion without slip proves much.
     """
     slip = wrench_matrix(problem, free, active).T.toarray().reshape(-1, 3, 6 * int(free.sum()))[:, 1:]
-    lengths = np.repeat(problem.measure[free] / problem.measure[free, :1], 3)  # so that all components are in m/s
+    lengths = np.repeat(problem.measure[free] / problem.measure[free, :1], 3)  # all components in m/s
     slip = slip.reshape(-1, len(lengths)) / lengths
     scaled = velocity.ravel() * lengths
-    for _ in range(2):  # once more for the digits that the first time rounds off
+    for _ in range(2):  # twice, as in iterative refinement
         scaled = scaled - np.linalg.lstsq(slip, slip @ scaled, rcond=1e-10)[0]
     return (scaled / lengths).reshape(-1, 6)
 
 
 def _tension(problem: Problem, active: Mask) -> Array:
-    """Return the forces of the acting points that all bear their tension, N, shape (3 points,).
+    """Return the forces of the acting points at their tensile strength, N, shape (3 points,).
 
-    Variables are the forces beyond them, so that the cones keep their tips at zero.
+    Variables are forces relative to these, so that the apex of each cone is at zero.
     """
     return np.concatenate([-problem.strength.pull[active, None], np.zeros((int(active.sum()), 2))], axis=1).ravel()
 
 
 def _tangent_units(problem: Problem, active: Mask) -> Array:
-    """Return tangential variables in shares of friction where it is below 1 and there is nothing else, else 1.
+    """Return units of tangential variables: the friction coefficient where below 1 and without cohesion, else 1.
 
-    So the cone keeps its slope. Without friction their columns vanish, and the cone still says that the normal force
-    is not negative.
+    So the cone keeps its slope. Without friction their columns vanish, and the cone still requires a nonnegative
+    normal force.
     """
     friction = problem.strength.friction[active]
     return np.where(problem.strength.stick[active] > 0.0, 1.0, np.minimum(friction, 1.0))
 
 
 def _force_units(problem: Problem, active: Mask) -> Array:
-    """Return forces in N of variables of 1 at every acting point, shape (3 points,)."""
+    """Return the force in N of a unit variable at every acting point, shape (3 points,)."""
     tangent = _tangent_units(problem, active)
     return np.stack([np.ones_like(tangent), tangent, tangent], axis=1).ravel() * problem.weight
 
@@ -214,7 +214,7 @@ class _Cone:
 
 
 def _cone_rows(problem: Problem, active: Mask, cone: str) -> _Cone:
-    """Return rows `A` and bounds `b` that keep variables in the friction cones, cut off where contact points stick."""
+    """Return rows `A` and bounds `b` of the friction cones, with tension cut-off at contact points with cohesion."""
     friction, stick = problem.strength.friction[active], problem.strength.stick[active] / problem.weight
     tangent = _tangent_units(problem, active)
     slope = np.divide(friction, tangent, out=np.ones_like(friction), where=tangent > 0)
@@ -239,6 +239,6 @@ def _stack(blocks: list[list]) -> sp.csc_matrix:
 
 
 def _normalised(velocity: Array) -> Array:
-    """Return velocities of the free parts with largest entry 1, shape (free, 6)."""
+    """Return velocities of the free parts scaled to a largest entry of 1, shape (free, 6)."""
     largest = np.abs(velocity).max(initial=0.0)
     return (velocity / largest if largest > 0 else velocity).reshape(-1, 6)

@@ -1,4 +1,4 @@
-"""Exact solver on Gurobi instead of Clarabel (extra `gurobi`)."""
+"""Exact solver with Gurobi instead of Clarabel (extra `gurobi`)."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _TOLERANCE = 1e-9  # the smallest that Gurobi takes
 
 
 class GurobiSolver(ExactSolver):
-    """Solver of one state at a time with Gurobi.
+    """Exact solver with Gurobi, one state at a time.
 
-    It asks at once for the smallest residual, which settles every state; with the octagon that is
-    a linear program, which the licence that comes with `pip install gurobipy` takes up to 2,000 rows.
+    It minimises the residual directly, which settles every state; with the octagon that is
+    a linear program, for which the licence that comes with `pip install gurobipy` allows up to 2,000 rows.
     """
 
     _programs = (least_acceleration,)
@@ -51,7 +51,7 @@ class GurobiSolver(ExactSolver):
         try:
             self._environment = self._gurobi.Env(params={"OutputFlag": 0})
         except self._gurobi.GurobiError as error:
-            raise InputError(f"Gurobi does not start: {error}; mend its licence or use the solver exact") from None
+            raise InputError(f"Gurobi does not start: {error}; check its licence or use the solver exact") from None
 
     def _solve(self, program: Program) -> tuple[Array, Array, int]:
         gurobi = self._gurobi
@@ -70,7 +70,7 @@ class GurobiSolver(ExactSolver):
                 model.addConstr(rows[first:last] @ x <= bound[first:last]),
             ]
             if program.cones:
-                # Cones stand on variables of their own: only then are their quadratic rows read as cones.
+                # Cones have variables of their own: only then does Gurobi recognise their quadratic rows as cones.
                 slack = model.addMVar((program.cones, 3), lb=-gurobi.GRB.INFINITY)
                 slack[:, 0].setAttr("LB", 0.0)
                 linear.append(model.addConstr(slack.reshape(-1) == bound[last:] - rows[last:] @ x))
@@ -85,5 +85,5 @@ class GurobiSolver(ExactSolver):
                         f"Gurobi's licence is too small for {len(bound)} rows and {len(program.cost)} variables; "
                         "install a full licence or use the solver exact"
                     ) from None
-                # Without a solution there is nothing to prove: zeros leave the state undecided.
+                # Without a solution nothing is proven: zeros leave the state undecided.
                 return np.zeros(len(program.cost)), np.zeros(len(bound)), 0

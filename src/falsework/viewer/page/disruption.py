@@ -1,4 +1,4 @@
-"""Disruptions on site, marked by clicks, and the replanning request made of them."""
+"""Disruptions on site, marked by clicks, and the replanning request that results from them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class ClickMode(StrEnum):
     MISSING = "mark as missing"
     THERE = "mark as already there"
     FIXED = "mark as not to be touched"
-    TARGET = "put in or out of the target"
+    TARGET = "add to or remove from the target"
 
 
 @dataclass(frozen=True)
@@ -37,11 +37,11 @@ class Disruption:
     fixed: frozenset[int] = frozenset()
     """Parts that are not to be touched."""
     target: frozenset[int] = frozenset()
-    """Parts that the target has otherwise than usual: in assembly they are left out, in disassembly they stay."""
+    """Parts whose target differs from the default: in assembly they are left out, in disassembly they stay."""
     robots: int = 2
 
     def toggled(self, tool: ClickMode, part: int, assembly: Assembly) -> Disruption:
-        """Return the same with one mark set, or removed if it was set.
+        """Return the same disruption with one mark set, or removed if it was set.
 
         Raises:
             InputError: the part is boundary, which cannot be marked.

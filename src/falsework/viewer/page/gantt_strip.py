@@ -1,4 +1,4 @@
-"""Gantt chart below the slider of the page, with a marker at the time that is shown."""
+"""Gantt chart below the slider of the page, with a marker at the current time."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ if TYPE_CHECKING:
     from falsework.viewer.arms import Arms
 
 _WIDTH = 380
-"""Of the controls of the page, pixels, about."""
+"""Approximate width of the controls of the page, pixels."""
 
 
 class GanttStrip:
-    """Chart of the plan that is shown; empty for plans without a schedule."""
+    """Chart of the current plan; empty for plans without a schedule."""
 
     def __init__(self, gui: Any) -> None:
         """Add an empty strip to `viser.GuiApi`."""

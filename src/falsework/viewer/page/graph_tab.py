@@ -20,12 +20,12 @@ def add_graph_tab(gui: Any, model: ViewerState, guard: Callable[[Any, Callable[[
     assert graph is not None
     gui.add_markdown(
         f"{len(graph)} states, {len(graph.source)} actions; {int((graph.solvable & graph.reachable).sum())} states "
-        "lie on a way through."
+        "lie on a complete plan."
     )
     image = gui.add_image(_graph_pixels(model, None), label="State graph", format="png")
     if model.policy is None:
         return
-    cover = gui.add_button("What the policy covers")
+    cover = gui.add_button("Coverage by the policy")
     words = gui.add_markdown("")
 
     def show() -> None:

@@ -15,17 +15,17 @@ from urllib.parse import urlsplit
 from falsework.errors import DependencyError
 
 LOCAL = ("localhost", "127.0.0.1", "::1")
-"""Names of this machine that no other machine can reach."""
+"""Names of this machine that are unreachable from others."""
 WILDCARDS = ("0.0.0.0", "::")
-"""Addresses that stand for every address of this machine."""
+"""Wildcard addresses: all addresses of this machine."""
 _SERVING = threading.Lock()
 
 
 class OriginGuard:
     """Decision on the `Host` and `Origin` headers of requests.
 
-    A browser lets a page of any site open a web socket to any address and names that site in `Origin`; and a site
-    whose name resolves to this machine (DNS rebinding) is named in `Host`. Both are refused. An IP address in `Host`
+    A browser lets a page of any site open a web socket to any address and names that site in `Origin`; a site
+    whose name resolves to this machine (DNS rebinding) is named in `Host`. Both are rejected. An IP address in `Host`
     cannot come from rebinding, so a server on all interfaces accepts every one.
     """
 
@@ -43,7 +43,7 @@ class OriginGuard:
             self._names |= {socket.gethostname().lower(), socket.getfqdn().lower()}
 
     def refusal(self, hosts: list[str], origins: list[str]) -> str | None:
-        """Return why a request is refused, in one line, or None if it is accepted.
+        """Return why a request is rejected, in one line, or None if it is accepted.
 
         Args:
             hosts: all `Host` headers.
@@ -67,7 +67,7 @@ def start_server(viser: Any, host: str, port: int, guard: OriginGuard) -> Any:
 
     Raises:
         OSError: the address cannot be listened at.
-        DependencyError: this version of viser starts its server in another way.
+        DependencyError: this version of viser starts its server differently.
     """
     from websockets.asyncio import server as sockets
 
@@ -98,7 +98,7 @@ def start_server(viser: Any, host: str, port: int, guard: OriginGuard) -> Any:
 
 
 def _host_name(url: str) -> str | None:
-    """Name in a URL, lower case; None where there is none."""
+    """Return the host name in a URL, lower case; None where there is none."""
     try:
         return urlsplit(url).hostname
     except ValueError:

@@ -27,13 +27,13 @@ from falsework.viewer.page.scene import SIZE, ViserScene
 from falsework.viewer.page.viewer_state import ViewerState
 
 FRAMES = 15.0
-"""Frames a second of a plan that is played."""
+"""Frames per second while a plan is played."""
 NO_MORE_THAN = 400
-"""Largest number of robots that can be asked for."""
+"""Largest number of robots in the input field."""
 _TOGGLES = {"motion": "Motion, where unstable", "sliding": "Motion, where it slides"}
 _GONE = """<span class="falsework-alive"></span><style>
 body:has(div[style*="pointer-events: none"] .falsework-alive)::before {
-  content: "The server has ended. This is its last view; start falsework view again, and this page continues.";
+  content: "The server has stopped. This is its last view; start falsework view again, and this page reconnects.";
   position: fixed; left: 1em; bottom: 1em; z-index: 10000; max-width: 28em; padding: 0.8em 1.2em;
   background: #b2182b; color: white; font: 15px sans-serif; border-radius: 4px;
 }</style>"""
@@ -59,12 +59,12 @@ class Page:
     def __init__(
         self, model: ViewerState, *, host: str = "127.0.0.1", port: int = 8080, allowed_hosts: Iterable[str] = ()
     ) -> None:
-        """Start to serve.
+        """Start the server.
 
         Args:
             model: state of the viewer.
             host: address to listen at.
-            port: port to listen at; the next free one is taken if it is not free.
+            port: port to listen at; if it is in use, the next free one.
             allowed_hosts: names other than `host` under which browsers may open the page.
 
         Raises:
@@ -93,7 +93,7 @@ class Page:
 
     @property
     def port(self) -> int:
-        """Where the page is."""
+        """Port of the page."""
         return int(self.server.get_port())
 
     @property
@@ -120,7 +120,7 @@ class Page:
         with self._lock, self.server.atomic():
             self._show_proof()
             self._say()
-            self._draw()  # marks sliding parts, if either of the others requested the proof
+            self._draw()  # marks sliding parts, if one of the calls above requested the proof
 
     def _draw(self) -> None:
         model = self.model
@@ -144,7 +144,7 @@ class Page:
             section_color=(210, 212, 215), infinite_grid=False,
         )  # fmt: skip
         scene.add_light_ambient("/ambient", color=(255, 255, 255), intensity=0.85)
-        # A little to the right of the middle, since the controls cover the right of the window.
+        # Slightly right of the centre, since the controls cover the right of the window.
         aside = np.array([0.80, 0.60, 0.0]) * 0.17 * SIZE
         middle = np.array([0.0, 0.0, 0.42 * self.scene.height])
         camera = self.server.initial_camera
@@ -169,7 +169,7 @@ class Page:
             self._play_button = gui.add_button("Play", disabled=steps == 0)
             self._play_button.on_click(lambda event: self._guard(event, self._toggle_play))
             speed = 2.0 if model.arms is None else 0.5 if model.clock is None else 1.0
-            self._speed = gui.add_slider("Steps a second", min=0.5, max=8.0, step=0.5, initial_value=speed)
+            self._speed = gui.add_slider("Steps per second", min=0.5, max=8.0, step=0.5, initial_value=speed)
             words = {Direction.ASSEMBLY: "assembly", Direction.DISASSEMBLY: "disassembly"}
             self._order = gui.add_dropdown("Order", tuple(words.values()), initial_value=words[model.direction])
             self._order.on_update(lambda event: self._guard(event, self._turned))
@@ -217,7 +217,7 @@ class Page:
             self._answer.content = f"**{text}**"
             client = getattr(event, "client", None)
             if client is not None:
-                client.add_notification("That does not work", text, color="orange", auto_close_seconds=8.0)
+                client.add_notification("Request failed", text, color="orange", auto_close_seconds=8.0)
 
     def _clicked(self, event: Any) -> None:
         origin, direction = self.scene.ray(event.ray_origin, event.ray_direction)
@@ -292,14 +292,14 @@ class Page:
         self.refresh()
 
     def _set_slider(self) -> None:
-        """Bring the slider up to date: steps, or seconds of a schedule."""
+        """Update the slider: steps, or seconds of a schedule."""
         model, slider = self.model, self._slider
         unit, step = ("Step", 1) if model.clock is None else ("Seconds", 0.1)
         self._quiet = True
         try:
             if slider.label != unit:
                 slider.label, slider.step, slider.precision = unit, step, int(step < 1)
-                self._speed.label = "Steps a second" if model.clock is None else "Seconds a second"
+                self._speed.label = "Steps per second" if model.clock is None else "Seconds per second"
             slider.max = max(np.ceil(model.last_reading / step) * step, 1)
             slider.disabled = self._play_button.disabled = len(model.timeline) == 0
             slider.value = min(round(model.reading / step) * step, slider.max)
@@ -320,7 +320,7 @@ class Page:
                 self.refresh()
             else:
                 with self._lock, self.server.atomic():
-                    if model.clock is not None:  # the words tell the time
+                    if model.clock is not None:  # the text shows the time
                         self._where.content = where_text(model, ask=bool(self._shown()))
                     self._draw()
             if model.reading >= model.last_reading:

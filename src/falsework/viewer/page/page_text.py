@@ -16,7 +16,7 @@ def where_text(model: ViewerState, *, ask: bool) -> str:
 
     Args:
         model: state of the viewer.
-        ask: state also whether the state is stable; stated in any case where no plan has proven it.
+        ask: whether to include the verdict on the state; it is always included where no plan has proven the state.
     """
     steps = len(model.timeline)
     position = model.step
@@ -33,13 +33,13 @@ def where_text(model: ViewerState, *, ask: bool) -> str:
 def marked_text(model: ViewerState) -> str:
     """Describe the parts marked as missing, already there or not to be touched."""
     words = model.disruption.words(model.assembly)
-    return f"Marked {words}." if words else "Nothing is marked: choose what a click does."
+    return f"Marked {words}." if words else "Nothing is marked: choose the effect of a click."
 
 
 def about_text(model: ViewerState) -> str:
-    """Return a table of facts about the part that was clicked, in HTML."""
+    """Return a table of facts about the selected part, in HTML."""
     if model.selected is None:
-        return "<div style='margin:0.5em 1em;color:#666'>Click a part to learn about it.</div>"
+        return "<div style='margin:0.5em 1em;color:#666'>Click a part to see its data.</div>"
     rows = "".join(
         f"<tr><td style='color:#666;padding-right:1em;vertical-align:top'>{html.escape(name)}</td>"
         f"<td>{html.escape(value)}</td></tr>"
@@ -53,13 +53,13 @@ def legend_text(model: ViewerState, shown: Collection[str]) -> str:
 
     Args:
         model: state of the viewer.
-        shown: kinds of arrows that are.
+        shown: kinds of the visible arrows.
     """
     entries = [(BOUNDARY, "boundary"), (INSTALLED, "installed")]
     holding = int(model.timeline.holders.max(initial=NO_ROBOT)) + 1
     entries += [(robot_color(robot), f"held by robot {robot + 1} (R{robot + 1})") for robot in range(holding)]
     if holding > len(ROBOTS):
-        entries.append(("#ffffff", "colours repeat: labels say which robot"))
+        entries.append(("#ffffff", "colours repeat: labels give the robot"))
     entries += [(SELECTED, "selected"), (MISSING, "missing (wires)"), (FIXED, "not to be touched")]
     entries += [(color, kind) for kind, color in KINDS.items() if kind in shown]
     if model.sliding and "sliding" not in shown:

@@ -27,9 +27,9 @@ Array = NDArray[np.float64]
 SIZE = 4.0
 """Length to which the diagonal of every structure is scaled, so that camera and lines fit millimetres and bridges."""
 CHUNK = 32
-"""Parts in one merged mesh."""
+"""Number of parts per merged mesh."""
 EDGES_UP_TO = 400
-"""Parts up to which sharp edges are drawn as lines; above, parts are drawn a little smaller instead."""
+"""Largest number of parts for which sharp edges are drawn as lines; above, parts are drawn slightly smaller instead."""
 _SHRUNK = 0.985
 _PALE = 0.18
 _SHARP = np.cos(np.radians(25.0))
@@ -72,7 +72,7 @@ class ViserScene:
         self.order(timeline)
 
     def order(self, timeline: Timeline) -> None:
-        """Merge parts by the order in which a timeline takes them away; to be called when the plan changes."""
+        """Merge parts by the order in which a timeline removes them; to be called when the plan changes."""
         step = timeline.removal_step
         rank = np.empty(len(step), dtype=np.int64)
         rank[np.argsort(np.where(step < 0, len(timeline) + 1, step), kind="stable")] = np.arange(len(step))
@@ -99,11 +99,11 @@ class ViserScene:
         Args:
             look: how they are seen.
             missing: parts drawn as wires.
-            pale: absent parts that are hinted at.
-            labels: short words at parts.
+            pale: absent parts to hint at.
+            labels: short texts at parts.
 
         Returns:
-            Number of nodes that were sent anew.
+            Number of nodes that were sent.
         """
         wanted: dict[str, list[int]] = {}
         base = np.array(rgb(INSTALLED), dtype=np.uint8)
@@ -131,9 +131,9 @@ class ViserScene:
         """Update the arrows.
 
         Args:
-            arrows: by kind; kinds that are left out are hidden.
-            moved: vertices of parts a little later in their motion, metres.
-            color: of these.
+            arrows: arrows by kind; missing kinds are hidden.
+            moved: vertices of parts slightly later in their motion, metres.
+            color: colour of these parts.
         """
         for kind, color in KINDS.items():
             name = f"/arrows/{kind.replace(' ', '-')}"
@@ -169,7 +169,7 @@ class ViserScene:
         """Update the arms, and the parts that they carry.
 
         Args:
-            arms: the robots; None if there are none any more.
+            arms: the robots; None to remove them.
             moment: where they are.
         """
         if arms is None or arm_poses is None:
@@ -207,7 +207,7 @@ class ViserScene:
             self._carried[part].position = self.place(turn @ self.origin + carried.pose[:3, 3])
 
     def see_through(self, wanted: bool) -> None:
-        """Make the parts see-through, so that arrows inside them are seen, or solid again."""
+        """Make the parts transparent, so that arrows inside them are visible, or opaque again."""
         opacity = 0.4 if wanted else None
         if opacity == self._opacity:
             return
@@ -218,7 +218,7 @@ class ViserScene:
 
     @property
     def node_count(self) -> int:
-        """Nodes that the browser draws now."""
+        """Number of nodes that the browser currently draws."""
         return len(self._shown) + len(self._ghosts) + len(self._arms) + len(self._carried)
 
     def _merge(self, name: str, parts: Sequence[int]) -> int:
@@ -303,10 +303,10 @@ class ViserScene:
 
 
 def sharp_edges(vertices: NDArray[np.float32], faces: NDArray[np.uint32]) -> NDArray[np.float32]:
-    """Return edges of a mesh at which its surface turns, shape (edges, 2, 3).
+    """Return edges of a mesh with an angle between their faces, shape (edges, 2, 3).
 
     Args:
-        vertices: shape (vertices, 3); vertices in one place count as one.
+        vertices: shape (vertices, 3); coinciding vertices count as one.
         faces: shape (faces, 3).
     """
     points, same = np.unique(np.round(vertices, 5), axis=0, return_inverse=True)

@@ -41,7 +41,7 @@ class NewPlan:
 
     found: bool
     words: str
-    """Deciding stage, time taken, and differences from the old plan; or why there is none."""
+    """Deciding stage, time taken, and differences from the old plan; or the reason why there is none."""
     seconds: float
     decided_by: str
     plan: Plan | None = None
@@ -67,12 +67,12 @@ class ViewerState:
         Args:
             timeline: states and actions.
             plan: the plan that it shows, to compare new ones with.
-            policy: proposes actions, a `torch.nn.Module`; None if there is none.
-            graph: state graph to show beside it.
-            arms: robots that carry the plan out, in the same order as the timeline.
+            policy: action policy, a `torch.nn.Module`; None if there is none.
+            graph: state graph to show beside the plan.
+            arms: robots that execute the plan, in the same order as the timeline.
             oracle: decides stability.
             criterion: stability criterion, where no oracle is given.
-            deadline: seconds that a new plan may take; None for as long as it takes.
+            deadline: time limit for a new plan, s; None for no limit.
         """
         self.timeline = timeline
         self.plan = plan
@@ -101,7 +101,7 @@ class ViewerState:
 
     @property
     def oracle(self) -> Stability:
-        """Decides stability; made at the first use."""
+        """Stability oracle, created at first use."""
         if self._oracle is None:
             self._oracle = Stability(self.assembly, StabilitySettings(criterion=self._criterion))
         return self._oracle
@@ -118,22 +118,22 @@ class ViewerState:
 
     @property
     def site(self) -> States:
-        """State as it is marked to be on site, shape (parts,)."""
+        """State on site according to the marks, shape (parts,)."""
         return self.disruption.on(self.state)
 
     @property
     def clock(self) -> Clock | None:
-        """Times of the schedule; None where one motion comes after the other, or there are no motions."""
+        """Times of the schedule; None for sequential motions, or without motions."""
         return None if self.arms is None else self.arms.clock
 
     @property
     def step(self) -> int:
-        """Step that is under way; with a schedule, where several are, the last that the structure has come to."""
+        """Step in progress; with a schedule, where several are, the last that the structure has reached."""
         return int(np.ceil(self.position)) if self.clock is None else int(self.position)
 
     @property
     def reading(self) -> float:
-        """Where the slider is: seconds of the schedule, or steps without one."""
+        """Position of the slider: seconds of the schedule, or steps without one."""
         return self.position if self.clock is None else self.seconds
 
     @property
@@ -142,13 +142,13 @@ class ViewerState:
         return float(len(self.timeline)) if self.clock is None else self.clock.makespan
 
     def go_to(self, position: float) -> None:
-        """Show another place, in steps; beyond the ends is the end."""
+        """Show another position, in steps; clipped to the ends."""
         with self.lock:
             self.position = min(max(float(position), 0.0), float(len(self.timeline)))
             self.seconds = 0.0 if self.clock is None else self.clock.seconds(self.position)
 
     def go_to_reading(self, reading: float) -> None:
-        """Show another place, in seconds of the schedule, or steps without one; beyond the ends is the end."""
+        """Show another position, in seconds of the schedule, or steps without one; clipped to the ends."""
         with self.lock:
             if self.clock is None:
                 self.go_to(reading)
@@ -157,7 +157,7 @@ class ViewerState:
                 self.position = self.clock.position(self.seconds)
 
     def turn(self, direction: Direction) -> None:
-        """Show the other order; the state that is shown stays."""
+        """Show the plan in the other order; the state shown stays."""
         with self.lock:
             if direction is not self.direction:
                 self.timeline = self.timeline.turned(direction)
@@ -192,13 +192,13 @@ class ViewerState:
 
     @property
     def pale(self) -> Sequence[int]:
-        """Absent parts that are drawn palely, so that they can be clicked."""
+        """Absent parts that are drawn in a pale colour, so that they can be clicked."""
         if self.tool is ClickMode.LOOK:
             return ()
         return [int(part) for part in np.flatnonzero(self.site == REMOVED) if part not in self.disruption.missing]
 
     def labels(self, appearance: Appearance) -> dict[int, str]:
-        """Return short words at parts: holder, selection and marks."""
+        """Return short labels of parts: holder, selection and marks."""
         labels = {
             int(part): f"R{appearance.holder[part] + 1}" for part in np.flatnonzero(appearance.holder != NO_ROBOT)
         }
@@ -289,7 +289,7 @@ class ViewerState:
         return facts
 
     def proof(self) -> StateProof:
-        """Return the verdict on the state as it is marked, with its proof."""
+        """Return the verdict on the marked state, with its proof."""
         site = self.site
         key = site.tobytes()
         with self.lock:
@@ -303,7 +303,7 @@ class ViewerState:
 
     @property
     def sliding(self) -> dict[int, str]:
-        """Colours of the parts that slide in the state as it is marked, by part; empty unless `proof` was asked."""
+        """Colours of the parts that slide in the marked state, by part; empty unless `proof` was called."""
         with self.lock:
             known = self._proofs.get(self.site.tobytes())
             return {} if known is None else known.marks
@@ -337,7 +337,7 @@ class ViewerState:
         return visited_states(self._guide, self.oracle, self.timeline.states[0], self.timeline.robots, rollouts)
 
     def replan(self) -> NewPlan:
-        """Plan anew from the state as it is marked, and show the new plan if there is one.
+        """Replan from the marked state, and show the new plan if there is one.
 
         Raises:
             InputError: the marks contradict each other or the state; the message says what to do.
@@ -375,7 +375,7 @@ class ViewerState:
         return bool(self._before)
 
     def go_back(self) -> None:
-        """Show the plan before the last one again, with the marks that were set then."""
+        """Show the previous plan again, with the marks that were set then."""
         with self.lock:
             if self._before:
                 self.timeline, self.plan, self.disruption, position, self.arms = self._before.pop()

@@ -1,4 +1,4 @@
-"""Gantt chart of a robot plan: when each arm moves, holds a part at its place, and waits."""
+"""Gantt chart of a robot plan: when each arm moves, holds a part in place, and waits."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from falsework.viewer.palette import INK, rgb, robot_color
 from falsework.viewer.pictures.graph_picture import figure_pixels
 
 _WIDTH, _ROW = 12.0, 0.55
-"""Of the chart and of the row of an arm, inches."""
+"""Width of the chart and height of the row of an arm, inches."""
 _STRIP_ROW = 0.26
-"""Of the row of an arm in a strip below a picture, inches."""
+"""Height of the row of an arm in a strip below a picture, inches."""
 _KEY_FROM = 5.0
-"""Width of a strip that has its key below, inches."""
+"""Least width of a strip with its legend below, inches."""
 _DOTS = 100
-"""Pixels an inch."""
+"""Pixels per inch."""
 KEY = "high: carries a part; low: moves without one; pale: holds a part at its place; gap: waits"
 """Legend of the bars."""
 _ALPHA = {"moves": 1.0, "carries": 1.0, "holds": 0.35}

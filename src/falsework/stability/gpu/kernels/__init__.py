@@ -1,1 +1,1 @@
-"""CUDA C++ of the GPU solver, in files that are joined in the order of `gpu_driver.SOURCES`."""
+"""CUDA C++ of the GPU solver, in files that are joined in the order of `driver.SOURCES`."""

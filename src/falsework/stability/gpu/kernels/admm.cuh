@@ -1,10 +1,10 @@
 // ADMM in float32.
 
-// A group of contact points with its share of the iterate, in registers where a thread has one group for good.
+// A group of contact points with its share of the iterate, in registers where a thread keeps one group throughout.
 struct Group {
   int node[2];
   float arm[6];
-  Point<float> point[GROUP];  // zeros beyond the last point, which then do nothing
+  Point<float> point[GROUP];  // zeros beyond the last point, which have no effect
   float u[GROUP * 3], z[GROUP * 3];
 };
 
@@ -66,7 +66,7 @@ DEVICE void write_iterate(const State& a, int slot, const Group& q, float* wrenc
   write_wrench(a, slot, q.node, q.arm, sum, wrench);
 }
 
-// Whether a proof seems near, from float32 numbers; writes the wrenches of z.
+// Whether a proof seems near, from float32 values; writes the wrenches of z.
 DEVICE void screen_group(
     const Structure& s, const State& a, int slot, const Group& q, const float* w, float* wrench, Tally& tally) {
   int g = a.group[slot];
@@ -95,7 +95,7 @@ DEVICE void store_iterate(const State& a, int slot, float* u, float* z, const Gr
   for (int i = 0; i < GROUP * 3; i++) u[i * a.groups + slot] = q.u[i], z[i * a.groups + slot] = q.z[i];
 }
 
-// Forces for the tests in float64: from memory, or from a copy of the registers that can be indexed.
+// Forces for the tests in float64: from memory, or from an indexable copy of the registers.
 template <bool OneEach>
 DEVICE FromIterate source_of(const Structure& s, const State& a, const float* u, const Group& q, float* copy) {
   Cone<double> cone = Cone<double>::make(s.friction);

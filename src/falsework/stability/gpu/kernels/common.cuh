@@ -1,12 +1,12 @@
-// Stability of partial structures, one state a thread block, on chip from the first iteration to the proof.
+// Stability of partial structures, one state per thread block, on chip from the first iteration to the proof.
 //
-// The mathematics is that of the solver on the processor (admm.py, interior.py, judge.py); two choices differ.
-// Velocities and wrenches stay in the world's frame about the centres of mass instead of being whitened: S is
+// The mathematics is that of the CPU solver (admm.py, interior_point.py, termination.py), with two differences.
+// Velocities and wrenches stay in the world frame about the centres of mass instead of being whitened: S is
 // then L S L^T, its solution is the virtual velocity itself, and the map of a contact point needs 12 numbers and
 // the map of a pair 6 instead of 18 and 72. Factor and solves run by levels of the elimination tree.
 //
-// Compiled at run time for the device at hand. Without CUDA the file is plain C++ with one thread a block: every
-// phase between two barriers is a loop with the stride of the block, so the same code then runs in sequence.
+// Compiled at run time for the present device. Without CUDA the file is plain C++ with one thread per block: every
+// phase between two barriers is a loop with the stride of the block, so the same code then runs sequentially.
 
 #ifndef PHASE_INLINE
 #define PHASE_INLINE __forceinline__
@@ -73,7 +73,7 @@ alignas(16) static thread_local char host_pool[256 * 1024];
 #define QUADRATIC 0
 #endif
 #ifndef GROUP
-#define GROUP 4  // most contact points that one thread takes
+#define GROUP 4  // most contact points per thread
 #endif
 #ifndef ADMM_THREADS
 #define ADMM_THREADS 256
@@ -101,9 +101,9 @@ alignas(16) static thread_local char host_pool[256 * 1024];
 #define ON_CHIP_GROUPS 1
 #endif
 
-constexpr int kRays = QUADRATIC ? 3 : 8;  // multipliers a contact point
+constexpr int kRays = QUADRATIC ? 3 : 8;  // multipliers per contact point
 constexpr int kStable = 1, kUnstable = -1, kUndecided = 0, kSlides = -2;
-constexpr double kMargin = 1e-3;  // both tests ask for this much more, so that rounding cannot overturn them
+constexpr double kMargin = 1e-3;  // both tests are stricter by this share, so that rounding cannot overturn them
 constexpr double kBackOff = 0.99;
 constexpr double kHuge = 1e300;
 constexpr uint16_t kNone = 0xffff;
@@ -128,11 +128,11 @@ struct Structure {
   const int* incident;       // 2 group + side
   const int* block_start;    // (blocks + 1,)
   const int* block_group;    // groups between the two parts of a block
-  const float* point_single; // (GROUP, 3, groups, 4): scaled axes by rows, then arm from the pair's middle
+  const float* point_single; // (GROUP, 3, groups, 4): scaled axes by rows, then lever arm from the pair's centre
   const double* point;       // (GROUP, 13, groups): the same, then the force scale
-  const float* arm_single;   // (6, groups): from the centres of parts a and b to the pair's middle
+  const float* arm_single;   // (6, groups): from the centres of parts a and b to the pair's centre
   const double* arm;
-  const float* local_single; // (21, groups): lower triangle of the group's share of G G^T about the middle
+  const float* local_single; // (21, groups): lower triangle of the group's share of G G^T about the centre
   const double* mass;        // (positions,)
   const double* inertia;     // (9, positions)
   const double* flexibility; // (9, positions) inverse inertia
@@ -140,9 +140,9 @@ struct Structure {
   const double* gyration;    // (positions,) largest radius of gyration
   const double* stiffness;   // (GROUP, groups) normal, under the criterion `contact`; else null
   double weight, friction, length;
-  double tangential;         // tangential over normal stiffness
+  double tangential;         // ratio of tangential to normal stiffness
   double unit;               // metres of displacement of a variable of 1
-  double limit;              // movement of a part that falls, m
+  double limit;              // movement of a part that counts as collapsing, m
 };
 
 struct Options {
@@ -151,7 +151,7 @@ struct Options {
   int contact_steps;         // Newton iterations; 0 under the criterion `equilibrium`
 };
 
-// One launch. `list` names the states to take (all where it is null); `*_count` live on the device.
+// One launch. `list` names the states to process (all where it is null); `*_count` are in device memory.
 struct Batch {
   const uint8_t* states;   // (batch, parts)
   const double* guess;     // (batch, points, 3) N, or null
@@ -170,18 +170,18 @@ struct Batch {
   int* open;               // states that ADMM leaves undecided
   int* open_count;
   int* open_ticket;
-  int* rest;               // states of which the Newton iterations say whether they rest
+  int* rest;               // states for which the Newton iterations decide whether they come to rest
   int* rest_count;
-  char* scratch;           // `scratch_stride` bytes a block, where the pool is not in shared memory
+  char* scratch;           // `scratch_stride` bytes per block, where the pool is not in shared memory
   long long scratch_stride;
-  char* points_scratch;    // `points_stride` bytes a block: what the later methods keep of each group
+  char* points_scratch;    // `points_stride` bytes per block: group data of the later methods
   long long points_stride;
   long long pool_bytes;
   int near;                // whether the Newton iterations keep all but their matrices in shared memory
   int count;
 };
 
-// Reductions over a block. The order of summation depends on the number of threads alone.
+// Reductions over a block. The order of summation depends only on the number of threads.
 
 template <int Largest, int Sums>
 DEVICE void reduce(double (&value)[Largest + Sums]) {
@@ -222,7 +222,7 @@ DEVICE int lane_bits(int items) {
   while (bits < 3 && items << (bits + 1) <= THREADS) bits++;
   return bits;
 }
-// All numbers take a step of the sum before any takes the next, so that they do not wait for each other.
+// All values take a step of the sum before any takes the next, so that they do not wait for each other.
 template <class T, int N>
 DEVICE void sum_lanes(T (&x)[N], int bits) {
 #ifdef __CUDACC__

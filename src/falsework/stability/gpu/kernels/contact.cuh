@@ -1,6 +1,6 @@
 // The criterion `contact`.
 
-// Writes contact forces in N of a state at rest, and displacements in m and rad of one at rest or on its way.
+// Writes contact forces in N of a state at rest, and displacements in m and rad of one at rest or moving.
 PHASE void write_displaced(const Structure& s, const State& a, const Batch& b, int index, bool rests, const double* displacement) {
   if (rests && b.forces) {
     double* forces = b.forces + (long long)index * s.points * 3;
@@ -31,8 +31,8 @@ PHASE void write_displaced(const Structure& s, const State& a, const Batch& b, i
 }
 
 // Newton iterations of a state that the solvers of the equilibrium problem have not proved unstable; false where it
-// needs more memory than there is. A state that does not rest slides where forces in equilibrium exist; where neither
-// proof was found and parts move away, an infinite residual says so.
+// needs more memory than available. A state that does not come to rest slides where forces in equilibrium exist; where
+// neither proof was found and parts move away, the residual is infinite.
 template <bool InShared>
 DEVICE bool settle_state(const Structure& s, const Options& o, const Batch& b, int index) {
   char* far = b.points_scratch + BLOCK * b.points_stride;
@@ -54,7 +54,7 @@ DEVICE bool settle_state(const Structure& s, const Options& o, const Batch& b, i
   q.m.place_column = take<uint16_t>(top, a.storage);
   q.m.product_first = take<int>(top, a.nodes + a.storage + 1);
   if (InShared && top - POOL > b.pool_bytes) return false;
-  // Products, and what is kept of groups, are on chip too where there is room.
+  // Products, and group data, are on chip too where there is room.
   long long room = InShared ? b.pool_bytes - (top - POOL) - 64 : 0;
   if (room >= s.products * 4) {
     room -= (s.products * 4 + 15) / 16 * 16;
@@ -81,8 +81,8 @@ DEVICE bool settle_state(const Structure& s, const Options& o, const Batch& b, i
   return true;
 }
 
-// What ADMM leaves: first the states that are not unstable, the last found before the others since they take longest;
-// then, on multiprocessors that have nothing else to do, the states that it leaves undecided.
+// States from ADMM: first those that are not unstable, the last found before the others since they take longest;
+// then, on idle multiprocessors, those that it leaves undecided.
 DEVICE void run_contact_shared(const Structure& s, const Options& o, const Batch& b) {
   for (int i = next_ticket(b.ticket); i < *b.list_count; i = next_ticket(b.ticket)) {
     int index = b.list[*b.list_count - 1 - i];

@@ -34,7 +34,7 @@ DEVICE Point<double> point_of(const Structure& s, int i, int g, double) {
 }
 DEVICE double scale_of(const Structure& s, int i, int g) { return load(s.point + (i * 13 + 12) * s.groups + g); }
 
-// Relative velocity and rotation of part b against part a at the middle between them.
+// Relative velocity and rotation of part b relative to part a at the centre between them.
 template <class T, class V>
 DEVICE void strain_of(const int (&node)[2], const T (&arm)[6], const V* velocity, T (&out)[6]) {
 #pragma unroll
@@ -83,7 +83,7 @@ DEVICE void add_point_force(const Point<T>& p, T n, T x, T y, T (&wrench)[6]) {
   wrench[5] += p.arm[0] * fy - p.arm[1] * fx;
 }
 
-// Writes a force and moment about the middle of group `slot` as wrenches about the centres of its parts that move.
+// Writes a force and moment about the centre of group `slot` as wrenches about the centres of its parts that move.
 template <class T>
 DEVICE void write_wrench(const State& a, int slot, const int (&node)[2], const T (&arm)[6], const T (&f)[6], T* wrench) {
 #pragma unroll

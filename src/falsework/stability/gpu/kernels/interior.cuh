@@ -7,7 +7,7 @@ struct Interior {
   Matrix<double> m;
 };
 
-// Writes the wrenches of the Newton step, and the groups' local matrices if asked for.
+// Writes the wrenches of the Newton step, and the groups' local matrices if requested.
 template <bool WithMatrix>
 PHASE void prepare(const Structure& s, const State& a, const Interior& q, double target) {
   double mu = s.friction;
@@ -78,7 +78,7 @@ PHASE void newton_step(const Structure& s, const State& a, const Interior& q) {
   solve_by_levels(a, q.m, q.x, q.between, q.step);
 }
 
-// Reach of a step, and its complementarity as a polynomial of its length: tally of reach, constant, linear, square.
+// Largest feasible step, and complementarity as a polynomial of its length: tally of reach, constant, linear, square.
 template <bool Corrector>
 PHASE void measure(const Structure& s, const State& a, const Interior& q, double target, double (&tally)[4]) {
   tally[0] = -kHuge, tally[1] = tally[2] = tally[3] = 0;
@@ -140,7 +140,7 @@ PHASE void advance(const Structure& s, const State& a, const Interior& q, double
   SYNC;
 }
 
-// Velocity, multipliers and slacks inside the cones near what ADMM found; returns the number of contact points.
+// Velocity, multipliers and slacks inside the cones near the ADMM result; returns the number of contact points.
 PHASE int start_interior(const Structure& s, const State& a, const Batch& b, int index, const Interior& q) {
   for (int slot = TID; slot < a.groups; slot += THREADS) {
     int g = a.group[slot], count = load(s.group_count + g);
@@ -200,7 +200,7 @@ PHASE int start_interior(const Structure& s, const State& a, const Batch& b, int
   return int(mean[2]);
 }
 
-// The method on one state; false where it needs more memory than there is.
+// The method on one state; false where it needs more memory than available.
 template <bool InShared>
 DEVICE bool solve_interior(const Structure& s, const Options& o, const Batch& b, int index, int& verdict) {
   char* base = InShared ? POOL : b.scratch + BLOCK * b.scratch_stride;

@@ -16,7 +16,7 @@ DEVICE Multipliers load_point(const double* weights, const double* slacks, const
 }
 
 #if QUADRATIC
-// Scaling point of Nesterov and Todd in coordinates in which the cone is its own dual.
+// Nesterov-Todd scaling point in coordinates in which the cone is its own dual.
 struct Scaling {
   double v0, v1, v2, scale, det_s;
   DEVICE Scaling make(const Multipliers& p) {
@@ -48,7 +48,7 @@ DEVICE double to_boundary(const double (&x)[3], const double (&d)[3]) {
 }
 #endif
 
-// Steps of a contact point towards y = G^T (r + dr), and how far both may go. `predicted` is y of the predictor,
+// Steps of a contact point towards y = G^T (r + dr), and the largest feasible step. `predicted` is y of the predictor,
 // null in the predictor itself.
 DEVICE double point_step(
     double mu, const Multipliers& p, double target, const double* predicted, double n, double x, double y,

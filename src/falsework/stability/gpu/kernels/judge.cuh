@@ -1,6 +1,6 @@
-// The two tests, in float64 whatever made the numbers.
+// The two termination tests, in float64 whatever the precision of the iterates.
 
-// Where the forces of a contact point come from.
+// Source of the forces of a contact point.
 struct FromIterate {  // ADMM: the projection of u in float64, so that they lie in the cone to the last bit
   const float* u;
   int slot_stride, stride;
@@ -29,9 +29,9 @@ struct FromMultipliers {
   }
 };
 
-// What the two tests need to know of a block's share of the state.
+// Contribution of a block's share of the state to the two tests.
 struct Tally {
-  double v[5];  // residual, largest power taken a newton; power of gravity, scaled momentum, sum of normals
+  double v[5];  // residual, largest power absorbed per newton; power of gravity, scaled momentum, sum of normals
 };
 
 template <class T, class V>
@@ -64,7 +64,7 @@ DEVICE void tally_nodes(const Structure& s, const State& a, const T* wrench, con
   reduce<2, 3>(tally.v);
 }
 
-// Verdict from the totals. `slack` loosens both tests: with 1 % of it they only say whether a proof is near.
+// Verdict from the totals. `slack` loosens both tests: with 1 % of it they only tell whether a proof is near.
 DEVICE int decide(const Structure& s, const Options& o, const Tally& tally, double slack, double& residual) {
   double bound = o.force_bound * s.weight;
   residual = tally.v[4] <= bound * (1 + slack) ? tally.v[0] : kHuge;
@@ -136,7 +136,7 @@ PHASE void write_result(
     }
 }
 
-// Under the criterion `contact`, hands a state on that is not proven unstable.
+// Under the criterion `contact`, passes on a state that is not proven unstable.
 DEVICE void ask_for_rest(const Options& o, const Batch& b, int index, int verdict) {
   if (o.contact_steps && verdict != kUnstable && TID == 0) b.rest[atomicAdd(b.rest_count, 1)] = index;
 }

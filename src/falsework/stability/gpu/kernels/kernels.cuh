@@ -1,4 +1,4 @@
-// What is launched. `PART` leaves all but one out, since each takes seconds to compile.
+// Kernel entry points. `PART` leaves all but one out, since each takes seconds to compile.
 
 #if !defined(PART) || PART == 0
 KERNEL((ADMM_THREADS, ADMM_BLOCKS)) admm_shared(Structure s, Options o, Batch b) { run_admm<true>(s, o, b); }

@@ -1,4 +1,4 @@
-// The tangent stiffness of a state and its block factor, in float32: whether a state rests is read off wrenches in
+// The tangent stiffness of a state and its block factor, in float32: wrenches decide whether a state is at rest, in
 // float64, so the precision of a step matters only for how many are needed, and there are as many as in float64. Where
 // contact points slide the matrix is not symmetric, so the blocks above the diagonal are kept too, transposed, in the
 // places of their mirror images: both then fill by rows alike.
@@ -142,13 +142,12 @@ DEVICE void swap_if(bool yes, float& x, float& y) {
   x = yes ? y : x, y = yes ? kept : y;
 }
 
-// Inverse of a 6 x 6 block in place by elimination with exchange of rows; false if it is singular, and then it is left as
-// it was.
+// Inverse of a 6 x 6 block in place by elimination with row pivoting; false if it is singular (then unchanged).
 DEVICE bool eliminate_block(float* block) {
   float m[6][6];
 #pragma unroll
   for (int i = 0; i < 36; i++) m[i / 6][i % 6] = block[i];
-  uint32_t swaps = 0;  // rows are exchanged one by one on the way to the pivot, so that all indices are constants
+  uint32_t swaps = 0;  // rows are exchanged one by one up to the pivot, so that all indices are constants
   bool good = true;
 #pragma unroll
   for (int k = 0; k < 6; k++) {
@@ -187,7 +186,7 @@ DEVICE bool eliminate_block(float* block) {
   return true;
 }
 
-// Inverts some 6 x 6 blocks in place; false where one is singular. Nearly all need no exchange of rows. A thread takes a
+// Inverts some 6 x 6 blocks in place; false where one is singular. Nearly all need no row exchange. A thread takes a
 // whole block, since six that share one wait longer for each other's pivots than for their own arithmetic.
 DEVICE bool invert_blocks(float* blocks, int count) {
   bool fine = true;
@@ -223,7 +222,7 @@ DEVICE bool invert_blocks(float* blocks, int count) {
   return fine;
 }
 
-// Replaces the matrix, level by level, by its factor, and x by what the lower factor leaves of it; false where a pivot
+// Replaces the matrix, level by level, by its factor, and x by the forward substitution; false where a pivot
 // block is singular.
 PHASE bool factor_general(const State& a, General m, float* x) {
   bool fine = true;

@@ -6,7 +6,7 @@ struct Matrix {
   T* lower;     // (storage, 36)
 };
 
-// Where entry (i, k) of a symmetric matrix stands in its packed lower triangle.
+// Index of entry (i, k) of a symmetric matrix in its packed lower triangle.
 DEVICE int packed(int i, int k) { return i >= k ? i * (i + 1) / 2 + k : k * (k + 1) / 2 + i; }
 
 DEVICE float local_of(const Structure& s, const State&, const float* local, int i, int g, int) {

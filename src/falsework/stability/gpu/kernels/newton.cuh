@@ -22,7 +22,7 @@ DEVICE void gauge_gradient(float x, float y, float size, float& gx, float& gy) {
 #endif
 }
 
-// Force of a contact point whose springs alone would give (n, x, y).
+// Force of a contact point with elastic trial force (n, x, y).
 DEVICE void contact_force(double mu, double& n, double& x, double& y) {
   if (!(n > 0)) {
     n = x = y = n <= 0 ? 0.0 : n;  // keeps NaN
@@ -46,11 +46,11 @@ struct Newton {
   float *step, *right, *between;                    // (nodes, 6)
   double* wrench;                                   // (2, 6, groups)
   float* local;                                     // (groups, 36)
-  double *trial, *ahead_trial;                      // (GROUP, 3, groups) spring forces before they are cut to the law
+  double *trial, *ahead_trial;                      // (GROUP, 3, groups) elastic trial forces
   General m;
 };
 
-// Spring forces of a contact point, before they are cut to the law.
+// Elastic trial force of a contact point.
 DEVICE void spring_force(
     const Structure& s, const Point<double>& p, int i, int g, const double (&strain)[6], double& n, double& x,
     double& y) {
@@ -59,12 +59,12 @@ DEVICE void spring_force(
   n *= -k, x *= -kt, y *= -kt;
 }
 
-// What an iteration needs to know of a displacement and the step that led there.
+// Data of an iteration on a displacement and the step that led there.
 struct Progress {
   double v[5];  // residual, movement; squares of the residual's norm, residual on step, step on step
 };
 
-// Writes the residual wrenches of a displacement, and the spring forces.
+// Writes the residual wrenches of a displacement, and the elastic trial forces.
 PHASE void evaluate(
     const Structure& s, const State& a, const Newton& q, const double* displacement, double* trial, double* out,
     Progress& progress) {
@@ -102,7 +102,7 @@ PHASE void evaluate(
     bool in = t < a.nodes * 2;
     int node = in ? t >> 1 : 0, j = a.node[node];
     double f[3] = {}, mass = load(s.mass + j), measure = half ? load(s.gyration + j) : 1.0, flexibility[9], inertia[9];
-    if (half)  // asked for before they are needed, since all memory answers late
+    if (half)  // prefetched to hide memory latency
 #pragma unroll
       for (int k = 0; k < 9; k++)
         flexibility[k] = load(s.flexibility + k * s.positions + j), inertia[k] = load(s.inertia + k * s.positions + j);
@@ -141,8 +141,8 @@ PHASE void evaluate(
   SYNC;
 }
 
-// Writes the groups' tangent stiffness at the spring forces. A contact that just touches counts as closed and rough, so
-// the first step from rest is that of a bonded structure.
+// Writes the groups' tangent stiffness at the trial forces. A contact that just touches counts as closed and sticking,
+// so the first step from rest is that of a bonded structure.
 PHASE void write_tangent(const Structure& s, const State& a, const Newton& q) {
   float mu = float(s.friction);
   int bits = lane_bits(a.groups);
@@ -201,9 +201,9 @@ PHASE void write_tangent(const Structure& s, const State& a, const Newton& q) {
 
 constexpr int kMovesAway = -1;
 constexpr double kGrowth = 4, kShortest = 0.1, kCut = 0.1, kLongestStep = 1e14;
-constexpr double kFar = 10;  // times the limit on movement at which iterations end: on the way to rest they may overshoot
+constexpr double kFar = 10;  // times the displacement limit at which iterations end: they may overshoot
 
-// Iterates from rest until the parts rest (kStable), move away (kMovesAway) or the steps are used up (kUndecided).
+// Iterates from rest until the parts come to rest (kStable), move away (kMovesAway) or steps run out (kUndecided).
 DEVICE int find_rest(const Structure& s, const State& a, const Options& o, Newton& q, double& residual, int& steps) {
   for (int t = TID; t < a.nodes * 6; t += THREADS) q.now[t] = 0, q.step[t] = 0;
   SYNC;

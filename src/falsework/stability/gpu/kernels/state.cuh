@@ -28,7 +28,7 @@ struct State {
 
   METHOD int at(int block) const { return stored ? stored[block] : block; }
 
-  // Block of row `i` in column `j`, -1 where `i` is no ancestor of `j`.
+  // Block of row `i` in column `j`, -1 where `i` is not an ancestor of `j`.
   METHOD int block_of(int i, int j) const {
     int up = int(depth[j]) - int(depth[i]) - 1;
     if (up < 0) return -1;
@@ -84,7 +84,7 @@ DEVICE int compact(uint16_t* slot, uint16_t* list, uint32_t* mask, int count) {
   return total;
 }
 
-// Finds what acts in a state, its elimination tree and the blocks of its factor.
+// Finds the acting parts and groups of a state, its elimination tree and the blocks of its factor.
 template <bool StoreAll>
 PHASE State restrict_to(const Structure& s, const uint8_t* state, char*& top) {
   State a;
@@ -142,7 +142,7 @@ PHASE State restrict_to(const Structure& s, const uint8_t* state, char*& top) {
     int j = a.node[i], e = load(s.column + j), last = load(s.column + j + 1);
     while (e < last && !filled[e]) e++;
     parent[i] = e < last ? a.node_slot[load(s.block_row + e)] : kNone;
-    // Groups of the whole structure with those that do not act left out; each list keeps its place.
+    // Groups of the whole structure without those that do not act; each list keeps its place.
     int k = load(s.incident_start + j), out = k, end = load(s.incident_start + j + 1);
     a.incident_first[i] = uint16_t(k);
     for (; k < end; k++) {
@@ -152,7 +152,7 @@ PHASE State restrict_to(const Structure& s, const uint8_t* state, char*& top) {
     a.incident_last[i] = uint16_t(out);
   }
   a.levels = 0;
-  for (int level = 0, i = 0; level < s.levels; level++) {  // every thread alike
+  for (int level = 0, i = 0; level < s.levels; level++) {  // the same in every thread
     int first = i, last = load(s.level_start + level + 1);
     while (i < a.nodes && a.node[i] < last) i++;
     if (i == first) continue;
