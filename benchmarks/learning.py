@@ -141,8 +141,9 @@ def evaluated(
     if settings.policy.goal_conditioned or one_state:
         narrow = replace(filled, data="width64")
         pairs = find_pairs(RunContext(assembly, narrow, tensor_oracle(oracle, device), device))
+        seen = sample(np.arange(len(pairs.train)), len(pairs.test))
         sets: Any = {
-            "train": (pairs.train.states, pairs.train.targets),
+            "train": (pairs.train.states[seen], pairs.train.targets[seen]),
             "test": (pairs.test.states, pairs.test.targets),
         }
         network = GoalBlindPolicy(network) if one_state else network
@@ -157,6 +158,8 @@ def evaluated(
         generator = environment.generator(settings.seed)
         drawn = roll_out(environment, UniformPolicy(), *tensors, greedy=False, generator=generator, keep="ends")
         found[name]["random"] = round(float(drawn.success.float().mean()), 6)
+        if tensors[1] is not None:
+            found[name]["steps"] = record.spread(environment.rules.steps_left(*tensors).tolist())
     everything = "all states" if sets["test"][1] is None else "all unseen pairs"
     return {**found, "evaluated": f"at most {options.states} of each set" if options.states else everything}
 
@@ -217,7 +220,7 @@ def table3(options: argparse.Namespace) -> None:
 def table4(options: argparse.Namespace) -> None:
     """Greedy success from states to other states, goal-conditioned and goal-blind."""
     for name, assembly, robots, seeds in rows_of(options):
-        for seed in seeds[:1]:
+        for seed in seeds:
             for two in {"both": (True, False), "yes": (True,), "no": (False,)}[options.goals]:
                 kind = recommended(assembly.part_count, goal_conditioned=two, kind=options.policy or None)
                 settings = settings_of(options, name, robots, seed, policy=kind)
@@ -232,8 +235,8 @@ def table5(options: argparse.Namespace) -> None:
     """Networks against each other with the same budget."""
     for name, assembly, robots, seeds in rows_of(options):
         for seed in seeds:
-            for kind in ("resmlp", "transformer", "gat", "mlp"):
-                settings = settings_of(options, name, robots, seed, policy=PolicySettings(kind))
+            for kind in (options.policy,) if options.policy else ("resmlp", "transformer", "gat", "mlp"):
+                settings = settings_of(options, name, robots, seed, policy=recommended(assembly.part_count, kind=kind))
                 result = run(options, name, assembly, settings, f"{name}:{robots} {kind} seed {seed}")
                 line("table5", name, settings, result, evaluated(options, result, settings, assembly))
 
