@@ -16,6 +16,7 @@ states of them, `random` beside it for uniformly random legal actions, `paper` w
 width64` learns from the paper's data alone, `--search` adds the share of test states with a proven plan. `table4`: a
 goal-conditioned policy, a goal-blind one, or both (`--goals`). `table5`: `gat`, `transformer`, `resmlp` and `mlp` with
 the same budget. `transfer`: a policy of the bottle evaluated on the dog. `methods`: curves of all presets of training.
+`solvable`: how many states of a small structure are solvable, and how many of them no run may learn from.
 `minutes` is the total budget, data included, `seconds` the time used; evaluation of all states is not included. Rows
 are independent: run them as processes of their own, each with its CUDA_VISIBLE_DEVICES.
 """
@@ -37,9 +38,12 @@ from baselines.uniform import UniformPolicy
 from states import find
 
 from falsework.assembly import load_structure
+from falsework.assembly.symmetry import symmetries
+from falsework.errors import InputError
 from falsework.learn.config.policy import PolicySettings, recommended
 from falsework.learn.config.train import METHODS, Criterion, TrainSettings
-from falsework.learn.data.dataset import Dataset, build_dataset, task_for
+from falsework.learn.data.dataset import Dataset, build_dataset, search_states, task_for
+from falsework.learn.data.symmetry_augmentation import symmetric_images
 from falsework.learn.env.environment import Environment
 from falsework.learn.env.rollout import roll_out
 from falsework.learn.networks.autocast import Network
@@ -50,9 +54,10 @@ from falsework.learn.training.run_context import RunContext
 from falsework.learn.training.train import TrainResult, train
 from falsework.learn.training.training_data import find_pairs
 from falsework.search.device.oracle import TensorOracle, tensor_oracle
+from falsework.search.problem.hashing import StateIndex
 from falsework.stability import Stability, StabilitySettings
 from falsework.utils.distributed import ProcessGroup, init_distributed
-from falsework.utils.tensors import put
+from falsework.utils.tensors import choose_device, put
 
 TABLE_3: dict[str, tuple[float, float, float, float]] = {
     "bottle-12:2": (95.7, 86.5, 0.28, 2),
@@ -69,6 +74,8 @@ TABLE_3: dict[str, tuple[float, float, float, float]] = {
     "dome-72:2": (97.6, 96.4, 16.05, 15),
 }
 """For each row the paper's success in training and test in %, its hours, and the minutes that a run here is given."""
+EVERYTHING = 1 << 14
+"""Width of a search that finds all states of a small structure."""
 SMALL = 20
 """Number of parts up to which a row is run with three seeds."""
 
@@ -141,8 +148,9 @@ def evaluated(
     if settings.policy.goal_conditioned or one_state:
         narrow = replace(filled, data="width64")
         pairs = find_pairs(RunContext(assembly, narrow, tensor_oracle(oracle, device), device))
+        seen = sample(np.arange(len(pairs.train)), len(pairs.test))
         sets: Any = {
-            "train": (pairs.train.states, pairs.train.targets),
+            "train": (pairs.train.states[seen], pairs.train.targets[seen]),
             "test": (pairs.test.states, pairs.test.targets),
         }
         network = GoalBlindPolicy(network) if one_state else network
@@ -157,6 +165,8 @@ def evaluated(
         generator = environment.generator(settings.seed)
         drawn = roll_out(environment, UniformPolicy(), *tensors, greedy=False, generator=generator, keep="ends")
         found[name]["random"] = round(float(drawn.success.float().mean()), 6)
+        if tensors[1] is not None:
+            found[name]["steps"] = record.spread(environment.rules.steps_left(*tensors).tolist())
     everything = "all states" if sets["test"][1] is None else "all unseen pairs"
     return {**found, "evaluated": f"at most {options.states} of each set" if options.states else everything}
 
@@ -217,7 +227,7 @@ def table3(options: argparse.Namespace) -> None:
 def table4(options: argparse.Namespace) -> None:
     """Measure greedy success from states to other states, goal-conditioned and goal-blind."""
     for name, assembly, robots, seeds in rows_of(options):
-        for seed in seeds[:1]:
+        for seed in seeds:
             for two in {"both": (True, False), "yes": (True,), "no": (False,)}[options.goals]:
                 kind = recommended(assembly.part_count, goal_conditioned=two, kind=options.policy or None)
                 settings = settings_of(options, name, robots, seed, policy=kind)
@@ -232,8 +242,8 @@ def table5(options: argparse.Namespace) -> None:
     """Compare networks with the same budget."""
     for name, assembly, robots, seeds in rows_of(options):
         for seed in seeds:
-            for kind in ("resmlp", "transformer", "gat", "mlp"):
-                settings = settings_of(options, name, robots, seed, policy=PolicySettings(kind))
+            for kind in (options.policy,) if options.policy else ("resmlp", "transformer", "gat", "mlp"):
+                settings = settings_of(options, name, robots, seed, policy=recommended(assembly.part_count, kind=kind))
                 result = run(options, name, assembly, settings, f"{name}:{robots} {kind} seed {seed}")
                 line("table5", name, settings, result, evaluated(options, result, settings, assembly))
 
@@ -253,6 +263,24 @@ def carry_over(options: argparse.Namespace) -> None:
         there = replace(result, policy=moved.eval())
         found = evaluated(options, there, settings, other)
         line("transfer", name, settings, result, found, asked_about=goal.rpartition(":")[0], paper_train=0.66)
+
+
+def solvable(options: argparse.Namespace) -> None:
+    """Count all solvable states of small structures, and those that no run may learn from."""
+    device = choose_device(options.device)
+    for name, assembly, robots, _ in rows_of(options):
+        settings = settings_of(options, name, robots, 0)
+        oracle = tensor_oracle(Stability(assembly, StabilitySettings(criterion=settings.criterion)), device)
+        data = protocol(assembly, settings, oracle, str(device))
+        states, found = search_states(data.task, oracle, EVERYTHING, 0, device=device)
+        if not found or np.bincount(data.task.steps_done(states)).max() == EVERYTHING:
+            raise InputError(f"{name} has more states than a search of width {EVERYTHING} keeps; name a smaller one")
+        held_out = symmetric_images(np.concatenate([data.test, data.validation]), symmetries(assembly))
+        unsolvable = int((StateIndex(states).find(held_out) < 0).sum())
+        record.report(
+            "learning solvable", structure=name, robots=robots, criterion=settings.criterion, states=len(states),
+            held_out=len(held_out), held_out_unsolvable=unsolvable, device=device,
+        )  # fmt: skip
 
 
 def methods(options: argparse.Namespace) -> None:
@@ -293,7 +321,7 @@ def main() -> None:
     """Read the command line and run a benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     whats = {"table3": table3, "table4": table4, "table5": table5, "transfer": carry_over}
-    whats |= {"methods": methods, "plot": plot}
+    whats |= {"methods": methods, "plot": plot, "solvable": solvable}
     parser.add_argument("what", choices=list(whats))
     parser.add_argument("--rows", nargs="*", default=[], help="structure:robots; all of the table if not given")
     parser.add_argument(

@@ -22,6 +22,11 @@ def all_states(record: Record) -> bool:
     return record["data"] == "wide" and record["evaluated"] == "all states" and on_gpu(record)
 
 
+def random_fails(record: Record) -> bool:
+    """Return whether unseen pairs are such that random actions do not solve; older runs have no share of them."""
+    return "random" in record["test"]
+
+
 def earlier_success(_: Runs, earlier: Runs) -> str:
     """Write the success of all earlier runs."""
     found = [look_up(run, "test.success") for run in earlier]
@@ -397,30 +402,49 @@ TABLES = {
     ),
     "pairs": Table(
         "learning",
-        STRUCTURE,
+        (*STRUCTURE, ("further searches", "{searches}"), ("network", "{policy}")),
         (
-            ("unseen pairs, %", "{test.success:%}"),
-            ("uniformly random legal actions, %", "{random:%}"),
+            ("unseen pairs", "{test.states}"),
+            ("success, %", "{test.success:%}"),
+            ("uniformly random legal actions, %", "{test.random:%}"),
+            ("steps of a pair, median", "{test.steps.median}"),
+            ("validation pairs, %", "{validation.success:%}"),
             ("training pairs, %", "{train.success:%}"),
+            ("random actions, %", "{train.random:%}"),
             ("seconds", "{seconds}"),
         ),
         benchmark="learning table4",
-        where=lambda record: (
-            record["goal_conditioned"] and record.get("evaluated") == "all unseen pairs" and on_gpu(record)
-        ),
+        where=lambda record: record["goal_conditioned"] and random_fails(record),
     ),
     "pairs-goal-blind": Table(
         "learning",
         STRUCTURE,
-        (("unseen pairs, %", "{test.success:%}"), ("training pairs, %", "{train.success:%}")),
+        (
+            ("unseen pairs, %", "{test.success:%}"),
+            ("uniformly random legal actions, %", "{test.random:%}"),
+            ("training pairs, %", "{train.success:%}"),
+            ("seconds", "{seconds}"),
+        ),
         benchmark="learning table4",
-        where=lambda record: not record["goal_conditioned"],
+        where=lambda record: not record["goal_conditioned"] and random_fails(record),
+    ),
+    "solvable": Table(
+        "learning",
+        (*STRUCTURE_AND_ROBOTS, ("criterion", "{criterion}")),
+        (
+            ("solvable states", "{states}"),
+            ("of these held out for test and validation", "{held_out}"),
+            ("held out but not solvable", "{held_out_unsolvable}"),
+        ),
+        benchmark="learning solvable",
     ),
     "networks": Table(
         "learning",
-        (("network", "{policy}"), ("device", "{device}")),
+        (*STRUCTURE, ("network", "{policy}")),
         (
+            ("criterion", "{criterion}"),
             ("unseen states, %", "{test.success:%}"),
+            ("validation states, %", "{validation.success:%}"),
             ("training states, %", "{train.success:%}"),
             ("optimizer steps", "{steps}"),
             ("seconds", "{seconds}"),

@@ -423,3 +423,14 @@ def test_a_search_that_never_arrives_is_said(tmp_path: Path) -> None:
     settings = replace(SMALL, robots=1, phases=PHASES["imitation"], steps=5)
     result = train(load_structure("arch:blocks=5"), settings, folder=tmp_path / "run", device="cpu", logs=())
     assert any("not every search reached the complete structure" in note for note in result.notes)
+
+
+def test_a_run_without_time_for_further_searches_says_so() -> None:
+    settings = replace(SMALL, policy=replace(SMALL.policy, goal_conditioned=True), pairs=50, steps=2)
+    arch = load_structure("arch:blocks=13")
+    hurried, whole = (
+        train(arch, one, folder=None, device="cpu", logs=())
+        for one in (replace(settings, steps=0, minutes=1e-4), settings)
+    )
+    assert ["no time was left" in note for note in hurried.notes] == [True]
+    assert not any("no time was left" in note for note in whole.notes)

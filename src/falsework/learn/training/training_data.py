@@ -80,6 +80,8 @@ def collect_training_data(
                 run.task, searches, run.oracle, device=device, shards=run.shards, report=run.report, enough=enough
             )
             _keep(run, path, lambda where: searched.save(where, run.task))
+            if searches.widths and not len(searched.more):
+                run.note("no time was left for searches beyond the protocol's, without which few unseen pairs succeed")
         pairs = find_pairs(run, searched)
         held_out = symmetric_images(pairs.held_out, images)
         tasks: GoalSampler = RandomWalkGoals(pairs.wide, device=device, held_out=held_out)
