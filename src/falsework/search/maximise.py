@@ -2,29 +2,40 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from falsework.assembly.model import Assembly
-from falsework.search.find import Planning, find_plans
+from falsework.assembly.state import States
+from falsework.search.find import Planning, find_plans, plan_of
 from falsework.search.margins.demands import DemandingStability, Demands
 from falsework.search.margins.plan_margins import PlanMargins
-from falsework.search.plans.plan import Plan
-from falsework.search.problem.result import Outcome, Progress, Stop
+from falsework.search.planner import Planner
+from falsework.search.plans.alternatives import Alternatives
+from falsework.search.problem.guide import SupportGuide
+from falsework.search.problem.result import Outcome, Progress, SearchProgress, SearchResult, Stop
 from falsework.search.problem.task import Task
 from falsework.search.settings import PlannerSettings
+from falsework.search.support.planner import SupportPlanner, planner_for
 from falsework.stability.settings import StabilitySettings
 
 Maximised = Literal["friction", "tilt", "push"]
 
-_TRIALS = 6
-"""Searches after the first; each halves the interval between the margin reached and the bound."""
-_CLOSE = 1.02
+_TRIALS = 8
+"""Searches after the first; each narrows the interval between a demand that a plan meets and one that none met."""
+_AT_BOUND = 1.02
 """The search ends when the weakest step is within this factor of the bound."""
+_CLOSE = 1.05
+"""The search ends when no plan was found for this many times what the weakest step keeps."""
+_ASIDE = 1.005
+"""The bound itself is tried, divided by this: both ends of the plan are barely stable at it."""
 _FIRST = 2.0
-"""Factor from the margin reached to the next demand where no bound is known."""
+"""Factor from the margin reached to the next demand where no bound is known; a bound nearer than that is tried."""
+_EFFORT, _LEAST_EFFORT = 2, 1000
+"""Verdicts after which the search for a stronger plan ends: so many times those of the longest search that
+found a plan, and at least so many."""
 
 
 def maximise_margin(
@@ -43,7 +54,7 @@ def maximise_margin(
 
     The bound limits the weakest step of any plan: both ends belong to every plan, and no plan can meet a requirement
     under which an exhaustive search found none and proved every rejection. A search that merely finds nothing gives no
-    bound.
+    bound; it ends after about twice the verdicts of the searches that found plans.
 
     Args:
         assembly: the structure.
@@ -60,52 +71,130 @@ def maximise_margin(
         The best plan, with its margins of this kind and the bound in `Plan.margins`; the result of the first search if
         there is none.
     """
-
-    def search(level: float | None) -> tuple[Planning, float]:
-        asked = demands if level is None else replace(demands, **{kind: _demand(kind, level)})
-        oracle = DemandingStability(assembly, stability, asked)
-        found = find_plans(
-            assembly, task, oracle=oracle, settings=settings, progress=progress, stop=stop, forces=forces
-        )
-        if not found.found:
-            return found, 0.0
-        plan = found.plans[0]
-        margins = PlanMargins.of(oracle, plan.states, demands, also=kind)
-        weakest = margins.weakest(kind)
-        plan = replace(plan, margins=replace(margins, maximised=kind))
-        strength = np.inf if weakest is None else _strength(assembly, kind, weakest[1])
-        return replace(found, plans=(plan,)), strength
-
-    best, reached = search(None)
-    if not best.found or (stop is not None and stop()):
-        return best
-    ends = DemandingStability(assembly, stability).margins(np.stack([task.start, task.target]), (kind,))
-    values = [getattr(margins, kind).value for margins in ends]
-    bound = min((_strength(assembly, kind, value) for value in values if value is not None), default=np.inf)
-    missed, seconds = bound, best.result.seconds
+    oracle = DemandingStability(assembly, stability, demands)
+    first = find_plans(assembly, task, oracle=oracle, settings=settings, progress=progress, stop=stop, forces=forces)
+    if not first.found:
+        return first
+    seconds, effort = first.result.seconds, first.result.counters.asked
+    bound = missed = _least(oracle, kind, np.stack([task.start, task.target]))
+    reached = getattr(demands, kind) or (1.0 if kind == "friction" else 0.0)
+    if np.isinf(bound):
+        reached = _least(oracle, kind, first.plans[0].states)
+    stronger: list[_Stronger] = []
     for _ in range(_TRIALS):
-        if missed <= reached * _CLOSE or (stop is not None and stop()):
+        if missed <= reached * _CLOSE or bound <= reached * _AT_BOUND or (stop is not None and stop()):
             break
-        level = _FIRST * reached if np.isinf(missed) else float(np.sqrt(max(reached, missed / 64) * missed))
-        found, strength = search(level)
-        seconds += found.result.seconds
-        if found.result.interrupted:
+        level = _next(reached, missed, bound)
+        trial = DemandingStability(assembly, stability, replace(demands, **{kind: level}))
+        planner = planner_for(task, trial, settings, guide=SupportGuide(assembly))
+        budget = _Budget(max(_EFFORT * effort, _LEAST_EFFORT), progress, stop)
+        found = planner.run(progress=budget.note, stop=budget.is_spent)
+        seconds += found.seconds
+        if found.found:
+            # Tilts are demanded in fewer directions and further out than they are measured, so plans keep more.
+            known = kind != "tilt" and np.isfinite(bound)
+            reached = level if known else max(reached, _least(oracle, kind, found.routes[0].states))
+            stronger.append(_Stronger(level, trial, planner, found))
+            effort = max(effort, found.counters.asked)
+        elif found.interrupted and not budget.exceeded:
             break
-        if found.found and strength > reached:
-            best, reached = found, strength
         else:
             missed = level
-            if found.result.outcome is Outcome.PROVED_IMPOSSIBLE:
+            if found.outcome is Outcome.PROVED_IMPOSSIBLE:
                 bound = min(bound, level)
-    return _bounded(best, None if np.isinf(bound) else _value(assembly, kind, bound), seconds)
-
-
-def _bounded(planning: Planning, bound: float | None, seconds: float) -> Planning:
-    """Return a planning whose plan records the bound, with the total time."""
-    plan: Plan = planning.plans[0]
+    limit = None if np.isinf(bound) else _value(assembly, kind, bound)
+    best: Planning | None = None
+    strongest = -np.inf
+    while stronger:
+        candidate = stronger.pop()
+        planning = candidate.prove(assembly, task, forces=forces)
+        strength = _weakest(assembly, planning.plans[0].margins, kind)
+        if strength > strongest:
+            best, strongest = planning, strength
+        if strength * _ASIDE >= candidate.level:
+            break
+    else:
+        # A state that rests only beside others of its plan has no margin of its own; then the first plan may be better.
+        plan = first.plans[0]
+        margins = PlanMargins.of(oracle, plan.states, demands, also=kind)
+        if best is None or _weakest(assembly, margins, kind) > strongest:
+            best = replace(first, plans=(replace(plan, margins=margins),))
+    assert best is not None
+    plan = best.plans[0]
     assert plan.margins is not None
-    plan = replace(plan, margins=replace(plan.margins, bound=bound))
-    return replace(planning, plans=(plan,), result=replace(planning.result, seconds=seconds))
+    plan = replace(plan, margins=replace(plan.margins, demands=demands, maximised=kind, bound=limit))
+    return replace(best, plans=(plan,), result=replace(best.result, seconds=seconds))
+
+
+@dataclass(frozen=True)
+class _Stronger:
+    """Plan found under a demand, not yet proved."""
+
+    level: float
+    oracle: DemandingStability
+    planner: Planner | SupportPlanner
+    result: SearchResult
+
+    def prove(self, assembly: Assembly, task: Task, *, forces: bool) -> Planning:
+        """Prove the states of the plan, and measure their margins."""
+        route = self.result.routes[0]
+        replay = self.planner.replays.get(route.states.tobytes())
+        plan = plan_of(route, assembly, task, self.oracle, forces=forces, replay=replay)
+        return Planning(self.result, (plan,), Alternatives.of([route]))
+
+
+@dataclass
+class _Budget:
+    """Limit on the verdicts of one search, beside what else stops it."""
+
+    verdicts: int
+    progress: Progress | None
+    stop: Stop | None
+    asked: int = 0
+
+    def note(self, at: SearchProgress) -> None:
+        """Take the number of verdicts from the progress of the search, and pass the progress on."""
+        self.asked = at.asked
+        if self.progress is not None:
+            self.progress(at)
+
+    @property
+    def exceeded(self) -> bool:
+        return self.asked > self.verdicts
+
+    def is_spent(self) -> bool:
+        """Return whether the search has to end."""
+        return self.exceeded or (self.stop is not None and self.stop())
+
+
+def _next(reached: float, missed: float, bound: float) -> float:
+    """Return the next demand: the bound itself where it is near, else the middle on a logarithmic scale."""
+    if np.isinf(missed):
+        return _FIRST * reached
+    if missed == bound <= _FIRST * reached:
+        return bound / _ASIDE
+    return float(np.sqrt(max(reached, missed / 64) * missed))
+
+
+def _least(oracle: DemandingStability, kind: Maximised, states: States) -> float:
+    """Return the least strength of states; the margin is measured of those alone that do not keep the least so far."""
+    least = np.inf
+    while len(states):
+        bound = getattr(oracle.margins(states[:1], (kind,))[0], kind)
+        if bound is not None and bound.value is not None:
+            least = min(least, _strength(oracle.assembly, kind, bound.value))
+        states = states[1:]
+        if len(states) and np.isfinite(least) and least > (kind == "friction"):
+            asked = DemandingStability(oracle.assembly, oracle.settings, Demands(**{kind: least}))
+            states = states[~asked.keeps(states)]
+    return least
+
+
+def _weakest(assembly: Assembly, margins: PlanMargins | None, kind: Maximised) -> float:
+    """Return the strength of the weakest step of a plan whose margins were measured."""
+    assert margins is not None
+    weakest = margins.weakest(kind)
+    return np.inf if weakest is None else _strength(assembly, kind, weakest[1])
 
 
 def _strength(assembly: Assembly, kind: Maximised, value: float) -> float:
@@ -117,7 +206,3 @@ def _strength(assembly: Assembly, kind: Maximised, value: float) -> float:
 
 def _value(assembly: Assembly, kind: Maximised, strength: float) -> float:
     return assembly.friction / strength if kind == "friction" else strength
-
-
-def _demand(kind: Maximised, strength: float) -> float:
-    return max(strength, 1.0) if kind == "friction" else strength
