@@ -163,10 +163,10 @@ TABLES = {
         (*STRUCTURE, ("criterion", "{criterion}")),
         (
             ("states", "{states}"),
-            ("friction, ms of processors", "{processor_ms.friction}"),
-            ("tilt, ms of processors", "{processor_ms.tilt}"),
-            ("weight of a part, ms of processors", "{processor_ms.load_factor}"),
-            ("push, ms of processors", "{processor_ms.push}"),
+            ("friction, CPU ms", "{processor_ms.friction}"),
+            ("tilt, CPU ms", "{processor_ms.tilt}"),
+            ("weight of a part, CPU ms", "{processor_ms.load_factor}"),
+            ("push, CPU ms", "{processor_ms.push}"),
             ("before, times as long", "{ratio.all}"),
         ),
         benchmark="margins cost",
@@ -198,10 +198,10 @@ TABLES = {
         (("bricks", "{bricks}"), ("contact points", "{points}"), ("robots", "{robots}")),
         (
             ("steps of the plan", "{steps}"),
-            ("plan, s of processors", "{plan_processor_s}"),
-            ("verdict, ms of processors", "{verdict_processor_ms}"),
-            ("verdict from the state before, ms of processors", "{next_verdict_processor_ms}"),
-            ("verdict of 100 bricks in a batch, ms of processors", "{processor_ms_per_100_bricks}"),
+            ("plan, CPU s", "{plan_processor_s}"),
+            ("verdict, CPU ms", "{verdict_processor_ms}"),
+            ("verdict from the state before, CPU ms", "{next_verdict_processor_ms}"),
+            ("verdict of 100 bricks in a batch, CPU ms", "{processor_ms_per_100_bricks}"),
         ),
         benchmark="bricks cost",
     ),
@@ -210,7 +210,7 @@ TABLES = {
         (("command", "{what}"), ("compiled code", "{cache}")),
         (
             ("s", "{seconds}"),
-            ("processor time, s", "{processor_seconds}"),
+            ("CPU time, s", "{processor_seconds}"),
             ("before, s", "{before.processor_seconds}"),
             ("ratio", "{ratio}"),
             ("memory, GiB", "{peak_gib}"),
@@ -221,7 +221,7 @@ TABLES = {
     "first-minute-ideas": Table(
         "first_minute",
         (("what is compiled at the first call", "{idea}"),),
-        (("processor time, s", "{processor_seconds}"),),
+        (("CPU time, s", "{processor_seconds}"),),
         benchmark="first_minute ideas",
     ),
     "search-plans": Table(
