@@ -282,11 +282,11 @@ def test_the_papers_data_alone(arch: Any, tmp_path: Path) -> None:
 
 
 def test_minutes_are_kept(arch: Any, tmp_path: Path) -> None:
-    settings = replace(SMALL, steps=0, minutes=0.05, phases=PHASES["imitation"])
+    settings = replace(SMALL, steps=0, minutes=0.02, phases=PHASES["imitation"])
     result = train(arch, settings, folder=tmp_path / "run", device="cpu")
     assert result.steps > 0
     assert result.seconds < 20
-    more = train(arch, TrainSettings(minutes=0.08), folder=tmp_path / "run", device="cpu", resume=True)
+    more = train(arch, TrainSettings(minutes=0.04), folder=tmp_path / "run", device="cpu", resume=True)
     assert more.steps > result.steps
     assert more.seconds > result.seconds
 
