@@ -24,6 +24,8 @@ from falsework.search import StateGraph  # noqa: E402
 from falsework.search.device.oracle import HostOracle  # noqa: E402
 from falsework.stability import Stability  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("few_tries")
+
 CPU = torch.device("cpu")
 
 

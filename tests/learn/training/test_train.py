@@ -38,6 +38,8 @@ from falsework.learn.training.train import TrainResult, train  # noqa: E402
 from falsework.learn.training.trainer import Trainer  # noqa: E402
 from falsework.utils.archive import write_whole  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("few_tries")
+
 IMITATION = ImitationPhase(batch=16)
 PHASES: dict[str, tuple[Phase, ...]] = {
     "default": (replace(IMITATION, until=0.5), PpoPhase(rollouts=8, batch=16)),
