@@ -364,6 +364,7 @@ def test_settings_that_make_no_sense_are_refused(wrong: dict[str, Any]) -> None:
 PARALLEL = ("default", "paper")
 
 
+@pytest.mark.slow
 def test_two_processes_are_one_training(tmp_path: Path, run_processes: Callable[..., None]) -> None:
     """The same weights and known states in both, to the last bit; steps of the environment add up."""
     run_processes(Path(__file__).with_name("distributed_training.py"), 2, tmp_path, *PARALLEL)
