@@ -17,9 +17,10 @@ unexport PYTHONDONTWRITEBYTECODE
 PIP    := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check
 OUT    ?= out
 
-# Numba and BLAS would each start a thread per core inside the solvers' own threads.
+# Numba and BLAS would each start a thread per core inside the solvers' own threads, torch one for networks this small.
 export OPENBLAS_NUM_THREADS ?= 1
 export MKL_NUM_THREADS ?= 1
+export OMP_NUM_THREADS ?= 1
 
 # Without an NVIDIA GPU, torch in its CPU build: the default wheel brings gigabytes of CUDA.
 TORCH_VERSION   ?= 2.13.0
@@ -31,8 +32,8 @@ EXTRAS := gurobi,judge,learn,picture,rhino,robots,schedule,service,sheet,viewer
 # The validator of the Khronos Group, for tests; it runs in the node that comes from the Python registry.
 GLTF_VALIDATOR ?= gltf-validator@2.0.0-dev.3.10
 
-# One worker a core; test files stay whole, since their fixtures are shared.
-PYTEST_ARGS ?= -n logical --dist loadfile
+# One worker a core; test files stay whole, since their fixtures are shared, in the order that tests/conftest.py gives.
+PYTEST_ARGS ?= -n logical --dist loadfile --no-loadscope-reorder
 
 .PHONY: demo install compile kernels test lint types docs package lock images results check clean help
 

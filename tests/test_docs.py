@@ -75,6 +75,7 @@ def test_commands_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
                 assert main(words[1:]) == (int(said[1]) if said else 0), line
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("nobody_waits")
 def test_examples_in_help_texts_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from falsework.cli import main as entry

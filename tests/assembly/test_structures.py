@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -51,7 +52,9 @@ def folder_of(name: str) -> Path:
     return data / "structures" / name
 
 
+@cache
 def load(name: str) -> tuple[Assembly, list[str]]:
+    """A structure, and the warnings of its first load; several tests look at the same ones."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         assembly = load_structure(folder_of(name))

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import ctypes
 import dataclasses
+import os
 import shutil
 import subprocess
 import tempfile
@@ -190,16 +191,19 @@ def least_residual(
 
 
 @lru_cache
-def library_of(defines: tuple[tuple[str, int], ...]) -> ctypes.CDLL:
-    """The kernel as a shared library."""
+def library_of(defines: tuple[tuple[str, int], ...], kept: Path) -> ctypes.CDLL:
+    """The kernel as a shared library, which the first worker that needs it leaves in a folder for the others."""
     assert COMPILER is not None
-    with tempfile.TemporaryDirectory() as folder:
-        source, out = Path(folder) / "kernel.cpp", Path(folder) / "kernel.so"
-        source.write_text(kernel_source(), encoding="utf-8")
-        constants = [f"-D{name}={value}" for name, value in defines]
-        command = [COMPILER, "-std=c++17", "-O1", "-shared", "-fPIC", *constants, "-o", str(out), str(source)]
-        subprocess.run(command, check=True, capture_output=True)
-        return ctypes.CDLL(str(out))
+    constants = [f"-D{name}={value}" for name, value in defines]
+    library = kept / f"kernel{''.join(constants)}.so"
+    if not library.exists():
+        with tempfile.TemporaryDirectory(dir=kept) as folder:
+            source, out = Path(folder) / "kernel.cpp", Path(folder) / "kernel.so"
+            source.write_text(kernel_source(), encoding="utf-8")
+            command = [COMPILER, "-std=c++17", "-O1", "-shared", "-fPIC", *constants, "-o", str(out), str(source)]
+            subprocess.run(command, check=True, capture_output=True)
+            out.replace(library)
+    return ctypes.CDLL(str(library))
 
 
 class HostDriver:
@@ -207,12 +211,14 @@ class HostDriver:
 
     multiprocessors = 1
     most_threads = 1
+    libraries: Path
+    """Folder that all workers of a test run share."""
 
     def __init__(self, defines: dict[str, int], shared_limit: int = 227 * 1024, memory: int | None = None) -> None:
         self.shared_limit = shared_limit
         self.memory = memory
         self.launched: list[str] = []
-        self._library = library_of(tuple(sorted(defines.items())))
+        self._library = library_of(tuple(sorted(defines.items())), self.libraries)
 
     def put(self, array: Any) -> Any:
         return np.array(array, order="C")
@@ -260,10 +266,12 @@ def simplex() -> Callable[..., float]:
 
 
 @pytest.fixture(scope="session")
-def host_driver() -> type[HostDriver]:
+def host_driver(tmp_path_factory: pytest.TempPathFactory) -> type[HostDriver]:
     """A device for `GpuSolver` that is the processor."""
     if COMPILER is None:
         pytest.skip("no C++ compiler for the kernel")
+    own = tmp_path_factory.getbasetemp()
+    HostDriver.libraries = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
     return HostDriver
 
 

@@ -41,9 +41,11 @@ def some_states(scenes: Any, assembly: Assembly) -> NDArray[np.uint8]:
 def decided_with(scenes: Any) -> Decided:
     """As `decided`, on a few states of a built-in structure with another friction; several tests compare with it."""
 
+    built = cache(library.build)
+
     @cache
     def verdicts(name: str, friction: float, cone: Cone) -> NDArray[np.int8]:
-        assembly = library.build(name).replace(friction=friction)
+        assembly = built(name).replace(friction=friction)
         return decided(assembly, some_states(scenes, assembly), cone)
 
     return verdicts

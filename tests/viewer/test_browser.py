@@ -128,8 +128,10 @@ def opened(browser: Any, arch: Any) -> Iterator[Callable[..., Open]]:
     """Serve a model and open it in a tab; whatever the console says against it fails the test."""
     pages: list[Open] = []
 
-    def show(model: ViewerState) -> Open:
+    def show(model: ViewerState, *, shadows: bool = False) -> Open:
         page = Page(model, port=8190)
+        if not shadows:  # most of what it takes to draw a picture without a graphics card
+            page.server.scene.configure_default_lights(enabled=True, cast_shadow=False)
         tab = browser.new_page()
         now = Open(page, tab, [])
         tab.on("console", lambda said: said.type == "error" and now.complaints.append(said.text))
@@ -239,7 +241,7 @@ def test_an_unstable_state(opened: Callable[..., Open]) -> None:
 
     thin = load_structure("arch:blocks=11,thickness=0.06")
     model = ViewerState(Timeline.from_state(thin, complete_state(thin.boundary)))
-    now = opened(model)
+    now = opened(model, shadows=True)
     now.tab.get_by_text("would move").wait_for()
     before = now.picture()
     now.tab.get_by_label("Motion, where unstable").check()

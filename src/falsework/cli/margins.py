@@ -44,7 +44,7 @@ class FindMargins(Command):
         "falsework margins arch:blocks=15",
         "falsework margins plan.json --json",
         "falsework margins my-folder --polygon --settlement",
-        "falsework margins my-folder --placement 1mm,2mm --draws 100",
+        "falsework margins my-folder --placement 1mm,2mm --draws 40",
     )
 
     structure: StructureOptions

@@ -32,7 +32,7 @@ class Train(JudgingCommand):
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework train arch:blocks=7 --robots 2 --out run --minutes 0.05",
-        "falsework train arch:blocks=7 --out run --resume --minutes 0.1",
+        "falsework train arch:blocks=7 --out run --resume --minutes 0.08",
     )
 
     structure: StructureOptions

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 import trimesh
 
-from falsework.assembly.library import build, structures
+from falsework.assembly import library
+from falsework.assembly.library import structures
+from falsework.assembly.model import Assembly
 from falsework.geometry.mesh.mesh import TriangleMesh
 
 NAMES = [entry.name for entry in structures()]
@@ -31,6 +35,12 @@ SPECS = [
     "shelf:shelves=0",
     "shelf:shelves=5,width=2,thickness=0.05",
 ]
+
+
+@cache
+def build(spec: str) -> Assembly:
+    """Build once what several tests look at."""
+    return library.build(spec)
 
 
 @pytest.mark.parametrize("spec", SPECS)
@@ -81,7 +91,7 @@ def test_defaults_stand(name: str, stands) -> None:
 @pytest.mark.parametrize("spec", SPECS)
 def test_the_name_builds_the_same_structure_again(spec: str) -> None:
     first = build(spec)
-    again = build(first.name)
+    again = library.build(first.name)
     assert again.name == first.name
     assert again.identity == first.identity
     for mesh, other in zip(first.meshes, again.meshes, strict=True):

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import itertools
 import math
+from functools import cache
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from falsework.assembly.library import vault
+from falsework.assembly import library
 from falsework.assembly.library.funicular import find_form
 from falsework.assembly.library.vaults import Grid, nearest_grid
 from falsework.assembly.model import Assembly
@@ -17,6 +18,12 @@ from falsework.stability import Stability
 from falsework.stability.settings import EQUILIBRIUM
 
 SUPPORT = 0.7 / 4.0
+
+
+@cache
+def vault(parts: int = 60, **shape: float) -> Assembly:
+    """Build once what several tests look at."""
+    return library.vault(parts, **shape)
 
 
 @pytest.mark.parametrize("rise", [0.1, 1.0, 2.0])

@@ -14,6 +14,7 @@ from safetensors.torch import load_file  # noqa: E402
 SCRIPT = Path(__file__).with_name("distributed_ppo.py")
 
 
+@pytest.mark.slow
 def test_two_processes_agree_after_every_update(tmp_path: Path, run_processes: Callable[..., None]) -> None:
     run_processes(SCRIPT, 2, tmp_path)
     one, two = (load_file(tmp_path / str(rank)) for rank in range(2))

@@ -24,6 +24,7 @@ from falsework.search.problem.task import Direction, Task  # noqa: E402
 from falsework.stability import Stability  # noqa: E402
 
 
+@pytest.mark.usefixtures("few_tries")
 def test_data_set_of_table_four_keeps_its_sets_apart(bottle: Assembly) -> None:
     settings = GoalDataSettings(train_width=4, test_width=12, widths=(20,), pairs=500, test_pairs=100)
     data = build_goal_dataset(bottle, task_for(bottle), settings, device="cpu")
@@ -45,6 +46,7 @@ def test_data_set_of_table_four_keeps_its_sets_apart(bottle: Assembly) -> None:
     assert np.array_equal(alone.test.states, data.test.states)
 
 
+@pytest.mark.usefixtures("few_tries")
 def test_searches_are_read_back(bottle: Assembly, tmp_path: Path) -> None:
     """The same data set comes of them; files that are something else are refused."""
     task = task_for(bottle)
@@ -104,6 +106,7 @@ def test_after_a_search_that_died_out_one_begins_at_the_empty_structure(
     assert directions == [(down, 4, 2), (up, 4, 2), (down, 4, 2), (down, 1, 3)]
 
 
+@pytest.mark.usefixtures("few_tries")
 def test_no_search_begins_once_there_are_enough(bottle: Assembly) -> None:
     """What is learned from and tested on is always searched; of three further searches two are left out here."""
     task, device = task_for(bottle), torch.device("cpu")

@@ -14,8 +14,7 @@ from falsework.assembly import Assembly, load_structure  # noqa: E402
 from falsework.assembly.symmetry import symmetries  # noqa: E402
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
 from falsework.learn.config.train import TrainSettings  # noqa: E402
-from falsework.learn.data.dataset import task_for  # noqa: E402
-from falsework.learn.data.goal_dataset import GoalDataSettings, build_goal_dataset  # noqa: E402
+from falsework.learn.data.goal_dataset import GoalDataset, build_goal_dataset  # noqa: E402
 from falsework.learn.data.random_walks import RandomWalkGoals  # noqa: E402
 from falsework.learn.data.symmetry_augmentation import SymmetryAugmentation, turned_states  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
@@ -24,6 +23,8 @@ from falsework.learn.training.training_data import collect_training_data  # noqa
 from falsework.search import StateGraph  # noqa: E402
 from falsework.search.device.oracle import HostOracle  # noqa: E402
 from falsework.stability import Stability  # noqa: E402
+
+pytestmark = pytest.mark.usefixtures("few_tries")
 
 CPU = torch.device("cpu")
 
@@ -93,19 +94,25 @@ def test_same_seed_same_tasks(dome: Assembly, graph: StateGraph) -> None:
     assert not torch.equal(drawn(tasks, 40)[0], drawn(tasks, 40, seed=1)[0])
 
 
-def test_a_run_learns_from_images_and_never_from_test_states(dome: Assembly) -> None:
+def test_a_run_learns_from_images_and_never_from_test_states(dome: Assembly, monkeypatch: pytest.MonkeyPatch) -> None:
     """Starts of a run, and tasks drawn later, are states that its searches did not see, and never test states."""
     settings = TrainSettings(
         policy=PolicySettings("transformer", goal_conditioned=True), widths=(8, 8), pairs=800, steps=10
     )
+    found: list[GoalDataset] = []
+
+    def keep(*arguments: Any, **options: Any) -> GoalDataset:
+        found.append(build_goal_dataset(*arguments, **options))
+        return found[-1]
+
+    monkeypatch.setattr("falsework.learn.training.training_data.build_goal_dataset", keep)
     data_of_run = collect_training_data(
         RunContext(dome, settings.resolved(dome.part_count, "cpu"), HostOracle(Stability(dome)), CPU)
     )
+    (data,) = found
     assert isinstance(data_of_run.tasks, SymmetryAugmentation)
     assert data_of_run.targets is not None
     test = {tuple(state) for state in data_of_run.held_out.tolist()}
-    searches = GoalDataSettings(widths=(8, 8), pairs=800)
-    data = build_goal_dataset(dome, task_for(dome), searches, device="cpu")
     drawn_later = drawn(data_of_run.tasks, 1000, seed=3)
     for states in (data_of_run.starts, data_of_run.targets, *drawn_later[:2]):
         assert not test & {tuple(state) for state in states.tolist()}

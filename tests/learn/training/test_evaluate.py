@@ -26,6 +26,8 @@ from falsework.learn.training.train import train  # noqa: E402
 from falsework.search.problem.state_graph import load_state_graph  # noqa: E402
 from falsework.stability import Stability  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("few_tries")
+
 WIDE = "arch:blocks=13"
 """Has more states than a search of width 64 finds from either end."""
 PARTS = PolicySettings("transformer", channels=16, layers=1, heads=2)
@@ -190,12 +192,12 @@ def test_what_cannot_be_evaluated_is_refused(run: Path, tmp_path: Path, capsys: 
 
 def test_the_command_trains_and_resumes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["train", "arch:blocks=7", "--out", str(tmp_path / "run"), "--device", "cpu"]
-    assert main([*words, "--steps", "20", "--json", "--robots", "3"]) == 0
+    assert main([*words, "--steps", "6", "--json", "--robots", "3"]) == 0
     record = json.loads(capsys.readouterr().out)
-    assert record["steps"] == 20
+    assert record["steps"] == 6
     assert record["run"] == str(tmp_path / "run")
-    assert main([*words, "--steps", "40", "--json", "--resume"]) == 0
-    assert json.loads(capsys.readouterr().out)["steps"] == 40
+    assert main([*words, "--steps", "12", "--json", "--resume"]) == 0
+    assert json.loads(capsys.readouterr().out)["steps"] == 12
     assert json.loads((tmp_path / "run" / "run.json").read_text())["settings"]["robots"] == 3
     assert main([*words]) == 2
     assert "holds a run already" in capsys.readouterr().err

@@ -38,6 +38,8 @@ from falsework.learn.training.train import TrainResult, train  # noqa: E402
 from falsework.learn.training.trainer import Trainer  # noqa: E402
 from falsework.utils.archive import write_whole  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("few_tries")
+
 IMITATION = ImitationPhase(batch=16)
 PHASES: dict[str, tuple[Phase, ...]] = {
     "default": (replace(IMITATION, until=0.5), PpoPhase(rollouts=8, batch=16)),
@@ -282,11 +284,11 @@ def test_the_papers_data_alone(arch: Any, tmp_path: Path) -> None:
 
 
 def test_minutes_are_kept(arch: Any, tmp_path: Path) -> None:
-    settings = replace(SMALL, steps=0, minutes=0.05, phases=PHASES["imitation"])
+    settings = replace(SMALL, steps=0, minutes=0.02, phases=PHASES["imitation"])
     result = train(arch, settings, folder=tmp_path / "run", device="cpu")
     assert result.steps > 0
     assert result.seconds < 20
-    more = train(arch, TrainSettings(minutes=0.08), folder=tmp_path / "run", device="cpu", resume=True)
+    more = train(arch, TrainSettings(minutes=0.04), folder=tmp_path / "run", device="cpu", resume=True)
     assert more.steps > result.steps
     assert more.seconds > result.seconds
 
@@ -362,6 +364,7 @@ def test_settings_that_make_no_sense_are_refused(wrong: dict[str, Any]) -> None:
 PARALLEL = ("default", "paper")
 
 
+@pytest.mark.slow
 def test_two_processes_are_one_training(tmp_path: Path, run_processes: Callable[..., None]) -> None:
     """The same weights and known states in both, to the last bit; steps of the environment add up."""
     run_processes(Path(__file__).with_name("distributed_training.py"), 2, tmp_path, *PARALLEL)
