@@ -263,17 +263,23 @@ TABLES = {
             ("contact points", "{contact_points}"),
             ("contacts, s", "{contacts_s}"),
             ("problem, s", "{problem_s}"),
-            ("verdict with proof, s", "{verdict_s}"),
+            ("verdict with proof under `equilibrium`, s", "{equilibrium_s}"),
+            ("under `contact`, from rest, s", "{contact_s}"),
+            ("iterations", "{iterations}"),
+            ("verdict of a next state, s", "{next_s}"),
             ("memory, GiB", "{memory_gib}"),
         ),
-        where=quiet,
+        where=lambda record: record.get("time") == "processor",
     ),
     "scaling-exponents": Table(
         "scaling",
         (("", "fitted exponent"),),
-        tuple((name, f"{{exponent.{name}}}") for name in ("contacts_s", "problem_s", "verdict_s", "memory_gib")),
+        tuple(
+            (name, f"{{exponent.{name}}}")
+            for name in ("contacts_s", "problem_s", "equilibrium_s", "contact_s", "next_s", "memory_gib")
+        ),
         benchmark="scaling fit",
-        where=quiet,
+        where=lambda record: record.get("time") == "processor",
     ),
     "gpu-stability": Table(
         "gpu_stability",

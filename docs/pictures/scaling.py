@@ -10,7 +10,13 @@ import numpy as np
 from palette import INK, ROBOTS
 
 DATA = Path(__file__).resolve().parents[2] / "benchmarks" / "results" / "scaling.jsonl"
-SERIES = {"contacts_s": "contacts", "problem_s": "problem", "verdict_s": "one verdict with proof"}
+SERIES = {
+    "contacts_s": "contacts",
+    "problem_s": "problem",
+    "equilibrium_s": "verdict with proof, equilibrium",
+    "contact_s": "verdict with proof, contact",
+    "next_s": "verdict of a next state, contact",
+}
 
 
 def cost_against_parts(path: Path) -> None:
@@ -29,7 +35,7 @@ def cost_against_parts(path: Path) -> None:
     axes.set_xticks(parts, [f"{int(value)}" for value in parts], minor=False)
     axes.minorticks_off()
     axes.set_xlabel("parts of the built-in vault", color=INK)
-    axes.set_ylabel(f"seconds, {fit['device']}", color=INK)
+    axes.set_ylabel(f"processor seconds, {fit['device']}", color=INK)
     axes.grid(alpha=0.3)
     axes.legend(frameon=False)
     figure.savefig(path, dpi=110)

@@ -14,8 +14,9 @@ from falsework.assembly.model import Assembly
 from falsework.errors import AssemblyError, InputError
 from falsework.stability import CpuSettings, ExactSolver, StabilitySettings, build_problem
 from falsework.stability.cpu.admm import factor_admm
-from falsework.stability.cpu.elimination import eliminate, factor, solve
+from falsework.stability.cpu.elimination import eliminate
 from falsework.stability.cpu.layout import add_wrenches, build_structure, make_scratch, restrict
+from falsework.stability.cpu.panels import factor_panels, solve_panels
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.problem import Problem
 from falsework.stability.reference.conic_program import wrench_matrix
@@ -126,7 +127,7 @@ def test_elimination_agrees_with_dense_algebra(scenes: Any, assembly: Assembly) 
         slots = structure.elimination.position[np.flatnonzero(state == 1)]
         x = np.zeros_like(work.rhs)
         x[slots] = right.reshape(-1, 6)
-        solve(structure.elimination, work.free, work.diagonal, work.lower, work.filled, x)
+        solve_panels(work.panels, x)
         np.testing.assert_allclose(dense @ x[slots].ravel(), right, atol=1e-8)
 
 
@@ -135,8 +136,8 @@ def test_elimination_says_when_a_matrix_is_not_positive() -> None:
     work = make_scratch(structure)
     pairs, _ = restrict(structure, np.array([1] * 7 + [2, 2], np.uint8), work)
     assert not factor_admm(structure, work, pairs, -2.0)
-    work.diagonal[:] = np.nan
-    assert not factor(structure.elimination, work.free, work.diagonal, work.lower, work.filled)
+    work.panels.upper[:] = np.nan
+    assert not factor_panels(structure.elimination.supernode, work.panels, True)
 
 
 def test_one_order_serves_every_state(assembly: Assembly) -> None:
@@ -146,13 +147,16 @@ def test_one_order_serves_every_state(assembly: Assembly) -> None:
     assert sorted(pattern.order.tolist()) == np.flatnonzero(~assembly.boundary).tolist()
     np.testing.assert_array_equal(pattern.order[pattern.position[pattern.order]], pattern.order)
     assert (pattern.position[assembly.boundary] == -1).all()
-    for j in range(len(pattern.order)):
-        rows = pattern.row[pattern.column[j] : pattern.column[j + 1]]
+    owners = np.repeat(np.arange(len(pattern.start) - 1), np.diff(pattern.start))
+    np.testing.assert_array_equal(owners, pattern.supernode)
+    for a, b in np.sort(pattern.position[problem.pair_parts], axis=1).tolist():
+        owner = pattern.supernode[a] if a >= 0 else -1
+        rows = pattern.row[pattern.row_start[owner] : pattern.row_start[owner + 1]] if a >= 0 else np.array([])
+        assert a < 0 or b < pattern.start[owner + 1] or b in rows
+    for s, end in enumerate(pattern.start[1:]):
+        rows = pattern.row[pattern.row_start[s] : pattern.row_start[s + 1]]
         assert (np.diff(rows) > 0).all()
-        assert (rows > j).all()
-    loose = ~assembly.boundary[problem.pair_parts].any(axis=1)
-    assert (pattern.pair_block[loose] >= 0).all()
-    assert (pattern.pair_block[~loose] == -1).all()
+        assert (rows >= end).all()
 
 
 @pytest.mark.parametrize(("cone", "iterations"), [("octagon", 0), ("octagon", 5), ("quadratic", 5)])

@@ -87,7 +87,7 @@ def test_is_built_in(spec: str, known: bool) -> None:
         ("vault:support=2", "vault: support 2 m is more than 0.4 of span 4 m"),
         ("vault:parts=1000,thickness=4,rise=2", "vault: thickness 4 m is too much"),
         ("vault:thickness=30,rise=2", "vault: thickness 30 m is too much"),
-        ("vault:parts=12", "vault: parts is 12; give a whole number from 30 to 1000"),
+        ("vault:parts=12", "vault: parts is 12; give a whole number from 30 to 10000"),
         ("corbel:span=50", "corbel: blocks of 0.7 m cannot rest on each other in steps of 5 m"),
         ("bottle:pieces=100", "bottle: found no 100 pieces"),
         ("polycube:seed=-1", "polycube: seed is -1"),

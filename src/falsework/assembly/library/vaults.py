@@ -28,7 +28,7 @@ reach to the free edge and are half a width wider."""
 
 @structure("vault")
 def vault(
-    parts: Annotated[int, Range(30, 1000, "parts wanted, springers included")] = 60,
+    parts: Annotated[int, Range(30, 10_000, "parts wanted, springers included")] = 60,
     span: Annotated[float, Range(0.05, 200, "edge of the square plan", "m")] = 4.0,
     rise: Annotated[float, Range(0.005, 100, "crown above the corners, middle surface", "m")] = 1.0,
     thickness: Annotated[float, Range(0.0005, 50, "distance between the outer faces of a block", "m")] = 0.12,

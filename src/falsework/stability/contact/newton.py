@@ -13,9 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.stability.contact.law import contact_force, gauge, gauge_gradient
-from falsework.stability.contact.lu import add_pair, factor_lu, solve_lu
-from falsework.stability.cpu.layout import FAST, add_pair_wrench, clear_matrix, pair_velocity, point_velocity
+from falsework.stability.contact.law import contact_force
+from falsework.stability.contact.tangent import assemble_tangent
+from falsework.stability.cpu.elimination import lay_out_panels
+from falsework.stability.cpu.layout import FAST, add_pair_wrench, pair_velocity, point_velocity
+from falsework.stability.cpu.panels import factor_panels, solve_panels
 from falsework.utils.kernels import njit
 
 RESTS, MOVES_AWAY, OPEN = 1, -1, 0
@@ -73,8 +75,6 @@ class ContactScratch(NamedTuple):
     trial: NDArray[np.float64]
     """Elastic trial forces of the springs, shape (points, 3)."""
     next_trial: NDArray[np.float64]
-    upper: NDArray[np.float64]
-    """Transposed blocks above the diagonal, shape (blocks, 6, 6)."""
     load: NDArray[np.float64]
     """Whitened external wrenches on the parts, shape (n, 6)."""
     displacement: NDArray[np.float64]
@@ -88,8 +88,7 @@ class ContactScratch(NamedTuple):
 @njit(cache=True)
 def make_contact_scratch(structure):
     """Return scratch large enough for every state of a structure."""
-    n, blocks = len(structure.elimination.order), len(structure.elimination.row)
-    points = len(structure.basis)
+    n, points = len(structure.elimination.order), len(structure.basis)
     return ContactScratch(
         np.zeros(points),
         np.zeros(points),
@@ -98,7 +97,6 @@ def make_contact_scratch(structure):
         np.zeros((points, 3)),
         np.zeros((points, 3)),
         np.zeros((points, 3)),
-        np.zeros((blocks, 6, 6)),
         np.zeros((n, 6)),
         np.zeros((n, 6)),
         np.zeros((n, 6)),
@@ -141,56 +139,6 @@ def evaluate(structure, work, contact, pairs, displacement, trial, out):
             for r in range(6):
                 total += out[j, r] * out[j, r]
     return np.sqrt(total)
-
-
-@njit(fastmath=FAST, cache=True)
-def assemble_tangent(structure, contact_structure, work, contact, pairs, shift):
-    """Write the tangent stiffness at the spring forces `contact.trial`, plus `shift` times the identity.
-
-    A contact that just touches counts as closed and rough, so the first step from rest is that of a bonded structure.
-    """
-    basis, start, cone, friction = work.basis, work.start, structure.cone, work.friction
-    kn, kt, trial, pull, stick = contact.normal, contact.tangential, contact.trial, contact.pull, contact.stick
-    clear_matrix(work, shift)
-    contact.upper[:] = 0.0
-    turned_a, turned_b = contact_structure.turned_a, contact_structure.turned_b
-    ta, tb, block = structure.transfer_a, structure.transfer_b, structure.elimination.pair_block
-    pair, slot_a, slot_b = work.pair, work.slot_a, work.slot_b
-    diagonal, lower, filled, upper = work.diagonal, work.lower, work.filled, contact.upper
-    local, scratch = np.empty((1, 6, 6)), np.empty((3, 6, 6))
-    for p in range(pairs):
-        local[:] = 0.0
-        closed, slides = False, False
-        for j in range(start[p], start[p + 1]):
-            n, x, y = trial[j, 0] + pull[j], trial[j, 1], trial[j, 2]
-            if n < 0.0 and stick[j] <= 0.0:
-                continue
-            closed = True
-            k00 = kn[j] if n >= 0.0 else 0.0
-            k10, k20, k11, k12, k21, k22 = 0.0, 0.0, kt[j], 0.0, 0.0, kt[j]
-            size, mu = gauge(cone, x, y), friction[j]
-            limit = mu * max(n, 0.0) + stick[j]
-            if size > limit:
-                slides = True
-                ex, ey = x / size, y / size
-                gx, gy = gauge_gradient(cone, x, y)
-                k10, k20 = mu * k00 * ex, mu * k00 * ey
-                share = kt[j] * limit / size
-                k11, k12 = share * (1.0 - ex * gx), -share * ex * gy
-                k21, k22 = -share * ey * gx, share * (1.0 - ey * gy)
-            for i in range(6):
-                b0, b1, b2 = basis[j, i, 0], basis[j, i, 1], basis[j, i, 2]
-                h0 = b0 * k00 + b1 * k10 + b2 * k20
-                h1 = b1 * k11 + b2 * k21
-                h2 = b1 * k12 + b2 * k22
-                for k in range(6):
-                    local[0, i, k] += h0 * basis[j, k, 0] + h1 * basis[j, k, 1] + h2 * basis[j, k, 2]
-        if closed:
-            q, a, b = pair[p], slot_a[p], slot_b[p]
-            e = block[q]
-            if a >= 0 and b >= 0:
-                filled[e] = True
-            add_pair(ta, tb, turned_a, turned_b, q, a, b, e, local, not slides, diagonal, lower, upper, scratch)
 
 
 @njit(cache=True)
@@ -279,7 +227,7 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
     Returns:
         `RESTS`, `MOVES_AWAY` or `OPEN`; residual; iterations. Displacement and spring forces are in `contact`.
     """
-    free, elimination = work.free, structure.elimination
+    free, panels, symmetric = work.free, work.panels, pairs < 0  # not a literal, for which numba would compile anew
     now, ahead, step = contact.displacement, contact.next_displacement, contact.step
     residual, next_residual = contact.residual, contact.next_residual
     size = evaluate(structure, work, contact, pairs, now, contact.trial, residual)
@@ -288,15 +236,17 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
     for iteration in range(steps):
         if worst <= tolerance:
             return _at_rest(structure, contact_structure, work, now), worst, iteration
+        if iteration == 0:
+            lay_out_panels(structure, free, panels)
         assemble_tangent(structure, contact_structure, work, contact, pairs, 1.0 / time)
-        if not factor_lu(elimination, free, work.diagonal, work.lower, contact.upper, work.filled):
+        if not factor_panels(structure.elimination.supernode, panels, symmetric):
             time *= _CUT
             continue
         for j in range(len(free)):
             if free[j]:
                 for r in range(6):
                     step[j, r] = residual[j, r]
-        solve_lu(elimination, free, work.diagonal, work.lower, contact.upper, work.filled, step)
+        solve_panels(panels, step)
         length = 1.0
         while True:
             for j in range(len(free)):

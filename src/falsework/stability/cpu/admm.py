@@ -9,16 +9,16 @@ from __future__ import annotations
 import numpy as np
 
 from falsework.stability.cpu.cones import project_joint
-from falsework.stability.cpu.elimination import factor, solve
+from falsework.stability.cpu.elimination import lay_out_panels
 from falsework.stability.cpu.layout import (
     FAST,
     add_pair_wrench,
     add_wrenches,
-    clear_matrix,
     pair_velocity,
     point_velocity,
     set_load,
 )
+from falsework.stability.cpu.panels import add_block, clear_panels, factor_panels, solve_panels
 from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED, check_primal, judge
 from falsework.utils.kernels import njit
 
@@ -29,23 +29,21 @@ _BONDED = 1e-9
 @njit(fastmath=FAST, cache=True)
 def factor_admm(structure, work, pairs, rho):
     """Factor `S = rho I + G G^T` of the state."""
-    clear_matrix(work, rho)
+    panels, supernode, symmetric = work.panels, structure.elimination.supernode, pairs >= 0
+    lay_out_panels(structure, work.free, panels)
+    clear_panels(panels, rho, symmetric)
     pair, slot_a, slot_b = work.pair, work.slot_a, work.slot_b
-    diagonal, lower, filled, block = work.diagonal, work.lower, work.filled, structure.elimination.pair_block
-    stiff_a, stiff_b, stiff_low = structure.stiffness_aa, structure.stiffness_bb, structure.stiffness_low
+    upper, diagonal, block, width = panels.upper, panels.diagonal, panels.block, panels.width
+    stiff_a, stiff_b, stiff_side = structure.stiffness_aa, structure.stiffness_bb, structure.stiffness_side
     for p in range(pairs):
         q, a, b = pair[p], slot_a[p], slot_b[p]
-        for r in range(6):
-            for c in range(6):
-                if a >= 0:
-                    diagonal[a, r, c] += stiff_a[q, r, c]
-                if b >= 0:
-                    diagonal[b, r, c] += stiff_b[q, r, c]
-                if a >= 0 and b >= 0:
-                    lower[block[q], r, c] += stiff_low[q, r, c]
+        if a >= 0:
+            add_block(stiff_a, q, upper, diagonal[a], width[supernode[a]])
+        if b >= 0:
+            add_block(stiff_b, q, upper, diagonal[b], width[supernode[b]])
         if a >= 0 and b >= 0:
-            filled[block[q]] = True
-    return factor(structure.elimination, work.free, diagonal, lower, filled)
+            add_block(stiff_side, q, upper, block[q], width[supernode[min(a, b)]])
+    return factor_panels(supernode, panels, symmetric)
 
 
 @njit(fastmath=FAST, cache=True)
@@ -62,7 +60,7 @@ def try_bonded(structure, work, pairs, options):
         z[j, 0], z[j, 1], z[j, 2] = pull[j], 0.0, 0.0
     set_load(work, w)
     add_wrenches(structure, work, pairs, z, w)
-    solve(structure.elimination, work.free, work.diagonal, work.lower, work.filled, w)
+    solve_panels(work.panels, w)
     transfer_a, transfer_b = structure.transfer_a, structure.transfer_b
     for p in range(pairs):
         s0, s1, s2, s3, s4, s5 = pair_velocity(transfer_a, transfer_b, pair[p], slot_a[p], slot_b[p], w)
@@ -92,7 +90,7 @@ def run_admm(structure, work, pairs, options):
             if free[j]:
                 for r in range(6):
                     w[j, r] = rhs[j, r]
-        solve(structure.elimination, free, work.diagonal, work.lower, work.filled, w)
+        solve_panels(work.panels, w)
         set_load(work, rhs)
         for p in range(pairs):
             q, a, b = pair[p], slot_a[p], slot_b[p]

@@ -1,8 +1,9 @@
-"""Sparse block elimination of `S`: symbolic once per structure, numeric once per state.
+"""Symbolic elimination of block matrices with the pattern of `S`: once per structure, and cut down to each state.
 
-`S` has one 6 x 6 block row a part that can move, and a block wherever two such parts touch. Removing or
-holding parts only takes rows away, and the fill of a subgraph lies inside the fill of the whole graph
-under the same order; so one symbolic elimination of the complete structure serves every state.
+`S` has one 6 x 6 block row a part that can move, and a block wherever two such parts touch. Consecutive positions with
+much the same fill are a supernode; its rows and columns are dense panels (`panels.py`). Removing or holding parts only
+takes rows away, and the fill of a subgraph lies inside the fill of the whole graph under the same order; so the pattern
+of the complete structure bounds that of every state.
 """
 
 from __future__ import annotations
@@ -12,232 +13,251 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.stability.cpu.ordering import elimination_order
 from falsework.stability.problem import Problem
 from falsework.utils.kernels import njit
 
+LANES = 8
+"""Panel rows are padded to a multiple of this many numbers."""
+_ALWAYS = 3
+"""Parts up to which a supernode and the one that follows it become one, whatever zeros that stores."""
+_ZEROS = 0.05
+"""Share of zeros in the panels of two supernodes up to which they become one beyond that."""
+
 
 class Elimination(NamedTuple):
-    """Pattern of the block factor `L D L^T` of a structure, in elimination order."""
+    """Pattern of the block factors of a structure, in elimination order."""
 
     order: NDArray[np.int32]
     """Part at each position, shape (n,); boundary parts are left out."""
     position: NDArray[np.int32]
     """Position of each part, -1 for boundary, shape (parts,)."""
-    column: NDArray[np.int32]
-    """Column `j` owns blocks `column[j]:column[j + 1]`, shape (n + 1,)."""
+    start: NDArray[np.int32]
+    """Supernode `s` has the positions `start[s]:start[s + 1]`, shape (supernodes + 1,)."""
+    supernode: NDArray[np.int32]
+    """Supernode of each position, shape (n,)."""
+    row_start: NDArray[np.int32]
+    """Supernode `s` has the rows `row[row_start[s]:row_start[s + 1]]` below it, shape (supernodes + 1,)."""
     row: NDArray[np.int32]
-    """Row position of each block below the diagonal, ascending in a column, shape (blocks,)."""
-    first_target: NDArray[np.int64]
-    """Where a block's update targets start, shape (blocks + 1,)."""
-    target: NDArray[np.int32]
-    """For block `e2` and each later block `e1` of its column: the block that `L_e1 D L_e2^T` is taken from."""
-    pair_block: NDArray[np.int32]
-    """Block of each pair of parts, -1 where one is boundary, shape (pairs,)."""
+    """Positions, ascending in a supernode."""
+
+
+class Panels(NamedTuple):
+    """Panels of the state at hand, for one thread. Members of a supernode are its own free positions, then its rows.
+
+    A panel has six rows an own position, and six columns a member. Entry `(6 i + r, 6 j + c)` of the upper one is entry
+    `(r, c)` of the block in row `i` and column `j`, and entry `(c, r)` of block `(j, i)` of the lower one. Diagonal
+    blocks are in the upper one; left of them there is nothing of meaning.
+    """
+
+    upper: NDArray[np.float64]
+    """All panels in one; row pivots, and their inverses and `U` once factored."""
+    lower: NDArray[np.float64]
+    """The same of the transposes below the diagonal; `L^T` once factored."""
+    panel: NDArray[np.int64]
+    """Where the panels of each supernode start in both, shape (supernodes + 1,)."""
+    width: NDArray[np.int64]
+    """Numbers in a row of its panels."""
+    own: NDArray[np.int64]
+    """How many of its positions are free; the panels of a supernode without are empty."""
+    member_start: NDArray[np.int64]
+    """Where its members start in `member`, shape (supernodes + 1,)."""
+    member: NDArray[np.int64]
+    """Positions."""
+    diagonal: NDArray[np.int64]
+    """Where the diagonal block of each free position is in `upper`, shape (n,)."""
+    block: NDArray[np.int64]
+    """Where the block of each pair of two free parts is in both, row of the earlier position, shape (pairs,)."""
+    place: NDArray[np.int64]
+    """Scratch: places of positions among the members of a supernode, shape (n,)."""
+    mark: NDArray[np.int64]
+    """Scratch: the last supernode that was seen to reach each position, shape (n,)."""
+    head: NDArray[np.int64]
+    """Scratch: first of the supernodes that wait for each supernode, -1 without; shape (supernodes,)."""
+    following: NDArray[np.int64]
+    """Scratch: the next that waits for the same."""
+    used: NDArray[np.int64]
+    """Scratch: first member of each supernode whose row it has not updated."""
+    strip: NDArray[np.float64]
+    """Scratch: a block row, twice, shape (2 * 6 * widest,)."""
 
 
 def eliminate(problem: Problem) -> Elimination:
-    """Return the order the parts by minimum degree and find the fill (George and Liu, 1981, chapter 5)."""
-    removable = np.flatnonzero(~problem.boundary)
-    neighbours: dict[int, set[int]] = {int(part): set() for part in removable}
+    """Order the parts and find the fill, supernode by supernode (George and Liu, 1981; Liu, Ng and Peyton, 1993)."""
+    neighbours: dict[int, set[int]] = {int(part): set() for part in np.flatnonzero(~problem.boundary)}
     for a, b in problem.pair_parts.tolist():
         if a in neighbours and b in neighbours:
             neighbours[a].add(b)
             neighbours[b].add(a)
-    order, below = _minimum_degree(neighbours)
-
+    order, parent = _postorder(neighbours, elimination_order(neighbours))
+    place = {part: j for j, part in enumerate(order)}
+    rows: list[set[int]] = [
+        {place[other] for other in neighbours[part] if place[other] > j} for part, j in place.items()
+    ]
+    for j, above in enumerate(parent):  # children come before
+        if above >= 0:
+            rows[above] |= rows[j] - {above}
+    start, below = _supernodes(rows, parent)
     position = np.full(problem.parts, -1, dtype=np.int32)
     position[order] = np.arange(len(order))
-    column = np.zeros(len(order) + 1, dtype=np.int32)
-    rows: list[list[int]] = [sorted(int(position[part]) for part in below[part_j]) for part_j in order]
-    column[1:] = np.cumsum([len(entries) for entries in rows])
-    block_of = {(i, j): int(column[j]) + offset for j, entries in enumerate(rows) for offset, i in enumerate(entries)}
-    first_target, target = [0], []
-    for entries in rows:
-        for offset, i2 in enumerate(entries):
-            target.extend(block_of[i1, i2] for i1 in entries[offset + 1 :])
-            first_target.append(len(target))
-    pair_block = np.full(problem.pairs, -1, dtype=np.int32)
-    for q, (a, b) in enumerate(problem.pair_parts.tolist()):
-        i, j = int(position[a]), int(position[b])
-        if i >= 0 and j >= 0:
-            pair_block[q] = block_of[max(i, j), min(i, j)]
+    sizes = np.diff(start)
     return Elimination(
         order=np.array(order, dtype=np.int32),
         position=position,
-        column=column,
-        row=np.array([i for entries in rows for i in entries], dtype=np.int32),
-        first_target=np.array(first_target, dtype=np.int64),
-        target=np.array(target, dtype=np.int32),
-        pair_block=pair_block,
+        start=np.array(start, dtype=np.int32),
+        supernode=np.repeat(np.arange(len(sizes)), sizes).astype(np.int32),
+        row_start=np.cumsum([0] + [len(each) for each in below]).astype(np.int32),
+        row=np.array([i for each in below for i in sorted(each)], dtype=np.int32),
     )
 
 
-def _minimum_degree(neighbours: dict[int, set[int]]) -> tuple[list[int], dict[int, set[int]]]:
-    """Elimination order, and the later parts that each part is coupled to when its turn comes."""
-    order: list[int] = []
-    below: dict[int, set[int]] = {}
-    while neighbours:
-        part = min(neighbours, key=lambda candidate: (len(neighbours[candidate]), candidate))
-        clique = neighbours.pop(part)
-        order.append(part)
-        below[part] = clique
-        for other in clique:
-            neighbours[other] |= clique
-            neighbours[other] -= {other, part}
-    return order, below
+def _postorder(neighbours: dict[int, set[int]], order: list[int]) -> tuple[list[int], list[int]]:
+    """Return the order with each subtree of the elimination tree in a row, and parents by position, -1 for roots."""
+    place = {part: j for j, part in enumerate(order)}
+    parent, ancestor = [-1] * len(order), [-1] * len(order)
+    for j, part in enumerate(order):
+        for other in neighbours[part]:
+            i = place[other]
+            while i < j:  # up to the root so far, with the path made short (Liu, 1986)
+                above, ancestor[i] = ancestor[i], j
+                if above < 0:
+                    parent[i] = j
+                    break
+                i = above
+    children: list[list[int]] = [[] for _ in order]
+    roots = []
+    for j, above in enumerate(parent):
+        (children[above] if above >= 0 else roots).append(j)
+    new: list[int] = []
+    ahead = roots
+    while ahead:  # parents first, from the last root; then turned round
+        j = ahead.pop()
+        new.append(j)
+        ahead += children[j]
+    new.reverse()
+    number = {j: k for k, j in enumerate(new)}
+    return [order[j] for j in new], [number[parent[j]] if parent[j] >= 0 else -1 for j in new]
 
 
-@njit(inline="always", fastmath=True)
-def _invert(block, b, inverse):
-    """Inverse of the symmetric positive definite block `block[b]` by its Cholesky factor; False if it is not."""
-    for i in range(6):
-        for j in range(i + 1):
-            total = block[b, i, j]
-            for k in range(j):
-                total -= inverse[i, k] * inverse[j, k]
-            if i == j:
-                if not total > 0.0:
-                    return False
-                inverse[i, i] = np.sqrt(total)
-            else:
-                inverse[i, j] = total / inverse[j, j]
-    # Invert the lower triangle in place, then form L^-T L^-1.
-    for j in range(6):
-        inverse[j, j] = 1.0 / inverse[j, j]
-        for i in range(j + 1, 6):
-            total = 0.0
-            for k in range(j, i):
-                total -= inverse[i, k] * inverse[k, j]
-            inverse[i, j] = total / inverse[i, i]
-    for i in range(6):
-        for j in range(i + 1):
-            total = 0.0
-            for k in range(i, 6):
-                total += inverse[k, i] * inverse[k, j]
-            inverse[i, j] = total
-    for i in range(6):
-        for j in range(i):
-            inverse[j, i] = inverse[i, j]
-    return True
+def _supernodes(rows: list[set[int]], parent: list[int]) -> tuple[list[int], list[set[int]]]:
+    """Return where supernodes start, with the end, and the rows below each."""
+    found: list[tuple[int, int, int]] = []  # first and last position, and zeros in the panels
+    for j in range(len(rows)):
+        first, zeros = j, 0
+        while found and first <= parent[first - 1] <= j:
+            before, last, more = found[-1]
+            size = j + 1 - before
+            more += zeros + (first - before) * (j + 1 - first + len(rows[j]) - len(rows[last]))
+            if size > _ALWAYS and more > _ZEROS * size * (size + len(rows[j])):
+                break
+            found.pop()
+            first, zeros = before, more
+        found.append((first, j, zeros))
+    return [*(first for first, _, _ in found), len(rows)], [rows[last] for _, last, _ in found]
 
 
-@njit(inline="always", fastmath=True)
-def _subtract_product(left, e, right, out, t):
-    """`out[t] -= left[e] right^T`."""
-    for r in range(6):
-        for c in range(6):
-            total = 0.0
-            for k in range(6):
-                total += left[e, r, k] * right[c, k]
-            out[t, r, c] -= total
+@njit(cache=True)
+def make_panels(elimination, pairs):
+    """Return panels large enough for every state of a structure with so many pairs of parts."""
+    start, row_start = elimination.start, elimination.row_start
+    n, count = len(elimination.order), len(start) - 1
+    entries, members, widest = 0, 0, 0
+    for s in range(count):
+        size = start[s + 1] - start[s]
+        width = _padded(6 * (size + row_start[s + 1] - row_start[s]))
+        entries += 6 * size * width
+        members += size + row_start[s + 1] - row_start[s]
+        widest = max(widest, width)
+    return Panels(
+        np.empty(entries),  # not filled, lest a few parts cost what all do
+        np.empty(entries),
+        np.zeros(count + 1, np.int64),
+        np.zeros(count, np.int64),
+        np.zeros(count, np.int64),
+        np.zeros(count + 1, np.int64),
+        np.zeros(members, np.int64),
+        np.zeros(n, np.int64),
+        np.zeros(pairs, np.int64),
+        np.zeros(n, np.int64),
+        np.zeros(n, np.int64),
+        np.zeros(count, np.int64),
+        np.zeros(count, np.int64),
+        np.zeros(count, np.int64),
+        np.empty(12 * widest),
+    )
 
 
-@njit(fastmath=True, cache=True)
-def factor(elimination, free, diagonal, lower, filled):
-    """Replace `S` by its factor: `diagonal` becomes `D^-1`, `lower` becomes `L`.
+@njit(inline="always")
+def _padded(size):
+    return (size + LANES - 1) // LANES * LANES
 
-    Args:
-        elimination: the structure's pattern.
-        free: which positions take part, shape (n,).
-        diagonal: diagonal blocks of `S`, shape (n, 6, 6); overwritten.
-        lower: blocks below the diagonal, zero where `S` has none, shape (blocks, 6, 6); overwritten.
-        filled: which blocks are not zero, shape (blocks,); fill is marked as it appears.
 
-    Returns:
-        False if a pivot is not positive.
+@njit(cache=True)
+def lay_out_panels(structure, free, panels):
+    """Find the fill of a state, whose parts at the positions `free` can move, and give each block its place.
+
+    Every later position that a free one touches is marked for its supernode, and so is what its children in the
+    elimination tree have below them.
     """
-    column, row = elimination.column, elimination.row
-    first_target, target = elimination.first_target, elimination.target
-    scaled, inverse = np.empty((6, 6)), np.empty((6, 6))
-    for j in range(len(free)):
-        if not free[j]:
+    elimination = structure.elimination
+    start, supernode, row_start, row = elimination.start, elimination.supernode, elimination.row_start, elimination.row
+    order, position = elimination.order, elimination.position
+    first_pair, pair, parts = structure.neighbour_start, structure.neighbour_pair, structure.pair_parts
+    panel, width, own, member_start, member = (
+        panels.panel,
+        panels.width,
+        panels.own,
+        panels.member_start,
+        panels.member,
+    )
+    head, following, place, mark = panels.head, panels.following, panels.place, panels.mark
+    diagonal, block = panels.diagonal, panels.block
+    mark[:] = -1
+    head[:] = -1
+    entries, members = 0, 0
+    for s in range(len(own)):
+        begin, after = members, start[s + 1]
+        member_start[s], panel[s] = begin, entries
+        for j in range(start[s], after):
+            if free[j]:
+                member[members] = j
+                members += 1
+        own[s] = members - begin
+        if members == begin:
             continue
-        if not _invert(diagonal, j, inverse):
-            return False
-        for r in range(6):
-            for c in range(6):
-                diagonal[j, r, c] = inverse[r, c]
-        for e2 in range(column[j], column[j + 1]):
-            if not filled[e2]:
-                continue
-            for r in range(6):  # scaled = A_e2 D^-1, the block of L
-                for c in range(6):
-                    total = 0.0
-                    for k in range(6):
-                        total += lower[e2, r, k] * inverse[k, c]
-                    scaled[r, c] = total
-            _subtract_product(lower, e2, scaled, diagonal, row[e2])
-            for e1 in range(e2 + 1, column[j + 1]):
-                if filled[e1]:
-                    t = target[first_target[e2] + e1 - e2 - 1]
-                    filled[t] = True
-                    _subtract_product(lower, e1, scaled, lower, t)
-            for r in range(6):
-                for c in range(6):
-                    lower[e2, r, c] = scaled[r, c]
-    return True
-
-
-@njit(inline="always", fastmath=True)
-def eliminate_below(column, row, lower, filled, x, j):
-    """Forward substitution of column `j`: subtract `L_ij x_j` from every later row."""
-    x0, x1, x2, x3, x4, x5 = x[j, 0], x[j, 1], x[j, 2], x[j, 3], x[j, 4], x[j, 5]
-    for e in range(column[j], column[j + 1]):
-        if filled[e]:
-            i = row[e]
-            for r in range(6):
-                x[i, r] -= (
-                    lower[e, r, 0] * x0
-                    + lower[e, r, 1] * x1
-                    + lower[e, r, 2] * x2
-                    + lower[e, r, 3] * x3
-                    + lower[e, r, 4] * x4
-                    + lower[e, r, 5] * x5
-                )
-
-
-@njit(inline="always", fastmath=True)
-def substitute_back(column, row, upper, filled, x, j):
-    """Backward substitution of row `j`: subtract `U_ji x_i`; `upper` holds the blocks `U_ji^T`."""
-    for e in range(column[j], column[j + 1]):
-        if filled[e]:
-            i = row[e]
-            x0, x1, x2, x3, x4, x5 = x[i, 0], x[i, 1], x[i, 2], x[i, 3], x[i, 4], x[i, 5]
-            for c in range(6):
-                x[j, c] -= (
-                    upper[e, 0, c] * x0
-                    + upper[e, 1, c] * x1
-                    + upper[e, 2, c] * x2
-                    + upper[e, 3, c] * x3
-                    + upper[e, 4, c] * x4
-                    + upper[e, 5, c] * x5
-                )
-
-
-@njit(inline="always", fastmath=True)
-def apply_block(diagonal, x, j):
-    """`x[j] = diagonal[j] x[j]`."""
-    x0, x1, x2, x3, x4, x5 = x[j, 0], x[j, 1], x[j, 2], x[j, 3], x[j, 4], x[j, 5]
-    for r in range(6):
-        x[j, r] = (
-            diagonal[j, r, 0] * x0
-            + diagonal[j, r, 1] * x1
-            + diagonal[j, r, 2] * x2
-            + diagonal[j, r, 3] * x3
-            + diagonal[j, r, 4] * x4
-            + diagonal[j, r, 5] * x5
-        )
-
-
-@njit(fastmath=True, cache=True)
-def solve(elimination, free, diagonal, lower, filled, x):
-    """Solve `S x = b` in place with the factor made by `factor`; `x` has shape (n, 6)."""
-    column, row = elimination.column, elimination.row
-    n = len(free)
-    for j in range(n):
-        if free[j]:
-            eliminate_below(column, row, lower, filled, x, j)
-            apply_block(diagonal, x, j)
-    for j in range(n - 1, -1, -1):
-        if free[j]:
-            substitute_back(column, row, lower, filled, x, j)
+        for m in range(begin, members):
+            part = order[member[m]]
+            for k in range(first_pair[part], first_pair[part + 1]):
+                q = pair[k]
+                i = position[parts[q, 0] + parts[q, 1] - part]
+                if i >= after and free[i]:
+                    mark[i] = s
+        child = head[s]
+        while child >= 0:
+            for m in range(member_start[child] + own[child], member_start[child + 1]):
+                if member[m] >= after:
+                    mark[member[m]] = s
+            child = following[child]
+        for k in range(row_start[s], row_start[s + 1]):
+            if mark[row[k]] == s:
+                member[members] = row[k]
+                members += 1
+        member_start[s + 1] = members  # for its parent
+        if members > begin + own[s]:
+            above = supernode[member[begin + own[s]]]
+            following[s], head[above] = head[above], s
+        width[s] = _padded(6 * (members - begin))
+        for m in range(begin, members):
+            place[member[m]] = m - begin
+        for m in range(begin, begin + own[s]):
+            j = member[m]
+            line = entries + 6 * (m - begin) * width[s]
+            part = order[j]
+            for k in range(first_pair[part], first_pair[part + 1]):
+                q = pair[k]
+                i = position[parts[q, 0] + parts[q, 1] - part]
+                if i > j and free[i]:
+                    block[q] = line + 6 * place[i]
+            diagonal[j] = line + 6 * (m - begin)
+        entries += 6 * own[s] * width[s]
+    member_start[len(own)], panel[len(own)] = members, entries

@@ -21,17 +21,16 @@ import math
 import numpy as np
 
 from falsework.stability.cpu.cones import OCTAGON
-from falsework.stability.cpu.elimination import factor, solve
 from falsework.stability.cpu.layout import (
     FAST,
     add_pair_wrench,
     add_wrenches,
-    clear_matrix,
     dot,
     pair_velocity,
     point_velocity,
     set_load,
 )
+from falsework.stability.cpu.panels import clear_panels, factor_panels, solve_panels
 from falsework.stability.cpu.termination import UNDECIDED, judge
 from falsework.utils.kernels import njit
 
@@ -179,11 +178,12 @@ def _assemble(structure, work, pairs, octagon, mu, r, target, matrix):
     """Write the right-hand side, and the matrix if requested."""
     size = 8 if octagon else 3
     basis, start, pair, slot_a, slot_b = work.basis, work.start, work.pair, work.slot_a, work.slot_b
-    ta, tb, block = structure.transfer_a, structure.transfer_b, structure.elimination.pair_block
-    free, v, rhs, diagonal, lower, filled = work.free, work.v, work.rhs, work.diagonal, work.lower, work.filled
+    ta, tb, supernode = structure.transfer_a, structure.transfer_b, structure.elimination.supernode
+    free, v, rhs, panels = work.free, work.v, work.rhs, work.panels
+    upper, diagonal, block, width = panels.upper, panels.diagonal, panels.block, panels.width
     weights, slacks, dx, ds = work.weights, work.slacks, work.weight_steps, work.slack_steps
     if matrix:
-        clear_matrix(work, 1.0)
+        clear_panels(panels, 1.0, matrix)
     _strains(structure, work, pairs, r)
     set_load(work, rhs)
     for j in range(len(free)):
@@ -226,16 +226,14 @@ def _assemble(structure, work, pairs, octagon, mu, r, target, matrix):
                 local[k, i] = local[i, k]
         if a >= 0:
             _multiply(ta, q, local, left)
-            _add_product(left, ta, q, diagonal, a)
-            if b_ >= 0:
-                filled[block[q]] = True
-                if b_ < a:
-                    _add_product(left, tb, q, lower, block[q])
+            _add_product(left, ta, q, upper, diagonal[a], width[supernode[a]])
+            if a < b_:
+                _add_product(left, tb, q, upper, block[q], width[supernode[a]])
         if b_ >= 0:
             _multiply(tb, q, local, left)
-            _add_product(left, tb, q, diagonal, b_)
-            if a >= 0 and b_ > a:
-                _add_product(left, ta, q, lower, block[q])
+            _add_product(left, tb, q, upper, diagonal[b_], width[supernode[b_]])
+            if b_ < a:
+                _add_product(left, ta, q, upper, block[q], width[supernode[b_]])
 
 
 @njit(inline="always", fastmath=FAST)
@@ -250,14 +248,14 @@ def _multiply(left, q, right, out):
 
 
 @njit(inline="always", fastmath=FAST)
-def _add_product(left, right, q, out, e):
-    """`out[e] += left right[q]^T`."""
+def _add_product(left, right, q, out, place, width):
+    """Add `left right[q]^T` to a block of a panel."""
     for i in range(6):
         for j in range(6):
             total = 0.0
             for k in range(6):
                 total += left[i, k] * right[q, j, k]
-            out[e, i, j] += total
+            out[place + i * width + j] += total
 
 
 @njit(fastmath=FAST, cache=True)
@@ -334,16 +332,16 @@ def run_interior(structure, work, pairs, options):
         work.slack_steps[:points] = 0.0
         gap = _complementarity(work, points, size, 0.0)
         _assemble(structure, work, pairs, octagon, mu, r, 0.0, correct)
-        if not factor(structure.elimination, work.free, work.diagonal, work.lower, work.filled):
+        if not factor_panels(structure.elimination.supernode, work.panels, correct):
             break
-        solve(structure.elimination, work.free, work.diagonal, work.lower, work.filled, step)
+        solve_panels(work.panels, step)
         reach = min(1.0, _steps(structure, work, pairs, octagon, mu, r, step, 0.0, predict))
         centring = max(_complementarity(work, points, size, reach) / gap, 0.0) ** 3
         target = centring * gap / (8.0 if octagon else 1.0)
         if not octagon:
             work.weight_steps[:points] = 0.0  # the second-order term of the quadratic cone is neglected
         _assemble(structure, work, pairs, octagon, mu, r, target, predict)
-        solve(structure.elimination, work.free, work.diagonal, work.lower, work.filled, step)
+        solve_panels(work.panels, step)
         reach = min(1.0, _BACK_OFF * _steps(structure, work, pairs, octagon, mu, r, step, target, octagon))
         for j in range(len(work.free)):
             if work.free[j]:

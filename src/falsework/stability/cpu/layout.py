@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.stability.cpu.cones import CONES
-from falsework.stability.cpu.elimination import Elimination, eliminate
+from falsework.stability.cpu.elimination import Elimination, Panels, eliminate, make_panels
 from falsework.stability.problem import Problem
 from falsework.stability.strength import Strength
 from falsework.utils.kernels import njit
@@ -31,8 +31,8 @@ class KernelArrays(NamedTuple):
     stiffness_aa: NDArray[np.float64]
     """Contribution of each pair to the diagonal block of `S` of part `a`, shape (pairs, 6, 6)."""
     stiffness_bb: NDArray[np.float64]
-    stiffness_low: NDArray[np.float64]
-    """Contribution to the block below the diagonal, shape (pairs, 6, 6)."""
+    stiffness_side: NDArray[np.float64]
+    """Contribution to the block in the row of the part that is eliminated first, shape (pairs, 6, 6)."""
     neighbour_start: NDArray[np.int32]
     """Part `i` is in pairs `neighbour_pair[neighbour_start[i]:neighbour_start[i + 1]]`, shape (parts + 1,)."""
     neighbour_pair: NDArray[np.int32]
@@ -75,7 +75,7 @@ def build_structure(problem: Problem) -> KernelArrays:
         transfer_b=b,
         stiffness_aa=np.ascontiguousarray(a @ stiffness @ a.transpose(0, 2, 1)),
         stiffness_bb=np.ascontiguousarray(b @ stiffness @ b.transpose(0, 2, 1)),
-        stiffness_low=np.ascontiguousarray(np.where(later_is_b[:, None, None], cross, cross.transpose(0, 2, 1))),
+        stiffness_side=np.ascontiguousarray(np.where(later_is_b[:, None, None], cross.transpose(0, 2, 1), cross)),
         neighbour_start=np.searchsorted(ends[by_part], np.arange(problem.parts + 1)).astype(np.int32),
         neighbour_pair=(by_part % max(problem.pairs, 1)).astype(np.int32),
         gravity=problem.scaled_gravity,
@@ -150,16 +150,14 @@ class Scratch(NamedTuple):
     """Shape (n, 6), whitened."""
     rhs: NDArray[np.float64]
     residual: NDArray[np.float64]
-    diagonal: NDArray[np.float64]
-    lower: NDArray[np.float64]
-    filled: NDArray[np.bool_]
+    panels: Panels
+    """The matrix; `lay_out_panels` gives its blocks their places in a state."""
 
 
 @njit(cache=True)
 def make_scratch(structure):
     """Return scratch large enough for every state of a structure."""
     n = len(structure.elimination.order)
-    blocks = len(structure.elimination.row)
     pairs = len(structure.pair_parts)
     points = len(structure.basis)
     return Scratch(
@@ -168,7 +166,7 @@ def make_scratch(structure):
         np.zeros(pairs, dtype=np.int32),
         np.zeros(pairs, dtype=np.int32),
         np.zeros(pairs + 1, dtype=np.int32),
-        np.zeros((points, 6, 3)),
+        np.empty((points, 6, 3)),
         np.zeros(points),
         np.zeros(points),
         np.zeros(points),
@@ -179,16 +177,14 @@ def make_scratch(structure):
         np.zeros((points, 3)),
         np.zeros((points, 3)),
         np.zeros((points, 3)),
-        np.zeros((points, 8)),
-        np.zeros((points, 8)),
-        np.zeros((points, 8)),
-        np.zeros((points, 8)),
+        np.empty((points, 8)),
+        np.empty((points, 8)),
+        np.empty((points, 8)),
+        np.empty((points, 8)),
         np.zeros((n, 6)),
         np.zeros((n, 6)),
         np.zeros((n, 6)),
-        np.zeros((n, 6, 6)),
-        np.zeros((blocks, 6, 6)),
-        np.zeros(blocks, dtype=np.bool_),
+        make_panels(structure.elimination, pairs),
     )
 
 
@@ -345,19 +341,6 @@ def add_wrenches(structure, work, pairs, forces, out):
             a4 += basis[j, 4, 0] * f0 + basis[j, 4, 1] * f1 + basis[j, 4, 2] * f2
             a5 += basis[j, 5, 0] * f0 + basis[j, 5, 1] * f1 + basis[j, 5, 2] * f2
         add_pair_wrench(transfer_a, transfer_b, pair[p], slot_a[p], slot_b[p], a0, a1, a2, a3, a4, a5, out)
-
-
-@njit(fastmath=FAST, cache=True)
-def clear_matrix(work, shift):
-    """Set `S` to `shift` times the identity."""
-    free, diagonal = work.free, work.diagonal
-    work.lower[:] = 0.0
-    work.filled[:] = False
-    for j in range(len(free)):
-        if free[j]:
-            for r in range(6):
-                for c in range(6):
-                    diagonal[j, r, c] = shift if r == c else 0.0
 
 
 @njit(fastmath=FAST, cache=True)
