@@ -35,6 +35,8 @@ _FARTHER_LOOKAHEAD = 256
 """The same after a death."""
 _LOOKAHEAD_PER_WIDTH = 16
 """The same for wide beams, as a multiple of the width."""
+_REMEMBERED_STATES = 4096
+"""States whose tried parts are remembered; of a few hundred parts each, so a few megabytes."""
 _PLACE = ("failures", "turns", "retreats", "deaths", "farthest", "easy_from", "chain_from")
 """Fields of the memory of places where beams died."""
 
@@ -206,4 +208,8 @@ class AdaptiveBeam:
 
     def _tried_from(self, level: int) -> list[int]:
         """Return the parts that led nowhere from the state at a level on the way to the best scored one."""
-        return self._tried.setdefault(self.search.before(level).tobytes().hex(), [])
+        state = self.search.before(level).tobytes().hex()
+        tried = self._tried[state] = self._tried.pop(state, [])  # the last used is the last forgotten
+        if len(self._tried) > _REMEMBERED_STATES:
+            del self._tried[next(iter(self._tried))]
+        return tried
