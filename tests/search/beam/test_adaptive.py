@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.search import Direction, Outcome, Task
+from falsework.search import BeamSearch, BeamSettings, Direction, Outcome, Task
 from falsework.search.beam.adaptive import AdaptiveBeam, AdaptiveSettings
 
 
@@ -109,6 +109,36 @@ def test_tries_each_chain_once(rules: Any) -> None:
     assert beam.search.settings.avoided == (7,)
     assert beam._tried == {task.target.tobytes().hex(): [7]}
     assert beam.run(1).found
+
+
+def test_forgets_the_states_it_came_from_longest_ago(rules: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("falsework.search.beam.adaptive._REMEMBERED_STATES", 3)
+    beam = AdaptiveBeam(Task.create(rules.ground(8), 2), rules.tower(8), AdaptiveSettings())
+    beam.run(1)
+    for level in (0, 1, 2, 0, 3):
+        beam._tried_from(level).append(level)
+    assert list(beam._tried.values()) == [[2], [0, 0], [3]]
+
+
+def test_other_chains_do_not_begin_beside_those_that_failed(rules: Any) -> None:
+    """Parts 1 to 3 are in contact; from 4 on nothing touches what failed, so 4 comes before 2."""
+    parts = 6
+    oracle = rules.blocks(parts)
+    contacts = [(1, 2), (2, 3), (3, 1)]
+    task = Task.create(rules.ground(parts), 1, contacts=contacts)
+
+    def first_fixed(avoided: tuple[int, ...]) -> int:
+        search = BeamSearch(
+            task,
+            oracle,
+            BeamSettings(width=1, lookahead=1, diversity="none", avoided=avoided),
+            guide=lambda states, actions, way: -0.01 * misled(states, actions, way),
+        )
+        search.step()
+        return int(search.levels[-1].action[0]) % parts
+
+    assert first_fixed(()) == 1
+    assert first_fixed((1,)) == 4
 
 
 def test_stops_in_between_and_goes_on(rules: Any) -> None:
