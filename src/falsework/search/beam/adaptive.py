@@ -177,11 +177,12 @@ class AdaptiveBeam:
         """Go back and come again, another way or wider; False if that would be too wide."""
         search = self.search
         level = len(search.levels) - 1
-        begun, part = search.chain()
+        (begun, part), binding = search.chain(), search.binding()
+        if binding is not None and binding[0] < begun:  # one robot was bound all along, and the other laid the rest
+            begun, part = binding
         if begun > self._chain_from and level > self._farthest + 2:
             self._failures = self._retreats = 0
         back, turned = begun, False
-        binding = search.binding()
         if binding is not None and binding[0] > begun and self._turns < _TURNS:
             turned = binding[1] not in self._tried_from(binding[0])
             back, part = binding if turned else (begun, part)
