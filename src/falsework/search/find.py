@@ -51,10 +51,10 @@ _PIECES = 8
 """... in so many pieces of the route side by side, each begun from rest."""
 _SAVE_EVERY = 30.0
 """Seconds between two checkpoints."""
-_BOUND_AFTER = 5.0
-"""Seconds without a plan after which a search pauses for an attempt to prove that it has too few robots ..."""
+_BOUND_AFTER = 10.0
+"""Seconds of processor time after which a search without a plan pauses to try to prove that it has too few robots ..."""
 _BOUND_SECONDS = 5.0
-"""... which may take so many."""
+"""... for so many seconds at most."""
 
 
 class TaskRules(TypedDict, total=False):
@@ -339,14 +339,14 @@ def _run(
     planner: Planner | SupportPlanner, bound: Callable[[], HoldBound], progress: Progress | None, stop: Stop | None
 ) -> SearchResult:
     """Run a planner; where it finds nothing for some seconds, first try to refute its number of robots."""
-    task, begun, paused = planner.task, time.perf_counter(), False
+    task, begun, paused = planner.task, time.process_time(), False
 
     def halt() -> bool:
         nonlocal paused
         if stop is not None and stop():
             return True
         # The bound does not cover props.
-        paused = not (planner.routes or task.prop_limit) and time.perf_counter() - begun > _BOUND_AFTER
+        paused = not (planner.routes or task.prop_limit) and time.process_time() - begun > _BOUND_AFTER
         return paused
 
     result = planner.run(progress=progress, stop=halt)
