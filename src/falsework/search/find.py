@@ -52,7 +52,7 @@ _PIECES = 8
 _SAVE_EVERY = 30.0
 """Seconds between two checkpoints."""
 _BOUND_AFTER = 10.0
-"""Seconds of processor time after which a search without a plan pauses to try to prove that it has too few robots ..."""
+"""Seconds of processor time without a plan after which a search pauses to try to prove that robots are too few ..."""
 _BOUND_SECONDS = 5.0
 """... for so many seconds at most."""
 
