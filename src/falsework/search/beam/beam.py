@@ -165,9 +165,7 @@ class BeamSearch(LevelSearch):
         """Return the parts in contact with some others, those left out."""
         if self.task.neighbours is None or not parts:
             return np.empty(0, dtype=np.intp)
-        beside = self.task.neighbours[list(parts)].any(axis=0)
-        beside[list(parts)] = False
-        return np.flatnonzero(beside)
+        return np.setdiff1d(np.flatnonzero(self.task.neighbours[list(parts)].any(axis=0)), parts)
 
     def _standing(self) -> States:
         """Return for each state of the last level the nearest on the way to it that is known to be stable."""
