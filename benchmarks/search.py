@@ -5,11 +5,13 @@
     python benchmarks/search.py plan --structures vault:parts=1000 --robots 2
     python benchmarks/search.py alternatives --count 5
     python benchmarks/search.py methods
+    python benchmarks/search.py bound --structures dome-90 crossvault-184
 
 `plan`: `seconds` runs from the meshes on disk to the plan with its proofs, `search_seconds` is the search alone;
 compilation is not counted. `graph`: `states` and `unseen` stand beside the paper's Table 3, whose second
 number counts the states of the wider search that the narrower one did not find. `alternatives`: distances between
 plans. `methods`: the planner, the paper's beam from both ends, and depth-first search on the same structures.
+`bound`: robots that cores prove to be needed, in processor time.
 Without `--structures`: the real structures where they are found (FALSEWORK_DATA, else the folder `shared` beside the
 repository).
 """
@@ -40,6 +42,8 @@ from falsework.search import (
     task_of,
     validate_proofs,
 )
+from falsework.search.problem.deadline import Deadline
+from falsework.search.problem.hold_bound import HoldBound
 from falsework.stability import Stability, StabilitySettings
 from falsework.stability.settings import EQUILIBRIUM
 
@@ -51,7 +55,7 @@ TABLE_3 = {"bottle-12": (1077, 1159), "dome-37": (4540, 8430), "vault-62": (4781
 class Options:
     """Benchmark and its settings."""
 
-    what: tyro.conf.Positional[Literal["plan", "graph", "alternatives", "methods"]]
+    what: tyro.conf.Positional[Literal["plan", "graph", "alternatives", "methods", "bound"]]
     """Benchmark."""
     structures: tuple[str, ...] = ()
     """Built-in names, paths, or names of real structures; empty for all of the benchmark."""
@@ -213,6 +217,26 @@ def methods(options: Options) -> None:
             )
 
 
+def bound(options: Options) -> None:
+    """Numbers of robots that cores refute, from one on."""
+    for structure in structures(options, REAL):
+        assembly = load_structure(structure)
+        begin = time.process_time()
+        test = HoldBound(assembly, task_of(assembly, options.robots), StabilitySettings(), Deadline())
+        least, core = 1, ()
+        while found := test.core(least):
+            least, core = least + 1, found
+        report(
+            "search bound",
+            structure=Path(structure).name,
+            parts=assembly.part_count,
+            least=least,
+            core=len(core),
+            verdicts=test.asked,
+            cpu_seconds=round(time.process_time() - begin, 3),
+        )
+
+
 def deadline(seconds: float) -> Any:
     """Return a function that is true once the time is over."""
     end = time.perf_counter() + seconds
@@ -223,4 +247,6 @@ if __name__ == "__main__":
     chosen = tyro.cli(Options, description=__doc__)
     warm_up()
     write_to(chosen.out)
-    {"plan": plan, "graph": graph, "alternatives": alternatives, "methods": methods}[chosen.what](chosen)
+    {"plan": plan, "graph": graph, "alternatives": alternatives, "methods": methods, "bound": bound}[chosen.what](
+        chosen
+    )

@@ -246,6 +246,18 @@ TABLES = {
         ),
         benchmark="search_compare plans",
     ),
+    "search-bound": Table(
+        "search",
+        STRUCTURE,
+        (
+            ("parts", "{parts}"),
+            ("robots proven to be needed", "{least}"),
+            ("parts of the core that proves it", "{core}"),
+            ("verdicts", "{verdicts}"),
+            ("CPU time, s", "{cpu_seconds}"),
+        ),
+        benchmark="search bound",
+    ),
     "state-graphs": Table(
         "search",
         (*STRUCTURE, ("width", "{width}")),

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from falsework.assembly import Assembly, load_structure
+from falsework.cli.failure import explain
 from falsework.errors import InputError
 from falsework.search import (
     BeamSearch,
@@ -150,3 +151,47 @@ def test_an_interruption_leaves_the_best_so_far(small_arch: Assembly, monkeypatc
     assert not answer.deadline_passed
     assert (answer.robots, answer.least) == (None, 2)  # the bound comes before the search
     assert answer.to_dict()["interrupted"]
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_a_plan_with_too_few_robots_ends_with_the_proof(
+    public_structure_path: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The search alone finds nothing in minutes; what the core proves ends it, and is said."""
+    monkeypatch.setattr("falsework.search.find._BOUND_AFTER", 0.5)
+    assembly = load_structure(public_structure_path("dome-90"))
+    oracle = Stability(assembly)
+    planning = find_plans(assembly, robots=2, oracle=oracle, deadline=120)
+    assert planning.result.outcome is Outcome.PROVED_IMPOSSIBLE
+    assert not planning.result.interrupted
+    assert not planning.deadline_passed
+    assert "of the 10 parts 80, 81, 82, 83, 84, ..." in planning.result.notes[0]
+    failure = explain(assembly, oracle, planning.result)
+    assert failure.proven
+    assert planning.result.notes[0] in failure.text
+    # A bound that has no time left leaves the search as it was.
+    monkeypatch.setattr("falsework.search.find._BOUND_SECONDS", 1e-9)
+    unproven = find_plans(assembly, robots=2, oracle=oracle, deadline=3)
+    assert unproven.result.outcome is Outcome.NOT_FOUND
+    assert unproven.deadline_passed
+
+
+def test_a_search_that_pauses_for_the_bound_finds_the_same_plan(
+    small_arch: Assembly, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usual = find_plans(small_arch)
+    monkeypatch.setattr("falsework.search.find._BOUND_AFTER", 0.0)
+    paused = find_plans(small_arch)
+    assert np.array_equal(paused.plans[0].states, usual.plans[0].states)
+    assert paused.result.counters.asked > usual.result.counters.asked
+
+
+def test_an_interruption_in_the_bound(small_arch: Assembly, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(bound: HoldBound, robots: int) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(HoldBound, "core_barrier", interrupted)
+    monkeypatch.setattr("falsework.search.find._BOUND_AFTER", 0.0)
+    planning = find_plans(small_arch)
+    assert planning.result.interrupted
+    assert not planning.found

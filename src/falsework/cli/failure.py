@@ -35,7 +35,7 @@ class Failure:
     moving: list[PartMotion]
     """Motions in the states where the search ended, the most frequent first."""
     reason: str
-    """Reason why the search proves nothing, where it does not."""
+    """Reason why the search proves nothing, or what proves that no plan exists where the search alone does not."""
     sliding: int
     """States that the search rejected because they slide."""
     cut: bool
@@ -74,19 +74,20 @@ def explain(assembly: Assembly, oracle: Stability, result: SearchResult) -> Fail
     # Motions cost verdicts, for which a search that was stopped has no time left.
     moving = [] if result.interrupted else common_motions(assembly, oracle, result.rejected[:LOOKED_AT])
     doing = "taking it apart" if disassembly else "putting it together"
+    reason = "; ".join(result.notes) if proven else result.limit
     parts = ["no plan exists" if proven else "no plan was found"]
     parts.append(f"{doing}, the search reached step {result.reached} of {result.steps}")
     if moving:
         parts.append(f"there {describe(assembly, moving, limit=3)}")
     elif not result.interrupted:
         parts.append("there the rules allow no further step")
-    if not proven and result.limit:
-        parts.append(result.limit)
+    if reason:
+        parts.append(reason)
     if result.sliding:
         parts.append(f"{result.sliding} states on the way slide; another robot or more friction may help")
     text = "; ".join(parts)
     reached, cut = result.reached, result.interrupted
-    return Failure(proven, reached, result.steps, disassembly, moving, result.limit, result.sliding, cut, text)
+    return Failure(proven, reached, result.steps, disassembly, moving, reason, result.sliding, cut, text)
 
 
 def common_motions(assembly: Assembly, oracle: Stability, states: States) -> list[PartMotion]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypedDict, Unpack
@@ -21,10 +21,19 @@ from falsework.search.planner import Planner
 from falsework.search.plans.alternatives import Alternatives, choose_alternatives
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_replay import PlanReplay
-from falsework.search.problem.deadline import Deadline
+from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.guide import Guide, SupportGuide
+from falsework.search.problem.hold_bound import HoldBound
 from falsework.search.problem.oracle import Oracle
-from falsework.search.problem.result import Outcome, Progress, Route, SearchProgress, SearchResult, Stop
+from falsework.search.problem.result import (
+    Outcome,
+    Progress,
+    Route,
+    SearchCounters,
+    SearchProgress,
+    SearchResult,
+    Stop,
+)
 from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.support_route import SupportRoute
 from falsework.search.problem.task import Task
@@ -42,6 +51,10 @@ _PIECES = 8
 """... in so many pieces of the route side by side, each begun from rest."""
 _SAVE_EVERY = 30.0
 """Seconds between two checkpoints."""
+_BOUND_AFTER = 10.0
+"""Seconds of processor time without a plan after which a search pauses to try to prove that robots are too few ..."""
+_BOUND_SECONDS = 5.0
+"""... for so many seconds at most."""
 
 
 class TaskRules(TypedDict, total=False):
@@ -132,7 +145,12 @@ def find_plans(
     task = task or task_of(assembly, 2 if robots is None else robots, **rules)
     guide = guide or SupportGuide(assembly)
     planner = _resume(checkpoint, task, timed(oracle, clock), settings, guide)
-    result = planner.run(progress=_saving(planner, checkpoint, progress), stop=stop)
+    result = _run(
+        planner,
+        lambda: HoldBound(assembly, task, oracle.settings, Deadline(min(_BOUND_SECONDS, max(clock.left, 1e-3)))),
+        progress=_saving(planner, checkpoint, progress),
+        stop=stop,
+    )
     if checkpoint is not None and isinstance(planner, Planner):
         if result.interrupted:
             planner.save(checkpoint)
@@ -315,6 +333,40 @@ def choose_plans(planner: Planner | SupportPlanner, settings: PlannerSettings, n
         task, np.concatenate([planner.states, *(route.states for route in planner.routes)]), name=name
     )
     return choose_alternatives(graph, settings.alternatives, given=planner.routes, seed=settings.seed)
+
+
+def _run(
+    planner: Planner | SupportPlanner, bound: Callable[[], HoldBound], progress: Progress | None, stop: Stop | None
+) -> SearchResult:
+    """Run a planner; where it finds nothing for some seconds, first try to refute its number of robots."""
+    task, begun, paused = planner.task, time.process_time(), False
+
+    def halt() -> bool:
+        nonlocal paused
+        if stop is not None and stop():
+            return True
+        # The bound does not cover props.
+        paused = not (planner.routes or task.prop_limit) and time.process_time() - begun > _BOUND_AFTER
+        return paused
+
+    result = planner.run(progress=progress, stop=halt)
+    if not (paused and result.interrupted):
+        return result
+    test, begun = bound(), time.perf_counter()
+    try:
+        barrier = test.core_barrier(task.robots)
+    except DeadlineExceeded:
+        barrier = None
+    except KeyboardInterrupt:
+        return result
+    seconds = time.perf_counter() - begun
+    if barrier is None:
+        result = planner.run(progress=progress, stop=stop)
+    else:
+        refuted = Outcome.PROVED_IMPOSSIBLE
+        result = replace(result, outcome=refuted, interrupted=False, limit="", notes=(barrier.text,))
+    counters = result.counters + SearchCounters(asked=test.asked)
+    return replace(result, counters=counters, seconds=result.seconds + seconds)
 
 
 def _resume(

@@ -31,7 +31,7 @@ from falsework.search.problem.task import Direction, Task
 from falsework.search.settings import PlannerSettings
 from falsework.utils.archive import read_archive, write_archive
 
-FORMAT = "falsework.planner/4"
+FORMAT = "falsework.planner/5"
 
 _MOST_FALLS = 64
 """Number of routes with a failing replay before an attempt is given up."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.search import Direction, Outcome, Task
+from falsework.search import BeamSearch, BeamSettings, Direction, Outcome, Task
 from falsework.search.beam.adaptive import AdaptiveBeam, AdaptiveSettings
 
 
@@ -109,6 +109,74 @@ def test_tries_each_chain_once(rules: Any) -> None:
     assert beam.search.settings.avoided == (7,)
     assert beam._tried == {task.target.tobytes().hex(): [7]}
     assert beam.run(1).found
+
+
+def test_forgets_the_states_it_came_from_longest_ago(rules: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("falsework.search.beam.adaptive._REMEMBERED_STATES", 3)
+    beam = AdaptiveBeam(Task.create(rules.ground(8), 2), rules.tower(8), AdaptiveSettings())
+    beam.run(1)
+    for level in (0, 1, 2, 0, 3):
+        beam._tried_from(level).append(level)
+    assert list(beam._tried.values()) == [[2], [0, 0], [3]]
+
+
+def test_a_part_left_for_later_too_often_brings_the_beam_back(rules: Any) -> None:
+    """Part 7 binds the only robot at four hard places, one after the other, and is never let go of."""
+    parts = 8
+    oracle = rules.blocks(parts)
+    oracle.supports[7] = [frozenset(range(1, 7))]
+    oracle.supports[1:7] = [[frozenset({part - 1})] for part in range(1, 7)]
+    beam = AdaptiveBeam(Task.create(rules.ground(parts), 1), oracle, AdaptiveSettings(), guide=misled)
+    beam.search.settings = replace(beam.search.settings, lookahead=1)
+    beam.search.run()
+    assert (beam.search.levels[-1].states[0] == 2).nonzero()[0].tolist() == [0, 7]
+    late = []
+    for beam._episode in (0, 0, 1, 2, 3):
+        late.append(beam._left_too_long(10 + beam._episode))
+    assert late == [-1, -1, -1, -1, 10]
+    header, arrays = beam.pack()
+    again = AdaptiveBeam.unpack(header, arrays, beam.search.task, oracle, guide=misled)
+    assert again._left == beam._left == {7: [(0, 10), (1, 11), (2, 12), (3, 13)]}
+    beam._return_before(10)
+    assert len(beam.search.levels) == 1
+    assert beam.search.settings.disorder > 0
+    assert beam.search.settings.width == 1
+    assert beam._left == {}
+    assert beam.run(1).found
+
+
+def test_returns_only_so_often_and_not_for_parts_let_go_of(rules: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    beam = AdaptiveBeam(Task.create(rules.ground(8), 1), rules.tower(8), AdaptiveSettings())
+    while (beam.search.levels[-1].states[0] == 1).sum() < 3:
+        beam.search.step()
+    beam._left = {1: [(0, 1), (1, 2), (2, 3), (3, 4)]}
+    assert beam._left_too_long(5) == -1
+    assert 1 not in beam._left
+    beam._left = {7: [(0, 1), (1, 2), (2, 3), (3, 4)]}
+    assert beam._left_too_long(5) == 1
+    monkeypatch.setattr("falsework.search.beam.adaptive._RETURNS", 0)
+    assert beam._left_too_long(5) == -1
+
+
+def test_other_chains_do_not_begin_beside_those_that_failed(rules: Any) -> None:
+    """Parts 1 to 3 are in contact; from 4 on nothing touches what failed, so 4 comes before 2."""
+    parts = 6
+    oracle = rules.blocks(parts)
+    contacts = [(1, 2), (2, 3), (3, 1)]
+    task = Task.create(rules.ground(parts), 1, contacts=contacts)
+
+    def first_fixed(avoided: tuple[int, ...]) -> int:
+        search = BeamSearch(
+            task,
+            oracle,
+            BeamSettings(width=1, lookahead=1, diversity="none", avoided=avoided),
+            guide=lambda states, actions, way: -0.01 * misled(states, actions, way),
+        )
+        search.step()
+        return int(search.levels[-1].action[0]) % parts
+
+    assert first_fixed(()) == 1
+    assert first_fixed((1,)) == 4
 
 
 def test_stops_in_between_and_goes_on(rules: Any) -> None:

@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
+from falsework.assembly.state import HELD, INSTALLED, REMOVED
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.beam.settings import BeamSettings
 from falsework.search.problem.guide import Guide
@@ -35,7 +37,14 @@ _FARTHER_LOOKAHEAD = 256
 """The same after a death."""
 _LOOKAHEAD_PER_WIDTH = 16
 """The same for wide beams, as a multiple of the width."""
-_PLACE = ("failures", "turns", "retreats", "deaths", "farthest", "easy_from", "chain_from")
+_EPISODES = 4
+"""Hard places, one after the other, at which one part may bind a robot and be left for later. Then it is too late for
+this part, and the beam comes back from where that was seen first ..."""
+_RETURNS = 8
+"""... so many times at most, with random preferences."""
+_REMEMBERED_STATES = 4096
+"""States whose tried parts are remembered; of a few hundred parts each, so a few megabytes."""
+_PLACE = ("failures", "turns", "retreats", "deaths", "farthest", "easy_from", "chain_from", "episode", "returns")
 """Fields of the memory of places where beams died."""
 
 
@@ -95,8 +104,11 @@ class AdaptiveBeam:
         self._failures = self._turns = self._retreats = self._deaths = 0
         self._farthest = -1
         self._easy_from = self._chain_from = -1
+        self._episode = self._returns = 0
         self._tried: dict[str, list[int]] = {}
         """Parts that were fixed and led nowhere, by the state before."""
+        self._left: dict[int, list[tuple[int, int]]] = {}
+        """Parts not yet let go of that bound robots where the beam died: hard places, and levels."""
 
     @property
     def infeasible(self) -> bool:
@@ -123,6 +135,7 @@ class AdaptiveBeam:
             result = self.search.run(progress=progress, stop=halt)
             if eased:
                 self._failures = self._retreats = 0
+                self._episode += 1
                 self.search.rewind(len(self.search.levels) - 1, self.settings.beam())
             elif result.interrupted or result.found or self.infeasible:
                 return result
@@ -139,6 +152,7 @@ class AdaptiveBeam:
         return header | {
             "adaptive": own,
             "tried": self._tried,
+            "left": list(self._left.items()),
             "base": self.settings.width,
             "base_seed": self.settings.seed,
         }, arrays
@@ -164,6 +178,7 @@ class AdaptiveBeam:
         for name in _PLACE:
             setattr(beam, f"_{name}", int(header["adaptive"][name]))
         beam._tried = {state: [int(part) for part in parts] for state, parts in header["tried"].items()}
+        beam._left = {int(part): [(int(a), int(b)) for a, b in places] for part, places in header["left"]}
         return beam
 
     def _eased(self) -> bool:
@@ -175,11 +190,16 @@ class AdaptiveBeam:
         """Go back and come again, another way or wider; False if that would be too wide."""
         search = self.search
         level = len(search.levels) - 1
-        begun, part = search.chain()
+        late = self._left_too_long(level)
+        if late >= 0:
+            self._return_before(late)
+            return True
+        (begun, part), binding = search.chain(), search.binding()
+        if binding is not None and binding[0] < begun:  # one robot was bound all along, and the other laid the rest
+            begun, part = binding
         if begun > self._chain_from and level > self._farthest + 2:
             self._failures = self._retreats = 0
         back, turned = begun, False
-        binding = search.binding()
         if binding is not None and binding[0] > begun and self._turns < _TURNS:
             turned = binding[1] not in self._tried_from(binding[0])
             back, part = binding if turned else (begun, part)
@@ -204,6 +224,37 @@ class AdaptiveBeam:
         search.rewind(max(back, 0), self.settings.beam(self._retreats, self._deaths, avoided, preferred))
         return True
 
+    def _left_too_long(self, level: int) -> int:
+        """Note which parts bind robots where the beam died; return the level from which one was left too often, or -1.
+
+        What is built beside a part that was left for later makes it harder to fix: arches along free edges, say.
+        """
+        held_now = self.search.levels[-1].states[0]
+        loosened = INSTALLED if self.settings.direction is Direction.ASSEMBLY else REMOVED
+        self._left = {part: places for part, places in self._left.items() if held_now[part] != loosened}
+        for part in np.flatnonzero((held_now == HELD) & ~self.search.task.boundary).tolist():
+            places = self._left.setdefault(part, [])
+            if not places or places[-1][0] < self._episode:
+                places.append((self._episode, level))
+        late = [places[0][1] for places in self._left.values() if len(places) >= _EPISODES]
+        return max(late) if late and self._returns < _RETURNS else -1
+
+    def _return_before(self, level: int) -> None:
+        """Come back from far before a level, with random preferences until it is passed."""
+        self._returns += 1
+        self._deaths += 1
+        self._failures = self._turns = 0
+        self._retreats = 1
+        self._left = {}
+        self._farthest, self._chain_from = level, -1
+        self._easy_from = level + 2 * _RETREAT_LEVELS
+        back = level - _RETREAT_LEVELS * _RETREAT_FACTOR**2
+        self.search.rewind(max(back, 0), self.settings.beam(self._retreats, self._deaths))
+
     def _tried_from(self, level: int) -> list[int]:
         """Return the parts that led nowhere from the state at a level on the way to the best scored one."""
-        return self._tried.setdefault(self.search.before(level).tobytes().hex(), [])
+        state = self.search.before(level).tobytes().hex()
+        tried = self._tried[state] = self._tried.pop(state, [])  # the last used is the last forgotten
+        if len(self._tried) > _REMEMBERED_STATES:
+            del self._tried[next(iter(self._tried))]
+        return tried

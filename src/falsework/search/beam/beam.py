@@ -31,8 +31,9 @@ _RETREAT_LEVELS = 8
 """Levels that a beam goes back when it is tried again ..."""
 _RETREAT_FACTOR = 4
 """... and this many times more each further time."""
-_RELUCTANCE, _PREFERENCE = 1.0, 0.5
-"""Scores of a guide are shares of 1; fixing a part that is avoided counts so much less, one preferred so much more."""
+_RELUCTANCE, _DOUBT, _PREFERENCE = 1.0, 0.5, 0.5
+"""Scores of a guide are shares of 1; fixing a part that is avoided counts so much less, one beside it that much less,
+one preferred so much more."""
 _CHAIN_LEVELS = 128
 """Levels back from the last at most to where a chain of held parts began."""
 _REPORTED_STATES = 64
@@ -105,8 +106,12 @@ class BeamSearch(LevelSearch):
             if scores.shape != mask.shape:
                 raise InputError(f"the guide returned scores of shape {scores.shape}; expected {mask.shape}")
             score = score + scores[frontier.parent, frontier.action]
-        for parts, weight in ((settings.avoided, -_RELUCTANCE), (settings.preferred, _PREFERENCE)):
-            if parts:
+        for parts, weight in (
+            (settings.avoided, -_RELUCTANCE),
+            (self._beside(settings.avoided), -_DOUBT),
+            (settings.preferred, _PREFERENCE),
+        ):
+            if len(parts):
                 score = score + weight * (np.isin(frontier.action % self.task.part_count, parts) & frontier.fixing)
         if settings.disorder > 0:
             draw = np.random.default_rng((settings.seed, settings.number))
@@ -155,6 +160,12 @@ class BeamSearch(LevelSearch):
         if self._histories is not None:
             self._histories.keep(kept)
         return True
+
+    def _beside(self, parts: tuple[int, ...]) -> NDArray[np.intp]:
+        """Return the parts in contact with some others, those left out."""
+        if self.task.neighbours is None or not parts:
+            return np.empty(0, dtype=np.intp)
+        return np.setdiff1d(np.flatnonzero(self.task.neighbours[list(parts)].any(axis=0)), parts)
 
     def _standing(self) -> States:
         """Return for each state of the last level the nearest on the way to it that is known to be stable."""

@@ -121,9 +121,16 @@ class HoldBound:
             barrier = self._near_the_ends(robots)
         except _BudgetSpent:
             barrier = None
-        if barrier is None and (core := self.core(robots)):
-            return Barrier(robots, robots, Direction.ASSEMBLY, core)
-        return barrier
+        return barrier or self.core_barrier(robots)
+
+    def core_barrier(self, robots: int) -> Barrier | None:
+        """Return the barrier of a core alone, which takes seconds where the sets near the ends take minutes.
+
+        Raises:
+            DeadlineExceeded: the clock ran out.
+        """
+        core = self.core(robots)
+        return Barrier(robots, robots, Direction.ASSEMBLY, core) if core else None
 
     def _near_the_ends(self, robots: int) -> Barrier | None:
         """As `barrier`, among all parts.
