@@ -136,7 +136,7 @@ def truth(cases: int, seed: int) -> None:
         wrong=wrong,
         beside=BESIDE,
         from_forces=from_forces,
-        limits=[min(limits), max(limits)] if limits else [],
+        limits=limits,
         examples=examples[:12],
     )
 

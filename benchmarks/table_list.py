@@ -177,6 +177,8 @@ TABLES = {
         (
             ("replay: wrong side", "{wrong.replay} of {asked.replay}"),
             ("discrete elements: wrong side", "{wrong.discrete elements} of {asked.discrete elements}"),
+            ("of those inside, at rest from our forces", "{from_forces.stands} of {from_forces.asked}"),
+            ("their bound over ours, in these cases", "{limits}"),
         ),
         benchmark="margins truth",
     ),
