@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, States
 from falsework.robots.model.cell import Cell
-from falsework.robots.model.part_shapes import place_parts
+from falsework.robots.model.part_shapes import PartShapes, place_parts
 from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, CollisionWorld, Contact, Scene
 from falsework.robots.motion.motion_cache import MotionCache
 from falsework.robots.motion.path_planner import follow_line
@@ -116,6 +116,7 @@ class KeyframeGraph:
         *,
         settings: KeyframeSettings = KeyframeSettings(),
         seed: int = 0,
+        parts: PartShapes | None = None,
     ) -> None:
         """Nothing is computed yet.
 
@@ -124,9 +125,12 @@ class KeyframeGraph:
             cell: the robots and what is around them.
             settings: how many possibilities are tried.
             seed: of the free motions.
+            parts: the parts as bodies in the cell, if they are at hand.
         """
         self.assembly, self.cell, self.settings, self.seed = assembly, cell, settings, seed
-        self.parts = place_parts(assembly, cell.placement)
+        self.haste = settings.haste
+        """As in the settings, or 0 while a search goes on from where arms in haste have met dead ends."""
+        self.parts = parts or place_parts(assembly, cell.placement)
         self.world = CollisionWorld(cell, self.parts)
         self.reasons = FailureLog()
         self.cache = MotionCache(self.world, nodes=settings.nodes, seed=seed)
@@ -224,7 +228,7 @@ class KeyframeGraph:
     def _reluctance(self, node: Node, robot: int, center: Array) -> float:
         """Rank free robots for a part: near ones first, and those first that are done early with what they do."""
         far = float(np.linalg.norm(self.cell.robots[robot].base[:2, 3] - center[:2]))
-        return far + self.settings.haste * self.spread * node.clock.of(robot)
+        return far + self.haste * self.spread * node.clock.of(robot)
 
     def _hold_with(self, node: Node, part: int, robot: int) -> Iterator[Edge]:
         grips = self.grips(robot, part, node.state)
