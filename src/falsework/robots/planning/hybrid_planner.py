@@ -168,7 +168,9 @@ class _Search:
         return self.failed(root, "not_found", limit)
 
     def _before_dead_ends(self, turn: int) -> list[Edge]:
-        """Return the beginning of the longest partial plan; a shorter one from turn to turn."""
+        """Return the beginning of the longest partial plan, a shorter one from turn to turn; none of a short plan."""
+        if 2 * len(self.best) < self.task.steps:
+            return []
         return self.best[: max(len(self.best) - _STEPS_BACK * 2 ** (turn - 1), 0)]
 
     def depth_first_pass(self, root: Node, rng: np.random.Generator, prefix: Sequence[Edge] = ()) -> list[Edge] | None:
@@ -353,6 +355,7 @@ class _Search:
         if self.settings.together:
             chain = shorten_motions(chain, self.cell.speed, self.settings.seed)
             chain = reorder(self.graph, self.oracle, root, chain, self._timed(root, chain))
+            chain = shorten_motions(chain, self.cell.speed, self.settings.seed, done=self.timed)
         statistics = self._statistics()
         if why is not None:
             statistics["failure"] = why.to_dict()
