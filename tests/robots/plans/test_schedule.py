@@ -52,7 +52,7 @@ def planned(row: Assembly, wide: Cell) -> RobotPlan:
     settings = HybridSettings(together=True, keyframes=KeyframeSettings(haste=1.0))
     plan = plan_robots(row, wide, settings=settings).plan
     assert plan is not None
-    return plan
+    return replace(plan, schedule=None)
 
 
 @pytest.fixture(scope="module")
@@ -203,3 +203,12 @@ def test_the_plan_of_one_arm_at_a_time_is_scheduled_where_haste_finds_none(
     assert other.plan.schedule is not None
     assert other.statistics["search"] == other.plan.statistics["search"] == "sequential"
     assert other.plan.makespan <= alone.seconds
+
+
+def test_approaches_go_as_near_as_another_arm_lets_them(row: Assembly, wide: Cell) -> None:
+    plan = plan_robots(row, wide, settings=HybridSettings(together=True)).plan
+    assert plan is not None
+    graph, again = graph_of(plan), graph_of(schedule_plan(plan, row, wide))
+    assert graph.makespan == pytest.approx(again.makespan, abs=1e-3)
+    assert check_robot_plan(plan, row, wide).good
+    assert simulate(plan, runs=50).good

@@ -23,6 +23,7 @@ from falsework.assembly.state import REMOVED, States
 from falsework.robots.model.cell import Cell
 from falsework.robots.planning.action_ranking import ActionRanking, ExecutionHeuristic
 from falsework.robots.planning.dead_ends import FailedActions
+from falsework.robots.planning.early_approach import approach_early
 from falsework.robots.planning.expected_times import BalanceGuide
 from falsework.robots.planning.failure_report import Explanation, explain, fall_in_words
 from falsework.robots.planning.hybrid_result import HybridProgress, HybridResult, HybridSettings, Progress
@@ -360,6 +361,8 @@ class _Search:
         if why is not None:
             statistics["failure"] = why.to_dict()
         plan = self._timed(root, chain)
+        if self.settings.together:
+            plan = approach_early(plan, chain, self.cell, self.graph.world)
         statistics["seconds"] = round(time.perf_counter() - self.began, 3)
         replay = plan.plan.replay
         plan.statistics.update(statistics, replay=None if replay is None else asdict(replay))

@@ -26,7 +26,7 @@ class HybridSettings:
     """Dead ends in the first search; when they are used up, the next one begins and may have more."""
     keyframes: KeyframeSettings = field(default_factory=KeyframeSettings)
     together: bool = False
-    """Shorten the motions and reorder the steps of the plan for robots that move at the same time."""
+    """Shorten the motions, reorder the steps and schedule the plan, for robots that move at the same time."""
     forces: bool = False
     """Keep the contact forces that prove each state in the plan."""
 

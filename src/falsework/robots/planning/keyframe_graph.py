@@ -275,7 +275,7 @@ class KeyframeGraph:
         assert retreat.path is not None
         line = PathSegment("line", retreat.path[::-1].copy(), touches=part)
         segments = (PathSegment("free", free.path, view=clear), line)
-        clock = node.clock.held(robot, self._expected(robot, segments), self.cell.robot_count)
+        clock = node.clock.held(robot, self._expected(robot, segments), self.cell.robot_count, self.parts.center[part])
         after = replace(_replaced(node, state, robot, grip.configuration, part), clock=clock)
         return Edge(part, robot, segments, after)
 
@@ -327,7 +327,9 @@ class KeyframeGraph:
                 lines = tuple(PathSegment("line", path, part=part) for path in paths)
                 assert free.path is not None
                 segments = (*lines, PathSegment("free", free.path, part=part, view=view))
-                clock = node.clock.removed(robot, self._expected(robot, segments), self.cell.robot_count)
+                clock = node.clock.removed(
+                    robot, self._expected(robot, segments), self.cell.robot_count, self.parts.center[part]
+                )
                 after = replace(_replaced(node, state, robot, goal, None), clock=clock)
                 return Edge(self.assembly.part_count + part, robot, segments, after)
             self.reasons.add("remove", part, robot, f"way to {entry.name}'s place: {free.reason}", free.pair, free.at)

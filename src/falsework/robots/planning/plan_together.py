@@ -19,7 +19,7 @@ from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
 from falsework.robots.planning.keyframe_graph import KeyframeGraph
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.schedule.build import schedule_plan
-from falsework.robots.schedule.solver import ScheduleSettings, import_ortools
+from falsework.robots.schedule.solver import import_ortools
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.task import Task
 from falsework.stability.oracle import Stability
@@ -44,7 +44,6 @@ def plan_together(
     oracle: Stability | None = None,
     guide: Guide | None = None,
     settings: HybridSettings = HybridSettings(),
-    schedule: ScheduleSettings = ScheduleSettings(),
     assembly_order: bool = False,
     progress: Progress | None = None,
 ) -> HybridResult:
@@ -56,7 +55,6 @@ def plan_together(
     Args:
         assembly, cell, task, configurations, held, oracle, guide, progress: as in `plan_robots`.
         settings: limits of the search for one robot at a time; fewer searches and dead ends are allowed in haste.
-        schedule: limits of the search for the shortest schedule.
         assembly_order: schedule the motions in the order of assembly.
 
     Raises:
@@ -99,8 +97,7 @@ def plan_together(
         if plan is None:
             return None
         plan.statistics.update(search=kind, seconds=round(time.perf_counter() - began, 3))
-        plan = plan.reverse() if assembly_order else plan
-        return schedule_plan(plan, assembly, cell, schedule, parts=graph.parts)
+        return schedule_plan(plan.reverse(), assembly, cell, parts=graph.parts) if assembly_order else plan
 
     plan, partial = scheduled(result.plan), scheduled(result.partial)
     statistics = {**result.statistics, "search": kind, "seconds": round(time.perf_counter() - began, 3)}
