@@ -150,8 +150,12 @@ class _Search:
             self.solvability.relax(share)
             self.dead.clear()
             for turn in range(self.settings.attempts if share == shares[-1] else 1):
-                prefix = self._before_dead_ends(turn) if turn and self.settings.keyframes.haste else []
-                if turn and not prefix:
+                prefix: list[Edge] = []
+                if turn and self.settings.keyframes.haste:
+                    prefix = self._before_dead_ends(turn)
+                    if not prefix:
+                        break
+                elif turn:
                     self.solvability.perturb(self.attempt)
                 self.graph.haste = 0.0 if prefix else self.settings.keyframes.haste
                 chain = self.depth_first_pass(root, np.random.default_rng([self.settings.seed, self.attempt]), prefix)

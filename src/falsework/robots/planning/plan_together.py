@@ -26,8 +26,8 @@ from falsework.stability.oracle import Stability
 
 _HASTE = 1.0
 """Weight of time in the choice of actions."""
-_SEARCHES = 3
-"""Searches in haste."""
+_SEARCHES = 5
+"""Searches, the first in haste and the others from its keyframes on without."""
 _DEAD_ENDS = 8
 """Dead ends of each."""
 _DEADLINE_SHARE = 0.4
