@@ -112,7 +112,7 @@ class ActionRanking:
         removal = edge.action + parts
         if not self.graph.haste or edge.action >= parts or removal not in self.solvability.legal(state):
             return False
-        return self.solvability.known(state, removal) and next(self.graph.edges(edge.node, removal), None) is None
+        return self.solvability.known(state, removal) and not self.graph.leads_on(edge.node, removal)
 
     def _score(self, node: Node, action: int) -> float:
         # What is known costs nothing to judge; a part with its way blocked is worse than an unknown answer.

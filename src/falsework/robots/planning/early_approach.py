@@ -28,6 +28,8 @@ _LEAST_WAIT = 0.2
 """Waits that are worth a halt on the way, seconds."""
 _LEAST_SHARE = 0.2
 """Share of a motion that its first half has at least."""
+_HALT = 0.2
+"""What a halt on the way costs, about, seconds."""
 _INSIDE = 0.9
 """Share of the free beginning that is used: the robot slows down there."""
 
@@ -88,11 +90,13 @@ def _free_until(
     """Return up to which second of its own a motion keeps clear of what another robot does in some time."""
     robot = rows.nodes[node].robot
     stretch = next(stretch for stretch in rows.rows[robot] if stretch.node == node)
-    columns = slice(_cell_at(rows, starts, other, begin), _cell_at(rows, starts, other, end) + 1)
-    hit = np.flatnonzero(table[stretch.first : stretch.first + stretch.cells, columns].any(axis=1))
-    if not len(hit):
-        return float(stretch.ends[-1])
-    return float(stretch.ends[hit[0] - 1]) if hit[0] else 0.0
+    last = _cell_at(rows, starts, other, end) + 1
+    for cell in reversed(range(stretch.cells)):
+        since = max(begin, end - float(stretch.ends[cell]) - _HALT)
+        columns = slice(_cell_at(rows, starts, other, since), last)
+        if not table[stretch.first : stretch.first + cell + 1, columns].any():
+            return float(stretch.ends[cell])
+    return 0.0
 
 
 def _cell_at(rows: Itineraries, starts: Array, robot: int, moment: float) -> int:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, States
+from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes, place_parts
 from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, CollisionWorld, Contact, Scene
@@ -33,6 +34,8 @@ Array = NDArray[np.float64]
 
 _APPROACH_LENGTHS = (1.0, 0.4, 1.8)
 """Lengths of the line on which a gripper approaches a part, in approach margins of the cell."""
+_APART = 1.5
+"""Travel of a joint that a metre more between the tools of two robots at drop-offs is worth in haste, rad."""
 _MAX_PLACES = 4
 """Free motions to a drop-off that are tried."""
 
@@ -138,6 +141,7 @@ class KeyframeGraph:
         self.joint = JointHolds(self._grips)
         self._withdrawal = Withdrawal(self.cache, self.reasons)
         self.exits = ExitDirections(assembly, self.parts.turn)
+        self._begun: dict[tuple[Node, int], Iterator[Edge]] = {}
 
     def start(self, state: States, configurations: tuple[Array, ...], held: tuple[int | None, ...]) -> Node:
         """Return a node to begin with."""
@@ -145,6 +149,17 @@ class KeyframeGraph:
 
     def edges(self, node: Node, action: int) -> Iterator[Edge]:
         """Yield edges that carry out an action, most promising first, each computed on demand."""
+        begun = self._begun.pop((node, action), None)
+        return begun or self._edges(node, action)
+
+    def leads_on(self, node: Node, action: int) -> bool:
+        """Return whether an action has an edge; the search for the edges of the last one goes on in `edges`."""
+        edges = self._edges(node, action)
+        first = next(edges, None)
+        self._begun = {} if first is None else {(node, action): itertools.chain([first], edges)}
+        return first is not None
+
+    def _edges(self, node: Node, action: int) -> Iterator[Edge]:
         parts = self.assembly.part_count
         return self._remove(node, action - parts) if action >= parts else self._hold(node, action)
 
@@ -319,7 +334,10 @@ class KeyframeGraph:
             self.reasons.add(
                 "remove", part, robot, "every place to put it collides", view.pair(int(hits[0])), places[0]
             )
-        for goal in clear[np.argsort(np.abs(clear - end).max(axis=1), kind="stable")][:_MAX_PLACES]:
+        way = np.abs(clear - end).max(axis=1)
+        if self.haste:
+            way -= _APART * self.haste * self._apart(node, robot, clear)
+        for goal in clear[np.argsort(way, kind="stable")][:_MAX_PLACES]:
             free = self.cache.motion(scene, robot, end, goal)
             if free:
                 state = node.state.copy()
@@ -334,6 +352,17 @@ class KeyframeGraph:
                 return Edge(self.assembly.part_count + part, robot, segments, after)
             self.reasons.add("remove", part, robot, f"way to {entry.name}'s place: {free.reason}", free.pair, free.at)
         return None
+
+    def _apart(self, node: Node, robot: int, values: Array) -> Array:
+        """Return how far the tool is in some configurations from those of other robots at most, metres."""
+        tools = tool_pose(self.cell.robots[robot], values)[:, :2, 3]
+        others = [
+            tool_pose(self.cell.robots[other], here)[:2, 3]
+            for other, here in enumerate(node.configurations)
+            if other != robot
+        ]
+        apart: Array = np.min([np.linalg.norm(tools - other, axis=1) for other in others], axis=0)
+        return apart
 
     # What both need
 
