@@ -24,13 +24,13 @@ from falsework.robots.schedule.solver import solve
 
 Array = NDArray[np.float64]
 
-_LEAST_WAIT = 0.2
+_LEAST_WAIT = 0.1
 """Waits that are worth a halt on the way, seconds."""
 _LEAST_SHARE = 0.2
 """Share of a motion that its first half has at least."""
 _HALT = 0.2
 """What a halt on the way costs, about, seconds."""
-_INSIDE = 0.9
+_INSIDE = 0.97
 """Share of the free beginning that is used: the robot slows down there."""
 
 
