@@ -47,12 +47,12 @@ from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.model.shapes import inverse_pose, pose
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
-from falsework.robots.planning.keyframe_graph import KeyframeGraph, KeyframeSettings
+from falsework.robots.planning.keyframe_graph import KeyframeGraph
+from falsework.robots.planning.plan_together import plan_together
 from falsework.robots.plans.check import check_robot_plan
 from falsework.robots.plans.check_schedule import check_schedule
 from falsework.robots.plans.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.robots.schedule.build import schedule_plan
 from falsework.robots.schedule.simulation import simulate
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.task import Task
@@ -166,13 +166,10 @@ def together(name: str, arguments: Arguments) -> None:
     seeds = tuple(range(arguments.first_seed, arguments.first_seed + arguments.seeds))
     for seed in seeds:
         alone = HybridSettings(seed=seed, deadline=arguments.deadline)
-        hasty = replace(alone, keyframes=KeyframeSettings(haste=1.0))
         begun, work = time.perf_counter(), time.process_time()
         before = plan_robots(assembly, cell, settings=alone).plan
         middle, used = time.perf_counter(), time.process_time()
-        graph = KeyframeGraph(assembly, cell, settings=hasty.keyframes, seed=seed)
-        found = plan_robots(assembly, cell, settings=hasty, graph=graph).plan
-        plan = None if found is None else schedule_plan(found, assembly, cell, parts=graph.parts)
+        plan = plan_together(assembly, cell, settings=alone).plan
         seconds, cpu = time.perf_counter() - middle, time.process_time() - used
         if before is None or plan is None or plan.schedule is None:
             both = {"found_sequential": before is not None, "cpu_seconds": round(time.process_time() - work, 1)}
@@ -196,6 +193,7 @@ def together(name: str, arguments: Arguments) -> None:
             makespan_share=round(shares[-1], 3),
             extra_seconds=round(extra[-1], 1),
             extra_cpu_seconds=round(extra_cpu[-1], 1),
+            search=plan.statistics["search"],
             **fields,
             seeds=(seed,),
         )

@@ -15,14 +15,11 @@ from pathlib import Path
 
 from falsework.assembly import load_structure
 from falsework.robots import (
-    HybridSettings,
-    KeyframeSettings,
     Precedence,
     RobotPlan,
     load_cell,
     nodes_of,
-    plan_robots,
-    schedule_plan,
+    plan_together,
 )
 
 CELL = """
@@ -115,9 +112,8 @@ def main() -> None:
         file.write_text(CELL)
         cell = load_cell(file)
     structure = load_structure("stack:blocks=2,length=0.3,height=0.15,depth=0.3")
-    found = plan_robots(structure, cell, settings=HybridSettings(keyframes=KeyframeSettings(haste=1.0))).plan
-    assert found is not None
-    plan = schedule_plan(found, structure, cell)
+    plan = plan_together(structure, cell).plan
+    assert plan is not None
     print(f"planned: {plan.makespan:.1f} s; one motion after the other {plan.seconds:.1f} s")
     for late in ({}, {1: 2.0}):
         executor = Executor(plan, late)

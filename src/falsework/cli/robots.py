@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from falsework.search.problem.guide import Guide
     from falsework.search.problem.task import Task
 
-HASTE = 1.0
-"""Weight of time in the choice of actions where robots move at the same time."""
 _NO_GAIN = 0.05
 """A schedule that saves no more than this is none, seconds."""
 
@@ -87,44 +85,35 @@ class PlanRobots(Command):
         from falsework.robots.cells.cell_file import load_cell
         from falsework.robots.planning.hybrid_planner import plan_robots
         from falsework.robots.planning.hybrid_result import HybridSettings
-        from falsework.robots.planning.keyframe_graph import KeyframeGraph, KeyframeSettings
-        from falsework.robots.schedule.build import schedule_plan
+        from falsework.robots.planning.plan_together import plan_together
         from falsework.stability import Stability, StabilitySettings
 
         writable(self.out)
         cell = load_cell(self.cell)
         together = not self.sequential and cell.robot_count > 1 and self._can_schedule(output)
-        settings = HybridSettings(
-            seed=self.robots_seed,
-            deadline=self.deadline,
-            forces=self.proofs,
-            keyframes=KeyframeSettings(haste=HASTE if together else 0.0),
-        )
+        settings = HybridSettings(seed=self.robots_seed, deadline=self.deadline, forces=self.proofs)
         assembly = self.structure.load()
         held = parse_holding(self.holding, cell, assembly)
         joints = parse_joints(self.joints, cell)
         task = self._task(assembly, cell, held)
         guide = self._guide(assembly, task)
-        graph = KeyframeGraph(assembly, cell, settings=settings.keyframes, seed=settings.seed)
+        given: dict[str, Any] = {
+            "task": task,
+            "configurations": joints,
+            "held": held,
+            "oracle": Stability(assembly, StabilitySettings(criterion=self.criterion)),
+            "guide": guide,
+            "settings": settings,
+        }
         with output.bar("planning motions") as show:
-            result = plan_robots(
-                assembly,
-                cell,
-                task=task,
-                configurations=joints,
-                held=held,
-                oracle=Stability(assembly, StabilitySettings(criterion=self.criterion)),
-                guide=guide,
-                settings=settings,
-                graph=graph,
-                progress=lambda now: show(now.reached, now.steps, f"step {now.reached} of {now.steps}"),
-            )
+            given["progress"] = lambda now: show(now.reached, now.steps, f"step {now.reached} of {now.steps}")
+            if together:
+                result = plan_together(assembly, cell, assembly_order=self.assembly_order, **given)
+            else:
+                result = plan_robots(assembly, cell, **given)
         found = result.plan or result.partial
-        if found is not None and self.assembly_order:
+        if found is not None and self.assembly_order and not together:
             found = found.reverse()
-        if found is not None and together:
-            with output.bar("scheduling motions"):
-                found = schedule_plan(found, assembly, cell, parts=graph.parts)
         return self._report(result, found, output)
 
     def _can_schedule(self, output: Output) -> bool:
@@ -191,6 +180,10 @@ class PlanRobots(Command):
                     output.say(f"the replay succeeds; parts move by at most {replay.moved * 1e3:.3g} mm")
                 if saved.schedule is not None:
                     output.say(_schedule_text(saved))
+                if result.statistics.get("search") == "sequential":
+                    output.say(
+                        "no plan made for robots that move together was found; this is the plan of one at a time"
+                    )
                 return Exit.DONE
             output.note(f"the {len(saved)} steps that were found are in {self.out}")
         else:

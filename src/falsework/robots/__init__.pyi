@@ -22,6 +22,7 @@ from falsework.robots.planning.hybrid_result import HybridResult as HybridResult
 from falsework.robots.planning.hybrid_result import HybridSettings as HybridSettings
 from falsework.robots.planning.keyframe_graph import KeyframeGraph as KeyframeGraph
 from falsework.robots.planning.keyframe_graph import KeyframeSettings as KeyframeSettings
+from falsework.robots.planning.plan_together import plan_together as plan_together
 from falsework.robots.plans.check import CheckReport as CheckReport
 from falsework.robots.plans.check import PlanProblem as PlanProblem
 from falsework.robots.plans.check import check_robot_plan as check_robot_plan

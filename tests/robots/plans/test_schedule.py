@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,8 +19,9 @@ from falsework.errors import InputError, PlanError
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.planning.hybrid_planner import plan_robots
-from falsework.robots.planning.hybrid_result import HybridSettings
+from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
 from falsework.robots.planning.keyframe_graph import KeyframeSettings
+from falsework.robots.planning.plan_together import plan_together
 from falsework.robots.plans.check import check_robot_plan
 from falsework.robots.plans.check_schedule import check_schedule
 from falsework.robots.plans.pinocchio_checker import PinocchioCollisionChecker
@@ -47,10 +49,10 @@ def wide(cell_of: Callable[..., Cell]) -> Cell:
 @pytest.fixture(scope="module")
 def planned(row: Assembly, wide: Cell) -> RobotPlan:
     """A plan for them that lets both arms work, one after the other."""
-    settings = HybridSettings(keyframes=KeyframeSettings(haste=1.0))
+    settings = HybridSettings(together=True, keyframes=KeyframeSettings(haste=1.0))
     plan = plan_robots(row, wide, settings=settings).plan
     assert plan is not None
-    return plan
+    return replace(plan, schedule=None)
 
 
 @pytest.fixture(scope="module")
@@ -178,3 +180,35 @@ def test_damaged_schedules(scheduled: RobotPlan, tmp_path: Path, key: str, entry
         load_robot_plan(tmp_path / "bad.json")
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_the_plan_of_one_arm_at_a_time_is_scheduled_where_haste_finds_none(
+    row: Assembly, wide: Cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = plan_together(row, wide, settings=HybridSettings(deadline=120.0))
+    assert found.plan is not None
+    assert found.plan.schedule is not None
+    assert found.statistics["search"] == "together"
+
+    def search(*given: Any, settings: HybridSettings, **more: Any) -> HybridResult:
+        if settings.keyframes.haste:
+            settings = replace(settings, deadline=1e-9)
+        return plan_robots(*given, settings=settings, **more)
+
+    monkeypatch.setattr("falsework.robots.planning.plan_together.plan_robots", search)
+    other = plan_together(row, wide, settings=HybridSettings(deadline=120.0))
+    alone = plan_robots(row, wide).plan
+    assert other.plan is not None
+    assert alone is not None
+    assert other.plan.schedule is not None
+    assert other.statistics["search"] == other.plan.statistics["search"] == "sequential"
+    assert other.plan.makespan <= alone.seconds
+
+
+def test_approaches_go_as_near_as_another_arm_lets_them(row: Assembly, wide: Cell) -> None:
+    plan = plan_robots(row, wide, settings=HybridSettings(together=True)).plan
+    assert plan is not None
+    graph, again = graph_of(plan), graph_of(schedule_plan(plan, row, wide))
+    assert graph.makespan == pytest.approx(again.makespan, abs=1e-3)
+    assert check_robot_plan(plan, row, wide).good
+    assert simulate(plan, runs=50).good

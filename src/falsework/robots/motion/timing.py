@@ -24,6 +24,12 @@ CORNER_DEVIATION = 0.0005
 LIMIT_SHARE = 0.98
 """Share of the limits given to the optimiser, which enforces them only on a grid."""
 SLOWDOWNS = 8
+_SWITCH_PASSES = 2
+"""Times that moments of jumping acceleration are looked for between samples."""
+_JUMP = 0.1
+"""Jump of acceleration that gets a sample of its own, in velocity limits per second."""
+_SWITCH_MARGIN = 0.02
+"""Share of the time between two samples that such a moment keeps from both."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,9 +188,28 @@ def _sample(trajectory: Any, duration: float, stretch: float, velocity: Array) -
         if np.abs(np.diff(positions, axis=0)).max() <= JOINT_STEP:
             break
         step /= 1.3
+    for _ in range(_SWITCH_PASSES):
+        times = _with_switches(trajectory, times, velocity)
+    positions = trajectory(times)
     velocities, accelerations = trajectory(times, 1) / stretch, trajectory(times, 2) / stretch**2
     velocities[[0, -1]] = 0.0
     return Timed(np.asarray(times) * stretch, positions, velocities, accelerations)
+
+
+def _with_switches(trajectory: Any, times: Array, velocity: Array) -> Array:
+    """Return times of samples with the moments added at which the acceleration jumps between two of them.
+
+    A cubic from sample to sample across a jump from full acceleration to full braking would need half as much again.
+    """
+    speeds, pushes, spans = trajectory(times, 1), trajectory(times, 2), np.diff(times)
+    jumps = pushes[:-1] - pushes[1:]
+    size = (jumps**2).sum(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = ((np.diff(speeds, axis=0) - pushes[1:] * spans[:, None]) * jumps).sum(axis=1) / (size * spans)
+    large = (np.abs(jumps) > _JUMP * velocity).any(axis=1)
+    inside = large & (share > _SWITCH_MARGIN) & (share < 1 - _SWITCH_MARGIN)
+    found: Array = np.union1d(times, (times[:-1] + share * spans)[inside])
+    return found
 
 
 def _distinct(model: RobotModel, path: ArrayLike) -> Array:

@@ -86,7 +86,7 @@ class ActionRanking:
         scores += self.ease.guided(node.state[None], allowed)[0, actions]
         scores += rng.normal(size=len(actions)) * (0.1 if attempt == 0 else 0.4 * min(attempt, 4))
         ordered = [actions[k] for k in np.argsort(-scores, kind="stable")]
-        return self._passing_first(node, ordered) if self.graph.settings.haste else ordered
+        return self._passing_first(node, ordered) if self.graph.haste else ordered
 
     def _passing_first(self, node: Node, actions: list[int]) -> list[int]:
         """Put the first part that can leave as soon as it is held before those for which an arm would have to wait."""
@@ -110,9 +110,9 @@ class ActionRanking:
         """Return whether an arm would hold a part that is unblocked but cannot be carried away yet."""
         parts, state = len(edge.node.state), edge.node.state
         removal = edge.action + parts
-        if not self.graph.settings.haste or edge.action >= parts or removal not in self.solvability.legal(state):
+        if not self.graph.haste or edge.action >= parts or removal not in self.solvability.legal(state):
             return False
-        return self.solvability.known(state, removal) and next(self.graph.edges(edge.node, removal), None) is None
+        return self.solvability.known(state, removal) and not self.graph.leads_on(edge.node, removal)
 
     def _score(self, node: Node, action: int) -> float:
         # Known results cost nothing; a part with blocked exits is worse than an unknown result.
@@ -123,7 +123,7 @@ class ActionRanking:
         center = self.graph.parts.center[action]
         robots = self.graph.cell.robots
         free = [robot for robot, held in enumerate(node.held) if held is None]
-        haste = self.graph.settings.haste
+        haste = self.graph.haste
         score -= min(
             float(np.linalg.norm(robots[robot].base[:2, 3] - center[:2])) / self.graph.spread
             + haste * node.clock.of(robot)

@@ -17,7 +17,13 @@ from falsework.search.problem.task import Direction
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+_NEAR = 0.4
+"""Two robots with parts no farther apart than this are in each other's way, metres."""
+_CLEAR = 0.6
+"""Share of the time of a removal after which the robot is out of the way."""
+
+
+@dataclass(frozen=True, eq=False)
 class Clock:
     """Times at a keyframe if every robot moves as soon as its own motions and the order of the states allow."""
 
@@ -25,23 +31,31 @@ class Clock:
     """Time at which each robot is done, seconds; empty at the start."""
     state: float = 0.0
     """Time at which the structure reaches the state of the keyframe, seconds."""
+    left: tuple[tuple[int, float, Array], ...] = ()
+    """Latest removals: robot, time at which it is out of the way of robots that move to parts nearby, and centre of its
+    part."""
 
     def of(self, robot: int) -> float:
         """Return how much longer than the first available robot a robot is busy, seconds."""
         return self.robots[robot] - min(self.robots) if self.robots else 0.0
 
-    def held(self, robot: int, seconds: float, robots: int) -> Clock:
+    def held(self, robot: int, seconds: float, robots: int, center: Array) -> Clock:
         """Return the clock after a robot has moved to a part, which takes `seconds`, and holds it."""
         times = list(self.robots or (0.0,) * robots)
-        times[robot] = max(times[robot] + seconds, self.state)
-        return Clock(tuple(times), times[robot])
+        begin = times[robot]
+        for other, clear, place in self.left:
+            if other != robot and np.linalg.norm(place - center) < _NEAR:
+                begin = max(begin, clear)
+        times[robot] = max(begin + seconds, self.state)
+        return Clock(tuple(times), times[robot], self.left)
 
-    def removed(self, robot: int, seconds: float, robots: int) -> Clock:
+    def removed(self, robot: int, seconds: float, robots: int, center: Array) -> Clock:
         """Return the clock after a robot has left with its part, and carried it away in `seconds`."""
         times = list(self.robots or (0.0,) * robots)
         begin = max(times[robot], self.state)
         times[robot] = begin + seconds
-        return Clock(tuple(times), begin)
+        others = (entry for entry in self.left if entry[0] != robot)
+        return Clock(tuple(times), begin, (*others, (robot, begin + _CLEAR * seconds, center)))
 
 
 NO_TIME = Clock()

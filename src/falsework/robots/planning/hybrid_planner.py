@@ -23,6 +23,7 @@ from falsework.assembly.state import REMOVED, States
 from falsework.robots.model.cell import Cell
 from falsework.robots.planning.action_ranking import ActionRanking, ExecutionHeuristic
 from falsework.robots.planning.dead_ends import FailedActions
+from falsework.robots.planning.early_approach import approach_early
 from falsework.robots.planning.expected_times import BalanceGuide
 from falsework.robots.planning.failure_report import Explanation, explain, fall_in_words
 from falsework.robots.planning.hybrid_result import HybridProgress, HybridResult, HybridSettings, Progress
@@ -48,6 +49,8 @@ _LAST_VERDICTS = 400
 """Verdicts for such checks where no action has succeeded yet, before the keyframe counts as a dead end."""
 _MAX_FALLEN_REPLAYS = 40
 """Plans with motions whose replay may fall before the search is given up."""
+_STEPS_BACK = 8
+"""Steps by which a search in haste goes back after its dead ends, to go on without haste; twice as many each time."""
 _POSTPONED_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
 """Delays of missing parts that are tried in turn, as shares of the longest that stability alone allows."""
 
@@ -147,9 +150,15 @@ class _Search:
             self.solvability.relax(share)
             self.dead.clear()
             for turn in range(self.settings.attempts if share == shares[-1] else 1):
-                if turn:
+                prefix: list[Edge] = []
+                if turn and self.settings.keyframes.haste:
+                    prefix = self._before_dead_ends(turn)
+                    if not prefix:
+                        break
+                elif turn:
                     self.solvability.perturb(self.attempt)
-                chain = self.depth_first_pass(root, np.random.default_rng([self.settings.seed, self.attempt]))
+                self.graph.haste = 0.0 if prefix else self.settings.keyframes.haste
+                chain = self.depth_first_pass(root, np.random.default_rng([self.settings.seed, self.attempt]), prefix)
                 self.attempt += 1
                 if chain is not None:
                     return self.solved(root, chain)
@@ -163,10 +172,25 @@ class _Search:
                 limit = f"{self.attempt} searches failed{f'; {self.fallen}' if self.fallen else ''}"
         return self.failed(root, "not_found", limit)
 
-    def depth_first_pass(self, root: Node, rng: np.random.Generator) -> list[Edge] | None:
-        """Return the edges of a plan whose replay stands by one search in depth; None after too many dead ends."""
-        nodes, chain, options = [root], [], [self._options(root, rng)]
-        causes: list[set[int]] = [set()]  # of the dead ends after each keyframe: numbers of earlier edges
+    def _before_dead_ends(self, turn: int) -> list[Edge]:
+        """Return the beginning of the longest partial plan, a shorter one from turn to turn; none of a short plan."""
+        if 2 * len(self.best) < self.task.steps:
+            return []
+        return self.best[: max(len(self.best) - _STEPS_BACK * 2 ** (turn - 1), 0)]
+
+    def depth_first_pass(self, root: Node, rng: np.random.Generator, prefix: Sequence[Edge] = ()) -> list[Edge] | None:
+        """Return the edges of a plan whose replay stands by one search in depth; None after too many dead ends.
+
+        Args:
+            root: the first keyframe.
+            rng: shakes the order of actions.
+            prefix: edges from the root to the keyframe at which to go on; those before it are left at dead ends only.
+        """
+        chain, nodes = list(prefix), [root, *(edge.node for edge in prefix)]
+        options = [self._options(node, rng) for node in nodes]
+        causes: list[set[int]] = [
+            set() for _ in nodes
+        ]  # of the dead ends after each keyframe: numbers of earlier edges
         dead_ends, allowed = 0, self.settings.dead_ends * (1 + self.attempt // 3)
         while nodes:
             if self.deadline_passed():
@@ -333,13 +357,16 @@ class _Search:
         return Route(states, np.array([edge.action for edge in chain], dtype=np.int64))
 
     def _plan(self, root: Node, chain: list[Edge], why: Explanation | None = None) -> RobotPlan:
-        if self.settings.keyframes.haste:
+        if self.settings.together:
             chain = shorten_motions(chain, self.cell.speed, self.settings.seed)
             chain = reorder(self.graph, self.oracle, root, chain, self._timed(root, chain))
+            chain = shorten_motions(chain, self.cell.speed, self.settings.seed, done=self.timed)
         statistics = self._statistics()
         if why is not None:
             statistics["failure"] = why.to_dict()
         plan = self._timed(root, chain)
+        if self.settings.together:
+            plan = approach_early(plan, chain, self.cell, self.graph.world)
         statistics["seconds"] = round(time.perf_counter() - self.began, 3)
         replay = plan.plan.replay
         plan.statistics.update(statistics, replay=None if replay is None else asdict(replay))

@@ -25,6 +25,8 @@ class HybridSettings:
     dead_ends: int = 15
     """Dead ends in the first search; then the next one begins and may have more."""
     keyframes: KeyframeSettings = field(default_factory=KeyframeSettings)
+    together: bool = False
+    """Shorten the motions, reorder the steps and schedule the plan, for robots that move at the same time."""
     forces: bool = False
     """Whether to keep the contact forces that prove each state in the plan."""
 

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, States
+from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Cell
-from falsework.robots.model.part_shapes import place_parts
+from falsework.robots.model.part_shapes import PartShapes, place_parts
 from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, CollisionWorld, Contact, Scene
 from falsework.robots.motion.motion_cache import MotionCache
 from falsework.robots.motion.path_planner import follow_line
@@ -33,6 +34,8 @@ Array = NDArray[np.float64]
 
 _APPROACH_LENGTHS = (1.0, 0.4, 1.8)
 """Lengths of the line on which a gripper approaches a part, in approach margins of the cell."""
+_APART = 1.5
+"""Travel of a joint that a metre more between the tools of two robots at drop-offs is worth in haste, rad."""
 _MAX_PLACES = 4
 """Number of free motions to a drop-off pose that are tried."""
 
@@ -116,6 +119,7 @@ class KeyframeGraph:
         *,
         settings: KeyframeSettings = KeyframeSettings(),
         seed: int = 0,
+        parts: PartShapes | None = None,
     ) -> None:
         """Create an empty graph.
 
@@ -124,9 +128,12 @@ class KeyframeGraph:
             cell: the robots and what is around them.
             settings: how many possibilities are tried.
             seed: of the free motions.
+            parts: the parts as bodies in the cell, if they are at hand.
         """
         self.assembly, self.cell, self.settings, self.seed = assembly, cell, settings, seed
-        self.parts = place_parts(assembly, cell.placement)
+        self.haste = settings.haste
+        """As in the settings, or 0 while a search goes on from where arms in haste have met dead ends."""
+        self.parts = parts or place_parts(assembly, cell.placement)
         self.world = CollisionWorld(cell, self.parts)
         self.reasons = FailureLog()
         self.cache = MotionCache(self.world, nodes=settings.nodes, seed=seed)
@@ -134,6 +141,7 @@ class KeyframeGraph:
         self.joint = JointHolds(self._grips)
         self._withdrawal = Withdrawal(self.cache, self.reasons)
         self.exits = ExitDirections(assembly, self.parts.turn)
+        self._begun: dict[tuple[Node, int], Iterator[Edge]] = {}
 
     def start(self, state: States, configurations: tuple[Array, ...], held: tuple[int | None, ...]) -> Node:
         """Return an initial node."""
@@ -141,6 +149,17 @@ class KeyframeGraph:
 
     def edges(self, node: Node, action: int) -> Iterator[Edge]:
         """Yield edges that carry out an action, most promising first, each computed on demand."""
+        begun = self._begun.pop((node, action), None)
+        return begun or self._edges(node, action)
+
+    def leads_on(self, node: Node, action: int) -> bool:
+        """Return whether an action has an edge; the search for the edges of the last one goes on in `edges`."""
+        edges = self._edges(node, action)
+        first = next(edges, None)
+        self._begun = {} if first is None else {(node, action): itertools.chain([first], edges)}
+        return first is not None
+
+    def _edges(self, node: Node, action: int) -> Iterator[Edge]:
         parts = self.assembly.part_count
         return self._remove(node, action - parts) if action >= parts else self._hold(node, action)
 
@@ -224,7 +243,7 @@ class KeyframeGraph:
     def _reluctance(self, node: Node, robot: int, center: Array) -> float:
         """Rank free robots for a part: near ones first, and those first that are available early."""
         far = float(np.linalg.norm(self.cell.robots[robot].base[:2, 3] - center[:2]))
-        return far + self.settings.haste * self.spread * node.clock.of(robot)
+        return far + self.haste * self.spread * node.clock.of(robot)
 
     def _hold_with(self, node: Node, part: int, robot: int) -> Iterator[Edge]:
         grips = self.grips(robot, part, node.state)
@@ -271,7 +290,7 @@ class KeyframeGraph:
         assert retreat.path is not None
         line = PathSegment("line", retreat.path[::-1].copy(), touches=part)
         segments = (PathSegment("free", free.path, view=clear), line)
-        clock = node.clock.held(robot, self._expected(robot, segments), self.cell.robot_count)
+        clock = node.clock.held(robot, self._expected(robot, segments), self.cell.robot_count, self.parts.center[part])
         after = replace(_replaced(node, state, robot, grip.configuration, part), clock=clock)
         return Edge(part, robot, segments, after)
 
@@ -313,7 +332,10 @@ class KeyframeGraph:
         clear = places[hits < 0]
         if not len(clear):
             self.reasons.add("remove", part, robot, "every drop-off pose collides", view.pair(int(hits[0])), places[0])
-        for goal in clear[np.argsort(np.abs(clear - end).max(axis=1), kind="stable")][:_MAX_PLACES]:
+        way = np.abs(clear - end).max(axis=1)
+        if self.haste:
+            way -= _APART * self.haste * self._apart(node, robot, clear)
+        for goal in clear[np.argsort(way, kind="stable")][:_MAX_PLACES]:
             free = self.cache.motion(scene, robot, end, goal)
             if free:
                 state = node.state.copy()
@@ -321,11 +343,24 @@ class KeyframeGraph:
                 lines = tuple(PathSegment("line", path, part=part) for path in paths)
                 assert free.path is not None
                 segments = (*lines, PathSegment("free", free.path, part=part, view=view))
-                clock = node.clock.removed(robot, self._expected(robot, segments), self.cell.robot_count)
+                clock = node.clock.removed(
+                    robot, self._expected(robot, segments), self.cell.robot_count, self.parts.center[part]
+                )
                 after = replace(_replaced(node, state, robot, goal, None), clock=clock)
                 return Edge(self.assembly.part_count + part, robot, segments, after)
             self.reasons.add("remove", part, robot, f"to {entry.name}'s drop-off: {free.reason}", free.pair, free.at)
         return None
+
+    def _apart(self, node: Node, robot: int, values: Array) -> Array:
+        """Return the distance from the tool to the nearest tool of another robot in each configuration, metres."""
+        tools = tool_pose(self.cell.robots[robot], values)[:, :2, 3]
+        others = [
+            tool_pose(self.cell.robots[other], here)[:2, 3]
+            for other, here in enumerate(node.configurations)
+            if other != robot
+        ]
+        apart: Array = np.min([np.linalg.norm(tools - other, axis=1) for other in others], axis=0)
+        return apart
 
     # Helpers of both
 

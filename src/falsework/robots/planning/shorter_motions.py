@@ -7,6 +7,7 @@ Overmars, Creating high-quality paths for motion planning (2007).
 
 from __future__ import annotations
 
+from collections.abc import Container
 from dataclasses import replace
 
 import numpy as np
@@ -36,18 +37,25 @@ _ARC = 10
 """Number of edges of a rounded corner."""
 
 
-def shorten_motions(chain: list[Edge], speed: float, seed: int) -> list[Edge]:
+def shorten_motions(
+    chain: list[Edge], speed: float, seed: int, *, done: Container[PathSegment] = frozenset()
+) -> list[Edge]:
     """Return the edges of a plan with free motions that take less time where such are found.
 
     Args:
         chain: the edges.
         speed: share of the velocity limits of the cell.
         seed: of the trees and shortcuts.
+        done: motions that stay as they are.
     """
-    return [
-        replace(edge, segments=tuple(_shorter(segment, speed, [seed, k, j]) for j, segment in enumerate(edge.segments)))
-        for k, edge in enumerate(chain)
-    ]
+    found = []
+    for k, edge in enumerate(chain):
+        segments = tuple(
+            segment if segment in done else _shorter(segment, speed, [seed, k, j])
+            for j, segment in enumerate(edge.segments)
+        )
+        found.append(replace(edge, segments=segments))
+    return found
 
 
 def _shorter(segment: PathSegment, speed: float, seed: list[int]) -> PathSegment:

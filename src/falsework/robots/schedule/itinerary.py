@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED
+from falsework.robots.kernels.collision import Bodies, Chain
 from falsework.robots.kernels.coordination import SPLIT, Swept, still, sweep
 from falsework.robots.kernels.kernel_arrays import make_bodies, make_chain
 from falsework.robots.kinematics.forward import tool_pose
@@ -52,17 +53,22 @@ class Stretch:
 class Itineraries:
     """Itineraries of all arms of a plan."""
 
-    def __init__(self, plan: RobotPlan, world: CollisionWorld, *, slack: int = 0) -> None:
+    def __init__(
+        self, plan: RobotPlan, world: CollisionWorld, *, slack: int = 0, like: Itineraries | None = None
+    ) -> None:
         """Divide motions into cells and compute swept bodies.
 
         Args:
             plan: the robot plan.
             world: the cell and the parts.
             slack: events whose indices differ by at most this may be reordered.
+            like: itineraries of a plan that has some of the motions, whose cells are used again.
         """
         self.plan, self.world, self.slack = plan, world, slack
         self.nodes, self.events = nodes_of(plan)
-        self._standing: dict[int, Swept] = {}
+        self._standing: dict[int, Swept] = {} if like is None else like._standing
+        self._cells: dict[Trajectory, tuple[Swept, Swept]] = {} if like is None else like._cells
+        self._bodies: dict[tuple[int, int | None, bytes], tuple[Chain, Bodies]] = {} if like is None else like._bodies
         self.rows = [list(self._row(robot)) for robot in range(len(plan.robots))]
 
     def _row(self, robot: int) -> Iterator[Stretch]:
@@ -128,21 +134,25 @@ class Itineraries:
         node, trajectory = self.nodes[index], self._trajectory(index)
         count = max(int(np.ceil(node.seconds / CELL)), 1)
         part = self._load(index)
-        coarse = self._swept(node.robot, *reach_of(trajectory, count), part)
-        fine = self._swept(node.robot, *reach_of(trajectory, SPLIT * count), part)
+        if trajectory not in self._cells:
+            coarse = self._swept(node.robot, *reach_of(trajectory, count), part)
+            self._cells[trajectory] = (coarse, self._swept(node.robot, *reach_of(trajectory, SPLIT * count), part))
         ends = node.seconds * np.arange(1, count + 1) / count
-        line = trajectory.kind == "line"
-        return Stretch(index, first, count, after, before, ends, (coarse, fine), line, frozenset({node.step}))
+        line, swept = trajectory.kind == "line", self._cells[trajectory]
+        return Stretch(index, first, count, after, before, ends, swept, line, frozenset({node.step}))
 
     def _swept(self, robot: int, values: Array, spread: Array, part: tuple[int, Array] | None) -> Swept:
-        entry = self.world.cell.robots[robot]
-        carried = None
-        if part is not None:
-            number, grip = part
-            scene = self._nowhere.with_attached(robot, number, tool_pose(entry, grip))
-            carried = self.world.carried(robot, scene)
-        bodies, _, _ = make_bodies(entry, carried, self.world.parts.names)
-        return sweep(values, spread, make_chain(entry.model, entry.base), bodies)
+        key = (robot, None if part is None else part[0], b"" if part is None else part[1].tobytes())
+        if key not in self._bodies:
+            entry = self.world.cell.robots[robot]
+            carried = None
+            if part is not None:
+                number, grip = part
+                scene = self._nowhere.with_attached(robot, number, tool_pose(entry, grip))
+                carried = self.world.carried(robot, scene)
+            bodies, _, _ = make_bodies(entry, carried, self.world.parts.names)
+            self._bodies[key] = (make_chain(entry.model, entry.base), bodies)
+        return sweep(values, spread, *self._bodies[key])
 
     @cached_property
     def _nowhere(self) -> Scene:

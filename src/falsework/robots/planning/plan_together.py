@@ -1,0 +1,104 @@
+"""Plans with motions for robots that move at the same time: a search for plans that allow it, else any plan.
+
+The search in haste takes parts from the sides of all robots in turn and is given up after a few dead ends. Then the
+planner for one robot at a time searches, and its motions overlap as far as that is proven safe.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+from numpy.typing import ArrayLike
+
+from falsework.assembly.model import Assembly
+from falsework.robots.model.cell import Cell
+from falsework.robots.planning.hybrid_planner import plan_robots
+from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings, Progress
+from falsework.robots.planning.keyframe_graph import KeyframeGraph
+from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.schedule.build import schedule_plan
+from falsework.robots.schedule.solver import import_ortools
+from falsework.search.problem.guide import Guide
+from falsework.search.problem.task import Task
+from falsework.stability.oracle import Stability
+
+_HASTE = 1.0
+"""Weight of time in the choice of actions."""
+_SEARCHES = 5
+"""Searches, the first in haste and the others from its keyframes on without."""
+_DEAD_ENDS = 8
+"""Dead ends of each."""
+_DEADLINE_SHARE = 0.4
+"""Share of the deadline that the searches in haste have."""
+
+
+def plan_together(
+    assembly: Assembly,
+    cell: Cell,
+    *,
+    task: Task | None = None,
+    configurations: Sequence[ArrayLike] | None = None,
+    held: Sequence[int | None] | None = None,
+    oracle: Stability | None = None,
+    guide: Guide | None = None,
+    settings: HybridSettings = HybridSettings(),
+    assembly_order: bool = False,
+    progress: Progress | None = None,
+) -> HybridResult:
+    """Find a plan with motions and schedule them for robots that move at the same time.
+
+    Where `plan_robots` finds a plan, there is one here too, unless the deadline passes first. The statistics have
+    `search`: `together`, or `sequential` where the search for plans that allow overlaps found none.
+
+    Args:
+        assembly, cell, task, configurations, held, oracle, guide, progress: as in `plan_robots`.
+        settings: limits of the search for one robot at a time; fewer searches and dead ends are allowed in haste.
+        assembly_order: schedule the motions in the order of assembly.
+
+    Raises:
+        InputError: configurations that do not fit the robots, or in which something collides.
+        StateError: held parts that do not go with the start state.
+        DependencyError: OR-Tools is missing.
+    """
+    import_ortools()
+    began, oracle = time.perf_counter(), oracle or Stability(assembly)
+    hasty = replace(
+        settings,
+        attempts=min(settings.attempts, _SEARCHES),
+        dead_ends=min(settings.dead_ends, _DEAD_ENDS),
+        deadline=None if settings.deadline is None else _DEADLINE_SHARE * settings.deadline,
+        keyframes=replace(settings.keyframes, haste=_HASTE),
+    )
+    graph = KeyframeGraph(assembly, cell, settings=hasty.keyframes, seed=settings.seed)
+
+    def search(limits: HybridSettings, graph: KeyframeGraph) -> HybridResult:
+        return plan_robots(
+            assembly,
+            cell,
+            task=task,
+            configurations=configurations,
+            held=held,
+            oracle=oracle,
+            guide=guide,
+            settings=replace(limits, together=True),
+            progress=progress,
+            graph=graph,
+        )
+
+    result, kind = search(hasty, graph), "together"
+    if result.explanation is not None and result.explanation.outcome != "proved_impossible":
+        left = None if settings.deadline is None else settings.deadline - (time.perf_counter() - began)
+        graph = KeyframeGraph(assembly, cell, settings=settings.keyframes, seed=settings.seed, parts=graph.parts)
+        result, kind = search(replace(settings, deadline=left), graph), "sequential"
+
+    def scheduled(plan: RobotPlan | None) -> RobotPlan | None:
+        if plan is None:
+            return None
+        plan.statistics.update(search=kind, seconds=round(time.perf_counter() - began, 3))
+        return schedule_plan(plan.reverse(), assembly, cell, parts=graph.parts) if assembly_order else plan
+
+    plan, partial = scheduled(result.plan), scheduled(result.partial)
+    statistics = {**result.statistics, "search": kind, "seconds": round(time.perf_counter() - began, 3)}
+    return replace(result, plan=plan, partial=partial, statistics=statistics)
