@@ -73,7 +73,7 @@ TABLE_3: dict[str, tuple[float, float, float, float]] = {
     "vault-62:6": (91.2, 78.4, 9.0, 20),
     "dome-72:2": (97.6, 96.4, 16.05, 15),
 }
-"""For each row the paper's success in training and test in %, its hours, and the minutes that a run here is given."""
+"""For each row the paper's success in training and test in %, its hours, and the minutes of a run here."""
 EVERYTHING = 1 << 14
 """Width of a search that finds all states of a small structure."""
 SMALL = 20

@@ -37,9 +37,9 @@ from falsework.stability.margins.conditions import Condition
 
 KINDS = ("friction", "tilt", "load_factor", "push", "held")
 LARGE = 150
-"""Parts from which the complete structure is the state, and no plan is searched for."""
+"""Parts from which the complete structure is measured, without a search for a plan."""
 FARTHEST = 3.0
-"""Times a bound, or its inverse, to which a bound by discrete elements is looked for."""
+"""Multiple of a bound, or of its inverse, up to which a bound by discrete elements is sought."""
 BESIDE = 0.02
 """Distance from a bound, inside and outside, at which a state is replayed, as a share of the bound."""
 RESOLVED = 100.0

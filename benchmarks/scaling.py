@@ -41,7 +41,7 @@ class Options:
     """Sizes and numbers of runs."""
 
     parts: tuple[int, ...] = (62, 125, 250, 500, 1000, 2000, 4000)
-    """Sizes to ask the vault for."""
+    """Numbers of parts of the vault."""
     repeats: int = 3
     """Number of runs of each; the median counts."""
     out: Path | None = None
@@ -51,7 +51,7 @@ class Options:
 
 
 def measure(parts: int, repeats: int) -> dict[str, float | int | str]:
-    """Median times of one size."""
+    """Return median times of one size."""
     times: dict[str, list[float]] = {name: [] for name in MEASURED[:-1]}
     begun = time.process_time()
 

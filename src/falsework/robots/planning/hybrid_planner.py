@@ -48,7 +48,7 @@ _SOLVABILITY_CHECKS = 4
 _LAST_VERDICTS = 400
 """Verdicts for such checks where no action has succeeded yet, before the keyframe counts as a dead end."""
 _MAX_FALLEN_REPLAYS = 40
-"""Plans with motions whose replay may fall before the search is given up."""
+"""Plans with motions whose replay may fail before the search ends."""
 _STEPS_BACK = 8
 """Steps by which a search in haste goes back after its dead ends, to go on without haste; twice as many each time."""
 _POSTPONED_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
@@ -179,18 +179,18 @@ class _Search:
         return self.best[: max(len(self.best) - _STEPS_BACK * 2 ** (turn - 1), 0)]
 
     def depth_first_pass(self, root: Node, rng: np.random.Generator, prefix: Sequence[Edge] = ()) -> list[Edge] | None:
-        """Return the edges of a plan whose replay stands by one search in depth; None after too many dead ends.
+        """Return the edges of a plan with a stable replay by one depth-first search; None after too many dead ends.
 
         Args:
             root: the first keyframe.
-            rng: shakes the order of actions.
+            rng: random generator that perturbs the order of actions.
             prefix: edges from the root to the keyframe at which to go on; those before it are left at dead ends only.
         """
         chain, nodes = list(prefix), [root, *(edge.node for edge in prefix)]
         options = [self._options(node, rng) for node in nodes]
         causes: list[set[int]] = [
             set() for _ in nodes
-        ]  # of the dead ends after each keyframe: numbers of earlier edges
+        ]  # causes of the dead ends after each keyframe: indices of earlier edges
         dead_ends, allowed = 0, self.settings.dead_ends * (1 + self.attempt // 3)
         while nodes:
             if self.deadline_passed():

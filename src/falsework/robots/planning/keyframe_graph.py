@@ -125,10 +125,10 @@ class KeyframeGraph:
 
         Args:
             assembly: the structure.
-            cell: the robots and what is around them.
-            settings: how many possibilities are tried.
-            seed: of the free motions.
-            parts: the parts as bodies in the cell, if they are at hand.
+            cell: the robots and their surroundings.
+            settings: limits on candidates.
+            seed: seed of the free motions.
+            parts: the parts as bodies in the cell, if already available.
         """
         self.assembly, self.cell, self.settings, self.seed = assembly, cell, settings, seed
         self.haste = settings.haste

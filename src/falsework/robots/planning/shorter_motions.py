@@ -40,13 +40,13 @@ _ARC = 10
 def shorten_motions(
     chain: list[Edge], speed: float, seed: int, *, done: Container[PathSegment] = frozenset()
 ) -> list[Edge]:
-    """Return the edges of a plan with free motions that take less time where such are found.
+    """Return the edges of a plan with shorter free motions where such are found.
 
     Args:
         chain: the edges.
         speed: share of the velocity limits of the cell.
-        seed: of the trees and shortcuts.
-        done: motions that stay as they are.
+        seed: seed of the trees and shortcuts.
+        done: motions that stay unchanged.
     """
     found = []
     for k, edge in enumerate(chain):
