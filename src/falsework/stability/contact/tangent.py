@@ -31,7 +31,7 @@ def _multiply(left, e, right, q, out, t):
 def assemble_tangent(structure, contact_structure, work, contact, pairs, shift):
     """Write the tangent stiffness at the spring forces `contact.trial`, plus `shift` times the identity.
 
-    A contact that just touches counts as closed and sticking, so the first step from rest is that of a bonded structure.
+    A contact that just touches counts as closed and sticking, so the first step from rest is that of a bonded one.
     """
     basis, start, cone, friction = work.basis, work.start, structure.cone, work.friction
     kn, kt, trial, pull, stick = contact.normal, contact.tangential, contact.trial, contact.pull, contact.stick

@@ -1,6 +1,6 @@
 """Symbolic elimination of block matrices with the pattern of `S`: once per structure, and cut down to each state.
 
-`S` has one 6 x 6 block row per part that can move, and a block wherever two such parts touch. Consecutive positions with
+`S` has one 6 x 6 block row per part that can move, and a block wherever two of them touch. Consecutive positions with
 much the same fill are a supernode; its rows and columns are dense panels (`panels.py`). Removing or holding parts only
 takes rows away, and the fill of a subgraph lies inside the fill of the whole graph under the same order; so the pattern
 of the complete structure bounds that of every state.
