@@ -229,9 +229,9 @@ def test_a_day_on_site(opened: Callable[..., Open], arch: Any) -> None:
     assert complaints_of(now) == []
 
     said = "getComputedStyle(document.body, '::before').content"
-    assert "server has ended" not in tab.evaluate(said)
+    assert "server has stopped" not in tab.evaluate(said)
     now.page.close()
-    now.until(lambda: "server has ended" in tab.evaluate(said), "the page says that the server has ended")
+    now.until(lambda: "server has stopped" in tab.evaluate(said), "the page says that the server has stopped")
 
 
 def test_an_unstable_state(opened: Callable[..., Open]) -> None:
