@@ -35,7 +35,8 @@ Array = NDArray[np.float64]
 _APPROACH_LENGTHS = (1.0, 0.4, 1.8)
 """Lengths of the line on which a gripper approaches a part, in approach margins of the cell."""
 _APART = 1.5
-"""Travel of a joint that a metre more between the tools of two robots at drop-offs is worth in haste, rad."""
+"""Travel of a joint that a metre more between the tools of both robots at drop-offs is worth in haste, rad. Of three
+and more robots others can go on meanwhile, and the way counts alone."""
 _MAX_PLACES = 4
 """Number of free motions to a drop-off pose that are tried."""
 
@@ -333,7 +334,7 @@ class KeyframeGraph:
         if not len(clear):
             self.reasons.add("remove", part, robot, "every drop-off pose collides", view.pair(int(hits[0])), places[0])
         way = np.abs(clear - end).max(axis=1)
-        if self.haste:
+        if self.haste and self.cell.robot_count == 2:
             way -= _APART * self.haste * self._apart(node, robot, clear)
         for goal in clear[np.argsort(way, kind="stable")][:_MAX_PLACES]:
             free = self.cache.motion(scene, robot, end, goal)
