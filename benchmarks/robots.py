@@ -48,11 +48,11 @@ from falsework.robots.model.shapes import inverse_pose, pose
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
 from falsework.robots.planning.keyframe_graph import KeyframeGraph
+from falsework.robots.planning.plan_together import plan_together
 from falsework.robots.plans.check import check_robot_plan
 from falsework.robots.plans.check_schedule import check_schedule
 from falsework.robots.plans.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.robots.schedule.plan_together import plan_together
 from falsework.robots.schedule.simulation import simulate
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.task import Task

@@ -85,7 +85,7 @@ class PlanRobots(Command):
         from falsework.robots.cells.cell_file import load_cell
         from falsework.robots.planning.hybrid_planner import plan_robots
         from falsework.robots.planning.hybrid_result import HybridSettings
-        from falsework.robots.schedule.plan_together import plan_together
+        from falsework.robots.planning.plan_together import plan_together
         from falsework.stability import Stability, StabilitySettings
 
         writable(self.out)

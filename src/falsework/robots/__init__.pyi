@@ -22,6 +22,7 @@ from falsework.robots.planning.hybrid_result import HybridResult as HybridResult
 from falsework.robots.planning.hybrid_result import HybridSettings as HybridSettings
 from falsework.robots.planning.keyframe_graph import KeyframeGraph as KeyframeGraph
 from falsework.robots.planning.keyframe_graph import KeyframeSettings as KeyframeSettings
+from falsework.robots.planning.plan_together import plan_together as plan_together
 from falsework.robots.plans.check import CheckReport as CheckReport
 from falsework.robots.plans.check import PlanProblem as PlanProblem
 from falsework.robots.plans.check import check_robot_plan as check_robot_plan
@@ -45,7 +46,6 @@ from falsework.robots.plans.timeline import arm_shares as arm_shares
 from falsework.robots.plans.timeline import event_times as event_times
 from falsework.robots.plans.timeline import nodes_of as nodes_of
 from falsework.robots.schedule.build import schedule_plan as schedule_plan
-from falsework.robots.schedule.plan_together import plan_together as plan_together
 from falsework.robots.schedule.simulation import SimulationReport as SimulationReport
 from falsework.robots.schedule.simulation import simulate as simulate
 from falsework.robots.schedule.solver import ScheduleSettings as ScheduleSettings

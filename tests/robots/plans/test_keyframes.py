@@ -9,9 +9,9 @@ import pytest
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
+from falsework.robots.grasping.exit_directions import ExitDirections
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Cell
-from falsework.robots.planning.exit_directions import ExitDirections
 from falsework.robots.planning.keyframe_graph import KeyframeGraph, KeyframeSettings
 
 

@@ -21,6 +21,7 @@ from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
 from falsework.robots.planning.keyframe_graph import KeyframeSettings
+from falsework.robots.planning.plan_together import plan_together
 from falsework.robots.plans.check import check_robot_plan
 from falsework.robots.plans.check_schedule import check_schedule
 from falsework.robots.plans.pinocchio_checker import PinocchioCollisionChecker
@@ -29,7 +30,6 @@ from falsework.robots.plans.robot_plan_file import load_robot_plan, robot_plan_t
 from falsework.robots.plans.temporal_graph import Precedence, TemporalPlanGraph
 from falsework.robots.plans.timeline import arm_shares, event_times, nodes_of
 from falsework.robots.schedule.build import schedule_plan
-from falsework.robots.schedule.plan_together import plan_together
 from falsework.robots.schedule.simulation import simulate
 from falsework.search.problem.task import Direction
 
@@ -195,7 +195,7 @@ def test_the_plan_of_one_arm_at_a_time_is_scheduled_where_haste_finds_none(
             settings = replace(settings, deadline=1e-9)
         return plan_robots(*given, settings=settings, **more)
 
-    monkeypatch.setattr("falsework.robots.schedule.plan_together.plan_robots", search)
+    monkeypatch.setattr("falsework.robots.planning.plan_together.plan_robots", search)
     other = plan_together(row, wide, settings=HybridSettings(deadline=120.0))
     alone = plan_robots(row, wide).plan
     assert other.plan is not None

@@ -21,9 +21,10 @@ from numpy.typing import ArrayLike
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED, States
 from falsework.robots.model.cell import Cell
+from falsework.robots.motion.expected_times import BalanceGuide
 from falsework.robots.planning.action_ranking import ActionRanking, ExecutionHeuristic
 from falsework.robots.planning.dead_ends import FailedActions
-from falsework.robots.planning.expected_times import BalanceGuide
+from falsework.robots.planning.early_approach import approach_early
 from falsework.robots.planning.failure_report import Explanation, explain, fall_in_words
 from falsework.robots.planning.hybrid_result import HybridProgress, HybridResult, HybridSettings, Progress
 from falsework.robots.planning.initial_keyframe import first_keyframe, task_in_cell
@@ -33,7 +34,6 @@ from falsework.robots.planning.shorter_motions import shorten_motions
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.robots.planning.trajectory_assembly import make_robot_plan
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
-from falsework.robots.schedule.early_approach import approach_early
 from falsework.search.problem.guide import Guide, MemoizedGuide, SupportGuide
 from falsework.search.problem.result import Outcome, Route, SearchResult
 from falsework.search.problem.task import Task

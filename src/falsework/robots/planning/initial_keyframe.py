@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD
 from falsework.errors import InputError, StateError
+from falsework.robots.grasping.exit_directions import ExitDirections
 from falsework.robots.model.cell import Cell
-from falsework.robots.planning.exit_directions import ExitDirections
 from falsework.robots.planning.keyframe_graph import KeyframeGraph, Node
 from falsework.search.problem.task import Task
 
