@@ -182,6 +182,12 @@ def test_damaged_schedules(scheduled: RobotPlan, tmp_path: Path, key: str, entry
     assert "\n" not in str(caught.value)
 
 
+def test_a_deadline_that_searches_in_haste_use_up_ends_without_a_plan(row: Assembly, wide: Cell) -> None:
+    found = plan_together(row, wide, settings=HybridSettings(deadline=1e-3))
+    assert found.plan is None
+    assert found.statistics["search"] == "sequential"
+
+
 def test_the_plan_of_one_arm_at_a_time_is_scheduled_where_haste_finds_none(
     row: Assembly, wide: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -6,7 +6,6 @@ planner for one robot at a time searches, and its motions overlap as far as that
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -20,6 +19,7 @@ from falsework.robots.planning.keyframe_graph import KeyframeGraph
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.schedule.build import schedule_plan
 from falsework.robots.schedule.solver import import_ortools
+from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.task import Task
 from falsework.stability.oracle import Stability
@@ -32,6 +32,8 @@ _DEAD_ENDS = 8
 """Dead ends of each."""
 _DEADLINE_SHARE = 0.4
 """Share of the deadline that the searches in haste have."""
+_LEAST_SECONDS = 1e-3
+"""Least time that is left to the search for one robot at a time."""
 
 
 def plan_together(
@@ -63,7 +65,7 @@ def plan_together(
         DependencyError: OR-Tools is missing.
     """
     import_ortools()
-    began, oracle = time.perf_counter(), oracle or Stability(assembly)
+    clock, oracle = Deadline(settings.deadline), oracle or Stability(assembly)
     hasty = replace(
         settings,
         attempts=min(settings.attempts, _SEARCHES),
@@ -89,16 +91,17 @@ def plan_together(
 
     result, kind = search(hasty, graph), "together"
     if result.explanation is not None and result.explanation.outcome != "proved_impossible":
-        left = None if settings.deadline is None else settings.deadline - (time.perf_counter() - began)
+        # Even where a long motion has used the time up, the last search ends by itself, with what it has.
+        left = max(clock.left, _LEAST_SECONDS) if clock.limited else None
         graph = KeyframeGraph(assembly, cell, settings=settings.keyframes, seed=settings.seed, parts=graph.parts)
         result, kind = search(replace(settings, deadline=left), graph), "sequential"
 
     def scheduled(plan: RobotPlan | None) -> RobotPlan | None:
         if plan is None:
             return None
-        plan.statistics.update(search=kind, seconds=round(time.perf_counter() - began, 3))
+        plan.statistics.update(search=kind, seconds=round(clock.seconds, 3))
         return schedule_plan(plan.reverse(), assembly, cell, parts=graph.parts) if assembly_order else plan
 
     plan, partial = scheduled(result.plan), scheduled(result.partial)
-    statistics = {**result.statistics, "search": kind, "seconds": round(time.perf_counter() - began, 3)}
+    statistics = {**result.statistics, "search": kind, "seconds": round(clock.seconds, 3)}
     return replace(result, plan=plan, partial=partial, statistics=statistics)
