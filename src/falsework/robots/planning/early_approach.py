@@ -1,4 +1,4 @@
-"""Approaches in two motions: a robot goes as near to its next part as it may while another is still in the way there.
+"""Approaches in two motions: up to where another robot is still in the way, and on to the part when it has left.
 
 A motion waits until all of it is free, since a robot never waits within one. Where it waits for long, it is cut at the
 last place that is free before, and each half is a motion from rest to rest. The path stays as it is.
@@ -25,11 +25,11 @@ from falsework.robots.schedule.solver import solve
 Array = NDArray[np.float64]
 
 _LEAST_WAIT = 0.1
-"""Waits that are worth a halt on the way, seconds."""
+"""Shortest wait for which a motion is divided, seconds."""
 _LEAST_SHARE = 0.2
-"""Share of a motion that its first half has at least."""
+"""Least share of a motion in its first half."""
 _HALT = 0.2
-"""What a halt on the way costs, about, seconds."""
+"""Approximate time that a stop on the way costs, seconds."""
 _INSIDE = 0.97
 """Share of the free beginning that is used: the robot slows down there."""
 

@@ -15,8 +15,6 @@ _DISSECTED = 700
 """Parts from which nested dissection may fill less than minimum degree."""
 _LEAF = 60
 """Parts that are not dissected further."""
-_STARTS = 4
-"""Pairs of distant parts between which a separator is looked for."""
 _UNEVEN = 2.0
 """Cost of uneven sides: the share of its size by which a separator costs more for each share of the parts that the
 larger side has beyond 55 %."""
@@ -93,7 +91,7 @@ def _separate(neighbours: Graph, parts: set[int]) -> tuple[set[int], set[int], s
     across = _distances(neighbours, parts, list(from_aside)[-1])
     ends = [(from_first, from_last), (from_aside, across), (from_first, from_aside), (from_last, from_aside)]
     found = []
-    for here, there in ends[:_STARTS]:
+    for here, there in ends:
         ranked = sorted(parts, key=lambda part: (here[part] - there[part], here[part], part))
         one = set(ranked[: len(ranked) // 2])
         between = _cover(neighbours, one, parts - one)
