@@ -104,13 +104,18 @@ def _mounted(model: RobotModel, pieces: Pieces) -> list[Array]:
 
 def _packed(model: RobotModel, frames: Sequence[int], shapes: Sequence[Array]) -> Bodies:
     """Return pieces, each in a frame of the arm, with their bounds."""
-    start, vertices = _stack(shapes)
+    origin = make_chain(model, np.eye(4)).origin
+    sweep = np.array([_sweep(model, origin, frame, piece) for frame, piece in zip(frames, shapes, strict=True)])
+    return Bodies(np.array(frames, np.int64), *bounds_of(shapes), sweep)
+
+
+def bounds_of(pieces: Sequence[Array]) -> tuple[NDArray[np.int64], Array, Array, Array]:
+    """Return first rows, stacked vertices, and centres and radii of bounding spheres of pieces."""
+    start, vertices = _stack(pieces)
     low, high = np.minimum.reduceat(vertices, start[:-1]), np.maximum.reduceat(vertices, start[:-1])
     center = (low + high) / 2
     away = np.linalg.norm(vertices - np.repeat(center, np.diff(start), axis=0), axis=1)
-    origin = make_chain(model, np.eye(4)).origin
-    sweep = np.array([_sweep(model, origin, frame, piece) for frame, piece in zip(frames, shapes, strict=True)])
-    return Bodies(np.array(frames, np.int64), start, vertices, center, np.maximum.reduceat(away, start[:-1]), sweep)
+    return start, vertices, center, np.maximum.reduceat(away, start[:-1])
 
 
 def _sweep(model: RobotModel, origin: Array, frame: int, piece: Array) -> Array:

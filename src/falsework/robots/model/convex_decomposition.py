@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -37,6 +38,31 @@ class _Cut:
     """Volume of the convex hull, m3."""
     idle: int = 0
     """Consecutive cuts that gained nothing."""
+
+    @cached_property
+    def normals(self) -> Array:
+        """Normals of the triangles, as long as twice their areas, shape (triangles, 3)."""
+        (x, y, z), (u, v, w) = (
+            (self.triangles[:, 1] - self.triangles[:, 0]).T,
+            (self.triangles[:, 2] - self.triangles[:, 0]).T,
+        )
+        return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
+
+    @cached_property
+    def size(self) -> float:
+        """Largest extent along an axis, metres."""
+        return float(np.ptp(self.corners, axis=0).max())
+
+    def sides(self, plane: Array) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return heights of the corners of triangles above a plane, and which triangles lie behind it, before, across.
+
+        A triangle in the plane bounds the part behind it if its normal agrees, else the part before it.
+        """
+        height = self.triangles @ plane[:3] - plane[3]
+        height[np.abs(height) < 1e-9 * max(self.size, 1e-9)] = 0.0
+        below, above = (height < 0).any(axis=1), (height > 0).any(axis=1)
+        along = self.normals @ plane[:3]
+        return height, ~above & (below | (along > 0)), ~below & (above | (along < 0)), below & above
 
 
 def convex_pieces(mesh: TriangleMesh, tolerance: float = 0.05, pieces: int = MAX_PIECES) -> Pieces:
@@ -93,9 +119,8 @@ def _best_cut(part: _Cut, mesh: TriangleMesh) -> tuple[_Cut, _Cut] | None:
     most = part.volume * (1 - 1e-3)
     best, chosen = most, None
     for plane in _candidates(part):
-        sides = [_clip(part, sign * plane, None) for sign in (1.0, -1.0)]
-        total = sum(side.volume for side in sides if side is not None)
-        if None not in sides and total < best * (1 - 1e-9):
+        total = _volume_of_halves(part, plane)
+        if total < best * (1 - 1e-9):
             best, chosen = total, plane
     if chosen is None:
         return None
@@ -107,13 +132,10 @@ def _best_cut(part: _Cut, mesh: TriangleMesh) -> tuple[_Cut, _Cut] | None:
 
 def _candidates(part: _Cut) -> list[Array]:
     """Return planes of faces inside the hull, and planes across its middle; shape (4,) each."""
-    corners = part.triangles
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.linalg.norm(cross, axis=1)
+    area, size = np.linalg.norm(part.normals, axis=1), part.size
     good = area > area.max() * 1e-6
-    normals = cross[good] / area[good, None]
-    levels = np.einsum("ij,ij->i", normals, corners[good, 0])
-    size = float(np.ptp(part.corners, axis=0).max())
+    normals = part.normals[good] / area[good, None]
+    levels = np.einsum("ij,ij->i", normals, part.triangles[good, 0])
     # A face plane cuts if there is solid in front of it; each plane once, largest faces first.
     front = (part.corners @ normals.T).max(axis=0) - levels > 1e-4 * size
     key = np.round(np.c_[normals, levels / size][front] * 1e4).astype(np.int64)
@@ -130,47 +152,51 @@ def _candidates(part: _Cut) -> list[Array]:
     return planes
 
 
-def _clip(part: _Cut, plane: Array, mesh: TriangleMesh | None) -> _Cut | None:
-    """Return the part behind a plane, or None if it is negligible; an estimate where no mesh is given."""
-    normal, level = plane[:3], plane[3]
-    size = float(np.ptp(part.corners, axis=0).max())
-    height = part.triangles @ normal - level
-    height[np.abs(height) < 1e-9 * max(size, 1e-9)] = 0.0
-    # A face in the plane bounds the part behind it if its normal agrees, else the part in front.
-    along = np.cross(part.triangles[:, 1] - part.triangles[:, 0], part.triangles[:, 2] - part.triangles[:, 0]) @ normal
-    whole = (height <= 0).all(axis=1) & ((height < 0).any(axis=1) | (along > 0))
-    split = (height < 0).any(axis=1) & (height > 0).any(axis=1)
-    kept = [part.triangles[whole]]
-    if split.any():
-        kept.append(_split(part.triangles[split], height[split]))
-    triangles = np.concatenate(kept)
+def _volume_of_halves(part: _Cut, plane: Array) -> float:
+    """Return about the volume of the hulls of both sides of a plane, infinite if either is negligible."""
+    height, behind, before, across = part.sides(plane)
+    corners, levels = part.triangles[across], height[across]
+    following = np.roll(levels, -1, axis=1)
+    cut = levels * following < 0
+    share = (levels[cut] / (levels[cut] - following[cut]))[:, None]
+    edge = corners[cut] + share * (np.roll(corners, -1, axis=1)[cut] - corners[cut])
+    total = 0.0
+    for whole, there in ((behind, levels <= 0), (before, levels >= 0)):
+        points = np.concatenate([part.triangles[whole].reshape(-1, 3), corners[there], edge])
+        try:
+            total += float(ConvexHull(points).volume)
+        except (QhullError, ValueError):
+            return np.inf
+    return total
+
+
+def _clip(part: _Cut, plane: Array, mesh: TriangleMesh) -> _Cut | None:
+    """Return the part behind a plane, or None if it is negligible."""
+    height, whole, _, across = part.sides(plane)
+    triangles = np.concatenate([part.triangles[whole], _split(part.triangles[across], height[across])])
     if len(triangles) < 2:
         return None
     planes = (*part.planes, plane)
-    points = triangles.reshape(-1, 3)
-    if mesh is not None:
-        points = np.concatenate([points, _inner_corners(planes, mesh, size)])
+    points = np.concatenate([triangles.reshape(-1, 3), _inner_corners(planes, mesh, part.size)])
     try:
         made = ConvexHull(points)
     except (QhullError, ValueError):
         return None
-    corners = hull(points[made.vertices]) if mesh is not None else points[made.vertices]
-    return _Cut(triangles, planes, corners, float(made.volume))
+    return _Cut(triangles, planes, hull(points[made.vertices]), float(made.volume))
 
 
 def _split(triangles: Array, height: Array) -> Array:
     """Return the parts of triangles behind a plane, as triangles."""
-    found = []
-    for corners, level in zip(triangles, height, strict=True):
-        polygon = []
-        for k in range(3):
-            a, b = level[k], level[(k + 1) % 3]
-            if a <= 0:
-                polygon.append(corners[k])
-            if a * b < 0:
-                polygon.append(corners[k] + a / (a - b) * (corners[(k + 1) % 3] - corners[k]))
-        found += [(polygon[0], polygon[k], polygon[k + 1]) for k in range(1, len(polygon) - 1)]
-    return np.array(found).reshape(-1, 3, 3)
+    ahead, following = np.roll(triangles, -1, axis=1), np.roll(height, -1, axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crossing = triangles + (height / (height - following))[:, :, None] * (ahead - triangles)
+    # Every corner that is not before the plane, and the crossing on the edge that begins at it, in turn.
+    points = np.stack([triangles, crossing], axis=2).reshape(-1, 6, 3)
+    there = np.stack([height <= 0, height * following < 0], axis=2).reshape(-1, 6)
+    order = np.argsort(~there, axis=1, kind="stable")[:, :4, None]
+    polygon = np.take_along_axis(points, order, axis=1)
+    fans = np.stack([polygon[:, [0, 1, 2]], polygon[:, [0, 2, 3]]], axis=1)
+    return fans[np.stack([np.ones(len(fans), bool), there.sum(axis=1) == 4], axis=1)]
 
 
 def _inner_corners(planes: tuple[Array, ...], mesh: TriangleMesh, size: float) -> Array:

@@ -70,7 +70,7 @@ class GraspConfigurations:
         """
         room = self._room(grips, robot, scene.configurations, held)
         here = scene.configurations[robot]
-        way = np.array([np.abs(grip.configuration - here).max() for grip in grips])
+        way = np.abs(np.array([grip.configuration for grip in grips]) - here).max(axis=1, initial=0.0)
         return _spread([grips[row] for row in np.argsort(0.1 * way - room, kind="stable")], count)
 
     def _room(
@@ -113,16 +113,13 @@ class GraspConfigurations:
         # One robot among parts, all others at home.
         alone = Scene(self.cell.homes, present, (None,) * self.cell.robot_count)
         view = self.cache.view(alone, robot, Contact(gripper=frozenset({part})), self.cell.margins.line)
-        grips = []
-        pair = None
-        for grasp, solutions in zip(found, branches, strict=True):
-            hits = view.hits(solutions) if len(solutions) else np.empty(0, int)
-            grips += [GraspConfiguration(robot, grasp, solutions[row]) for row in np.flatnonzero(hits < 0)]
-            if (hits >= 0).any():
-                pair = view.pair(int(hits[hits >= 0][0]))
-        if not grips:
-            self.reasons.add("hold", part, robot, "every grasp collides", pair)
-        return grips
+        values = np.concatenate(branches)
+        which = np.repeat(np.arange(len(found)), [len(solutions) for solutions in branches]).tolist()
+        hits = view.hits(values)
+        clear = np.flatnonzero(hits < 0).tolist()
+        if not clear:
+            self.reasons.add("hold", part, robot, "every grasp collides", view.pair(int(hits[-1])))
+        return [GraspConfiguration(robot, found[which[row]], values[row]) for row in clear]
 
 
 def _spread(grips: list[GraspConfiguration], count: int) -> list[GraspConfiguration]:
