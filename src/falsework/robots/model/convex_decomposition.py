@@ -53,16 +53,20 @@ class _Cut:
         """Largest extent along an axis, metres."""
         return float(np.ptp(self.corners, axis=0).max())
 
-    def sides(self, plane: Array) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return heights of the corners of triangles above a plane, and which triangles lie behind it, before, across.
+    @cached_property
+    def indexed(self) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+        """Distinct corners of the triangles, shape (corners, 3), and those of each triangle and edge, by index."""
+        corners, index = np.unique(self.triangles.reshape(-1, 3), axis=0, return_inverse=True)
+        faces = index.reshape(-1, 3)
+        ends = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
+        edges = np.unique(np.sort(ends, axis=1), axis=0)
+        return corners, faces, edges
 
-        A triangle in the plane bounds the part behind it if its normal agrees, else the part before it.
-        """
-        height = self.triangles @ plane[:3] - plane[3]
+    def heights(self, points: Array, plane: Array) -> Array:
+        """Return heights of points of the surface above a plane, zero where they hardly differ from it."""
+        height = points @ plane[:3] - plane[3]
         height[np.abs(height) < 1e-9 * max(self.size, 1e-9)] = 0.0
-        below, above = (height < 0).any(axis=1), (height > 0).any(axis=1)
-        along = self.normals @ plane[:3]
-        return height, ~above & (below | (along > 0)), ~below & (above | (along < 0)), below & above
+        return height
 
 
 def convex_pieces(mesh: TriangleMesh, tolerance: float = 0.05, pieces: int = MAX_PIECES) -> Pieces:
@@ -154,17 +158,21 @@ def _candidates(part: _Cut) -> list[Array]:
 
 def _volume_of_halves(part: _Cut, plane: Array) -> float:
     """Return about the volume of the hulls of both sides of a plane, infinite if either is negligible."""
-    height, behind, before, across = part.sides(plane)
-    corners, levels = part.triangles[across], height[across]
-    following = np.roll(levels, -1, axis=1)
-    cut = levels * following < 0
-    share = (levels[cut] / (levels[cut] - following[cut]))[:, None]
-    edge = corners[cut] + share * (np.roll(corners, -1, axis=1)[cut] - corners[cut])
+    corners, faces, edges = part.indexed
+    height = part.heights(corners, plane)
+    levels = height[faces]
+    ends = height[edges]
+    cut = ends[:, 0] * ends[:, 1] < 0
+    tail, head = corners[edges[cut, 0]], corners[edges[cut, 1]]
+    between = tail + (ends[cut, 0] / (ends[cut, 0] - ends[cut, 1]))[:, None] * (head - tail)
     total = 0.0
-    for whole, there in ((behind, levels <= 0), (before, levels >= 0)):
-        points = np.concatenate([part.triangles[whole].reshape(-1, 3), corners[there], edge])
+    for side in (-1.0, 1.0):
+        # Corners in the plane count where a triangle leads from them to this side.
+        there = np.zeros(len(corners), bool)
+        there[faces[(side * levels > 0).any(axis=1)]] = True
+        there &= side * height >= 0
         try:
-            total += float(ConvexHull(points).volume)
+            total += float(ConvexHull(np.concatenate([corners[there], between])).volume)
         except (QhullError, ValueError):
             return np.inf
     return total
@@ -172,7 +180,10 @@ def _volume_of_halves(part: _Cut, plane: Array) -> float:
 
 def _clip(part: _Cut, plane: Array, mesh: TriangleMesh) -> _Cut | None:
     """Return the part behind a plane, or None if it is negligible."""
-    height, whole, _, across = part.sides(plane)
+    height = part.heights(part.triangles, plane)
+    below, above = (height < 0).any(axis=1), (height > 0).any(axis=1)
+    # A face in the plane bounds the part behind it if its normal agrees, else the part in front.
+    whole, across = ~above & (below | (part.normals @ plane[:3] > 0)), below & above
     triangles = np.concatenate([part.triangles[whole], _split(part.triangles[across], height[across])])
     if len(triangles) < 2:
         return None
@@ -201,15 +212,13 @@ def _split(triangles: Array, height: Array) -> Array:
 
 def _inner_corners(planes: tuple[Array, ...], mesh: TriangleMesh, size: float) -> Array:
     """Return the points where three cuts meet inside the solid. Shape (corners, 3)."""
-    found = []
-    for three in combinations(planes, 3):
-        matrix = np.array([plane[:3] for plane in three])
-        if abs(np.linalg.det(matrix)) > 1e-6:
-            found.append(np.linalg.solve(matrix, [plane[3] for plane in three]))
-    if not found:
+    three = list(combinations(range(len(planes)), 3))
+    if not three:
         return np.zeros((0, 3))
-    points = np.array(found)
     all_planes = np.array(planes)
+    chosen = all_planes[three]
+    meet = np.abs(np.linalg.det(chosen[:, :, :3])) > 1e-6
+    points = np.linalg.solve(chosen[meet, :, :3], chosen[meet, :, 3:])[:, :, 0]
     behind = (points @ all_planes[:, :3].T - all_planes[:, 3] <= 1e-9 * size).all(axis=1)
     points = points[behind]
     return points[inside(points, mesh.triangles)] if len(points) else np.zeros((0, 3))
