@@ -20,7 +20,7 @@ MAX_PIECES = 32
 """Largest number of pieces per part; beyond it the cover stays looser than the tolerance."""
 IDLE_CUTS = 2
 """Consecutive cuts that may gain nothing: a ring must be halved before a cut of the halves helps."""
-CUT_PLANES = 16
+CUT_PLANES = 10
 """Number of planes tried per cut."""
 
 

@@ -70,7 +70,8 @@ class GraspConfigurations:
         """
         room = self._room(grips, robot, scene.configurations, held)
         here = scene.configurations[robot]
-        way = np.abs(np.array([grip.configuration for grip in grips]) - here).max(axis=1, initial=0.0)
+        values = np.array([grip.configuration for grip in grips]).reshape(-1, len(here))
+        way = np.abs(values - here).max(axis=1)
         return _spread([grips[row] for row in np.argsort(0.1 * way - room, kind="stable")], count)
 
     def _room(
@@ -124,11 +125,10 @@ class GraspConfigurations:
 
 def _spread(grips: list[GraspConfiguration], count: int) -> list[GraspConfiguration]:
     """Return the first configurations, one of each grasp in turn, so that a single grasp does not use up all tries."""
-    rank: dict[int, int] = {}
-    keyed = []
-    for place, grip in enumerate(grips):
-        turn = rank.setdefault(id(grip.grasp), 0)
-        rank[id(grip.grasp)] += 1
-        keyed.append((turn, place, grip))
-    keyed.sort(key=lambda entry: entry[:2])
-    return [grip for _, _, grip in keyed[:count]]
+    chosen: list[GraspConfiguration] = []
+    while grips and len(chosen) < count:
+        first: dict[int, GraspConfiguration] = {}
+        rest = [grip for grip in grips if first.setdefault(id(grip.grasp), grip) is not grip]
+        chosen += first.values()
+        grips = rest
+    return chosen[:count]
