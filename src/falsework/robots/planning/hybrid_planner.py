@@ -223,6 +223,8 @@ class _Search:
             if len(chain) > len(self.best):
                 self.best = list(chain)
                 self.tried.clear()
+                if not self.graph.haste:
+                    dead_ends = 0  # beyond them: another search would have to come here first
             self._report(dead_ends)
             if np.array_equal(edge.node.state, self.task.target):
                 keep = self._keyframes_before_fall(root, chain)
