@@ -32,7 +32,7 @@ class AnyReplayer(Protocol):
         ...
 
     def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
-        """Take one step in a single increment."""
+        """Take one step, as a replay of both states."""
         ...
 
 
@@ -144,7 +144,7 @@ class RobustReplayer:
         return plain
 
     def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
-        """Take one step in a single increment; see `Replayer.step`."""
+        """Take one step under the settings; see `Replayer.step`."""
         return self._replayer.step(history, before, after)
 
 
