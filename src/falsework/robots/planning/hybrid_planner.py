@@ -108,7 +108,10 @@ class _Search:
         self.began = time.perf_counter()
         self.assembly, self.cell, self.oracle = assembly, cell, oracle
         self.settings, self.progress = settings, progress
-        self.graph = graph or KeyframeGraph(assembly, cell, settings=settings.keyframes, seed=settings.seed)
+        present = None if task is None else task.start != REMOVED
+        self.graph = graph or KeyframeGraph(
+            assembly, cell, settings=settings.keyframes, seed=settings.seed, present=present
+        )
         self.task = task_in_cell(assembly, cell, task, self.graph.exits)
         balanced: Guide | None = guide
         if settings.keyframes.haste:

@@ -121,6 +121,7 @@ class KeyframeGraph:
         settings: KeyframeSettings = KeyframeSettings(),
         seed: int = 0,
         parts: PartShapes | None = None,
+        present: NDArray[np.bool_] | None = None,
     ) -> None:
         """Create an empty graph.
 
@@ -130,6 +131,7 @@ class KeyframeGraph:
             settings: limits on candidates.
             seed: seed of the free motions.
             parts: the parts as bodies in the cell, if already available.
+            present: parts that are ever in place, all by default, shape (parts,).
         """
         self.assembly, self.cell, self.settings, self.seed = assembly, cell, settings, seed
         self.haste = settings.haste
@@ -141,7 +143,7 @@ class KeyframeGraph:
         self._grips = GraspConfigurations(assembly, self.cache, self.reasons, limit=settings.grasps)
         self.joint = JointHolds(self._grips)
         self._withdrawal = Withdrawal(self.cache, self.reasons)
-        self.exits = ExitDirections(assembly, self.parts.turn)
+        self.exits = ExitDirections(assembly, self.parts.turn, present)
         self._begun: dict[tuple[Node, int], Iterator[Edge]] = {}
 
     def start(self, state: States, configurations: tuple[Array, ...], held: tuple[int | None, ...]) -> Node:
