@@ -7,7 +7,6 @@ state to state. Parts are inserted unstressed, robots release slowly, and every 
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -26,6 +25,7 @@ from falsework.stability.cpu.layout import COMPILED_LAYOUT
 from falsework.stability.problem import build_problem
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.stiffness import structure_size
+from falsework.utils.cores import core_count
 
 Array = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ class ReplaySettings:
     typical point under its share of a part's weight."""
     seed: int = 0
     """Seed of the noise."""
-    steps: int = 100
+    steps: int = 400
     """Newton iterations per increment before it is left undecided."""
 
     def __post_init__(self) -> None:
@@ -241,7 +241,7 @@ class Replayer:
 
 def replay_plans(replayer: Replayer, plans: Sequence[States]) -> list[Replay]:
     """Replay several sequences of states, one per thread."""
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(core_count()) as pool:
         return list(pool.map(replayer.replay, plans))
 
 
