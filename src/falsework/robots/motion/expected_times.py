@@ -70,11 +70,27 @@ def expected_seconds(model: RobotModel, path: Array, speed: float) -> float:
         path: configurations, shape (points, joints).
         speed: share of the velocity limits; accelerations are limited to its square.
     """
-    travel = np.abs(np.diff(path, axis=0)).sum(axis=0)
+    return float(_from_rest_to_rest(model, np.abs(np.diff(path, axis=0)).sum(axis=0), speed))
+
+
+def straight_seconds(model: RobotModel, here: Array, goals: Array, speed: float) -> Array:
+    """Return estimates of the durations of straight motions in joint space, as `expected_seconds`.
+
+    Args:
+        model: the arm.
+        here: configuration at one end, shape (joints,).
+        goals: configurations at the other end, shape (batch, joints).
+        speed: as in `expected_seconds`.
+    """
+    return _from_rest_to_rest(model, np.abs(goals - here), speed)
+
+
+def _from_rest_to_rest(model: RobotModel, travel: Array, speed: float) -> Array:
     velocity, acceleration = model.velocity * speed, model.acceleration * speed**2
     ramp = velocity**2 / acceleration
     times = np.where(travel < ramp, 2 * np.sqrt(travel / acceleration), travel / velocity + velocity / acceleration)
-    return float(times.max(initial=0.0))
+    slowest: Array = times.max(axis=-1, initial=0.0)
+    return slowest
 
 
 class BalanceGuide:

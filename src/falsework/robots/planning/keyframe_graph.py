@@ -11,6 +11,7 @@ import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,6 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, States
 from falsework.robots.grasping.exit_directions import ExitDirections
-from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes, place_parts
 from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, CollisionWorld, Contact, Scene
@@ -32,11 +32,10 @@ from falsework.robots.planning.withdrawal import Withdrawal
 
 Array = NDArray[np.float64]
 
-_APPROACH_LENGTHS = (1.0, 0.4, 1.8)
-"""Lengths of the line on which a gripper approaches a part, in approach margins of the cell."""
-_APART = 1.5
-"""Travel of a joint that a metre more between the tools of both robots at drop-offs is worth in haste, rad. Of three
-and more robots others can go on meanwhile, and the way counts alone."""
+_BENT = 3
+"""Motions around something, of which the fastest is tried first in haste."""
+_CORNER = 0.1
+"""Time that a corner of a path costs, seconds."""
 _MAX_PLACES = 4
 """Number of free motions to a drop-off pose that are tried."""
 
@@ -51,6 +50,10 @@ class KeyframeSettings:
     """Configurations of one robot for one grasp or drop-off pose that are tried, nearest first."""
     nodes: int = 500
     """Limit on the nodes of the trees of one free motion."""
+    approaches: tuple[float, ...] = (1.0, 0.4, 1.8)
+    """Lengths of the line on which a gripper approaches a part, in approach margins of the cell, tried in turn."""
+    withdrawals: tuple[float, ...] = (1.0, 2.0, 4.0)
+    """Lengths of the line on which a part is withdrawn, in approach margins, tried in turn until it is clear."""
     haste: float = 0.0
     """Weight of a second of waiting of robots that move at the same time, against the other terms of the action
     score; 0: robots move one at a time."""
@@ -142,7 +145,7 @@ class KeyframeGraph:
         self.cache = MotionCache(self.world, nodes=settings.nodes, seed=seed)
         self._grips = GraspConfigurations(assembly, self.cache, self.reasons, limit=settings.grasps)
         self.joint = JointHolds(self._grips)
-        self._withdrawal = Withdrawal(self.cache, self.reasons)
+        self._withdrawal = Withdrawal(self.cache, self.reasons, settings.withdrawals)
         self.exits = ExitDirections(assembly, self.parts.turn, present)
         self._begun: dict[tuple[Node, int], Iterator[Edge]] = {}
 
@@ -259,16 +262,25 @@ class KeyframeGraph:
         for row in np.flatnonzero(hits >= 0)[:1]:
             self.reasons.add("hold", part, robot, "a robot blocks every grasp", view.pair(int(hits[row])))
         open_grips = [grips[row] for row in np.flatnonzero(hits < 0)]
+        bent: list[tuple[float, Edge]] = []
         for grip in self._grips.best(open_grips, robot, node.scene, node.held, self.settings.candidates):
             edge = self._try_grip(node, part, grip, view)
-            if edge is not None:
+            if edge is None:
+                continue
+            if not self.haste or len(edge.segments[0].path) == 2:
                 yield edge
+                continue
+            bent.append((self._free_seconds(robot, edge.segments[0].path), edge))
+            if len(bent) == _BENT:
+                yield from (edge for _, edge in sorted(bent, key=itemgetter(0)))
+                bent = []
+        yield from (edge for _, edge in sorted(bent, key=itemgetter(0)))
 
     def _try_grip(self, node: Node, part: int, grip: GraspConfiguration, view: CollisionQuery) -> Edge | None:
         robot, margins = grip.robot, self.cell.margins
         clear = self.cache.view(node.scene, robot, NO_CONTACT, margins.free)
         outside: Array | None = None
-        for share in _APPROACH_LENGTHS:
+        for share in self.settings.approaches:
             retreat = follow_line(view, grip.configuration, -grip.grasp.approach, share * margins.approach)
             if retreat.path is None:
                 self.reasons.add("hold", part, robot, f"approach: {retreat.reason}", retreat.pair, retreat.at)
@@ -335,41 +347,41 @@ class KeyframeGraph:
         clear = places[hits < 0]
         if not len(clear):
             self.reasons.add("remove", part, robot, "every drop-off pose collides", view.pair(int(hits[0])), places[0])
-        way = np.abs(clear - end).max(axis=1)
-        if self.haste and self.cell.robot_count == 2:
-            way -= _APART * self.haste * self._apart(node, robot, clear)
-        for goal in clear[np.argsort(way, kind="stable")][:_MAX_PLACES]:
+        way = self._grips.cost_of_places(robot, end, clear, node.configurations, self.haste)
+        best: tuple[float, Array, Array] | None = None
+        for row in np.argsort(way, kind="stable")[:_MAX_PLACES].tolist():
+            if best is not None and (not self.haste or way[row] >= best[0]):
+                break
+            goal = clear[row]
             free = self.cache.motion(scene, robot, end, goal)
-            if free:
-                state = node.state.copy()
-                state[part] = REMOVED
-                lines = tuple(PathSegment("line", path, part=part) for path in paths)
-                assert free.path is not None
-                segments = (*lines, PathSegment("free", free.path, part=part, view=view))
-                clock = node.clock.removed(
-                    robot, self._expected(robot, segments), self.cell.robot_count, self.parts.center[part]
-                )
-                after = replace(_replaced(node, state, robot, goal, None), clock=clock)
-                return Edge(self.assembly.part_count + part, robot, segments, after)
-            self.reasons.add("remove", part, robot, f"to {entry.name}'s drop-off: {free.reason}", free.pair, free.at)
-        return None
-
-    def _apart(self, node: Node, robot: int, values: Array) -> Array:
-        """Return the distance from the tool to the nearest tool of another robot in each configuration, metres."""
-        tools = tool_pose(self.cell.robots[robot], values)[:, :2, 3]
-        others = [
-            tool_pose(self.cell.robots[other], here)[:2, 3]
-            for other, here in enumerate(node.configurations)
-            if other != robot
-        ]
-        apart: Array = np.min([np.linalg.norm(tools - other, axis=1) for other in others], axis=0)
-        return apart
+            if free.path is None:
+                what = f"to {entry.name}'s drop-off: {free.reason}"
+                self.reasons.add("remove", part, robot, what, free.pair, free.at)
+                continue
+            cost = way[row] + self._free_seconds(robot, free.path) - self._free_seconds(robot, free.path[[0, -1]])
+            if best is None or cost < best[0]:
+                best = cost, goal, free.path
+        if best is None:
+            return None
+        state = node.state.copy()
+        state[part] = REMOVED
+        lines = tuple(PathSegment("line", path, part=part) for path in paths)
+        segments = (*lines, PathSegment("free", best[2], part=part, view=view))
+        clock = node.clock.removed(
+            robot, self._expected(robot, segments), self.cell.robot_count, self.parts.center[part]
+        )
+        after = replace(_replaced(node, state, robot, best[1], None), clock=clock)
+        return Edge(self.assembly.part_count + part, robot, segments, after)
 
     # Helpers of both
 
     def _expected(self, robot: int, segments: tuple[PathSegment, ...]) -> float:
         model = self.cell.robots[robot].model
         return sum(expected_seconds(model, segment.path, self.cell.speed) for segment in segments)
+
+    def _free_seconds(self, robot: int, path: Array) -> float:
+        """Return the expected time of a free path, with that of its corners."""
+        return expected_seconds(self.cell.robots[robot].model, path, self.cell.speed) + _CORNER * (len(path) - 2)
 
     def _view(self, node: Node, robot: int, margin: float) -> CollisionQuery:
         part = node.held[robot]

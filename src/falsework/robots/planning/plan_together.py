@@ -26,6 +26,9 @@ from falsework.stability.oracle import Stability
 
 _HASTE = 1.0
 """Weight of time in the choice of actions."""
+_APPROACHES = (0.4, 1.0, 1.8)
+_WITHDRAWALS = (0.4, 1.0, 2.0, 4.0)
+"""As in `KeyframeSettings`, short ones first: an arm comes to rest at both ends of a line."""
 _SEARCHES = 5
 """Searches, the first in haste and the others from its keyframes on without."""
 _DEAD_ENDS = 8
@@ -71,7 +74,7 @@ def plan_together(
         attempts=min(settings.attempts, _SEARCHES),
         dead_ends=min(settings.dead_ends, _DEAD_ENDS),
         deadline=None if settings.deadline is None else _DEADLINE_SHARE * settings.deadline,
-        keyframes=replace(settings.keyframes, haste=_HASTE),
+        keyframes=replace(settings.keyframes, haste=_HASTE, approaches=_APPROACHES, withdrawals=_WITHDRAWALS),
     )
     graph = KeyframeGraph(assembly, cell, settings=hasty.keyframes, seed=settings.seed)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,6 @@ from falsework.robots.planning.failure_report import FailureLog
 
 Array = NDArray[np.float64]
 
-_LENGTHS = (1.0, 2.0, 4.0)
-"""Lengths of the withdrawal line of a part, in approach margins of the cell, tried in turn until it is clear."""
 _ROOM = 2.0
 """Margin at the end of such a line, in margins of free motions, below which a longer line is tried first: between other
 bodies hardly any motion is free."""
@@ -27,8 +25,12 @@ _MAX_WAYS = 16
 class Withdrawal:
     """Straight withdrawal lines for parts that robots hold."""
 
-    def __init__(self, cache: MotionCache, reasons: FailureLog) -> None:
-        """Withdraw parts in the scenes of `cache`, and log to `reasons` why one cannot leave."""
+    def __init__(self, cache: MotionCache, reasons: FailureLog, lengths: Sequence[float]) -> None:
+        """Withdraw parts in the scenes of `cache` on lines of some lengths, and log to `reasons` why one cannot leave.
+
+        Lengths are in approach margins of the cell and are tried in turn until the part is clear.
+        """
+        self.lengths = lengths
         self.cell, self.cache, self.reasons = cache.world.cell, cache, reasons
 
     def lines(
@@ -53,7 +55,7 @@ class Withdrawal:
         roomy: CollisionQuery | None = None
         for way in self._ordered(ways, tool):
             tight: Array | None = None
-            for times in _LENGTHS:
+            for times in self.lengths:
                 out = follow_line(line, here, way, times * self.cell.margins.approach)
                 if not out:
                     if tight is None:
