@@ -218,7 +218,7 @@ def _inner_corners(planes: tuple[Array, ...], mesh: TriangleMesh, size: float) -
     all_planes = np.array(planes)
     chosen = all_planes[three]
     meet = np.abs(np.linalg.det(chosen[:, :, :3])) > 1e-6
-    points = np.linalg.solve(chosen[meet, :, :3], chosen[meet, :, 3:])[:, :, 0]
+    points: Array = np.linalg.solve(chosen[meet, :, :3], chosen[meet, :, 3:])[:, :, 0].astype(np.float64)
     behind = (points @ all_planes[:, :3].T - all_planes[:, 3] <= 1e-9 * size).all(axis=1)
     points = points[behind]
     return points[inside(points, mesh.triangles)] if len(points) else np.zeros((0, 3))
