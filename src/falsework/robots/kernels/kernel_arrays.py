@@ -67,11 +67,17 @@ def make_bodies(
         return bare, list(names), list(kinds)
     joints = robot.model.joints
     load = _packed(robot.model, [joints] * len(carried.pieces), _mounted(robot.model, carried.pieces))
-    start = np.concatenate([bare.start[:-1], bare.start[-1] + load.start])
-    both = (np.concatenate(pair) for pair in zip(bare, load, strict=True))
+    bodies = Bodies(
+        np.append(bare.frame, load.frame),
+        np.append(bare.start[:-1], bare.start[-1] + load.start),
+        np.concatenate([bare.vertices, load.vertices]),
+        np.concatenate([bare.center, load.center]),
+        np.append(bare.radius, load.radius),
+        np.concatenate([bare.sweep, load.sweep]),
+    )
     name = f"part {part_names[carried.part]}"
     return (
-        Bodies(*both)._replace(start=start),
+        bodies,
         [*names, *[name] * len(carried.pieces)],
         [*kinds, *[joints + 2] * len(carried.pieces)],
     )

@@ -16,6 +16,8 @@ from falsework.robots.kernels.gjk import INNER, OUTER
 
 _FLAT = 1e-12
 """Slope of a joint below which acceleration along the path does not move it."""
+_STRIDES = (64, 32, 16, 8, 4, 2)
+"""Numbers of samples to step ahead from one knot to the next, tried in turn before 1."""
 
 
 @nb.njit(**INNER)
@@ -122,28 +124,23 @@ def evaluate(times, clock, grid, squares, piece, origin, start, slope, bend, pos
 
 
 @nb.njit(**OUTER)
-def thin(times, positions, velocities, push, error, strides, kept):
+def thin(times, positions, velocities, push, error, kept):
     """Write into `kept` the indices of knots whose cubics approximate all samples; return their number.
 
     Args:
         times, positions, velocities: samples, shape (samples,) and (samples, joints).
         push: limits of acceleration of the cubics, shape (joints,).
         error: largest distance of a dropped sample from the cubic, in every joint.
-        strides: numbers of samples to step ahead, descending to 1.
         kept: shape (samples,).
     """
     count, here = 1, 0
     kept[0] = 0
     while here < len(times) - 1:
-        there = here + 1
-        for ahead in strides:
-            if (
-                ahead > 1
-                and here + ahead < len(times)
-                and _close(times, positions, velocities, here, here + ahead, push, error)
-            ):
-                there = here + ahead
+        for ahead in _STRIDES:
+            there = here + ahead
+            if there < len(times) and _close(times, positions, velocities, here, there, push, error):
                 break
+            there = here + 1
         kept[count] = here = there
         count += 1
     return count

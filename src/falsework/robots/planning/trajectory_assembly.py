@@ -26,7 +26,6 @@ _STANDSTILL = 1e-7
 """Length below which a path takes no time, rad or m."""
 _SPLINE_ERROR = 2e-5
 """Samples that the cubics between others approximate this closely are dropped, rad or m."""
-_SAMPLE_STRIDES = (64, 32, 16, 8, 4, 2, 1)
 
 
 def make_robot_plan(
@@ -107,4 +106,4 @@ def timed_leg(model: RobotModel, segment: PathSegment, speed: float) -> Trajecto
 def _enough(times: Array, positions: Array, velocities: Array, acceleration: Array) -> NDArray[np.int64]:
     """Return indices of knots whose cubics stay within `_SPLINE_ERROR` of all samples and the acceleration limits."""
     kept = np.empty(len(times), np.int64)
-    return kept[: thin(times, positions, velocities, acceleration, _SPLINE_ERROR, _SAMPLE_STRIDES, kept)]
+    return kept[: thin(times, positions, velocities, acceleration, _SPLINE_ERROR, kept)]
