@@ -109,6 +109,7 @@ class _Search:
         self.assembly, self.cell, self.oracle = assembly, cell, oracle
         self.settings, self.progress = settings, progress
         self.graph = graph or KeyframeGraph(assembly, cell, settings=settings.keyframes, seed=settings.seed)
+        self.graph.yielding = settings.keyframes.yielding
         self.task = task_in_cell(assembly, cell, task, self.graph.exits)
         balanced: Guide | None = guide
         if settings.keyframes.haste:
