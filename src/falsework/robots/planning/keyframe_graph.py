@@ -136,9 +136,7 @@ class KeyframeGraph:
             parts: the parts as bodies in the cell, if already available.
         """
         self.assembly, self.cell, self.settings, self.seed = assembly, cell, settings, seed
-        self.haste = settings.haste
-        """As in the settings, or 0 while a search goes on from where arms in haste have met dead ends."""
-        self.yielding = settings.yielding
+        self.haste, self.yielding = settings.haste, settings.yielding
         """As in the settings of the search that uses the graph."""
         self.parts = parts or place_parts(assembly, cell.placement)
         self.world = CollisionWorld(cell, self.parts)

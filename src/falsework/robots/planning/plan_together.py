@@ -33,7 +33,7 @@ _APPROACHES = (0.4, 1.0, 1.8)
 _WITHDRAWALS = (0.4, 1.0, 2.0, 4.0)
 """As in `KeyframeSettings`, short ones first: an arm comes to rest at both ends of a line."""
 _SEARCHES = 5
-"""Searches, the first in haste and the others from its keyframes on without."""
+"""Searches in haste, the first from the start and the others from its keyframes on."""
 _DEAD_ENDS = 8
 """Dead ends of each."""
 _ENOUGH = 1.15
