@@ -240,3 +240,4 @@ def weakest(
         if bracket.outside is not None:
             best = family, bracket
     return best
+

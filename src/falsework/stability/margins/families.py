@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import States
 from falsework.stability.margins.brackets import Bracket, Probe, checked, largest, least, stride, weakest
 from falsework.stability.margins.conditions import Answer, Condition, Prober
+from falsework.stability.margins.weakest import Weakest
 
 Array = NDArray[np.float64]
 Near = dict[str, tuple[int, float]]
@@ -116,17 +117,41 @@ def load_bracket(
         # A velocity may prove failure below the value at which it was found.
         return replace(bracket, fails=replace(bracket.fails, condition=Condition(friction, bracket.outside * load)))
 
-    def find(known: tuple[float, Answer] | None, low: float = 0.0, stands: Answer = start) -> Bracket:
-        first, good = (low, True) if low > 0.0 else (guess, near)
-        return stride(probe, stands, guess=first, cap=cap, low=low, floor=FLOOR * guess, near=good, known=known)
+    bracket = quick_bracket(prober, state, start, load, guess=guess, cap=cap, near=near, known=known)
+    return checked_bracket(prober, state, start, load, settled_bracket(prober, state, start, load, bracket, guess, cap), guess, cap)
 
-    def full(value: float, nearby: Answer) -> Answer:
-        return prober.ask(state, Condition(friction, value * load), nearby)
 
-    bracket = _from_rest_too(find(known), full, lambda low, stands: find(None, low, stands))
+def quick_bracket(
+    prober: Prober,
+    state: States,
+    start: Answer,
+    load: Array,
+    *,
+    guess: float,
+    cap: float,
+    near: bool = False,
+    known: tuple[float, Answer] | None = None,
+    low: float = 0.0,
+    stands: Answer | None = None,
+) -> Bracket:
+    friction = start.condition.friction
+    return stride(
+        lambda value, nearby: prober.ask(state, Condition(friction, value * load), nearby, quick=True),
+        stands or start, guess=low or guess, cap=cap, low=low, floor=FLOOR * guess, near=near or low > 0.0, known=known)
+
+
+def settled_bracket(prober, state, start, load, bracket, guess, cap):
+    friction = start.condition.friction
+    return _from_rest_too(bracket, lambda value, nearby: prober.ask(state, Condition(friction, value * load), nearby),
+      lambda low, stands: quick_bracket(prober, state, start, load, guess=guess, cap=cap, low=low, stands=stands))
+
+
+def checked_bracket(prober, state, start, load, bracket, guess, cap):
+    friction = start.condition.friction
     if bracket.fails is None:
         return bracket
-    return checked(bracket, probe, start, lambda value, answer: find((value, answer)))
+    return checked(bracket, lambda value, nearby: prober.ask(state, Condition(friction, value * load), nearby, quick=True),
+       start, lambda value, answer: quick_bracket(prober, state, start, load, guess=guess, cap=cap, known=(value, answer)))
 
 
 def weakest_load(
@@ -140,6 +165,7 @@ def weakest_load(
     cap: float,
     near: Near,
     numbers: Sequence[int] | None = None,
+    distance: Callable[[int, int], int] | None = None,
 ) -> tuple[int, Bracket] | None:
     """Return the load with the least largest multiple, and its bracket; None where no load has a bound.
 
@@ -166,10 +192,31 @@ def weakest_load(
         first = value if good else guess(row)
         return load_bracket(prober, state, start, loads[row], guess=first, cap=cap, near=good, known=known)
 
-    found = weakest(sorted(order, key=lambda row: names[row] != weak), test, bound)
+    order = sorted(order, key=lambda row: names[row] != weak)
+    if prober.contact:
+        found = _weakest_at_rest(prober, state, start, loads, order, guess, cap, distance, lambda row: value if names[row] == weak else None)
+    else:
+        found = weakest(order, test, bound)
     if found is not None:
         near["load"] = names[found[0]], found[1].inside
     return found
+
+
+def _weakest_at_rest(prober, state, start, loads, order, guess, cap, distance, good):
+    friction = start.condition.friction
+
+    def probe(row: int, value: float, near: Answer) -> Answer:
+        return prober.ask(state, Condition(friction, value * loads[row]), near, quick=True)
+
+    def confirm(row: int, bracket: Bracket) -> Bracket:
+        return settled_bracket(prober, state, start, loads[row], bracket, guess(row), cap)
+
+    race = Weakest(order, probe, start, cap=cap, floor=lambda row: FLOOR * guess(row), distance=distance)
+    found = race.search(guess, confirm, good(order[0]) if order else None)
+    if found is None:
+        return None
+    row, bracket = found
+    return row, checked_bracket(prober, state, start, loads[row], bracket, guess(row), cap)
 
 
 def _from_rest_too(

@@ -1,0 +1,143 @@
+"""Search for the weakest of many families of conditions, in which failing probes are costly."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from falsework.stability.margins.brackets import Bracket
+from falsework.stability.margins.conditions import Answer
+
+_WIDTH = 0.006
+"""Largest width of a bracket, as a share of the bound."""
+_SLACK = 0.004
+"""Share of the least bound so far by which a family must be weaker to be searched: of equal ones only one is."""
+_RISE = 0.006
+"""Share by which the least bound may rise without a new test of the others."""
+_COARSE = 1.5
+"""Ratio of the ends of a bracket at which the other families are tested before it is narrowed."""
+_GROWTH = 4.0
+_NEAR = (1.012, 1.06, 1.4)
+"""Ratios of successive probes, starting from the bound of a nearby state, before `_GROWTH` applies."""
+
+Probe = Callable[[int, float, Answer], Answer]
+"""Answer of a family at a value, by a quick probe warm-started from an answer."""
+
+
+class Weakest:
+    """Brackets of the bounds of families, of which only the least one is narrowed.
+
+    A family that is stable at the least bound so far is not weaker. So all families are tested at the inner end of a
+    coarse bracket first; then the bracket of the weakest is narrowed, and the others are tested at its inner end again.
+    """
+
+    def __init__(
+        self,
+        families: Sequence[int],
+        probe: Probe,
+        start: Answer,
+        *,
+        cap: float,
+        floor: Callable[[int], float],
+        distance: Callable[[int, int], int] | None = None,
+    ) -> None:
+        """Take the families.
+
+        Args:
+            families: those to compare, likely weakest first.
+            probe: answer of a family at a value.
+            start: the stable answer at 0.
+            cap: value beyond which there is no bound.
+            floor: absolute width at which the bracket of a family is narrow enough.
+            distance: distance between families; a probe starts from the rest of a family nearby.
+        """
+        self._families, self._probe, self._cap, self._floor = list(families), probe, cap, floor
+        self._distance = distance
+        self._low = {row: (0.0, start) for row in families}
+        self._high: dict[int, tuple[float, Answer]] = {}
+
+    def search(
+        self, guess: Callable[[int], float], confirm: Callable[[int, Bracket], Bracket], near: float | None = None
+    ) -> tuple[int, Bracket] | None:
+        """Return the weakest family and its bracket; None where no family has a bound.
+
+        Args:
+            guess: value of a family to try first.
+            confirm: the bracket of a family with an outer end that fails from rest too; it may be larger.
+            near: bound of the first family in a nearby state.
+        """
+        confirmed = set[int]()
+        while True:
+            if not self._high:
+                row = next((row for row in self._families if self._low[row][0] < self._cap), None)
+                if row is None:
+                    return None
+                self._climb(row, guess(row) if near is None else near, near is not None)
+                near = None
+                continue
+            best = min(self._high, key=lambda row: self._low[row][0])
+            low, high = self._low[best][0], self._high[best][0]
+            narrow = high - low <= max(_WIDTH * low, self._floor(best))
+            if low == 0.0 and not narrow or high > _COARSE * low and not narrow:
+                self._narrow(best)
+                continue
+            value = (1.0 - _SLACK) * low
+            demand = (1.0 - _RISE) * value if narrow else value / _COARSE
+            left = [row for row in self._families if row != best and self._low[row][0] < demand]
+            if left:
+                self._test(self._nearest(best, left), value)
+            elif not narrow:
+                self._narrow(best)
+            elif best in confirmed:
+                return best, self._bracket(best)
+            else:
+                confirmed.add(best)
+                found = confirm(best, self._bracket(best))
+                self._low[best] = found.inside, found.stands
+                del self._high[best]
+                if found.outside is not None and found.fails is not None:
+                    self._high[best] = found.outside, found.fails
+
+    def _bracket(self, row: int) -> Bracket:
+        (low, stands), (high, fails) = self._low[row], self._high[row]
+        return Bracket(low, stands, high, fails)
+
+    def _climb(self, row: int, value: float, near: bool) -> None:
+        """Raise a load until it fails or reaches the cap."""
+        ratios = iter(_NEAR if near else ())
+        value = min(value, self._cap)
+        while row not in self._high and self._low[row][0] < self._cap:
+            self._ask(row, value, self._low[row][1])
+            value = min(next(ratios, _GROWTH) * value, self._cap)
+
+    def _narrow(self, row: int) -> None:
+        """Probe a family within its bracket."""
+        low, high = self._low[row][0], self._high[row][0]
+        value = 0.5 * (low + high)
+        if low < high / _GROWTH:
+            value = max(high / _GROWTH, float(np.sqrt(low * high)))
+        self._ask(row, value, self._low[row][1])
+
+    def _test(self, row: int, value: float) -> None:
+        """Test a family at a value below which it is known to be stable."""
+        near = self._low[row][1]
+        if self._distance is not None:
+            kin = min(self._families, key=lambda other: (abs(self._low[other][0] / value - 1.0) > 0.2, self._distance(row, other)))
+            if abs(self._low[kin][0] - value) < abs(self._low[row][0] - value):
+                near = self._low[kin][1]
+        self._ask(row, value, near)
+
+    def _ask(self, row: int, value: float, near: Answer) -> None:
+        answer = self._probe(row, value, near)
+        if answer.stands:
+            self._low[row] = value, answer
+        else:
+            self._high[row] = value, answer
+
+    def _nearest(self, best: int, left: Sequence[int]) -> int:
+        """Return the family to test next."""
+        distance = self._distance
+        if distance is None or self._low[left[0]][0] == 0.0 and left[0] % 9 == 0:
+            return left[0]
+        return min(left, key=lambda row: distance(row, best))
