@@ -240,4 +240,3 @@ def weakest(
         if bracket.outside is not None:
             best = family, bracket
     return best
-

@@ -74,6 +74,53 @@ def friction_bracket(prober: Prober, state: States, start: Answer, near: Near) -
     return bracket
 
 
+class LoadFamily:
+    """Family of the multiples of a load on a state, under `contact`."""
+
+    def __init__(self, prober: Prober, state: States, start: Answer, load: Array, *, guess: float, cap: float) -> None:
+        """Take the load.
+
+        Args:
+            prober: solver of the structure.
+            state: shape (parts,).
+            start: the stable answer for the unmodified state.
+            load: N and Nm, shape (parts, 6).
+            guess: multiple to try first.
+            cap: multiple beyond which there is no bound.
+        """
+        self._prober, self._state, self._start, self._load = prober, state, start, load
+        self._guess, self._cap = guess, cap
+
+    def _under(self, value: float) -> Condition:
+        return Condition(self._start.condition.friction, value * self._load)
+
+    def probe(self, value: float, nearby: Answer | None) -> Answer:
+        """Return the answer at a multiple, only from a nearby answer where one is given."""
+        return self._prober.ask(self._state, self._under(value), nearby, quick=True)
+
+    def quick(
+        self, known: tuple[float, Answer] | None = None, *, low: float = 0.0, stands: Answer | None = None
+    ) -> Bracket:
+        """Return the bracket of the largest multiple by quick probes, up from a stable one or down from a failing one."""
+        first, floor = low or self._guess, FLOOR * self._guess
+        start = stands or self._start
+        return stride(self.probe, start, guess=first, cap=self._cap, low=low, floor=floor, near=low > 0.0, known=known)
+
+    def settled(self, bracket: Bracket) -> Bracket:
+        """Return a bracket whose outer end has no rest position from an unloaded start either."""
+        return _from_rest_too(
+            bracket,
+            lambda value, _: self._prober.ask(self._state, self._under(value)),
+            lambda low, stands: self.quick(low=low, stands=stands),
+        )
+
+    def checked(self, bracket: Bracket) -> Bracket:
+        """Return the bracket, or that of an earlier bound where a multiple well inside it fails."""
+        if bracket.fails is None:
+            return bracket
+        return checked(bracket, self.probe, self._start, lambda value, answer: self.quick((value, answer)))
+
+
 def load_bracket(
     prober: Prober,
     state: States,
@@ -82,76 +129,29 @@ def load_bracket(
     *,
     guess: float,
     cap: float,
-    near: bool = False,
     known: tuple[float, Answer] | None = None,
 ) -> Bracket:
-    """Return the bracket of the largest multiple of a load.
+    """Return the bracket of the largest multiple of a load; arguments as for `LoadFamily`.
 
-    Args:
-        prober: solver of the structure.
-        state: shape (parts,).
-        start: the stable answer for the unmodified state.
-        load: N and Nm, shape (parts, 6).
-        guess: multiple to try first.
-        cap: multiple beyond which there is no bound.
-        near: whether the guess is the bound of a nearby state.
-        known: a failing multiple and its answer, if known.
+    `known` is a failing multiple and its answer.
     """
+    if prober.contact:
+        family = LoadFamily(prober, state, start, load, guess=guess, cap=cap)
+        return family.checked(family.settled(family.quick(known)))
     friction = start.condition.friction
-
-    def probe(value: float, nearby: Answer | None) -> Answer:
-        return prober.ask(state, Condition(friction, value * load), nearby, quick=True)
-
-    if not prober.contact:
-        bracket = largest(
-            probe,
-            start,
-            guess=guess,
-            cap=cap,
-            floor=FLOOR * guess,
-            cut=lambda answer: prober.cut(state, answer, load),
-            known=known,
-        )
-        if bracket.fails is None or bracket.outside is None:
-            return bracket
-        # A velocity may prove failure below the value at which it was found.
-        return replace(bracket, fails=replace(bracket.fails, condition=Condition(friction, bracket.outside * load)))
-
-    bracket = quick_bracket(prober, state, start, load, guess=guess, cap=cap, near=near, known=known)
-    return checked_bracket(prober, state, start, load, settled_bracket(prober, state, start, load, bracket, guess, cap), guess, cap)
-
-
-def quick_bracket(
-    prober: Prober,
-    state: States,
-    start: Answer,
-    load: Array,
-    *,
-    guess: float,
-    cap: float,
-    near: bool = False,
-    known: tuple[float, Answer] | None = None,
-    low: float = 0.0,
-    stands: Answer | None = None,
-) -> Bracket:
-    friction = start.condition.friction
-    return stride(
-        lambda value, nearby: prober.ask(state, Condition(friction, value * load), nearby, quick=True),
-        stands or start, guess=low or guess, cap=cap, low=low, floor=FLOOR * guess, near=near or low > 0.0, known=known)
-
-
-def settled_bracket(prober, state, start, load, bracket, guess, cap):
-    friction = start.condition.friction
-    return _from_rest_too(bracket, lambda value, nearby: prober.ask(state, Condition(friction, value * load), nearby),
-      lambda low, stands: quick_bracket(prober, state, start, load, guess=guess, cap=cap, low=low, stands=stands))
-
-
-def checked_bracket(prober, state, start, load, bracket, guess, cap):
-    friction = start.condition.friction
-    if bracket.fails is None:
+    bracket = largest(
+        lambda value, nearby: prober.ask(state, Condition(friction, value * load), nearby),
+        start,
+        guess=guess,
+        cap=cap,
+        floor=FLOOR * guess,
+        cut=lambda answer: prober.cut(state, answer, load),
+        known=known,
+    )
+    if bracket.fails is None or bracket.outside is None:
         return bracket
-    return checked(bracket, lambda value, nearby: prober.ask(state, Condition(friction, value * load), nearby, quick=True),
-       start, lambda value, answer: quick_bracket(prober, state, start, load, guess=guess, cap=cap, known=(value, answer)))
+    # A velocity may prove failure below the value at which it was found.
+    return replace(bracket, fails=replace(bracket.fails, condition=Condition(friction, bracket.outside * load)))
 
 
 def weakest_load(
@@ -179,44 +179,34 @@ def weakest_load(
         cap: multiple beyond which there is no bound.
         near: weakest load of a nearby state, and its bound; replaced by that of this one.
         numbers: identifier of each load, the same in all states; its index by default.
+        distance: distance between loads, of which those nearby act alike.
     """
     names = range(len(loads)) if numbers is None else numbers
     weak, value = near.get("load", (-1, 0.0))
-
-    def test(row: int, value: float) -> Answer:
-        # From rest too: a family that fails here costs a search.
-        return prober.ask(state, Condition(start.condition.friction, value * loads[row]), start)
-
-    def bound(row: int, known: tuple[float, Answer] | None) -> Bracket:
-        good = names[row] == weak
-        first = value if good else guess(row)
-        return load_bracket(prober, state, start, loads[row], guess=first, cap=cap, near=good, known=known)
-
     order = sorted(order, key=lambda row: names[row] != weak)
     if prober.contact:
-        found = _weakest_at_rest(prober, state, start, loads, order, guess, cap, distance, lambda row: value if names[row] == weak else None)
+        families = {row: LoadFamily(prober, state, start, loads[row], guess=guess(row), cap=cap) for row in order}
+        race = Weakest(
+            order,
+            lambda row, multiple, nearby: families[row].probe(multiple, nearby),
+            start,
+            guess=guess,
+            cap=cap,
+            floor=lambda row: FLOOR * guess(row),
+            distance=distance,
+        )
+        known = value if order and names[order[0]] == weak else None
+        found = race.search(lambda row, bracket: families[row].settled(bracket), near=known)
+        found = found and (found[0], families[found[0]].checked(found[1]))
     else:
-        found = weakest(order, test, bound)
+        found = weakest(
+            order,
+            lambda row, multiple: prober.ask(state, Condition(start.condition.friction, multiple * loads[row]), start),
+            lambda row, known: load_bracket(prober, state, start, loads[row], guess=guess(row), cap=cap, known=known),
+        )
     if found is not None:
         near["load"] = names[found[0]], found[1].inside
     return found
-
-
-def _weakest_at_rest(prober, state, start, loads, order, guess, cap, distance, good):
-    friction = start.condition.friction
-
-    def probe(row: int, value: float, near: Answer) -> Answer:
-        return prober.ask(state, Condition(friction, value * loads[row]), near, quick=True)
-
-    def confirm(row: int, bracket: Bracket) -> Bracket:
-        return settled_bracket(prober, state, start, loads[row], bracket, guess(row), cap)
-
-    race = Weakest(order, probe, start, cap=cap, floor=lambda row: FLOOR * guess(row), distance=distance)
-    found = race.search(guess, confirm, good(order[0]) if order else None)
-    if found is None:
-        return None
-    row, bracket = found
-    return row, checked_bracket(prober, state, start, loads[row], bracket, guess(row), cap)
 
 
 def _from_rest_too(

@@ -154,7 +154,14 @@ class MarginFinder:
         loads = self.weights[None, :, None] * np.pad(self.directions, ((0, 0), (0, 3)))[:, None, :]
         guess = max(self._assembly.friction, 0.1)
         found = weakest_load(
-            self.prober, state, start, loads, order, guess=lambda _: guess, cap=LARGEST_SHARE, near=near,
+            self.prober,
+            state,
+            start,
+            loads,
+            order,
+            guess=lambda _: guess,
+            cap=LARGEST_SHARE,
+            near=near,
             distance=lambda one, other: abs((one - other + DIRECTIONS // 2) % DIRECTIONS - DIRECTIONS // 2),
         )
         if found is None:

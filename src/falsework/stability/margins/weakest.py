@@ -18,6 +18,14 @@ _RISE = 0.006
 _COARSE = 1.5
 """Ratio of the ends of a bracket at which the other families are tested before it is narrowed."""
 _GROWTH = 4.0
+_STRIKES = 1
+"""Tests beyond the least bound that may fail; after that families are tested inside it, where failures are rare."""
+_FIRST = 4
+"""First families, far from each other, that are tested before those near the weakest."""
+_BESIDE = 4
+"""Distance from the weakest family up to which others may be nearly as weak."""
+_ALIKE = 0.2
+"""Difference of values, as a share, up to which a probe starts from another family's rest."""
 _NEAR = (1.012, 1.06, 1.4)
 """Ratios of successive probes, starting from the bound of a nearby state, before `_GROWTH` applies."""
 
@@ -38,6 +46,7 @@ class Weakest:
         probe: Probe,
         start: Answer,
         *,
+        guess: Callable[[int], float],
         cap: float,
         floor: Callable[[int], float],
         distance: Callable[[int, int], int] | None = None,
@@ -48,22 +57,23 @@ class Weakest:
             families: those to compare, likely weakest first.
             probe: answer of a family at a value.
             start: the stable answer at 0.
+            guess: value of a family to try first.
             cap: value beyond which there is no bound.
             floor: absolute width at which the bracket of a family is narrow enough.
             distance: distance between families; a probe starts from the rest of a family nearby.
         """
-        self._families, self._probe, self._cap, self._floor = list(families), probe, cap, floor
-        self._distance = distance
-        self._low = {row: (0.0, start) for row in families}
+        self._families, self._probe, self._guess = list(families), probe, guess
+        self._cap, self._floor = cap, floor
+        self._distance, self._strikes = distance, _STRIKES
+        self._low = dict.fromkeys(families, (0.0, start))
         self._high: dict[int, tuple[float, Answer]] = {}
 
     def search(
-        self, guess: Callable[[int], float], confirm: Callable[[int, Bracket], Bracket], near: float | None = None
+        self, confirm: Callable[[int, Bracket], Bracket], near: float | None = None
     ) -> tuple[int, Bracket] | None:
         """Return the weakest family and its bracket; None where no family has a bound.
 
         Args:
-            guess: value of a family to try first.
             confirm: the bracket of a family with an outer end that fails from rest too; it may be larger.
             near: bound of the first family in a nearby state.
         """
@@ -73,20 +83,20 @@ class Weakest:
                 row = next((row for row in self._families if self._low[row][0] < self._cap), None)
                 if row is None:
                     return None
-                self._climb(row, guess(row) if near is None else near, near is not None)
+                self._raise(row, self._guess(row) if near is None else near, near is not None)
                 near = None
                 continue
             best = min(self._high, key=lambda row: self._low[row][0])
             low, high = self._low[best][0], self._high[best][0]
             narrow = high - low <= max(_WIDTH * low, self._floor(best))
-            if low == 0.0 and not narrow or high > _COARSE * low and not narrow:
+            if not narrow and high > _COARSE * low:
                 self._narrow(best)
                 continue
             value = (1.0 - _SLACK) * low
             demand = (1.0 - _RISE) * value if narrow else value / _COARSE
             left = [row for row in self._families if row != best and self._low[row][0] < demand]
             if left:
-                self._test(self._nearest(best, left), value)
+                self._test(self._nearest(best, left), best, value, high)
             elif not narrow:
                 self._narrow(best)
             elif best in confirmed:
@@ -103,41 +113,52 @@ class Weakest:
         (low, stands), (high, fails) = self._low[row], self._high[row]
         return Bracket(low, stands, high, fails)
 
-    def _climb(self, row: int, value: float, near: bool) -> None:
-        """Raise a load until it fails or reaches the cap."""
+    def _raise(self, row: int, value: float, near: bool) -> None:
+        """Raise a load until it fails or reaches the cap, at once where others have reached it."""
+        if self._strikes and any(low >= self._cap for low, _ in self._low.values()):
+            if not self._ask(row, self._cap, self._low[row][1]):
+                self._strikes -= 1
+            return
         ratios = iter(_NEAR if near else ())
-        value = min(value, self._cap)
-        while row not in self._high and self._low[row][0] < self._cap:
-            self._ask(row, value, self._low[row][1])
+        value = min(max(value, _NEAR[0] * self._low[row][0]), self._cap)
+        while self._ask(row, value, self._low[row][1]) and value < self._cap:
             value = min(next(ratios, _GROWTH) * value, self._cap)
 
     def _narrow(self, row: int) -> None:
         """Probe a family within its bracket."""
         low, high = self._low[row][0], self._high[row][0]
-        value = 0.5 * (low + high)
-        if low < high / _GROWTH:
-            value = max(high / _GROWTH, float(np.sqrt(low * high)))
+        if low == 0.0:
+            value = min(self._guess(row), high / _GROWTH)
+        elif low < high / _GROWTH:
+            value = float(np.sqrt(low * high))
+        else:
+            value = 0.5 * (low + high)
         self._ask(row, value, self._low[row][1])
 
-    def _test(self, row: int, value: float) -> None:
-        """Test a family at a value below which it is known to be stable."""
-        near = self._low[row][1]
+    def _test(self, row: int, best: int, value: float, high: float) -> None:
+        """Test a family at a value below which it is known to be stable, or beyond the bound, to do so only once."""
+        low, near = self._low[row]
         if self._distance is not None:
-            kin = min(self._families, key=lambda other: (abs(self._low[other][0] / value - 1.0) > 0.2, self._distance(row, other)))
-            if abs(self._low[kin][0] - value) < abs(self._low[row][0] - value):
+            kin = min(
+                self._families,
+                key=lambda other: (abs(self._low[other][0] / value - 1.0) > _ALIKE, self._distance(row, other)),
+            )
+            if abs(self._low[kin][0] - value) < abs(low - value):
                 near = self._low[kin][1]
+        if self._strikes and (self._distance is None or self._distance(row, best) > _BESIDE):
+            self._strikes -= not self._ask(row, high, near)
+            return
         self._ask(row, value, near)
 
-    def _ask(self, row: int, value: float, near: Answer) -> None:
+    def _ask(self, row: int, value: float, near: Answer) -> bool:
+        """Probe a family and keep the answer; return whether it is stable."""
         answer = self._probe(row, value, near)
-        if answer.stands:
-            self._low[row] = value, answer
-        else:
-            self._high[row] = value, answer
+        (self._low if answer.stands else self._high)[row] = value, answer
+        return answer.stands
 
     def _nearest(self, best: int, left: Sequence[int]) -> int:
         """Return the family to test next."""
         distance = self._distance
-        if distance is None or self._low[left[0]][0] == 0.0 and left[0] % 9 == 0:
+        if distance is None or (self._low[left[0]][0] == 0.0 and left[0] in self._families[:_FIRST]):
             return left[0]
         return min(left, key=lambda row: distance(row, best))
