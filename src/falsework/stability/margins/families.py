@@ -101,18 +101,24 @@ class LoadFamily:
     def quick(
         self, known: tuple[float, Answer] | None = None, *, low: float = 0.0, stands: Answer | None = None
     ) -> Bracket:
-        """Return the bracket of the largest multiple by quick probes, up from a stable one or down from a failing one."""
+        """Return the bracket by quick probes, from a stable multiple up or from a failing one down."""
         first, floor = low or self._guess, FLOOR * self._guess
         start = stands or self._start
         return stride(self.probe, start, guess=first, cap=self._cap, low=low, floor=floor, near=low > 0.0, known=known)
 
+    def settle(self, value: float, failed: Answer) -> Answer:
+        """Return the answer from rest at a multiple at which a quick probe failed."""
+        answer = self._prober.ask(self._state, self._under(value))
+        return replace(answer, moves_away=not answer.stands and (answer.moves_away or failed.moves_away))
+
     def settled(self, bracket: Bracket) -> Bracket:
         """Return a bracket whose outer end has no rest position from an unloaded start either."""
-        return _from_rest_too(
-            bracket,
-            lambda value, _: self._prober.ask(self._state, self._under(value)),
-            lambda low, stands: self.quick(low=low, stands=stands),
-        )
+        while bracket.outside is not None and bracket.fails is not None and bracket.fails.quick:
+            answer = self.settle(bracket.outside, bracket.fails)
+            if not answer.stands:
+                return replace(bracket, fails=answer)
+            bracket = self.quick(low=bracket.outside, stands=answer)
+        return bracket
 
     def checked(self, bracket: Bracket) -> Bracket:
         """Return the bracket, or that of an earlier bound where a multiple well inside it fails."""
@@ -166,6 +172,7 @@ def weakest_load(
     near: Near,
     numbers: Sequence[int] | None = None,
     distance: Callable[[int, int], int] | None = None,
+    sample: int | None = None,
 ) -> tuple[int, Bracket] | None:
     """Return the load with the least largest multiple, and its bracket; None where no load has a bound.
 
@@ -179,7 +186,7 @@ def weakest_load(
         cap: multiple beyond which there is no bound.
         near: weakest load of a nearby state, and its bound; replaced by that of this one.
         numbers: identifier of each load, the same in all states; its index by default.
-        distance: distance between loads, of which those nearby act alike.
+        distance, sample: as for `Weakest`.
     """
     names = range(len(loads)) if numbers is None else numbers
     weak, value = near.get("load", (-1, 0.0))
@@ -194,9 +201,10 @@ def weakest_load(
             cap=cap,
             floor=lambda row: FLOOR * guess(row),
             distance=distance,
+            sample=sample,
         )
         known = value if order and names[order[0]] == weak else None
-        found = race.search(lambda row, bracket: families[row].settled(bracket), near=known)
+        found = race.search(lambda row, multiple, failed: families[row].settle(multiple, failed), near=known)
         found = found and (found[0], families[found[0]].checked(found[1]))
     else:
         found = weakest(

@@ -20,10 +20,6 @@ _COARSE = 1.5
 _GROWTH = 4.0
 _STRIKES = 1
 """Tests beyond the least bound that may fail; after that families are tested inside it, where failures are rare."""
-_FIRST = 4
-"""First families, far from each other, that are tested before those near the weakest."""
-_BESIDE = 4
-"""Distance from the weakest family up to which others may be nearly as weak."""
 _ALIKE = 0.2
 """Difference of values, as a share, up to which a probe starts from another family's rest."""
 _NEAR = (1.012, 1.06, 1.4)
@@ -50,6 +46,7 @@ class Weakest:
         cap: float,
         floor: Callable[[int], float],
         distance: Callable[[int, int], int] | None = None,
+        sample: int | None = None,
     ) -> None:
         """Take the families.
 
@@ -61,53 +58,55 @@ class Weakest:
             cap: value beyond which there is no bound.
             floor: absolute width at which the bracket of a family is narrow enough.
             distance: distance between families; a probe starts from the rest of a family nearby.
+            sample: number of the first families that are tested before the weakest of them is narrowed; all by
+                default.
         """
         self._families, self._probe, self._guess = list(families), probe, guess
         self._cap, self._floor = cap, floor
         self._distance, self._strikes = distance, _STRIKES
+        self._sample = self._families[:sample]
         self._low = dict.fromkeys(families, (0.0, start))
         self._high: dict[int, tuple[float, Answer]] = {}
 
     def search(
-        self, confirm: Callable[[int, Bracket], Bracket], near: float | None = None
+        self, confirm: Callable[[int, float, Answer], Answer], near: float | None = None
     ) -> tuple[int, Bracket] | None:
         """Return the weakest family and its bracket; None where no family has a bound.
 
         Args:
-            confirm: the bracket of a family with an outer end that fails from rest too; it may be larger.
+            confirm: answer of a family at a value at which a quick probe failed, given that answer.
             near: bound of the first family in a nearby state.
         """
-        confirmed = set[int]()
+        confirmed, last = False, None
         while True:
             if not self._high:
-                row = next((row for row in self._families if self._low[row][0] < self._cap), None)
-                if row is None:
+                rows = [row for row in self._families if self._low[row][0] < self._cap]
+                if not rows:
                     return None
-                self._raise(row, self._guess(row) if near is None else near, near is not None)
+                row = last if last in rows else rows[0]
+                self._raise(row, self._guess(row) if near is None else near, near is not None or row == last)
                 near = None
                 continue
             best = min(self._high, key=lambda row: self._low[row][0])
+            confirmed, last = confirmed and best == last, best
             low, high = self._low[best][0], self._high[best][0]
             narrow = high - low <= max(_WIDTH * low, self._floor(best))
             if not narrow and high > _COARSE * low:
                 self._narrow(best)
                 continue
             value = (1.0 - _SLACK) * low
-            demand = (1.0 - _RISE) * value if narrow else value / _COARSE
-            left = [row for row in self._families if row != best and self._low[row][0] < demand]
+            rows, demand = (self._families, (1.0 - _RISE) * value) if narrow else (self._sample, value / _COARSE)
+            left = [row for row in rows if row != best and self._low[row][0] < demand]
             if left:
-                self._test(self._nearest(best, left), best, value, high)
+                self._test(self._nearest(best, left), value, high)
             elif not narrow:
                 self._narrow(best)
-            elif best in confirmed:
+            elif confirmed:
                 return best, self._bracket(best)
             else:
-                confirmed.add(best)
-                found = confirm(best, self._bracket(best))
-                self._low[best] = found.inside, found.stands
-                del self._high[best]
-                if found.outside is not None and found.fails is not None:
-                    self._high[best] = found.outside, found.fails
+                answer = confirm(best, *self._high.pop(best))
+                confirmed = not answer.stands
+                (self._low if answer.stands else self._high)[best] = high, answer
 
     def _bracket(self, row: int) -> Bracket:
         (low, stands), (high, fails) = self._low[row], self._high[row]
@@ -135,19 +134,20 @@ class Weakest:
             value = 0.5 * (low + high)
         self._ask(row, value, self._low[row][1])
 
-    def _test(self, row: int, best: int, value: float, high: float) -> None:
+    def _test(self, row: int, value: float, high: float) -> None:
         """Test a family at a value below which it is known to be stable, or beyond the bound, to do so only once."""
         low, near = self._low[row]
-        if self._distance is not None:
+        distance = self._distance
+        if distance is None and self._strikes:
+            self._strikes -= not self._ask(row, high, near)
+            return
+        if distance is not None:
             kin = min(
                 self._families,
-                key=lambda other: (abs(self._low[other][0] / value - 1.0) > _ALIKE, self._distance(row, other)),
+                key=lambda other: (abs(self._low[other][0] / value - 1.0) > _ALIKE, distance(row, other)),
             )
             if abs(self._low[kin][0] - value) < abs(low - value):
                 near = self._low[kin][1]
-        if self._strikes and (self._distance is None or self._distance(row, best) > _BESIDE):
-            self._strikes -= not self._ask(row, high, near)
-            return
         self._ask(row, value, near)
 
     def _ask(self, row: int, value: float, near: Answer) -> bool:
@@ -159,6 +159,6 @@ class Weakest:
     def _nearest(self, best: int, left: Sequence[int]) -> int:
         """Return the family to test next."""
         distance = self._distance
-        if distance is None or (self._low[left[0]][0] == 0.0 and left[0] in self._families[:_FIRST]):
+        if distance is None or left[0] in self._sample:
             return left[0]
         return min(left, key=lambda row: distance(row, best))
