@@ -211,6 +211,7 @@ def weakest_load(
             order,
             lambda row, multiple: prober.ask(state, Condition(start.condition.friction, multiple * loads[row]), start),
             lambda row, known: load_bracket(prober, state, start, loads[row], guess=guess(row), cap=cap, known=known),
+            cap,
         )
     if found is not None:
         near["load"] = names[found[0]], found[1].inside

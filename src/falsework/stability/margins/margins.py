@@ -215,7 +215,7 @@ class MarginFinder:
                 known=known,
             )
 
-        found = weakest(order, lambda row, angle: probe(row, angle, start), bound)
+        found = weakest(order, lambda row, angle: probe(row, angle, start), bound, float(np.arctan(LARGEST_SHARE)))
         if found is None:
             return self._unbounded(state, start)
         row, bracket = found
