@@ -17,7 +17,10 @@ _RISE = 0.006
 """Share by which the least bound may rise without a new test of the others."""
 _COARSE = 1.5
 """Ratio of the ends of a bracket at which the other families are tested before it is narrowed."""
+_SPLIT = 0.38
+"""Share of a bracket at which it is split: failing probes cost more than others."""
 _GROWTH = 4.0
+"""Ratio of successive probes while only one end of a bracket is known."""
 _STRIKES = 1
 """Tests beyond the least bound that may fail; after that families are tested inside it, where failures are rare."""
 _ALIKE = 0.2
@@ -77,7 +80,8 @@ class Weakest:
             confirm: answer of a family at a value at which a quick probe failed, given that answer.
             near: bound of the first family in a nearby state.
         """
-        confirmed, last = False, None
+        confirmed: dict[int, float] = {}
+        last = None
         while True:
             if not self._high:
                 rows = [row for row in self._families if self._low[row][0] < self._cap]
@@ -88,7 +92,7 @@ class Weakest:
                 near = None
                 continue
             best = min(self._high, key=lambda row: self._low[row][0])
-            confirmed, last = confirmed and best == last, best
+            last = best
             low, high = self._low[best][0], self._high[best][0]
             narrow = high - low <= max(_WIDTH * low, self._floor(best))
             if not narrow and high > _COARSE * low:
@@ -101,11 +105,11 @@ class Weakest:
                 self._test(self._nearest(best, left), value, high)
             elif not narrow:
                 self._narrow(best)
-            elif confirmed:
+            elif confirmed.get(best) == high:
                 return best, self._bracket(best)
             else:
                 answer = confirm(best, *self._high.pop(best))
-                confirmed = not answer.stands
+                confirmed[best] = high
                 (self._low if answer.stands else self._high)[best] = high, answer
 
     def _bracket(self, row: int) -> Bracket:
@@ -131,7 +135,7 @@ class Weakest:
         elif low < high / _GROWTH:
             value = float(np.sqrt(low * high))
         else:
-            value = 0.5 * (low + high)
+            value = low + _SPLIT * (high - low)
         self._ask(row, value, self._low[row][1])
 
     def _test(self, row: int, value: float, high: float) -> None:
