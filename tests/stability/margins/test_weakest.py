@@ -29,9 +29,9 @@ class Families:
         self.fails[row] += not stands
         return Answer(CONDITION, stands, quick=True)
 
-    def confirm(self, row: int, value: float, _failed: Answer) -> Answer:
+    def confirm(self, row: int, value: float, _failed: Answer) -> tuple[float, Answer]:
         self.hidden.pop(row, None)
-        return Answer(CONDITION, value < self.bounds[row])
+        return value, Answer(CONDITION, value < self.bounds[row])
 
     def search(self, *, around: bool = False) -> tuple[int, float, float] | None:
         """Return the weakest family and the ends of its bracket; with `around`, families lie on a circle."""

@@ -14,6 +14,8 @@ from falsework.stability.margins.conditions import Answer, Condition, Prober
 from falsework.stability.margins.weakest import Weakest
 
 Array = NDArray[np.float64]
+_BEYOND = (1.0, 1.01, 1.03)
+"""Factors on a multiple that is left undecided, at which a rest position is looked for."""
 Near = dict[str, tuple[int, float]]
 """Bounds of a nearby state: the number of the weakest load, and its bound."""
 
@@ -106,18 +108,30 @@ class LoadFamily:
         start = stands or self._start
         return stride(self.probe, start, guess=first, cap=self._cap, low=low, floor=floor, near=low > 0.0, known=known)
 
-    def settle(self, value: float, failed: Answer) -> Answer:
-        """Return the answer from rest at a multiple at which a quick probe failed."""
+    def settle(self, value: float, failed: Answer) -> tuple[float, Answer]:
+        """Return the answer from rest at a multiple at which a quick probe failed.
+
+        Where parts neither come to rest nor are seen to move away, a stable multiple beyond is looked for, from the
+        unloaded state.
+        """
         answer = self._prober.ask(self._state, self._under(value))
-        return replace(answer, moves_away=not answer.stands and (answer.moves_away or failed.moves_away))
+        answer = replace(answer, moves_away=not answer.stands and (answer.moves_away or failed.moves_away))
+        if not answer.stands and not answer.moves_away:
+            for factor in _BEYOND:
+                again = self._prober.ask(
+                    self._state, self._under(factor * value), self._start, quick=factor < _BEYOND[-1]
+                )
+                if again.stands:
+                    return factor * value, again
+        return value, answer
 
     def settled(self, bracket: Bracket) -> Bracket:
         """Return a bracket whose outer end has no rest position from an unloaded start either."""
         while bracket.outside is not None and bracket.fails is not None and bracket.fails.quick:
-            answer = self.settle(bracket.outside, bracket.fails)
+            value, answer = self.settle(bracket.outside, bracket.fails)
             if not answer.stands:
                 return replace(bracket, fails=answer)
-            bracket = self.quick(low=bracket.outside, stands=answer)
+            bracket = self.quick(low=value, stands=answer)
         return bracket
 
     def checked(self, bracket: Bracket) -> Bracket:

@@ -72,12 +72,13 @@ class Weakest:
         self._high: dict[int, tuple[float, Answer]] = {}
 
     def search(
-        self, confirm: Callable[[int, float, Answer], Answer], near: float | None = None
+        self, confirm: Callable[[int, float, Answer], tuple[float, Answer]], near: float | None = None
     ) -> tuple[int, Bracket] | None:
         """Return the weakest family and its bracket; None where no family has a bound.
 
         Args:
-            confirm: answer of a family at a value at which a quick probe failed, given that answer.
+            confirm: answer of a family at a value at which a quick probe failed, given that answer, or a stable one at
+                a larger value.
             near: bound of the first family in a nearby state.
         """
         confirmed: dict[int, float] = {}
@@ -108,9 +109,9 @@ class Weakest:
             elif confirmed.get(best) == high:
                 return best, self._bracket(best)
             else:
-                answer = confirm(best, *self._high.pop(best))
+                value, answer = confirm(best, *self._high.pop(best))
                 confirmed[best] = high
-                (self._low if answer.stands else self._high)[best] = high, answer
+                (self._low if answer.stands else self._high)[best] = value, answer
 
     def _bracket(self, row: int) -> Bracket:
         (low, stands), (high, fails) = self._low[row], self._high[row]
