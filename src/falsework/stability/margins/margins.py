@@ -78,7 +78,7 @@ class MarginFinder:
         assert self.pushes is not None  # computed once, before threads share it
         with ThreadPoolExecutor(self.prober.settings.cpu.threads) as pool:
             starts = list(pool.map(lambda state: self.prober.ask(state, self.prober.own()), batch))
-            found = [StateMargins(start.stands) for start in starts]
+            found = [StateMargins(start.stands, tuple(kinds)) for start in starts]
 
             def run(job: tuple[int, str]) -> list[StateMargins]:
                 """Compute one margin of consecutive states, one after another."""
