@@ -108,7 +108,7 @@ class GraspConfigurations:
             return []
         room = self._room(grips, robot, scene.configurations, held)
         here = scene.configurations[robot]
-        values = np.array([grip.configuration for grip in grips]).reshape(-1, len(here))
+        values = np.array([grip.configuration for grip in grips])
         way = 0.1 * np.abs(values - here).max(axis=1)
         if clock is not None:
             waits = np.maximum(self.clear_at(robot, values, clock) - clock.of(robot), 0.0)
