@@ -2,8 +2,8 @@
 
 The search in haste takes parts from the sides of all robots in turn and is given up after a few dead ends. Where it
 nearly finds a plan, or robots wait for long, it searches again with grasps that keep clear of robots that are leaving,
-and the shorter plan counts. If both find nothing, the planner for one robot at a time searches, and its motions overlap as
-far as that is proven safe.
+and the shorter plan counts. If both find nothing, the planner for one robot at a time searches, and its motions overlap
+as far as that is proven safe.
 """
 
 from __future__ import annotations
