@@ -157,10 +157,10 @@ class _Search:
             self.solvability.relax(share)
             self.dead.clear()
             for turn in range(self.settings.attempts if share == shares[-1] else 1):
-                prefix: list[Edge] | None = []
+                prefix: list[Edge] = []
                 if turn and self.settings.keyframes.haste:
                     prefix = self._before_dead_ends(turn)
-                    if prefix is None:
+                    if not prefix:
                         break
                 elif turn:
                     self.solvability.perturb(self.attempt)
@@ -178,15 +178,14 @@ class _Search:
                 limit = f"{self.attempt} searches failed{f'; {self.fallen}' if self.fallen else ''}"
         return self.failed(root, "not_found", limit)
 
-    def _before_dead_ends(self, turn: int) -> list[Edge] | None:
-        """Return the beginning of the longest partial plan, a shorter one from turn to turn; None to give up."""
-        often = [state for state, count in self.dead_states.items() if count >= _TOO_OFTEN]
-        keep = len(self.best) - _STEPS_BACK * 2 ** (turn - 1) if 2 * len(self.best) >= self.task.steps else 0
-        prefix = self.best[: max(keep, 0)]
-        if not (prefix or often):
-            return None
-        self.dead_states.clear()
-        self.solvability.avoid(often, prefix[-1].node.state if prefix else self.task.start)
+    def _before_dead_ends(self, turn: int) -> list[Edge]:
+        """Return the beginning of the longest partial plan, a shorter one from turn to turn; none of a short plan."""
+        if 2 * len(self.best) < self.task.steps:
+            return []
+        prefix = self.best[: max(len(self.best) - _STEPS_BACK * 2 ** (turn - 1), 0)]
+        if prefix:
+            often = [state for state, count in self.dead_states.items() if count >= _TOO_OFTEN]
+            self.solvability.avoid(often, prefix[-1].node.state)
         return prefix
 
     def depth_first_pass(self, root: Node, rng: np.random.Generator, prefix: Sequence[Edge] = ()) -> list[Edge] | None:

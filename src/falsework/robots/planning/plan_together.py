@@ -1,9 +1,9 @@
 """Plans with motions for robots that move at the same time: a search for plans that allow it, else any plan.
 
 The search in haste takes parts from the sides of all robots in turn and is given up after a few dead ends. Where it
-finds nothing, or robots wait for long, it searches again with grasps that keep clear of robots that are leaving, and
-the shorter plan counts. If both find nothing, the planner for one robot at a time searches, and its motions overlap as
-far as that is proven safe.
+nearly finds a plan, or robots wait for long, it searches again with grasps that keep clear of robots that are leaving,
+and the shorter plan counts. If both find nothing, the planner for one robot at a time searches, and its motions overlap
+as far as that is proven safe.
 """
 
 from __future__ import annotations
@@ -121,7 +121,8 @@ def plan_together(
 
 
 def _worth_another(result: HybridResult) -> bool:
-    """Return whether robots wait and hold for long in a plan, or there is none though there may be one."""
-    if result.plan is None:
-        return result.explanation is None or result.explanation.outcome != "proved_impossible"
-    return result.plan.makespan * len(result.plan.robots) > _ENOUGH * result.plan.seconds
+    """Return whether robots wait and hold for long in a plan, or a search without one came near to its end."""
+    if result.plan is not None:
+        return result.plan.makespan * len(result.plan.robots) > _ENOUGH * result.plan.seconds
+    why = result.explanation
+    return why is not None and why.outcome != "proved_impossible" and 2 * why.reached >= why.steps
