@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
+import scipy.optimize
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import linprog
 
 from falsework.errors import InputError
 from falsework.geometry import Contacts, ContactSettings, find_contacts, load_meshes
 from falsework.geometry.mesh.collision import Body
 
+linprog: Any = vars(scipy.optimize)["linprog"]  # without types, which take a type checker long to infer
 REAL = ["bottle-12", "tetris-13", "tetris-14", "tetris-17", "cube-17", "dog-35", "dome-37", "vault-62", "dome-72"]
 
 

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.optimize
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import linprog
 
 from falsework.assembly.model import Assembly
 from falsework.geometry import TriangleMesh
@@ -29,6 +29,7 @@ from falsework.stability.gpu.solver import GpuSolver
 from falsework.stability.settings import EQUILIBRIUM
 from falsework.stability.strength import strength_of
 
+linprog: Any = vars(scipy.optimize)["linprog"]  # without types, which take a type checker long to infer
 COMPILER = shutil.which("g++") or shutil.which("clang++")
 
 BOX_FACES = np.array(

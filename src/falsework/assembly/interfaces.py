@@ -52,8 +52,6 @@ class InterfaceComparison:
     """Pairs that were found without a stored interface."""
     differing: tuple[tuple[int, int, float], ...]
     """Pairs of both whose areas differ by more, with found over stored area; the worst first."""
-    largest_extra: float
-    """Largest area of an extra pair over the mean stored area; 0 for none."""
 
     @property
     def both(self) -> int:
@@ -162,7 +160,6 @@ def compare_interfaces(stored: Contacts, found: Contacts) -> InterfaceComparison
         missing=tuple(pair for pair in before if pair not in now),
         extra=extra,
         differing=tuple(sorted(differing, key=lambda entry: -abs(entry[2] - 1))),
-        largest_extra=max((now[pair] for pair in extra), default=0.0) / (sum(before.values()) / max(len(before), 1)),
     )
 
 

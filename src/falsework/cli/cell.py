@@ -66,7 +66,7 @@ class CheckCell(Command):
                     assembly, cell, parts, lambda done, total: show(done, total, f"place {done} of {total}")
                 )
         self._say(output, assembly, cell, parts, table)
-        self._propose(output, cell, proposal)
+        self._propose(output, proposal)
         if self.picture is not None:
             from falsework.robots.grasping.reachability_plot import draw_reach
 
@@ -105,7 +105,7 @@ class CheckCell(Command):
         counts = ", ".join(f"{name} {count}" for name, count in zip(table.robots, reached, strict=True))
         output.say(f"{cell.name}: of {len(table.parts)} parts within reach: {counts}")
 
-    def _propose(self, output: Output, cell: Cell, proposal: BaseProposal | None) -> None:
+    def _propose(self, output: Output, proposal: BaseProposal | None) -> None:
         """Propose better robot bases."""
         import numpy as np
 

@@ -203,7 +203,7 @@ def _one_line(box: str) -> str:
             sections.append([])
         elif text:
             sections[-1].append(text)
-    texts = [" ".join(section) for section in sections if section and section[0] != "Argument helptext:"]
+    texts = [" ".join(section).rstrip(".") for section in sections if section and section[0] != "Argument helptext:"]
     return "; ".join(texts).replace("For full helptext,", "for help,")
 
 

@@ -20,7 +20,7 @@ from falsework.service.docs_page import page_of
 from falsework.service.metrics import Metrics
 from falsework.service.middleware import INSIDE, App, ServiceMiddleware
 from falsework.service.pool import Pool, Reply
-from falsework.service.settings import ServiceSettings
+from falsework.service.settings import PICTURE_SECONDS, STABILITY_SECONDS, ServiceSettings
 from falsework.service.worker import refusal
 
 ABOUT = """Replanning and stability verdicts for one structure.
@@ -112,7 +112,7 @@ def _add_questions(
             states = description.read_states(given["states"], assembly)
         except InputError as error:
             return _response(Reply(422, refusal(str(error))))
-        return await _wait(request, pool.ask("stability", (states, given["explain"]), settings.stability_seconds))
+        return await _wait(request, pool.ask("stability", (states, given["explain"]), STABILITY_SECONDS))
 
     async def picture(request: Request) -> Response:
         wanted = await _read(request, models.picture, assembly)
@@ -125,7 +125,7 @@ def _add_questions(
             payload["state"] = description.read_state(payload["state"], assembly)
         except InputError as error:
             return _response(Reply(422, refusal(str(error))))
-        return await _wait(request, pool.ask("picture", payload, settings.picture_seconds), media=_PNG)
+        return await _wait(request, pool.ask("picture", payload, PICTURE_SECONDS), media=_PNG)
 
     app.add_api_route("/replan", replan, **_route("POST", "Replan from a state", "ReplanAnswer", "ReplanRequest"))
     app.add_api_route(

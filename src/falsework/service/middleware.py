@@ -11,7 +11,7 @@ from collections.abc import Awaitable, Callable, MutableMapping
 from typing import Any
 
 from falsework.service.metrics import Metrics
-from falsework.service.settings import ServiceSettings
+from falsework.service.settings import HEADER_BYTES, ServiceSettings
 from falsework.service.worker import refusal
 
 Scope = MutableMapping[str, Any]
@@ -91,9 +91,9 @@ class ServiceMiddleware:
 
     def _check(self, scope: Scope) -> None:
         headers = dict(scope["headers"])
-        if sum(len(name) + len(value) for name, value in scope["headers"]) > self._settings.header_bytes:
+        if sum(len(name) + len(value) for name, value in scope["headers"]) > HEADER_BYTES:
             close = ((b"connection", b"close"),)
-            raise _Refused(431, f"the header is larger than {self._settings.header_bytes} bytes; send less", close)
+            raise _Refused(431, f"the header is larger than {HEADER_BYTES} bytes; send less", close)
         if self._digest is None:
             host = headers.get(b"host", b"").lower()
             name = host.partition(b"]")[0] + b"]" if host.startswith(b"[") else host.partition(b":")[0]

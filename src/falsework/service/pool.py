@@ -25,7 +25,7 @@ from typing import Any, get_args
 from falsework.assembly.model import Assembly
 from falsework.errors import FalseworkError, InputError
 from falsework.service.metrics import Metrics
-from falsework.service.settings import ServiceSettings
+from falsework.service.settings import GRACE, STABILITY_BATCH, STUCK_SECONDS, WINDOW, ServiceSettings
 from falsework.service.worker import NOT_YET, Done, Failed, Item, Kind, Ready, WorkerConfig, refusal, work
 from falsework.stability.verdict import Criterion
 
@@ -186,10 +186,10 @@ class Pool:
             self._metrics.turned_away()
             return Reply(503, refusal("too many requests are waiting; try again in a moment"))
         ticket = PendingRequest(kind, payload, loop.time() + seconds, loop.create_future(), next(self._numbers))
-        guard = loop.call_at(ticket.deadline + self.settings.grace, self._late, ticket, seconds)
+        guard = loop.call_at(ticket.deadline + GRACE, self._late, ticket, seconds)
         try:
             self._put(ticket)
-            self._plan(kind, self.settings.window)
+            self._plan(kind, WINDOW)
             return await ticket.future
         finally:
             guard.cancel()
@@ -207,7 +207,7 @@ class Pool:
         self._planned.pop(kind, None)
         team = [worker for worker in self._workers if worker.kind == kind]
         idle = [worker for worker in team if worker.ready and worker.busy is None]
-        most = {"replan": self.settings.batch, "stability": self.settings.stability_batch, "picture": 1}[kind]
+        most = {"replan": self.settings.batch, "stability": STABILITY_BATCH, "picture": 1}[kind]
         for place, worker in enumerate(idle):
             # One of several takes few at a time, so that an urgent request finds an idle worker soon.
             limit = min(most, _EXPRESS) if worker is team[0] and len(team) > 1 else most
@@ -238,7 +238,7 @@ class Pool:
         items = [Item(ticket.number, ticket.payload, ticket.deadline - now - _HEAD_START) for ticket in batch]
         worker.busy = {ticket.number: ticket for ticket in batch}
         last = max(ticket.deadline for ticket in batch)
-        worker.watchdog = loop.call_at(last + self.settings.stuck_seconds, self._stuck, worker)
+        worker.watchdog = loop.call_at(last + STUCK_SECONDS, self._stuck, worker)
         self._metrics.batched(worker.kind, len(batch))
         try:
             worker.pipe.send(items)

@@ -14,7 +14,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import States, as_states, complete_state, empty_state
 from falsework.errors import StateError
 from falsework.search.plans.plan_file import plan_schema
-from falsework.service.settings import ServiceSettings
+from falsework.service.settings import LONGEST_DEADLINE, ServiceSettings
 from falsework.service.worker import NOT_YET
 from falsework.stability.verdict import Criterion
 
@@ -76,7 +76,7 @@ def models_of(assembly: Assembly, settings: ServiceSettings) -> Models:
     ]
     state = values | Literal["complete", "empty"]
     numbers = Annotated[list[whole(0, parts - 1)], Field(max_length=parts, json_schema_extra={"uniqueItems": True})]
-    longest = round(1000 * settings.longest_deadline)
+    longest = round(1000 * LONGEST_DEADLINE)
     replan: dict[str, Any] = {
         "state": (state, Field(default="complete", description="current state; boundary parts are always 2")),
         "target": (

@@ -19,7 +19,7 @@ from falsework.errors import InputError
 from falsework.service.app import application
 from falsework.service.metrics import Metrics
 from falsework.service.pool import Pool
-from falsework.service.settings import ServiceSettings
+from falsework.service.settings import CONNECTIONS, HEADER_BYTES, LONGEST_DEADLINE, STUCK_SECONDS, ServiceSettings
 
 _STOP_SECONDS = 3
 
@@ -90,8 +90,8 @@ def server_of(assembly: Assembly, pool: Pool, settings: ServiceSettings, metrics
         proxy_headers=False,
         timeout_keep_alive=settings.idle_seconds,
         timeout_graceful_shutdown=_STOP_SECONDS,
-        limit_concurrency=settings.connections,
-        h11_max_incomplete_event_size=settings.header_bytes,
+        limit_concurrency=CONNECTIONS,
+        h11_max_incomplete_event_size=HEADER_BYTES,
     )
     return uvicorn.Server(config)
 
@@ -125,7 +125,7 @@ async def _announce(server: uvicorn.Server, listener: socket.socket, started: Ca
 
 def _protocol(settings: ServiceSettings) -> type[H11Protocol]:
     """Return an HTTP/1.1 protocol with time limits for sending a request and for receiving the answer."""
-    longest = settings.longest_deadline + settings.body_seconds + settings.stuck_seconds
+    longest = LONGEST_DEADLINE + settings.body_seconds + STUCK_SECONDS
 
     class PatientNoLonger(H11Protocol):
         """Connection with time limits."""

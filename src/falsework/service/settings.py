@@ -11,6 +11,24 @@ from falsework.utils.cores import core_count
 
 TOKEN_VARIABLE = "FALSEWORK_TOKEN"
 SHORTEST_TOKEN = 16
+STABILITY_BATCH = 64
+"""Requests about stability that a worker takes at a time."""
+WINDOW = 0.003
+"""How long the first request of a batch waits for others, seconds."""
+CONNECTIONS = 512
+"""Clients at a time."""
+HEADER_BYTES = 16 * 1024
+"""Largest header."""
+LONGEST_DEADLINE = 60.0
+"""For a plan, seconds."""
+STABILITY_SECONDS = 10.0
+"""For verdicts."""
+PICTURE_SECONDS = 60.0
+"""For a picture, the start of the process that draws included."""
+GRACE = 0.015
+"""How much later than its deadline a request is answered at the latest, if nothing blocks this process, seconds."""
+STUCK_SECONDS = 10.0
+"""Time after its last deadline after which a worker that is still busy is replaced."""
 
 
 def is_loopback(host: str) -> bool:
@@ -36,18 +54,10 @@ class ServiceSettings:
     """Number of planning processes; one more computes verdicts."""
     batch: int = 8
     """Requests that a worker takes at a time to plan together."""
-    stability_batch: int = 64
-    """The same for requests about stability."""
-    window: float = 0.003
-    """How long the first request of a batch waits for others."""
     queue: int = 256
     """Requests that may wait; more are refused."""
-    connections: int = 512
-    """Clients at a time."""
     body_bytes: int = 1 << 20
     """Largest request."""
-    header_bytes: int = 16 * 1024
-    """Largest header."""
     idle_seconds: int = 15
     """Between two requests on one connection."""
     header_seconds: float = 10.0
@@ -56,24 +66,15 @@ class ServiceSettings:
     """... and the whole request."""
     deadline: float = 5.0
     """For a plan, unless the request names another."""
-    longest_deadline: float = 60.0
-    stability_seconds: float = 10.0
-    """For verdicts."""
-    picture_seconds: float = 60.0
-    """For a picture, the start of the process that draws included."""
     states: int = 256
     """States in one request about stability."""
-    grace: float = 0.015
-    """How much later than its deadline a request is answered at the latest, if nothing blocks this process."""
-    stuck_seconds: float = 10.0
-    """After its last deadline, a worker that is still busy is replaced."""
     criterion: Criterion = "contact"
     """Stability criterion, see `falsework.stability.StabilitySettings`."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.port <= 65535:
             raise InputError(f"port {self.port} does not exist; give 0 to 65535")
-        for name in ("workers", "batch", "stability_batch", "queue", "connections", "body_bytes", "states"):
+        for name in ("workers", "batch", "queue", "body_bytes", "states"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} is {getattr(self, name)}; give at least 1")
         if self.token is None and not is_loopback(self.host):

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import errno
-import json
 import os
 import signal
 import sys
 import time
 import types
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,7 +26,6 @@ from falsework.learn.config.policy import PolicySettings  # noqa: E402
 from falsework.learn.config.ppo import COMPLETE, PAPER, PpoPhase  # noqa: E402
 from falsework.learn.config.train import METHODS, Phase, TrainSettings  # noqa: E402
 from falsework.learn.data.dataset import load_dataset  # noqa: E402
-from falsework.learn.data.symmetry_augmentation import symmetric_images  # noqa: E402
 from falsework.learn.networks.autocast import Network  # noqa: E402
 from falsework.learn.training import checkpoint  # noqa: E402
 from falsework.learn.training import train as module  # noqa: E402
@@ -359,33 +356,6 @@ def test_a_run_of_an_older_format_is_refused(arch: Any, tmp_path: Path) -> None:
 def test_settings_that_make_no_sense_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(InputError):
         TrainSettings(**wrong)
-
-
-PARALLEL = ("default", "paper")
-
-
-@pytest.mark.slow
-def test_two_processes_are_one_training(tmp_path: Path, run_processes: Callable[..., None]) -> None:
-    """The same weights and known states in both, to the last bit; steps of the environment add up."""
-    run_processes(Path(__file__).with_name("distributed_training.py"), 2, tmp_path, *PARALLEL)
-    for method in PARALLEL:
-        folder = tmp_path / method
-        one, two = (safetensors.load_file(folder / f"{rank}.safetensors") for rank in range(2))
-        assert all(torch.equal(tensor, two[name]) for name, tensor in one.items())
-        numbers = [json.loads((folder / f"{rank}.json").read_text()) for rank in range(2)]
-        assert numbers[0]["environment"]["steps"] == sum(each["own_steps"] for each in numbers)
-        assert numbers[0]["test"] == numbers[1]["test"]
-        assert numbers[0]["processes"] == 2
-        assert load_run(folder / "run").metadata["results"]["processes"] == 2
-        arch = load_structure("arch:blocks=13")
-        data = load_dataset(folder / "run" / "data.npz", arch)
-        held_out = {
-            state.tobytes()
-            for state in symmetric_images(np.concatenate([data.test, data.validation]), symmetries(arch))
-        }
-        learned = [state for state in data.train if state.tobytes() not in held_out]
-        found = len(one["solved"]) > len(learned)
-        assert found == (method == "default")  # rollouts of either process found more, which the paper's way ignores
 
 
 def test_weights_and_biases_gets_the_same_numbers(arch: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -211,6 +211,26 @@ def test_the_plan_of_one_arm_at_a_time_is_scheduled_where_haste_finds_none(
     assert other.plan.makespan <= alone.seconds
 
 
+@pytest.mark.parametrize(("enough", "kinds"), [(0.0, [False, True]), (10.0, [False])])
+def test_the_shorter_of_two_plans_is_returned_unless_the_first_is_short(
+    row: Assembly, wide: Cell, monkeypatch: pytest.MonkeyPatch, enough: float, kinds: list[bool]
+) -> None:
+    found: dict[bool, float] = {}
+
+    def search(*given: Any, settings: HybridSettings, **more: Any) -> HybridResult:
+        result = plan_robots(*given, settings=settings, **more)
+        assert result.plan is not None
+        found[settings.keyframes.yielding] = result.plan.makespan
+        return result
+
+    monkeypatch.setattr("falsework.robots.planning.plan_together.plan_robots", search)
+    monkeypatch.setattr("falsework.robots.planning.plan_together._ENOUGH", enough)
+    plan = plan_together(row, wide).plan
+    assert plan is not None
+    assert list(found) == kinds
+    assert plan.makespan == min(found.values())
+
+
 def test_approaches_go_as_near_as_another_arm_lets_them(row: Assembly, wide: Cell) -> None:
     plan = plan_robots(row, wide, settings=HybridSettings(together=True)).plan
     assert plan is not None

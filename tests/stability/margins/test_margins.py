@@ -124,6 +124,17 @@ def test_a_state_that_does_not_stand(scenes: Any, settings: StabilitySettings) -
     assert record["tilt_deg"] == record["push_n"] == record["horizontal_g"] == 0.0
 
 
+@pytest.mark.parametrize("friction", [0.4, 0.6], ids=["falls", "stands"])
+def test_margins_that_were_not_requested_are_absent(scenes: Any, friction: float) -> None:
+    """Null is left to mean that there is no bound."""
+    slope = scenes.slope(0.5, friction=friction)
+    tilt, factor = (margins(slope, CRITERIA[0], kind).to_dict(("block", "slab")) for kind in ("tilt", "load_factor"))
+    about = {"stands", "proven", "monotone"}
+    assert set(tilt) == about | {"tilt_deg"}
+    assert set(factor) == about | {"load_factor", "total_load_factor", "load_part"}
+    assert (factor["load_factor"] is None) == (friction == 0.6)
+
+
 def test_a_robot_bears_what_its_part_weighs_and_what_leans_on_it(scenes: Any) -> None:
     tower = scenes.tower(2)
     weight = 9.81 * tower.mass.mass[0]

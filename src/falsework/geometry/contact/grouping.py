@@ -9,6 +9,11 @@ from falsework.geometry.contact.patches import Patches
 
 Array = NDArray[np.float64]
 
+COPLANAR = 0.1
+"""Largest angle between the normals of patches that form one plane, degrees."""
+CURVED_FROM = 16
+"""Pairs of parts with more planes than this have their interface grouped by its curvature."""
+
 
 def segment_sum(values: Array, owner: NDArray[np.integer], count: int) -> Array:
     """Return the sum of the rows of each owner, shape (count, columns)."""
@@ -59,9 +64,7 @@ def planes(patches: Patches, coplanar: float, tolerance: float | Array) -> NDArr
     return plane
 
 
-def curved_groups(
-    patches: Patches, plane: NDArray[np.int64], curvature: float, curved_from: int, tolerance: float
-) -> NDArray[np.int64]:
+def curved_groups(patches: Patches, plane: NDArray[np.int64], curvature: float, tolerance: float) -> NDArray[np.int64]:
     """Join planes of pairs of parts that have many, and leave those of all other pairs alone.
 
     The largest plane that is left collects those that hang together with it, corner to corner, and whose
@@ -77,7 +80,7 @@ def curved_groups(
     first = np.zeros(count, dtype=np.int64)
     first[plane[::-1]] = np.arange(len(plane))[::-1]
     pair = _pairs(patches.parts[first])
-    many = np.bincount(pair, minlength=1) > curved_from
+    many = np.bincount(pair, minlength=1) > CURVED_FROM
     if not many.any():
         return plane
     owner = plane[patches.owner]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from falsework.errors import InputError
 from falsework.geometry.contact.creases import expand
-from falsework.geometry.contact.grouping import curved_groups, planes, segment_mean, segment_sum
+from falsework.geometry.contact.grouping import COPLANAR, curved_groups, planes, segment_mean, segment_sum
 from falsework.geometry.contact.joints import JointReport, check_joints, find_joints
 from falsework.geometry.contact.narrow_phase import Narrow, Reach, merged, narrow_places
 from falsework.geometry.contact.overlap import Overlaps, find_overlaps
@@ -98,19 +98,15 @@ class ContactSettings:
     of the smaller part, or 1/5 of the thickness of the thinner one if that is less."""
     angle: float = 6.0
     """Largest angle between faces that touch, degrees."""
-    coplanar: float = 0.1
-    """Largest angle between the normals of patches that form one plane, degrees."""
     curvature: float = 7.5
     """Largest angle between the normals of a curved interface that is treated as one plane, degrees."""
-    curved_from: int = 16
-    """Pairs of parts with more planes than this have their interface grouped by `curvature`."""
 
     def __post_init__(self) -> None:
         for name in ("gap", "overlap", "corner"):
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value > 0):
                 raise InputError(f"contact tolerance {name} is {value} m; give a positive length or leave it out")
-        for name in ("angle", "coplanar", "curvature"):
+        for name in ("angle", "curvature"):
             if not 0 < getattr(self, name) < 45:
                 raise InputError(f"contact tolerance {name} is {getattr(self, name)} degrees; give 0 to 45")
 
@@ -134,7 +130,7 @@ def find_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings | No
     in the cone and keeps its total force and moment. Nothing is gained either, since the corners are points
     of the patches.
 
-    The interface of a pair with more than `settings.curved_from` planes is taken as curved: neighbouring
+    The interface of a pair with more than `grouping.CURVED_FROM` planes is taken as curved: neighbouring
     patches whose normals differ by at most `settings.curvature` from that of the largest among them become
     one contact, with the mean normal and the true positions of its points.
 
@@ -182,13 +178,13 @@ def exact_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings) ->
     gap, overlap = settings.lengths(meshes)
     tolerance = max(gap, overlap)
     patches = face_patches(meshes, gap=gap, overlap=overlap, angle=settings.angle)
-    group = planes(patches, settings.coplanar, tolerance)
-    group = curved_groups(patches, group, settings.curvature, settings.curved_from, tolerance)
+    group = planes(patches, COPLANAR, tolerance)
+    group = curved_groups(patches, group, settings.curvature, tolerance)
     contacts, slivers = _contacts(patches, group, tolerance)
     places = narrow_places(meshes, Reach(gap, overlap, settings.angle), slivers)
     if not len(places.parts):
         return contacts
-    places = merged(places, settings.coplanar, tolerance)
+    places = merged(places, COPLANAR, tolerance)
     return _with_narrow(contacts, places, settings.angle, tolerance)
 
 

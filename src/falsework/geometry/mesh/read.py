@@ -126,7 +126,7 @@ def _read_parts(file: Path) -> list[_Solid]:
     """Return one part an object of a file."""
     solids = _read_solids(file)
     if len(solids) == 1:
-        return _split(solids[0], file)
+        return _split(solids[0])
     names = [solid.name for solid in solids]
     if file.suffix.lower() == ".obj" and not all(name.isdecimal() for name in names):
         return solids
@@ -165,7 +165,7 @@ def _read_solids(file: Path) -> list[_Solid]:
     return solids
 
 
-def _split(solid: _Solid, file: Path) -> list[_Solid]:
+def _split(solid: _Solid) -> list[_Solid]:
     """Return parts of a file without objects: surfaces connected by edges."""
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import connected_components

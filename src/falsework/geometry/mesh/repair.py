@@ -142,7 +142,7 @@ def _drop_copies(corners: Faces, done: list[str]) -> Faces:
 
 def _mend(name: str, points: Array, corners: Faces, done: list[str]) -> tuple[Array, Faces]:
     """Repair with increasingly strong methods, and stop as soon as the surface is closed."""
-    welded = _weld(points, corners)
+    welded = _weld(points)
     if len(np.unique(welded)) < len(points):
         done.append("merged vertices that almost coincide")
         points, corners = _merge_equal(points[welded], corners)
@@ -171,7 +171,7 @@ def _mend(name: str, points: Array, corners: Faces, done: list[str]) -> tuple[Ar
     return points, corners
 
 
-def _weld(points: Array, corners: Faces) -> NDArray[np.int64]:
+def _weld(points: Array) -> NDArray[np.int64]:
     """Return for every vertex the representative of all vertices within the welding distance."""
     reach = _WELD * float(np.linalg.norm(np.ptp(points, axis=0)))
     from scipy.sparse import csr_matrix

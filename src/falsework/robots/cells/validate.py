@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linprog
 
 from falsework.errors import CellError
-from falsework.robots.kernels.collision import CLEAR
+from falsework.robots.kernels.collision import CLEAR, distance_between
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.shapes import Pieces, move
@@ -90,11 +89,8 @@ def no_parts() -> PartShapes:
 
 def overlap(a: Array, b: Array) -> bool:
     """Return whether two convex pieces intersect: whether no plane separates them."""
-    if (a.min(axis=0) > b.max(axis=0)).any() or (b.min(axis=0) > a.max(axis=0)).any():
-        return False
-    middle = b.mean(axis=0)
-    sides = np.concatenate([np.c_[a - middle, -np.ones(len(a))], np.c_[middle - b, np.ones(len(b))]])
-    return linprog(np.zeros(4), A_ub=sides, b_ub=-np.ones(len(sides)), bounds=(None, None)).status == 2
+    apart = (a.min(axis=0) > b.max(axis=0)).any() or (b.min(axis=0) > a.max(axis=0)).any()
+    return not apart and distance_between(np.ascontiguousarray(a), np.ascontiguousarray(b)) <= 0.0
 
 
 def shrunk(pieces: Pieces) -> Pieces:

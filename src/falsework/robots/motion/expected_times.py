@@ -24,6 +24,19 @@ _CLEAR = 0.6
 
 
 @dataclass(frozen=True, eq=False)
+class Leaving:
+    """Robot that leaves with a part."""
+
+    robot: int
+    clear: float
+    """Time at which it has left the surroundings of its part, seconds."""
+    center: Array
+    """Centre of the part, shape (3,)."""
+    configuration: Array
+    """Configuration at which it held the part, shape (joints,)."""
+
+
+@dataclass(frozen=True, eq=False)
 class Clock:
     """Times at a keyframe if every robot moves as soon as its own motions and the order of the states allow."""
 
@@ -31,31 +44,45 @@ class Clock:
     """Time at which each robot is done, seconds; empty at the start."""
     state: float = 0.0
     """Time at which the structure reaches the state of the keyframe, seconds."""
-    left: tuple[tuple[int, float, Array], ...] = ()
-    """Latest removals: robot, time at which it is out of the way of robots that move to parts nearby, and centre of its
-    part."""
+    left: tuple[Leaving, ...] = ()
+    """Latest removals."""
 
     def of(self, robot: int) -> float:
+        """Return the time at which a robot is done, seconds."""
+        return self.robots[robot] if self.robots else 0.0
+
+    def late(self, robot: int) -> float:
         """Return how much longer than the first available robot a robot is busy, seconds."""
         return self.robots[robot] - min(self.robots) if self.robots else 0.0
 
-    def held(self, robot: int, seconds: float, robots: int, center: Array) -> Clock:
-        """Return the clock after a robot has moved to a part, which takes `seconds`, and holds it."""
+    def clear_near(self, robot: int, center: Array) -> float:
+        """Return the time at which other robots that leave from nearby are out of the way of a part, seconds."""
+        near = (
+            entry.clear for entry in self.left if entry.robot != robot and np.linalg.norm(entry.center - center) < _NEAR
+        )
+        return max(near, default=0.0)
+
+    def held(self, robot: int, seconds: float, robots: int, clear: float) -> Clock:
+        """Return the clock after a robot has moved to a part, not before `clear`, in `seconds`, and holds it."""
         times = list(self.robots or (0.0,) * robots)
-        begin = times[robot]
-        for other, clear, place in self.left:
-            if other != robot and np.linalg.norm(place - center) < _NEAR:
-                begin = max(begin, clear)
-        times[robot] = max(begin + seconds, self.state)
+        times[robot] = max(max(times[robot], clear) + seconds, self.state)
         return Clock(tuple(times), times[robot], self.left)
 
-    def removed(self, robot: int, seconds: float, robots: int, center: Array) -> Clock:
-        """Return the clock after a robot has left with its part, and carried it away in `seconds`."""
+    def removed(self, robot: int, seconds: float, robots: int, center: Array, here: Array) -> Clock:
+        """Return the clock after a robot has left with its part, and carried it away in `seconds`.
+
+        Args:
+            robot: index of the robot.
+            seconds: expected duration.
+            robots: number of robots.
+            center: centre of the part, shape (3,).
+            here: configuration at which it held the part, shape (joints,).
+        """
         times = list(self.robots or (0.0,) * robots)
         begin = max(times[robot], self.state)
         times[robot] = begin + seconds
-        others = (entry for entry in self.left if entry[0] != robot)
-        return Clock(tuple(times), begin, (*others, (robot, begin + _CLEAR * seconds, center)))
+        others = (entry for entry in self.left if entry.robot != robot)
+        return Clock(tuple(times), begin, (*others, Leaving(robot, begin + _CLEAR * seconds, center, here)))
 
 
 NO_TIME = Clock()

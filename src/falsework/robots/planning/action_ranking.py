@@ -126,7 +126,7 @@ class ActionRanking:
         haste = self.graph.haste
         score -= min(
             float(np.linalg.norm(robots[robot].base[:2, 3] - center[:2])) / self.graph.spread
-            + haste * node.clock.of(robot)
+            + haste * node.clock.late(robot)
             for robot in free
         )
         for part in node.held:

@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED, States
 from falsework.robots.grasping.grasp import Grasp, grasps
+from falsework.robots.kernels.coordination import Swept, first_clear, sweep
+from falsework.robots.kernels.kernel_arrays import make_bodies, make_chain
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.motion.collision_world import Contact, Scene
-from falsework.robots.motion.expected_times import straight_seconds
+from falsework.robots.motion.expected_times import Clock, straight_seconds
 from falsework.robots.motion.motion_cache import MotionCache
 from falsework.robots.planning.failure_report import FailureLog
 
@@ -84,7 +86,13 @@ class GraspConfigurations:
         return cost - _APART * haste * apart
 
     def best(
-        self, grips: list[GraspConfiguration], robot: int, scene: Scene, held: tuple[int | None, ...], count: int
+        self,
+        grips: list[GraspConfiguration],
+        robot: int,
+        scene: Scene,
+        held: tuple[int | None, ...],
+        count: int,
+        clock: Clock | None = None,
     ) -> list[GraspConfiguration]:
         """Return the grasps to try, best first: near the robot's configuration, and away from other arms.
 
@@ -94,12 +102,40 @@ class GraspConfigurations:
             scene: poses of everything.
             held: the part that each robot holds.
             count: largest number of returned grasps.
+            clock: times at the keyframe, if waits for arms that are in the way count.
         """
+        if not grips:
+            return []
         room = self._room(grips, robot, scene.configurations, held)
         here = scene.configurations[robot]
-        values = np.array([grip.configuration for grip in grips]).reshape(-1, len(here))
-        way = np.abs(values - here).max(axis=1)
-        return _spread([grips[row] for row in np.argsort(0.1 * way - room, kind="stable")], count)
+        values = np.array([grip.configuration for grip in grips])
+        way = 0.1 * np.abs(values - here).max(axis=1)
+        if clock is not None:
+            waits = np.maximum(self.clear_at(robot, values, clock) - clock.of(robot), 0.0)
+            way = straight_seconds(self.cell.robots[robot].model, here, values, self.cell.speed) + waits
+        return _spread([grips[row] for row in np.argsort(way - room, kind="stable")], count)
+
+    def clear_at(self, robot: int, values: Array, clock: Clock) -> Array:
+        """Return the time from which no other robot that leaves with a part is in the way, seconds, shape (n,).
+
+        Args:
+            robot: index of the robot.
+            values: configurations of it, shape (n, joints).
+            clock: times at the keyframe.
+        """
+        found = np.zeros(len(values))
+        for other in clock.left:
+            if other.robot != robot:
+                there = self.swept(other.robot, other.configuration[None])
+                blocked = first_clear(self.swept(robot, values), there, self.cell.margins.free) < 0
+                found[blocked] = np.maximum(found[blocked], other.clear)
+        return found
+
+    def swept(self, robot: int, values: Array) -> Swept:
+        """Return the bodies of a robot without load in configurations, shape (n, joints), each of them a cell."""
+        entry = self.cell.robots[robot]
+        bodies, _, _ = make_bodies(entry, None, self.parts.names)
+        return sweep(values, np.zeros_like(values), make_chain(entry.model, entry.base), bodies)
 
     def _room(
         self, grips: list[GraspConfiguration], robot: int, configurations: Sequence[Array], held: tuple[int | None, ...]

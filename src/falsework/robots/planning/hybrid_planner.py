@@ -50,7 +50,9 @@ _LAST_VERDICTS = 400
 _MAX_FALLEN_REPLAYS = 40
 """Plans with motions whose replay may fail before the search ends."""
 _STEPS_BACK = 8
-"""Steps by which a search in haste goes back after its dead ends, to go on without haste; twice as many each time."""
+"""Steps by which a search in haste goes back after its dead ends, to go on from there; twice as many each time."""
+_TOO_OFTEN = 3
+"""Dead ends in one state of the structure after which a search in haste avoids that state."""
 _POSTPONED_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
 """Delays of missing parts that are tried in turn, as shares of the longest that stability alone allows."""
 
@@ -112,6 +114,7 @@ class _Search:
         self.graph = graph or KeyframeGraph(
             assembly, cell, settings=settings.keyframes, seed=settings.seed, present=present
         )
+        self.graph.haste, self.graph.yielding = settings.keyframes.haste, settings.keyframes.yielding
         self.task = task_in_cell(assembly, cell, task, self.graph.exits)
         balanced: Guide | None = guide
         if settings.keyframes.haste:
@@ -128,6 +131,7 @@ class _Search:
         self.best: list[Edge] = []
         self.tried: Counter[tuple[str, int]] = Counter()
         self.dead: set[bytes] = set()
+        self.dead_states: Counter[bytes] = Counter()
         self.failures = FailedActions(self.graph, self.solvability)
         self.timed: dict[PathSegment, Trajectory | None] = {}
         self.counts: Counter[str] = Counter()
@@ -160,7 +164,6 @@ class _Search:
                         break
                 elif turn:
                     self.solvability.perturb(self.attempt)
-                self.graph.haste = 0.0 if prefix else self.settings.keyframes.haste
                 chain = self.depth_first_pass(root, np.random.default_rng([self.settings.seed, self.attempt]), prefix)
                 self.attempt += 1
                 if chain is not None:
@@ -179,7 +182,11 @@ class _Search:
         """Return the beginning of the longest partial plan, a shorter one from turn to turn; none of a short plan."""
         if 2 * len(self.best) < self.task.steps:
             return []
-        return self.best[: max(len(self.best) - _STEPS_BACK * 2 ** (turn - 1), 0)]
+        prefix = self.best[: max(len(self.best) - _STEPS_BACK * 2 ** (turn - 1), 0)]
+        if prefix:
+            often = [state for state, count in self.dead_states.items() if count >= _TOO_OFTEN]
+            self.solvability.avoid(often, prefix[-1].node.state)
+        return prefix
 
     def depth_first_pass(self, root: Node, rng: np.random.Generator, prefix: Sequence[Edge] = ()) -> list[Edge] | None:
         """Return the edges of a plan with a stable replay by one depth-first search; None after too many dead ends.
@@ -191,9 +198,8 @@ class _Search:
         """
         chain, nodes = list(prefix), [root, *(edge.node for edge in prefix)]
         options = [self._options(node, rng) for node in nodes]
-        causes: list[set[int]] = [
-            set() for _ in nodes
-        ]  # causes of the dead ends after each keyframe: indices of earlier edges
+        # Causes of the dead ends after each keyframe: indices of earlier edges.
+        causes: list[set[int]] = [set() for _ in nodes]
         dead_ends, allowed = 0, self.settings.dead_ends * (1 + self.attempt // 3)
         while nodes:
             if self.deadline_passed():
@@ -205,6 +211,7 @@ class _Search:
                 continue
             if edge is None:
                 self.dead.add(nodes[-1].key)
+                self.dead_states[nodes[-1].state.tobytes()] += 1
                 self._note_dead_end(nodes[-1], len(chain))
                 blamed = causes[-1] | self.failures.blamed(nodes[-1], chain)
                 back = max(blamed, default=len(chain) - 1)

@@ -10,6 +10,7 @@ from falsework.errors import InputError
 from falsework.robots.planning.failure_report import Explanation
 from falsework.robots.planning.keyframe_graph import KeyframeSettings
 from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.search.problem.deadline import check_deadline
 
 
 @dataclass(frozen=True)
@@ -33,8 +34,7 @@ class HybridSettings:
     def __post_init__(self) -> None:
         if min(self.attempts, self.dead_ends) < 1:
             raise InputError("a search needs at least one attempt and dead end; give numbers from 1 on")
-        if self.deadline is not None and self.deadline <= 0:
-            raise InputError(f"a deadline of {self.deadline:g} s leaves no time; give seconds above 0")
+        check_deadline(self.deadline)
 
 
 @dataclass(frozen=True, eq=False)

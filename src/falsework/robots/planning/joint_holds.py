@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, REMOVED, Mask, States
-from falsework.robots.kernels.coordination import Swept, first_clear, sweep
-from falsework.robots.kernels.kernel_arrays import make_bodies, make_chain
+from falsework.robots.kernels.coordination import Swept, first_clear
 from falsework.robots.planning.grasp_configurations import GraspConfiguration, GraspConfigurations
 from falsework.stability.oracle import Stability
 from falsework.stability.verdict import Verdicts
@@ -105,10 +104,7 @@ class JointHolds:
         return first_clear(self._swept(mine), self._swept(theirs), self.cell.margins.line)
 
     def _swept(self, grips: Sequence[GraspConfiguration]) -> Swept:
-        robot = self.cell.robots[grips[0].robot]
-        values = np.array([grip.configuration for grip in grips])
-        bodies, _, _ = make_bodies(robot, None, self.grips.parts.names)
-        return sweep(values, np.zeros_like(values), make_chain(robot.model, robot.base), bodies)
+        return self.grips.swept(grips[0].robot, np.array([grip.configuration for grip in grips]))
 
 
 class HoldingOracle:

@@ -11,7 +11,6 @@ import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,6 +56,8 @@ class KeyframeSettings:
     haste: float = 0.0
     """Weight of a second of waiting of robots that move at the same time, against the other terms of the action
     score; 0: robots move one at a time."""
+    yielding: bool = False
+    """In haste, prefer grasps at which a robot is out of the way of those that are leaving with a part."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,8 +138,8 @@ class KeyframeGraph:
             present: parts that are ever in place, all by default, shape (parts,).
         """
         self.assembly, self.cell, self.settings, self.seed = assembly, cell, settings, seed
-        self.haste = settings.haste
-        """As in the settings, or 0 while a search goes on from where arms in haste have met dead ends."""
+        self.haste, self.yielding = settings.haste, settings.yielding
+        """As in the settings of the search that uses the graph."""
         self.parts = parts or place_parts(assembly, cell.placement)
         self.world = CollisionWorld(cell, self.parts)
         self.reasons = FailureLog()
@@ -249,7 +250,7 @@ class KeyframeGraph:
     def _reluctance(self, node: Node, robot: int, center: Array) -> float:
         """Rank free robots for a part: near ones first, and those first that are available early."""
         far = float(np.linalg.norm(self.cell.robots[robot].base[:2, 3] - center[:2]))
-        return far + self.haste * self.spread * node.clock.of(robot)
+        return far + self.haste * self.spread * node.clock.late(robot)
 
     def _hold_with(self, node: Node, part: int, robot: int) -> Iterator[Edge]:
         grips = self.grips(robot, part, node.state)
@@ -262,19 +263,20 @@ class KeyframeGraph:
         for row in np.flatnonzero(hits >= 0)[:1]:
             self.reasons.add("hold", part, robot, "a robot blocks every grasp", view.pair(int(hits[row])))
         open_grips = [grips[row] for row in np.flatnonzero(hits < 0)]
-        bent: list[tuple[float, Edge]] = []
-        for grip in self._grips.best(open_grips, robot, node.scene, node.held, self.settings.candidates):
+        bent: list[Edge] = []
+        clock = node.clock if self.haste and self.yielding else None
+        for grip in self._grips.best(open_grips, robot, node.scene, node.held, self.settings.candidates, clock):
             edge = self._try_grip(node, part, grip, view)
             if edge is None:
                 continue
             if not self.haste or len(edge.segments[0].path) == 2:
                 yield edge
                 continue
-            bent.append((self._free_seconds(robot, edge.segments[0].path), edge))
+            bent.append(edge)
             if len(bent) == _BENT:
-                yield from (edge for _, edge in sorted(bent, key=itemgetter(0)))
+                yield from sorted(bent, key=lambda edge: self._free_seconds(robot, edge.segments[0].path))
                 bent = []
-        yield from (edge for _, edge in sorted(bent, key=itemgetter(0)))
+        yield from sorted(bent, key=lambda edge: self._free_seconds(robot, edge.segments[0].path))
 
     def _try_grip(self, node: Node, part: int, grip: GraspConfiguration, view: CollisionQuery) -> Edge | None:
         robot, margins = grip.robot, self.cell.margins
@@ -305,7 +307,10 @@ class KeyframeGraph:
         assert retreat.path is not None
         line = PathSegment("line", retreat.path[::-1].copy(), touches=part)
         segments = (PathSegment("free", free.path, view=clear), line)
-        clock = node.clock.held(robot, self._expected(robot, segments), self.cell.robot_count, self.parts.center[part])
+        clear_at = node.clock.clear_near(robot, self.parts.center[part])
+        if self.yielding:
+            clear_at = float(self._grips.clear_at(robot, grip.configuration[None], node.clock)[0])
+        clock = node.clock.held(robot, self._expected(robot, segments), self.cell.robot_count, clear_at)
         after = replace(_replaced(node, state, robot, grip.configuration, part), clock=clock)
         return Edge(part, robot, segments, after)
 
@@ -367,9 +372,8 @@ class KeyframeGraph:
         state[part] = REMOVED
         lines = tuple(PathSegment("line", path, part=part) for path in paths)
         segments = (*lines, PathSegment("free", best[2], part=part, view=view))
-        clock = node.clock.removed(
-            robot, self._expected(robot, segments), self.cell.robot_count, self.parts.center[part]
-        )
+        place = self.parts.center[part], node.configurations[robot]
+        clock = node.clock.removed(robot, self._expected(robot, segments), self.cell.robot_count, *place)
         after = replace(_replaced(node, state, robot, best[1], None), clock=clock)
         return Edge(self.assembly.part_count + part, robot, segments, after)
 

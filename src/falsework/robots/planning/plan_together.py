@@ -1,7 +1,9 @@
 """Plans with motions for robots that move at the same time: a search for plans that allow it, else any plan.
 
-The search in haste takes parts from the sides of all robots in turn and is given up after a few dead ends. Then the
-planner for one robot at a time searches, and its motions overlap as far as that is proven safe.
+The search in haste takes parts from the sides of all robots in turn and is given up after a few dead ends. Where it
+nearly finds a plan, or robots wait for long, it searches again with grasps that keep clear of robots that are leaving,
+and the shorter plan counts. If both find nothing, the planner for one robot at a time searches, and its motions overlap
+as far as that is proven safe.
 """
 
 from __future__ import annotations
@@ -9,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from falsework.assembly.model import Assembly
@@ -30,9 +33,11 @@ _APPROACHES = (0.4, 1.0, 1.8)
 _WITHDRAWALS = (0.4, 1.0, 2.0, 4.0)
 """As in `KeyframeSettings`, short ones first: an arm comes to rest at both ends of a line."""
 _SEARCHES = 5
-"""Searches, the first in haste and the others from its keyframes on without."""
+"""Searches in haste, the first from the start and the others from its keyframes on."""
 _DEAD_ENDS = 8
 """Dead ends of each."""
+_ENOUGH = 1.15
+"""Makespan of a plan that is short enough, as a multiple of the motion of one robot if all had the same share of it."""
 _DEADLINE_SHARE = 0.4
 """Share of the deadline that the searches in haste have."""
 _LEAST_SECONDS = 1e-3
@@ -73,12 +78,13 @@ def plan_together(
         settings,
         attempts=min(settings.attempts, _SEARCHES),
         dead_ends=min(settings.dead_ends, _DEAD_ENDS),
-        deadline=None if settings.deadline is None else _DEADLINE_SHARE * settings.deadline,
         keyframes=replace(settings.keyframes, haste=_HASTE, approaches=_APPROACHES, withdrawals=_WITHDRAWALS),
     )
     graph = KeyframeGraph(assembly, cell, settings=hasty.keyframes, seed=settings.seed)
 
-    def search(limits: HybridSettings, graph: KeyframeGraph) -> HybridResult:
+    def search(limits: HybridSettings, graph: KeyframeGraph, seconds: float) -> HybridResult:
+        # Even where a long motion has used the time up, a search ends by itself, with what it has.
+        left = max(seconds - clock.seconds, _LEAST_SECONDS) if clock.limited else None
         return plan_robots(
             assembly,
             cell,
@@ -87,17 +93,21 @@ def plan_together(
             held=held,
             oracle=oracle,
             guide=guide,
-            settings=replace(limits, together=True),
+            settings=replace(limits, together=True, deadline=left),
             progress=progress,
             graph=graph,
         )
 
-    result, kind = search(hasty, graph), "together"
+    limit = np.inf if settings.deadline is None else settings.deadline
+    result, kind = search(hasty, graph, _DEADLINE_SHARE * limit), "together"
+    if _worth_another(result) and clock.seconds < _DEADLINE_SHARE * limit:
+        yielding = replace(hasty, keyframes=replace(hasty.keyframes, yielding=True))
+        other = search(yielding, graph, _DEADLINE_SHARE * limit)
+        if other.plan is not None and (result.plan is None or other.plan.makespan < result.plan.makespan):
+            result = other
     if result.explanation is not None and result.explanation.outcome != "proved_impossible":
-        # Even where a long motion has used the time up, the last search ends by itself, with what it has.
-        left = max(clock.left, _LEAST_SECONDS) if clock.limited else None
         graph = KeyframeGraph(assembly, cell, settings=settings.keyframes, seed=settings.seed, parts=graph.parts)
-        result, kind = search(replace(settings, deadline=left), graph), "sequential"
+        result, kind = search(settings, graph, limit), "sequential"
 
     def scheduled(plan: RobotPlan | None) -> RobotPlan | None:
         if plan is None:
@@ -108,3 +118,11 @@ def plan_together(
     plan, partial = scheduled(result.plan), scheduled(result.partial)
     statistics = {**result.statistics, "search": kind, "seconds": round(clock.seconds, 3)}
     return replace(result, plan=plan, partial=partial, statistics=statistics)
+
+
+def _worth_another(result: HybridResult) -> bool:
+    """Return whether robots wait and hold for long in a plan, or a search without one came near to its end."""
+    if result.plan is not None:
+        return result.plan.makespan * len(result.plan.robots) > _ENOUGH * result.plan.seconds
+    why = result.explanation
+    return why is not None and why.outcome != "proved_impossible" and 2 * why.reached >= why.steps

@@ -99,7 +99,7 @@ def conflict_table(rows: Itineraries, one: int, other: int) -> NDArray[np.bool_]
             if a.after >= b.before + rows.slack or b.after >= a.before + rows.slack or _proven(a, b):
                 continue
             margin = min(_margin(rows, a), _margin(rows, b))
-            table[a.first : a.first + a.cells, b.first : b.first + b.cells] = conflicts(a.swept, b.swept, margin)
+            table[a.first : a.first + a.cells, b.first : b.first + b.cells] = rows.conflicts(a, b, margin)
     return table
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED
 from falsework.robots.kernels.collision import Bodies, Chain
-from falsework.robots.kernels.coordination import SPLIT, Swept, still, sweep
+from falsework.robots.kernels.coordination import SPLIT, Swept, conflicts, still, sweep
 from falsework.robots.kernels.kernel_arrays import make_bodies, make_chain
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.motion.collision_world import CollisionWorld, Scene
@@ -69,6 +69,11 @@ class Itineraries:
         self._standing: dict[int, Swept] = {} if like is None else like._standing
         self._cells: dict[Trajectory, tuple[Swept, Swept]] = {} if like is None else like._cells
         self._bodies: dict[tuple[int, int | None, bytes], tuple[Chain, Bodies]] = {} if like is None else like._bodies
+        self._resting: dict[tuple[int, bytes, tuple[int, bytes] | None], Swept] = {} if like is None else like._resting
+        self._conflicts: dict[tuple[int, int, float], NDArray[np.bool_]] = {} if like is None else like._conflicts
+        self._configurations = [
+            np.array([frame.configurations[robot] for frame in plan.keyframes]) for robot in range(len(plan.robots))
+        ]
         self.rows = [list(self._row(robot)) for robot in range(len(plan.robots))]
 
     def _row(self, robot: int) -> Iterator[Stretch]:
@@ -111,15 +116,14 @@ class Itineraries:
         cell = np.asarray(values, dtype=np.float64)[None]
         step = None if last is None else self.nodes[last].step
         part = None
-        frames = {
-            k
-            for k, frame in enumerate(self.plan.keyframes)
-            if np.abs(frame.configurations[robot] - cell[0]).max() <= _SAME
-        }
+        frames = set(np.flatnonzero(np.abs(self._configurations[robot] - cell).max(axis=1) <= _SAME).tolist())
         if step is not None and following is not None and self.nodes[following].step == step:  # on the way
             frames.add(step)
             part = self._load(following) if self.nodes[following].trajectory is not None else None
-        found = self._swept(robot, cell, np.zeros_like(cell), part)
+        key = (robot, cell.tobytes(), None if part is None else (part[0], part[1].tobytes()))
+        if key not in self._resting:
+            self._resting[key] = self._swept(robot, cell, np.zeros_like(cell), part)
+        found = self._resting[key]
         return Stretch(None, first, 1, after, before, np.zeros(1), (found, found), False, frozenset(frames))
 
     def _load(self, index: int) -> tuple[int, Array] | None:
@@ -172,6 +176,13 @@ class Itineraries:
         """Return the part that leaves its place, or reaches it, at an event; None for a hold."""
         action, parts = int(self.plan.plan.actions[event]), len(self.plan.plan.boundary)
         return action - parts if action >= parts else None
+
+    def conflicts(self, one: Stretch, other: Stretch, margin: float) -> NDArray[np.bool_]:
+        """Return which cells of two motions or rests are not proven to keep a distance, shape (cells, cells)."""
+        key = (id(one.swept[0]), id(other.swept[0]), margin)  # these live as long as the caches that have them
+        if key not in self._conflicts:
+            self._conflicts[key] = conflicts(one.swept, other.swept, margin)
+        return self._conflicts[key]
 
     def standing(self, part: int) -> Swept:
         """Return the body of a part in place."""

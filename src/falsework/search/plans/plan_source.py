@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from falsework.assembly.library import is_built_in
 from falsework.assembly.load import load_structure
 from falsework.assembly.model import Assembly
 from falsework.assembly.props import with_props
@@ -16,6 +17,8 @@ def structure_of_plan(
     plan: Plan, file: Path | str | None = None, structure: str | Path | Assembly | None = None, **options: Any
 ) -> Assembly:
     """Load the structure of a plan, the one that is given, else the one that the plan names, with the plan's props.
+
+    A plan that was saved from Python names a built-in structure only by its name.
 
     Args:
         plan: the plan.
@@ -40,6 +43,8 @@ def structure_of_plan(
         spec = folder / source.pop("path")
         if not spec.exists():
             raise PlanError(f"the structure of the plan, {spec}, is gone; name another place (--structure)")
-    else:
-        raise PlanError(f"{file or 'the plan'} does not say where its structure is; name it (--structure)")
+    else:  # saved from Python; a structure that is not built in may have the same name
+        spec = plan.name
+        if not is_built_in(spec) or with_props(load_structure(spec), plan.props).identity != plan.identity:
+            raise PlanError(f"{file or 'the plan'} does not say where its structure is; name it (--structure)")
     return with_props(load_structure(spec, **{**source, **options}), plan.props)

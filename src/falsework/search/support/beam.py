@@ -167,7 +167,7 @@ class SupportBeam:
                     break
             if 4 * len(found) >= self.width:
                 break
-            ring = self._other_holds(ring, seen)
+            ring = self._other_holds(seen)
         if not found:
             if len(self._levels) > self._farthest:
                 self._rejected = self._wrong
@@ -177,7 +177,7 @@ class SupportBeam:
             self._farthest, self._last = len(self._levels) - 1, self._levels[-1]
         return True
 
-    def _other_holds(self, ring: list[bytes], seen: set[bytes]) -> list[bytes]:
+    def _other_holds(self, seen: set[bytes]) -> list[bytes]:
         """Return more reachable states with the same parts and other holds; none if none is left."""
         ways = self._sorted(w for key in seen for w in self._within(key) if w.states[-1].tobytes() not in seen)
         fresh = []

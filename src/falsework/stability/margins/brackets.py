@@ -213,6 +213,7 @@ def weakest(
     families: Sequence[int],
     test: Callable[[int, float], Answer],
     bound: Callable[[int, tuple[float, Answer] | None], Bracket],
+    cap: float,
 ) -> tuple[int, Bracket] | None:
     """Find the family with the least bound, without a search for the bounds of the others.
 
@@ -223,15 +224,17 @@ def weakest(
         families: those to compare, likely weakest first.
         test: answer of a family at a value.
         bound: bound of a family, given a failing value and its answer where known.
+        cap: value beyond which there is no bound.
 
     Returns:
         The family and its bracket; None where no family has a bound.
     """
     best: tuple[int, Bracket] | None = None
-    for family in families:
+    for count, family in enumerate(families):
         known = None
-        if best is not None:
-            value = (1.0 - _SLACK) * best[1].inside
+        if count > 0:
+            # Where the first has no bound, others mostly have none either.
+            value = cap if best is None else (1.0 - _SLACK) * best[1].inside
             answer = test(family, value)
             if answer.stands:
                 continue

@@ -11,8 +11,11 @@ from numpy.typing import NDArray
 from falsework.assembly.state import States
 from falsework.stability.margins.brackets import Bracket, Probe, checked, largest, least, stride, weakest
 from falsework.stability.margins.conditions import Answer, Condition, Prober
+from falsework.stability.margins.weakest import Weakest
 
 Array = NDArray[np.float64]
+_BEYOND = (1.0, 1.01, 1.03)
+"""Factors on a multiple that is left undecided, at which a rest position is looked for."""
 Near = dict[str, tuple[int, float]]
 """Bounds of a nearby state: the number of the weakest load, and its bound."""
 
@@ -73,6 +76,71 @@ def friction_bracket(prober: Prober, state: States, start: Answer, near: Near) -
     return bracket
 
 
+class LoadFamily:
+    """Family of the multiples of a load on a state, under `contact`."""
+
+    def __init__(self, prober: Prober, state: States, start: Answer, load: Array, *, guess: float, cap: float) -> None:
+        """Take the load.
+
+        Args:
+            prober: solver of the structure.
+            state: shape (parts,).
+            start: the stable answer for the unmodified state.
+            load: N and Nm, shape (parts, 6).
+            guess: multiple to try first.
+            cap: multiple beyond which there is no bound.
+        """
+        self._prober, self._state, self._start, self._load = prober, state, start, load
+        self._guess, self._cap = guess, cap
+
+    def _under(self, value: float) -> Condition:
+        return Condition(self._start.condition.friction, value * self._load)
+
+    def probe(self, value: float, nearby: Answer | None) -> Answer:
+        """Return the answer at a multiple, only from a nearby answer where one is given."""
+        return self._prober.ask(self._state, self._under(value), nearby, quick=True)
+
+    def quick(
+        self, known: tuple[float, Answer] | None = None, *, low: float = 0.0, stands: Answer | None = None
+    ) -> Bracket:
+        """Return the bracket by quick probes, from a stable multiple up or from a failing one down."""
+        first, floor = low or self._guess, FLOOR * self._guess
+        start = stands or self._start
+        return stride(self.probe, start, guess=first, cap=self._cap, low=low, floor=floor, near=low > 0.0, known=known)
+
+    def settle(self, value: float, failed: Answer) -> tuple[float, Answer]:
+        """Return the answer from rest at a multiple at which a quick probe failed.
+
+        Where parts neither come to rest nor are seen to move away, a stable multiple beyond is looked for, from the
+        unloaded state.
+        """
+        answer = self._prober.ask(self._state, self._under(value))
+        answer = replace(answer, moves_away=not answer.stands and (answer.moves_away or failed.moves_away))
+        if not answer.stands and not answer.moves_away:
+            for factor in _BEYOND:
+                again = self._prober.ask(
+                    self._state, self._under(factor * value), self._start, quick=factor < _BEYOND[-1]
+                )
+                if again.stands:
+                    return factor * value, again
+        return value, answer
+
+    def settled(self, bracket: Bracket) -> Bracket:
+        """Return a bracket whose outer end has no rest position from an unloaded start either."""
+        while bracket.outside is not None and bracket.fails is not None and bracket.fails.quick:
+            value, answer = self.settle(bracket.outside, bracket.fails)
+            if not answer.stands:
+                return replace(bracket, fails=answer)
+            bracket = self.quick(low=value, stands=answer)
+        return bracket
+
+    def checked(self, bracket: Bracket) -> Bracket:
+        """Return the bracket, or that of an earlier bound where a multiple well inside it fails."""
+        if bracket.fails is None:
+            return bracket
+        return checked(bracket, self.probe, self._start, lambda value, answer: self.quick((value, answer)))
+
+
 def load_bracket(
     prober: Prober,
     state: States,
@@ -81,52 +149,29 @@ def load_bracket(
     *,
     guess: float,
     cap: float,
-    near: bool = False,
     known: tuple[float, Answer] | None = None,
 ) -> Bracket:
-    """Return the bracket of the largest multiple of a load.
+    """Return the bracket of the largest multiple of a load; arguments as for `LoadFamily`.
 
-    Args:
-        prober: solver of the structure.
-        state: shape (parts,).
-        start: the stable answer for the unmodified state.
-        load: N and Nm, shape (parts, 6).
-        guess: multiple to try first.
-        cap: multiple beyond which there is no bound.
-        near: whether the guess is the bound of a nearby state.
-        known: a failing multiple and its answer, if known.
+    `known` is a failing multiple and its answer.
     """
+    if prober.contact:
+        family = LoadFamily(prober, state, start, load, guess=guess, cap=cap)
+        return family.checked(family.settled(family.quick(known)))
     friction = start.condition.friction
-
-    def probe(value: float, nearby: Answer | None) -> Answer:
-        return prober.ask(state, Condition(friction, value * load), nearby, quick=True)
-
-    if not prober.contact:
-        bracket = largest(
-            probe,
-            start,
-            guess=guess,
-            cap=cap,
-            floor=FLOOR * guess,
-            cut=lambda answer: prober.cut(state, answer, load),
-            known=known,
-        )
-        if bracket.fails is None or bracket.outside is None:
-            return bracket
-        # A velocity may prove failure below the value at which it was found.
-        return replace(bracket, fails=replace(bracket.fails, condition=Condition(friction, bracket.outside * load)))
-
-    def find(known: tuple[float, Answer] | None, low: float = 0.0, stands: Answer = start) -> Bracket:
-        first, good = (low, True) if low > 0.0 else (guess, near)
-        return stride(probe, stands, guess=first, cap=cap, low=low, floor=FLOOR * guess, near=good, known=known)
-
-    def full(value: float, nearby: Answer) -> Answer:
-        return prober.ask(state, Condition(friction, value * load), nearby)
-
-    bracket = _from_rest_too(find(known), full, lambda low, stands: find(None, low, stands))
-    if bracket.fails is None:
+    bracket = largest(
+        lambda value, nearby: prober.ask(state, Condition(friction, value * load), nearby),
+        start,
+        guess=guess,
+        cap=cap,
+        floor=FLOOR * guess,
+        cut=lambda answer: prober.cut(state, answer, load),
+        known=known,
+    )
+    if bracket.fails is None or bracket.outside is None:
         return bracket
-    return checked(bracket, probe, start, lambda value, answer: find((value, answer)))
+    # A velocity may prove failure below the value at which it was found.
+    return replace(bracket, fails=replace(bracket.fails, condition=Condition(friction, bracket.outside * load)))
 
 
 def weakest_load(
@@ -140,6 +185,8 @@ def weakest_load(
     cap: float,
     near: Near,
     numbers: Sequence[int] | None = None,
+    distance: Callable[[int, int], int] | None = None,
+    sample: int | None = None,
 ) -> tuple[int, Bracket] | None:
     """Return the load with the least largest multiple, and its bracket; None where no load has a bound.
 
@@ -153,20 +200,33 @@ def weakest_load(
         cap: multiple beyond which there is no bound.
         near: weakest load of a nearby state, and its bound; replaced by that of this one.
         numbers: identifier of each load, the same in all states; its index by default.
+        distance, sample: as for `Weakest`.
     """
     names = range(len(loads)) if numbers is None else numbers
     weak, value = near.get("load", (-1, 0.0))
-
-    def test(row: int, value: float) -> Answer:
-        # From rest too: a family that fails here costs a search.
-        return prober.ask(state, Condition(start.condition.friction, value * loads[row]), start)
-
-    def bound(row: int, known: tuple[float, Answer] | None) -> Bracket:
-        good = names[row] == weak
-        first = value if good else guess(row)
-        return load_bracket(prober, state, start, loads[row], guess=first, cap=cap, near=good, known=known)
-
-    found = weakest(sorted(order, key=lambda row: names[row] != weak), test, bound)
+    order = sorted(order, key=lambda row: names[row] != weak)
+    if prober.contact:
+        families = {row: LoadFamily(prober, state, start, loads[row], guess=guess(row), cap=cap) for row in order}
+        race = Weakest(
+            order,
+            lambda row, multiple, nearby: families[row].probe(multiple, nearby),
+            start,
+            guess=guess,
+            cap=cap,
+            floor=lambda row: FLOOR * guess(row),
+            distance=distance,
+            sample=sample,
+        )
+        known = value if order and names[order[0]] == weak else None
+        found = race.search(lambda row, multiple, failed: families[row].settle(multiple, failed), near=known)
+        found = found and (found[0], families[found[0]].checked(found[1]))
+    else:
+        found = weakest(
+            order,
+            lambda row, multiple: prober.ask(state, Condition(start.condition.friction, multiple * loads[row]), start),
+            lambda row, known: load_bracket(prober, state, start, loads[row], guess=guess(row), cap=cap, known=known),
+            cap,
+        )
     if found is not None:
         near["load"] = names[found[0]], found[1].inside
     return found

@@ -78,7 +78,7 @@ class MarginFinder:
         assert self.pushes is not None  # computed once, before threads share it
         with ThreadPoolExecutor(self.prober.settings.cpu.threads) as pool:
             starts = list(pool.map(lambda state: self.prober.ask(state, self.prober.own()), batch))
-            found = [StateMargins(start.stands) for start in starts]
+            found = [StateMargins(start.stands, tuple(kinds)) for start in starts]
 
             def run(job: tuple[int, str]) -> list[StateMargins]:
                 """Compute one margin of consecutive states, one after another."""
@@ -150,11 +150,20 @@ class MarginFinder:
 
     def _sideways(self, state: States, start: Answer, near: Near) -> tuple[Bound, Bound]:
         """Return the largest tilt and the largest horizontal acceleration in the worst direction."""
-        order = np.argsort([row % 9 != 0 for row in range(DIRECTIONS)], kind="stable").tolist()
+        order = sorted(range(DIRECTIONS), key=lambda row: (row % 9 != 0) + (row % 3 != 0))
         loads = self.weights[None, :, None] * np.pad(self.directions, ((0, 0), (0, 3)))[:, None, :]
         guess = max(self._assembly.friction, 0.1)
         found = weakest_load(
-            self.prober, state, start, loads, order, guess=lambda _: guess, cap=LARGEST_SHARE, near=near
+            self.prober,
+            state,
+            start,
+            loads,
+            order,
+            guess=lambda _: guess,
+            cap=LARGEST_SHARE,
+            near=near,
+            distance=lambda one, other: abs((one - other + DIRECTIONS // 2) % DIRECTIONS - DIRECTIONS // 2),
+            sample=DIRECTIONS // 3,
         )
         if found is None:
             return self._unbounded(state, start), self._unbounded(state, start)
@@ -206,7 +215,7 @@ class MarginFinder:
                 known=known,
             )
 
-        found = weakest(order, lambda row, angle: probe(row, angle, start), bound)
+        found = weakest(order, lambda row, angle: probe(row, angle, start), bound, float(np.arctan(LARGEST_SHARE)))
         if found is None:
             return self._unbounded(state, start)
         row, bracket = found

@@ -71,6 +71,8 @@ class StateMargins:
 
     stands: bool
     """Whether the unmodified state is stable. If not, only `friction` may be given; `to_dict` has 0 for the rest."""
+    kinds: tuple[str, ...] = ()
+    """Margins that were requested."""
     friction: Bound | None = None
     """Least coefficient of friction; 0 where the state is stable without friction."""
     tilt: Bound | None = None
@@ -91,30 +93,34 @@ class StateMargins:
     """Boundary parts with their largest settlement, m; None where there is no bound."""
 
     def to_dict(self, names: tuple[str, ...]) -> dict[str, Any]:
-        """Return the margins as a JSON object.
+        """Return the margins as a JSON object: those that were requested, null where there is no bound.
 
         Args:
             names: names of the parts.
         """
         data: dict[str, Any] = {"stands": self.stands}
-        for key, bound, scale in (
-            ("friction", self.friction, 1.0),
-            ("tilt_deg", self.tilt, 180.0 / np.pi),
-            ("load_factor", self.load_factor, 1.0),
-            ("total_load_factor", self.total_load_factor, 1.0),
-            ("horizontal_g", self.horizontal, 1.0),
-            ("push_n", self.push, 1.0),
+        for kind, key, bound, scale in (
+            ("friction", "friction", self.friction, 1.0),
+            ("tilt", "tilt_deg", self.tilt, 180.0 / np.pi),
+            ("load_factor", "load_factor", self.load_factor, 1.0),
+            ("load_factor", "total_load_factor", self.total_load_factor, 1.0),
+            ("horizontal", "horizontal_g", self.horizontal, 1.0),
+            ("push", "push_n", self.push, 1.0),
         ):
-            value = None if bound is None or bound.value is None else bound.value * scale
-            data[key] = value if self.stands or key == "friction" else 0.0
-        data["push_part"] = None if self.push is None else self.push.part
-        data["push_name"] = None if self.push is None or self.push.part is None else names[self.push.part]
-        data["load_part"] = None if self.load_factor is None else self.load_factor.part
-        data["held"] = [
-            {"part": load.part, "name": names[load.part], "force_n": load.force_n, "moment_nm": load.moment_nm}
-            | {"force": list(load.force), "moment": list(load.moment)}
-            for load in self.held
-        ]
+            if kind in self.kinds:
+                value = None if bound is None or bound.value is None else bound.value * scale
+                data[key] = value if self.stands or key == "friction" else 0.0
+        if "push" in self.kinds:
+            data["push_part"] = None if self.push is None else self.push.part
+            data["push_name"] = None if self.push is None or self.push.part is None else names[self.push.part]
+        if "load_factor" in self.kinds:
+            data["load_part"] = None if self.load_factor is None else self.load_factor.part
+        if "held" in self.kinds:
+            data["held"] = [
+                {"part": load.part, "name": names[load.part], "force_n": load.force_n, "moment_nm": load.moment_nm}
+                | {"force": list(load.force), "moment": list(load.moment)}
+                for load in self.held
+            ]
         if self.polygon is not None:
             degrees = np.degrees(self.polygon)
             data["tilt_polygon_deg"] = [angle if np.isfinite(angle) else None for angle in degrees.tolist()]

@@ -1,4 +1,4 @@
-"""What each process of `test_train.py` runs: a short training, whose weights and numbers go to a file."""
+"""What each process of `test_processes.py` runs: some updates and short trainings, whose weights go to files."""
 
 from __future__ import annotations
 
@@ -8,15 +8,22 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import torch
 from safetensors.torch import save_file
 
 from falsework.assembly import load_structure
+from falsework.learn.algorithms.curriculum import Curriculum
+from falsework.learn.algorithms.ppo import PPO
+from falsework.learn.algorithms.start_states import StartBatch
 from falsework.learn.config.imitation import ImitationPhase
 from falsework.learn.config.policy import PolicySettings
 from falsework.learn.config.ppo import PAPER, PpoPhase
 from falsework.learn.config.train import TrainSettings
+from falsework.learn.env.environment import Environment
+from falsework.learn.networks.factory import make_policy
 from falsework.learn.training import train as module
 from falsework.learn.training.trainer import Trainer
+from falsework.search import BeamSearch, BeamSettings, task_of
 from falsework.utils.distributed import ProcessGroup, init_distributed
 
 PHASES = {
@@ -26,7 +33,9 @@ PHASES = {
 
 
 def main() -> None:
-    """Train in each way that is named, with the processes of the environment."""
+    """Learn with the processes of the environment: some updates, then a training in each way that is named."""
+    torch.set_num_threads(1)
+    folder = Path(sys.argv[1])
     kept: dict[str, Trainer] = {}
 
     class Kept(Trainer):
@@ -37,11 +46,33 @@ def main() -> None:
             kept["trainer"] = self
 
     setattr(module, "Trainer", Kept)  # noqa: B010
-    with init_distributed("cpu"):
+    with init_distributed("cpu") as (shards, device):
+        update(folder, shards, device)
         for method in sys.argv[2:]:
-            run(method, Path(sys.argv[1]) / method, kept)
+            run(method, folder / method, kept)
     threads = [path.read_text().strip() for path in Path("/proc/self/task").glob("*/comm")]
     assert not [name for name in threads if "gloo" in name], "the group has outlived its block"
+
+
+def update(folder: Path, shards: ProcessGroup, device: torch.device) -> None:
+    """Some updates of one policy."""
+    assembly = load_structure("arch:blocks=5")
+    environment = Environment(assembly, 2, device=device)
+    search = BeamSearch(task_of(assembly), environment.oracle, BeamSettings(width=4))
+    search.run()
+    states = torch.from_numpy(search.states())
+    policy = make_policy(assembly, PolicySettings(kind="mlp", layers=1, channels=16), device, 0)
+    curriculum = Curriculum(states, environment.rules, shards=shards)
+    ppo = PPO(environment, policy, curriculum, replace(PAPER, batch=64, epochs=2), shards=shards)
+    generator = environment.generator(9 + shards.rank)
+    numbers = [ppo.update(curriculum.sample(12 + 20 * shards.rank, generator)) for _ in range(3)]
+    # One process has nothing to learn; it must not keep the others waiting.
+    there = environment.rules.goals(environment.rules.complete(4))
+    rows = torch.arange(4)
+    numbers.append(ppo.update(StartBatch(there if shards.rank else environment.rules.complete(4), rows=rows)))
+    report = {f"report.{name}": torch.tensor([one[name] for one in numbers]) for name in numbers[-1]}
+    tensors = {**ppo.state_dict(), **report}
+    save_file({name: one.clone().contiguous() for name, one in tensors.items()}, folder / str(shards.rank))
 
 
 def run(method: str, folder: Path, kept: dict[str, Trainer]) -> None:

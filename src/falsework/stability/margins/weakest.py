@@ -1,0 +1,169 @@
+"""Search for the weakest of many families of conditions, in which failing probes are costly."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from falsework.stability.margins.brackets import Bracket
+from falsework.stability.margins.conditions import Answer
+
+_WIDTH = 0.006
+"""Largest width of a bracket, as a share of the bound."""
+_SLACK = 0.004
+"""Share of the least bound so far by which a family must be weaker to be searched: of equal ones only one is."""
+_RISE = 0.006
+"""Share by which the least bound may rise without a new test of the others."""
+_COARSE = 1.5
+"""Ratio of the ends of a bracket at which the other families are tested before it is narrowed."""
+_SPLIT = 0.38
+"""Share of a bracket at which it is split: failing probes cost more than others."""
+_GROWTH = 4.0
+"""Ratio of successive probes while only one end of a bracket is known."""
+_STRIKES = 1
+"""Tests beyond the least bound that may fail; after that families are tested inside it, where failures are rare."""
+_ALIKE = 0.2
+"""Difference of values, as a share, up to which a probe starts from another family's rest."""
+_NEAR = (1.012, 1.06, 1.4)
+"""Ratios of successive probes, starting from the bound of a nearby state, before `_GROWTH` applies."""
+
+Probe = Callable[[int, float, Answer], Answer]
+"""Answer of a family at a value, by a quick probe warm-started from an answer."""
+
+
+class Weakest:
+    """Brackets of the bounds of families, of which only the least one is narrowed.
+
+    A family that is stable at the least bound so far is not weaker. So all families are tested at the inner end of a
+    coarse bracket first; then the bracket of the weakest is narrowed, and the others are tested at its inner end again.
+    """
+
+    def __init__(
+        self,
+        families: Sequence[int],
+        probe: Probe,
+        start: Answer,
+        *,
+        guess: Callable[[int], float],
+        cap: float,
+        floor: Callable[[int], float],
+        distance: Callable[[int, int], int] | None = None,
+        sample: int | None = None,
+    ) -> None:
+        """Take the families.
+
+        Args:
+            families: those to compare, likely weakest first.
+            probe: answer of a family at a value.
+            start: the stable answer at 0.
+            guess: value of a family to try first.
+            cap: value beyond which there is no bound.
+            floor: absolute width at which the bracket of a family is narrow enough.
+            distance: distance between families; a probe starts from the rest of a family nearby.
+            sample: number of the first families that are tested before the weakest of them is narrowed; all by
+                default.
+        """
+        self._families, self._probe, self._guess = list(families), probe, guess
+        self._cap, self._floor = cap, floor
+        self._distance, self._strikes = distance, _STRIKES
+        self._sample = self._families[:sample]
+        self._low = dict.fromkeys(families, (0.0, start))
+        self._high: dict[int, tuple[float, Answer]] = {}
+
+    def search(
+        self, confirm: Callable[[int, float, Answer], tuple[float, Answer]], near: float | None = None
+    ) -> tuple[int, Bracket] | None:
+        """Return the weakest family and its bracket; None where no family has a bound.
+
+        Args:
+            confirm: answer of a family at a value at which a quick probe failed, given that answer, or a stable one at
+                a larger value.
+            near: bound of the first family in a nearby state.
+        """
+        confirmed: dict[int, float] = {}
+        last = None
+        while True:
+            if not self._high:
+                rows = [row for row in self._families if self._low[row][0] < self._cap]
+                if not rows:
+                    return None
+                row = last if last in rows else rows[0]
+                self._raise(row, self._guess(row) if near is None else near, near is not None or row == last)
+                near = None
+                continue
+            best = min(self._high, key=lambda row: self._low[row][0])
+            last = best
+            low, high = self._low[best][0], self._high[best][0]
+            narrow = high - low <= max(_WIDTH * low, self._floor(best))
+            if not narrow and high > _COARSE * low:
+                self._narrow(best)
+                continue
+            value = (1.0 - _SLACK) * low
+            rows, demand = (self._families, (1.0 - _RISE) * value) if narrow else (self._sample, value / _COARSE)
+            left = [row for row in rows if row != best and self._low[row][0] < demand]
+            if left:
+                self._test(self._nearest(best, left), value, high)
+            elif not narrow:
+                self._narrow(best)
+            elif confirmed.get(best) == high:
+                return best, self._bracket(best)
+            else:
+                value, answer = confirm(best, *self._high.pop(best))
+                confirmed[best] = high
+                (self._low if answer.stands else self._high)[best] = value, answer
+
+    def _bracket(self, row: int) -> Bracket:
+        (low, stands), (high, fails) = self._low[row], self._high[row]
+        return Bracket(low, stands, high, fails)
+
+    def _raise(self, row: int, value: float, near: bool) -> None:
+        """Raise a load until it fails or reaches the cap, at once where others have reached it."""
+        if self._strikes and any(low >= self._cap for low, _ in self._low.values()):
+            if not self._ask(row, self._cap, self._low[row][1]):
+                self._strikes -= 1
+            return
+        ratios = iter(_NEAR if near else ())
+        value = min(max(value, _NEAR[0] * self._low[row][0]), self._cap)
+        while self._ask(row, value, self._low[row][1]) and value < self._cap:
+            value = min(next(ratios, _GROWTH) * value, self._cap)
+
+    def _narrow(self, row: int) -> None:
+        """Probe a family within its bracket."""
+        low, high = self._low[row][0], self._high[row][0]
+        if low == 0.0:
+            value = min(self._guess(row), high / _GROWTH)
+        elif low < high / _GROWTH:
+            value = float(np.sqrt(low * high))
+        else:
+            value = low + _SPLIT * (high - low)
+        self._ask(row, value, self._low[row][1])
+
+    def _test(self, row: int, value: float, high: float) -> None:
+        """Test a family at a value below which it is known to be stable, or beyond the bound, to do so only once."""
+        low, near = self._low[row]
+        distance = self._distance
+        if distance is None and self._strikes:
+            self._strikes -= not self._ask(row, high, near)
+            return
+        if distance is not None:
+            kin = min(
+                self._families,
+                key=lambda other: (abs(self._low[other][0] / value - 1.0) > _ALIKE, distance(row, other)),
+            )
+            if abs(self._low[kin][0] - value) < abs(low - value):
+                near = self._low[kin][1]
+        self._ask(row, value, near)
+
+    def _ask(self, row: int, value: float, near: Answer) -> bool:
+        """Probe a family and keep the answer; return whether it is stable."""
+        answer = self._probe(row, value, near)
+        (self._low if answer.stands else self._high)[row] = value, answer
+        return answer.stands
+
+    def _nearest(self, best: int, left: Sequence[int]) -> int:
+        """Return the family to test next."""
+        distance = self._distance
+        if distance is None or left[0] in self._sample:
+            return left[0]
+        return min(left, key=lambda row: distance(row, best))

@@ -1,0 +1,103 @@
+"""Search for the weakest of many families whose bounds are known."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from falsework.stability.margins.conditions import Answer, Condition
+from falsework.stability.margins.weakest import Weakest
+
+CAP = 100.0
+CONDITION = Condition(0.5, np.zeros((1, 6)))
+START = Answer(CONDITION, True)
+
+
+class Families:
+    """Families that stand up to given bounds, with all probes counted."""
+
+    def __init__(self, bounds: list[float], hidden: dict[int, float] | None = None) -> None:
+        """Take the bounds; quick probes find none of the rest positions beyond those in `hidden`."""
+        self.bounds, self.hidden = bounds, hidden or {}
+        self.probes, self.fails = Counter[int](), Counter[int]()
+
+    def probe(self, row: int, value: float, _near: Answer) -> Answer:
+        self.probes[row] += 1
+        stands = value < min(self.bounds[row], self.hidden.get(row, np.inf))
+        self.fails[row] += not stands
+        return Answer(CONDITION, stands, quick=True)
+
+    def confirm(self, row: int, value: float, _failed: Answer) -> tuple[float, Answer]:
+        self.hidden.pop(row, None)
+        return value, Answer(CONDITION, value < self.bounds[row])
+
+    def search(self, *, around: bool = False) -> tuple[int, float, float] | None:
+        """Return the weakest family and the ends of its bracket; with `around`, families lie on a circle."""
+        count = len(self.bounds)
+        found = Weakest(
+            range(count),
+            self.probe,
+            START,
+            guess=lambda _: 1.0,
+            cap=CAP,
+            floor=lambda _: 1e-4,
+            distance=(lambda one, other: min((one - other) % count, (other - one) % count)) if around else None,
+            sample=count // 3 if around else None,
+        ).search(self.confirm)
+        if found is None:
+            return None
+        row, bracket = found
+        assert bracket.outside is not None
+        assert bracket.fails is not None
+        assert not bracket.fails.quick  # confirmed
+        return row, bracket.inside, bracket.outside
+
+
+@pytest.mark.parametrize("around", [False, True])
+@pytest.mark.parametrize("seed", range(10))
+def test_the_least_bound_is_found_within_one_percent(seed: int, around: bool) -> None:
+    bounds = np.exp(np.random.default_rng(seed).uniform(np.log(0.05), np.log(300), 36)).tolist()
+    families = Families(bounds)
+    found = families.search(around=around)
+    assert found is not None
+    _, inside, outside = found
+    assert inside < 1.01 * min(bounds)
+    assert outside <= 1.01 * inside
+    assert min(bounds) * 0.99 < outside
+
+
+def test_most_families_take_one_or_two_probes() -> None:
+    families = Families([2.0, *[50.0] * 100])
+    found = families.search()
+    assert found is not None
+    assert found[0] == 0
+    assert max(families.probes[row] for row in range(1, 101)) <= 2
+    assert sum(families.fails[row] for row in range(1, 101)) == 0
+
+
+def test_equal_families_end_the_search() -> None:
+    families = Families([3.0] * 36)
+    found = families.search(around=True)
+    assert found is not None
+    assert found[1] < 3.0 <= found[2]
+    assert families.probes.total() < 36 * 6
+
+
+def test_without_a_bound_each_family_is_tried_at_the_cap() -> None:
+    families = Families([1e9] * 20)
+    assert families.search() is None
+    assert max(families.probes[row] for row in range(1, 20)) == 1
+
+
+def test_a_family_that_bears_more_from_rest_gives_way_to_the_next() -> None:
+    """Quick probes end at 1, from rest it bears 8; the weakest is another."""
+    found = Families([8.0, 5.0, 9.0], hidden={0: 1.0}).search()
+    assert found is not None
+    assert found[0] == 1
+    assert 4.95 < found[1] < 5.0 <= found[2]
+
+
+def test_a_family_without_a_bound_from_rest_has_none() -> None:
+    assert Families([1e9, 1e9], hidden={1: 2.0}).search() is None
