@@ -18,7 +18,6 @@ up to the one given.
 from __future__ import annotations
 
 import hashlib
-import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -38,6 +37,7 @@ from falsework.search.device.beam import DeviceBeam
 from falsework.search.device.oracle import tensor_oracle
 from falsework.stability import Stability
 from falsework.stability.settings import EQUILIBRIUM
+from falsework.utils.cores import core_count
 from falsework.utils.distributed import ProcessGroup, init_distributed
 
 
@@ -160,7 +160,7 @@ def measure(case: str, seed: int, options: Options, shards: ProcessGroup, device
         found = host.run()
         row["host"] = {
             "seconds": round(time.perf_counter() - begin, 3),
-            "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+            "cores": core_count(),
             "found": found.found,
             "states": found.counters.states,
             "asked": found.counters.asked,

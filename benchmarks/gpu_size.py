@@ -13,7 +13,6 @@ repository.
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -30,6 +29,7 @@ from falsework.assembly.state import HELD, REMOVED, States, complete_state
 from falsework.stability import StabilitySettings, Verdict, build_problem
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.gpu.solver import GpuSolver
+from falsework.utils.cores import core_count
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def compare(name: str, options: Options) -> dict[str, Any]:
         "parts": problem.parts,
         "points": problem.points,
         "drawn_from": "lacking up to two parts, one held",
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "cores": core_count(),
         "verdicts": {},
         "gpu_ms": {},
         "processor_ms": {},

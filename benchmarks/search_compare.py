@@ -17,12 +17,15 @@ import resource
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import tyro
 from record import report, spread, write_to
+
+from falsework.utils.cores import core_count
 
 _MEASURED = ("verdicts", "cpu_seconds", "seconds", "memory_gib")
 
@@ -39,6 +42,8 @@ class Options:
     """Parts held at once."""
     seeds: int = 5
     """Number of seeds, from 0 on."""
+    processes: int = 1
+    """Searches at the same time, each confined to its share of the cores."""
     limit: float = 60.0
     """Seconds of CPU time for each search."""
     child: int | None = None
@@ -76,6 +81,10 @@ def search(options: Options, seed: int) -> dict[str, Any]:
 def run(options: Options, tree: Path, structure: str, seed: int) -> dict[str, Any]:
     """Search for one plan in a process that imports falsework from a source tree."""
     command = [sys.executable, "-W", "ignore", __file__, "--child", str(seed), "--structures", structure]
+    if options.processes > 1:
+        share = core_count() // options.processes
+        first = seed % options.processes * share
+        command = ["taskset", "--cpu-list", f"{first}-{first + share - 1}", *command]
     command += ["--robots", str(options.robots), "--limit", str(options.limit)]
     environment = {**os.environ, "PYTHONPATH": str(tree.resolve() / "src")}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
@@ -96,9 +105,14 @@ def compare(options: Options) -> None:
     trees = {"now": here} if options.before is None else {"now": here, "before": options.before}
     for name in options.structures:
         runs: dict[str, list[dict[str, Any]]] = {tree: [] for tree in trees}
-        for seed in range(options.seeds):
-            for tree, path in trees.items():
-                runs[tree].append(run(options, path, find(name), seed))
+
+        def in_turn(seed: int, name: str = name) -> list[dict[str, Any]]:
+            return [run(options, path, find(name), seed) for path in trees.values()]
+
+        with ThreadPoolExecutor(options.processes) as pool:
+            for found in pool.map(in_turn, range(options.seeds)):
+                for tree, figures_of_seed in zip(trees, found, strict=True):
+                    runs[tree].append(figures_of_seed)
         now = summary(runs["now"])
         figures: dict[str, Any] = {}
         if options.before is not None:
@@ -118,6 +132,7 @@ def compare(options: Options) -> None:
             steps=runs["now"][0]["steps"],
             robots=options.robots,
             limit=options.limit,
+            processes=options.processes,
             **now,
             **figures,
         )

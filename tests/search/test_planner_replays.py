@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Set
 from types import SimpleNamespace
 from typing import Any
@@ -16,6 +15,7 @@ from falsework.stability import StabilitySettings
 from falsework.stability.contact.newton import FIRST_STEP
 from falsework.stability.contact.replay import History, Replay, ReplaySettings
 from falsework.stability.contact.varied_replay import RobustReplayer
+from falsework.utils.cores import core_count
 
 
 class RuleReplayer:
@@ -118,7 +118,7 @@ def test_the_variation_that_failed_comes_first(rules: Any) -> None:
     assert sorted(map(id, replayer._cases)) == sorted(map(id, cases))
     before = [case.replayed for case in cases]
     assert replayer.replay(states).falls_at == 3
-    assert sum(case.replayed for case in cases) - sum(before) <= (os.cpu_count() or 1)
+    assert sum(case.replayed for case in cases) - sum(before) <= core_count()
 
 
 def test_a_replay_that_goes_on_is_not_varied(rules: Any) -> None:

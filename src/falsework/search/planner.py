@@ -228,7 +228,7 @@ class Planner:
             return True
         if self._stage == "alternatives":
             self._gather(beam, result)
-        elif result.found and not self._stands(result.routes[0]):
+        elif result.found and not self._stands(result.routes[0], beam):
             self._falls += 1
             if self._falls < _MOST_FALLS:
                 beam.search.forbid(self._forbidden)
@@ -243,10 +243,11 @@ class Planner:
             self._failed(result)
         return False
 
-    def _stands(self, route: Route) -> bool:
+    def _stands(self, route: Route, beam: AdaptiveBeam) -> bool:
         """Return whether the replay of a route comes to rest in every state; record the first state that fails.
 
-        An oracle that requires margins first checks every state in full.
+        A beam in the order of assembly has replayed its route already. An oracle that requires margins first checks
+        every state in full.
         """
         if self._keeps is not None:
             weak = np.flatnonzero(~self._keeps(route.states[1:-1])) + 1
@@ -254,6 +255,10 @@ class Planner:
                 self._forbidden = np.concatenate([self._forbidden, route.states[weak]])
                 return False
         if self._replayer is None:
+            return True
+        moved = None if self.settings.robust else beam.search.largest_movement()
+        if moved is not None:
+            self.replays[route.states.tobytes()] = PlanReplay(True, *moved)
             return True
         replay = self._replayer.replay(route.states[::-1])
         if replay.good:
@@ -277,7 +282,7 @@ class Planner:
         """Keep the states of a search for another plan, and continue with the next."""
         if result.found:
             self.states = np.concatenate([self.states, beam.search.states()])
-            if self._stands(result.routes[0]):
+            if self._stands(result.routes[0], beam):
                 self.routes.append(result.routes[0])
                 self._drop_beams()
             else:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import ipaddress
-import os
 from dataclasses import dataclass, field
 
 from falsework.errors import InputError
 from falsework.stability.verdict import Criterion
+from falsework.utils.cores import core_count
 
 TOKEN_VARIABLE = "FALSEWORK_TOKEN"
 SHORTEST_TOKEN = 16
@@ -32,7 +32,7 @@ class ServiceSettings:
     """0 for any free one."""
     token: str | None = field(default=None, repr=False)
     """Token that clients must send; required if other machines can reach the service."""
-    workers: int = field(default_factory=lambda: os.cpu_count() or 1)
+    workers: int = field(default_factory=lambda: core_count())
     """Number of planning processes; one more computes verdicts."""
     batch: int = 8
     """Requests that a worker takes at a time to plan together."""

@@ -7,8 +7,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-pytest.importorskip("toppra", reason="robot plans need toppra; pip install 'falsework[robots]'")
-
 from falsework.assembly.library.blocks import box, gather
 from falsework.assembly.model import Assembly
 from falsework.robots.model.builtin_robots import builtin_robot

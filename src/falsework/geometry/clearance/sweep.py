@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,6 @@ from numpy.typing import NDArray
 from falsework.geometry.clearance.cones import Cones, Pieces, cones_between
 from falsework.geometry.clearance.directions import sphere_directions
 from falsework.geometry.contact.interfaces import Contacts
-from falsework.geometry.mesh.boxes import box_pairs
 from falsework.geometry.mesh.collision import Body, shrink
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.utils.bits import intersect, pack
@@ -53,7 +53,6 @@ class Sweeper:
         self._meshes = meshes
         self._contacts = contacts
         self._tolerance = tolerance
-        self._edges = [_Edges(mesh.faces) for mesh in meshes]
         self._shapes: dict[tuple[int, int], _Shape] = {}
         self._convex: dict[tuple[int, int], Pieces] = {}
         points = np.concatenate([self._shape(part, 0).vertices for part in range(len(meshes))])
@@ -64,16 +63,19 @@ class Sweeper:
         self._low = np.minimum.reduceat(level, first, axis=0)
         self._high = np.maximum.reduceat(level, first, axis=0)
         self._apart = self._separating_contacts(points, first)
-        self._level = self._tangled(np.minimum.reduceat(points, first), np.maximum.reduceat(points, first))
+        self._boxes = np.minimum.reduceat(points, first), np.maximum.reduceat(points, first)
+        self._levels: dict[tuple[int, int], int] = {}
 
-    def blocked(self, part: int, directions: Array) -> Mask:
+    def blocked(self, part: int, directions: Array, others: Mask | None = None) -> Mask:
         """Return whether each part blocks a part in each direction, shape (directions, parts).
 
         Most pairs are decided without a collision. A plane that has the part on one side and the other part
         on the other leaves all directions away from the other open; a contact closes all directions into it.
-        The rest are swept.
+        The rest are swept, or taken as free if they are not among `others`, shape (parts,).
         """
         free, hit = self._known(part, directions)
+        if others is not None:
+            free |= ~(hit | others)
         for way in np.flatnonzero((~free & ~hit).any(axis=1)).tolist():
             walls: dict[int, Body] = {}
             for other in np.flatnonzero(~free[way] & ~hit[way]).tolist():
@@ -139,7 +141,7 @@ class Sweeper:
                 Cones.half_spaces(sign * self._contacts.normals[mine], _INTO, self._contacts.parts[mine, 1 - side])
             )
         for other in others.tolist():
-            level = self._level.get((part, other), 0)
+            level = self._level(part, other)
             several.append(cones_between(self._pieces(part, level), self._pieces(other, level), other))
         return Cones.joined(several)
 
@@ -173,7 +175,7 @@ class Sweeper:
         ends. Another part that it meets either crosses that wall or is enclosed by the volume; then the
         wall of any of its edges, swept backwards, crosses the part.
         """
-        level = self._level.get((part, other), 0)
+        level = self._level(part, other)
         shape, obstacle = self._shape(part, level), self._shape(other, level)
         move = direction * self._reach
         if level not in walls:
@@ -184,7 +186,7 @@ class Sweeper:
         """Return a part shrunk by its share of the tolerance, doubled `level` times."""
         if (part, level) not in self._shapes:
             distance = _SHARE * self._tolerance * 2**level
-            self._shapes[part, level] = _Shape(self._meshes[part], distance, self._edges[part])
+            self._shapes[part, level] = _Shape(self._meshes[part], distance)
         return self._shapes[part, level]
 
     def _collide(self, a: int, b: int, level: int) -> bool:
@@ -199,22 +201,22 @@ class Sweeper:
             apart[contact] = (points[first[a] : ends[a]] @ normal).max() <= (points[first[b] : ends[b]] @ normal).min()
         return apart
 
-    def _tangled(self, low: Array, high: Array) -> dict[tuple[int, int], int]:
-        """Count the doublings of the shrinking for pairs whose corners cut into each other.
+    def _level(self, a: int, b: int) -> int:
+        """Count the doublings of the shrinking after which the corners of two parts no longer cut into each other.
 
         It stops at a quarter of the thickness of the thinner part; pairs that still collide are never free.
         """
-        levels: dict[tuple[int, int], int] = {}
-        thinnest = np.array([mesh.thickness for mesh in self._meshes])
-        one, two = box_pairs(low, high)
-        for a, b in zip(one.tolist(), two.tolist(), strict=True):
-            if self._collide(a, b, 0):
+        pair = min(a, b), max(a, b)
+        if pair not in self._levels:
+            low, high = self._boxes
+            level = 0
+            if (low[a] <= high[b]).all() and (low[b] <= high[a]).all() and self._collide(a, b, 0):
                 level = 1
-                deepest = min(thinnest[a], thinnest[b]) / (4 * _SHARE * self._tolerance)
+                deepest = min(self._meshes[a].thickness, self._meshes[b].thickness) / (4 * _SHARE * self._tolerance)
                 while 2**level < deepest and self._collide(a, b, level):
                     level += 1
-                levels[a, b] = levels[b, a] = level
-        return levels
+            self._levels[pair] = level
+        return self._levels[pair]
 
 
 def includes_one(row: NDArray[np.bool_], rows: Mask) -> bool:
@@ -225,12 +227,23 @@ def includes_one(row: NDArray[np.bool_], rows: Mask) -> bool:
 class _Shape:
     """Shrunken part, as obstacle and as swept body."""
 
-    def __init__(self, mesh: TriangleMesh, distance: float, edges: _Edges) -> None:
+    def __init__(self, mesh: TriangleMesh, distance: float) -> None:
         self.vertices = shrink(mesh, distance)
-        self.body = Body(self.vertices, mesh.faces)
-        self._edges = edges
-        corners = self.vertices[mesh.faces]
-        self._normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        self._mesh = mesh
+
+    @cached_property
+    def body(self) -> Body:
+        """The surface."""
+        return Body(self.vertices, self._mesh.faces)
+
+    @cached_property
+    def _edges(self) -> _Edges:
+        return _Edges(self._mesh.faces)
+
+    @cached_property
+    def _normals(self) -> Array:
+        corners = self.vertices[self._mesh.faces]
+        return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
     def wall(self, move: Array) -> Body:
         """Return the surface that the silhouette of the part sweeps."""

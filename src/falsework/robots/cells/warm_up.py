@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from falsework.robots.kernels import coordination, numeric_ik, rrt_connect
+from falsework.robots.kernels import coordination, numeric_ik, rrt_connect, speed_profile
 from falsework.robots.kinematics import forward
 
 MESSAGE = "compiling the motion code; this happens once and takes up to 15 seconds"
@@ -23,6 +23,9 @@ def is_compiled() -> bool:
         coordination._place,
         coordination._conflicts,
         coordination._first_clear,
+        speed_profile.fastest,
+        speed_profile.evaluate,
+        speed_profile.thin,
     )
     for function in functions:
         if function.signatures:
@@ -54,6 +57,7 @@ def compile_kernels(report: Callable[[str], None] | None = None) -> float:
     from falsework.robots.model.shapes import block
     from falsework.robots.motion.collision_world import CollisionWorld, Scene
     from falsework.robots.motion.path_planner import follow_line
+    from falsework.robots.motion.timing import time_path
 
     model = builtin_robot("irb2600-12/1.65")
     gripper = Gripper("none", "suction", (block((-0.01, -0.01, 0), (0.01, 0.01, 0.02)),), np.eye(4), 1.0)
@@ -61,6 +65,9 @@ def compile_kernels(report: Callable[[str], None] | None = None) -> float:
     parts = no_parts()
     view = CollisionWorld(cell, parts).view(Scene.at_home(cell, parts), 0)
     follow_line(view, model.home, (0.0, 0.0, 1.0), 0.01)
+    timed = time_path(model, np.stack([model.home, model.home + 0.01]))
+    kept = np.empty(len(timed.times), np.int64)
+    speed_profile.thin(timed.times, timed.positions, timed.velocities, model.acceleration * 1.0, 0.0, kept)
     swept = coordination.sweep(model.home[None], np.zeros((1, model.joints)), view.chain, view.bodies)
     coordination.conflicts((swept, swept), (swept, swept), 0.0)
     coordination.first_clear(swept, swept, 0.0)

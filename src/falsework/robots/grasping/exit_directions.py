@@ -26,12 +26,13 @@ class ExitDirections:
     preferences: it cannot drag a part along the floor for long, nor pull beyond the reach of its arm.
     """
 
-    def __init__(self, assembly: Assembly, turn: Array) -> None:
+    def __init__(self, assembly: Assembly, turn: Array, present: NDArray[np.bool_] | None = None) -> None:
         """Compute the blocking parts of every part and direction.
 
         Args:
             assembly: the structure.
             turn: rotation from its frame to the world, shape (3, 3).
+            present: parts that are ever in place, all by default: others need no fan and block none, shape (parts,).
         """
         known = assembly.clearance
         _, overlap = assembly.contact_settings.lengths(assembly.meshes)
@@ -43,9 +44,9 @@ class ExitDirections:
             rows = slice(known.start[part], known.start[part + 1])
             directions = known.directions[rows]
             blockers = unpack(known.blockers[rows])[:, : assembly.part_count].astype(bool)
-            if not assembly.boundary[part]:
+            if not assembly.boundary[part] and (present is None or present[part]):
                 directions = np.concatenate([directions, fan])
-                blockers = np.concatenate([blockers, sweeper.blocked(part, fan)])
+                blockers = np.concatenate([blockers, sweeper.blocked(part, fan, present)])
             world = directions @ turn.T
             rises = world[:, 2] > _LOWEST_SLOPE
             # Downward directions are missed only where something that never leaves does not block them anyway.

@@ -14,7 +14,7 @@ from falsework.assembly.model import Assembly
 from falsework.errors import StateError
 from falsework.robots.grasping.planar_faces import Face, faces_of
 from falsework.robots.kernels.collision import CLEAR, Bodies, Chain, Rules, make_work
-from falsework.robots.kernels.kernel_arrays import make_obstacles
+from falsework.robots.kernels.kernel_arrays import bounds_of, make_obstacles
 from falsework.robots.kernels.rrt_connect import check_many
 from falsework.robots.model.cell import CellRobot, Gripper
 from falsework.robots.model.part_shapes import PartShapes
@@ -35,6 +35,15 @@ APPROACH_LENGTH = 0.1
 """Length of the straight approach on which the gripper alone is checked, metres."""
 APPROACH_SAMPLES = 6
 """Positions on the approach at which the gripper is checked."""
+
+
+_SUCTION_TURNS = 2 * np.pi * np.arange(SUCTION_TURNS) / SUCTION_TURNS
+_JAW_TURNS = np.array([0.0, np.pi])
+_TO_X, _TO_Y = np.eye(3)[[2, 0, 1]], np.eye(3)[[1, 2, 0]]
+"""Rotations that turn z to x, and z to y."""
+_FREE_FLIGHT = np.zeros((6, 3, 4))
+_FREE_FLIGHT[:, :, :3] = [_TO_X, _TO_X.T @ _TO_Y, _TO_Y.T, np.eye(3), _TO_Y, _TO_Y.T @ _TO_X]
+"""Frames of joints along and about z whose axes are x, y, z, z, y and x in turn, shape (joints, 3, 4)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,14 +105,13 @@ def grasps(
     groups = [group for group in groups if group]
     groups.sort(key=lambda group: -round(group[0].quality, 6))
     found: list[Grasp] = []
-    open_way = _open_way(parts, part, there, gripper)
-    for turn in range(max((len(group) for group in groups), default=0)):
-        for group in groups:
-            if turn < len(group) and open_way(group[turn]):
-                found.append(group[turn])
-                if len(found) == limit:
-                    return found
-    return found
+    open_ways = _open_ways(parts, part, there, gripper)
+    for turn in itertools.zip_longest(*groups):
+        tried = [grasp for grasp in turn if grasp is not None]
+        found += [tried[row] for row in np.flatnonzero(open_ways(tried)).tolist()]
+        if len(found) >= limit:
+            break
+    return found[:limit]
 
 
 def _on_face(gripper: Gripper, face: Face, part: int, center: Array, ways: Array, size: float) -> list[list[Grasp]]:
@@ -121,7 +129,7 @@ def _on_face(gripper: Gripper, face: Face, part: int, center: Array, ways: Array
         point = face.lift(at) + STANDOFF * face.normal
         lever = float(np.linalg.norm(at - middle)) / size
         quality = _quality(lever, 1.0 - margin, face.normal, ways)
-        tools = [_tool(point, -face.normal, face.frame[0], 2 * np.pi * k / SUCTION_TURNS) for k in range(SUCTION_TURNS)]
+        tools = _tools(point, -face.normal, face.frame[0], _SUCTION_TURNS)
         groups.append([Grasp(part, tool, -face.normal, quality) for tool in tools])
     return groups
 
@@ -175,8 +183,8 @@ def _between_faces(
                 point = inside + shift * way
                 lever = float(np.linalg.norm(face.flat(point) - middle)) / size
                 quality = _quality(lever, 1 - width / gripper.opening, -way, ways)
-                for turn in (0.0, np.pi):
-                    group.append(Grasp(part, _tool(point, way, face.normal, turn), way, quality, width))
+                tools = _tools(point, way, face.normal, _JAW_TURNS)
+                group += [Grasp(part, tool, way, quality, width) for tool in tools]
             groups.append(sorted(group, key=lambda grasp: -round(grasp.quality, 6)))
     return groups
 
@@ -187,65 +195,61 @@ def _quality(lever: float, room: float, pull: Array, ways: Array) -> float:
     return 0.5 * max(0.0, 1.0 - 2 * lever) + 0.35 * along + 0.15 * room
 
 
-def _tool(point: Array, z: Array, x: Array, turn: float) -> Array:
-    """Return a tool frame at a point with a given z, and x turned about z from a given direction."""
+def _tools(point: Array, z: Array, x: Array, turns: Array) -> Array:
+    """Return tool frames at a point with a given z, and x turned about z from a given direction, shape (n, 4, 4)."""
     x = x - (x @ z) * z
     x /= np.linalg.norm(x)
-    y = _cross(z, x)
-    made = np.eye(4)
-    made[:3, 0] = np.cos(turn) * x + np.sin(turn) * y
-    made[:3, 1] = np.cos(turn) * y - np.sin(turn) * x
-    made[:3, 2] = z
-    made[:3, 3] = point
+    y = np.array([z[1] * x[2] - z[2] * x[1], z[2] * x[0] - z[0] * x[2], z[0] * x[1] - z[1] * x[0]])
+    cos, sin = np.cos(turns)[:, None], np.sin(turns)[:, None]
+    made = np.zeros((len(turns), 4, 4))
+    made[:, :3, 0], made[:, :3, 1], made[:, :3, 2] = cos * x + sin * y, cos * y - sin * x, z
+    made[:, :3, 3], made[:, 3, 3] = point, 1.0
     return made
 
 
-def _cross(a: Array, b: Array) -> Array:
-    """Return the cross product of two vectors; numpy's own is slow for single vectors."""
-    (a0, a1, a2), (b0, b1, b2) = a.tolist(), b.tolist()
-    return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
-
-
-def _open_way(parts: PartShapes, part: int, there: NDArray[np.bool_], gripper: Gripper):
-    """Return a test whether the gripper alone keeps clear of all other parts at a grasp and on the approach."""
-    others = np.flatnonzero(there).tolist()
-    obstacles, _ = make_obstacles([parts.pieces[other] for other in others if other != part])
-    pieces = gripper.pieces
-    low = np.array([piece.min(axis=0) for piece in pieces])
-    high = np.array([piece.max(axis=0) for piece in pieces])
-    center = (low + high) / 2
-    radius = np.array([np.linalg.norm(p - c, axis=1).max() for p, c in zip(pieces, center, strict=True)])
-    start = np.concatenate([[0], np.cumsum([len(piece) for piece in pieces])]).astype(np.int64)
-    count = len(pieces)
-    # The gripper slides along one axis: its approach to the part.
-    bodies = Bodies(np.ones(count, np.int64), start, np.concatenate(pieces), center, radius, np.ones((count, 1)))
-    rules = Rules(
-        np.ones((count, len(obstacles.low)), bool),
-        np.zeros((0, 2), np.int64),
-        -1e9,
-        np.zeros(count, bool),
-        GRIPPER_MARGIN,
-    )
-    back = np.linalg.inv(gripper.tool)
-    slides = np.linspace(0.0, -APPROACH_LENGTH, APPROACH_SAMPLES)[:, None]
-    chain = Chain(np.eye(4)[:3].copy(), np.eye(4)[None, :3].copy(), np.ones(1, bool))
+def _open_ways(parts: PartShapes, part: int, there: NDArray[np.bool_], gripper: Gripper):
+    """Return a test which grasps leave the gripper alone clear of all other parts, there and on the approach."""
+    obstacles, _ = make_obstacles([parts.pieces[other] for other in np.flatnonzero(there).tolist() if other != part])
+    # The gripper as the last link of a chain that reaches every pose: three slides along x, y, z, turns about z, y, x.
+    start, vertices, center, radius = bounds_of([piece @ _TO_X for piece in gripper.pieces])
+    count = len(center)
+    bodies = Bodies(np.full(count, 6), start, vertices, center, radius, np.zeros((count, 6)))
+    pairs = np.ones((count, len(obstacles.low)), bool)
+    rules = Rules(pairs, np.zeros((0, 2), np.int64), -1e9, np.zeros(count, bool), GRIPPER_MARGIN)
+    chain = Chain(np.eye(4)[:3].copy(), _FREE_FLIGHT.copy(), np.arange(6) < 3)
     work = make_work(chain, bodies, obstacles, rules)
-    hits = np.empty(APPROACH_SAMPLES, np.int64)
+    back = np.linalg.inv(gripper.tool)
 
-    def test(grasp: Grasp) -> bool:
-        pose = grasp.tool @ back
-        # The slide is along z of the joint's frame; rotate z to the approach and the gripper back.
-        turn = _tool(np.zeros(3), grasp.approach, pose[:3, int(np.argmin(np.abs(grasp.approach @ pose[:3, :3])))], 0.0)
-        local = np.linalg.inv(turn) @ pose
-        moved = Bodies(
-            bodies.frame,
-            bodies.start,
-            np.ascontiguousarray(bodies.vertices @ local[:3, :3].T + local[:3, 3]),
-            np.ascontiguousarray(center @ local[:3, :3].T + local[:3, 3]),
-            radius,
-            bodies.sweep,
-        )
-        check_many(slides, Chain(turn[:3].copy(), chain.origin, chain.prismatic), moved, obstacles, rules, work, hits)
-        return bool((hits == CLEAR).all())
+    def clear(poses: Array, approach: Array, distance: float) -> NDArray[np.bool_]:
+        at = poses[:, :3, 3] - distance * approach
+        hits = np.empty(len(poses), np.int64)
+        check_many(np.hstack([at, _turns(poses[:, :3, :3])]), chain, bodies, obstacles, rules, work, hits)
+        return hits == CLEAR
+
+    def test(grasps: Sequence[Grasp]) -> NDArray[np.bool_]:
+        poses = np.array([grasp.tool for grasp in grasps]) @ back
+        approach = np.array([grasp.approach for grasp in grasps])
+        good = np.ones(len(grasps), bool)
+        for distance in np.linspace(0.0, APPROACH_LENGTH, APPROACH_SAMPLES):
+            good[good] = clear(poses[good], approach[good], distance)
+        return good
 
     return test
+
+
+def _turns(rotations: Array) -> Array:
+    """Return turns about z, y and x, in this order, that make up rotations, shape (n, 3, 3) to (n, 3)."""
+    level = np.hypot(rotations[:, 0, 0], rotations[:, 1, 0])
+    steep = level < 1e-9  # x points along z: turns about z and x are the same
+    return np.stack(
+        [
+            np.where(steep, 0.0, np.arctan2(rotations[:, 1, 0], rotations[:, 0, 0])),
+            np.arctan2(-rotations[:, 2, 0], level),
+            np.where(
+                steep,
+                np.arctan2(-rotations[:, 1, 2], rotations[:, 1, 1]),
+                np.arctan2(rotations[:, 2, 1], rotations[:, 2, 2]),
+            ),
+        ],
+        axis=1,
+    )

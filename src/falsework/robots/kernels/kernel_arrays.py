@@ -62,9 +62,32 @@ def make_bodies(
         The pieces, their names, and the body of each: a link (0 is the base), `joints + 1` the gripper,
         `joints + 2` the part.
     """
+    bare, names, kinds = _arm_bodies(robot)
+    if carried is None:
+        return bare, list(names), list(kinds)
+    joints = robot.model.joints
+    load = _packed(robot.model, [joints] * len(carried.pieces), _mounted(robot.model, carried.pieces))
+    bodies = Bodies(
+        np.append(bare.frame, load.frame),
+        np.append(bare.start[:-1], bare.start[-1] + load.start),
+        np.concatenate([bare.vertices, load.vertices]),
+        np.concatenate([bare.center, load.center]),
+        np.append(bare.radius, load.radius),
+        np.concatenate([bare.sweep, load.sweep]),
+    )
+    name = f"part {part_names[carried.part]}"
+    return (
+        bodies,
+        [*names, *[name] * len(carried.pieces)],
+        [*kinds, *[joints + 2] * len(carried.pieces)],
+    )
+
+
+@lru_cache(maxsize=64)
+def _arm_bodies(robot: CellRobot) -> tuple[Bodies, tuple[str, ...], tuple[int, ...]]:
+    """Return what `make_bodies` does for an arm without a load."""
     model = robot.model
     joints, turn = model.joints, turns(model)
-    last = np.swapaxes(turn[-1], 0, 1)  # a rotation: its inverse
     names, kinds, frames, shapes = [], [], [], []
     for link in range(joints + 1):
         for piece in model.pieces[link]:
@@ -72,25 +95,33 @@ def make_bodies(
             kinds.append(link)
             frames.append(link)
             shapes.append(move(np.swapaxes(turn[link - 1], 0, 1), piece) if link else np.array(piece))
-    mounted = [("gripper", joints + 1, piece) for piece in robot.gripper.pieces]
-    if carried is not None:
-        mounted += [(f"part {part_names[carried.part]}", joints + 2, piece) for piece in carried.pieces]
-    for name, kind, piece in mounted:
-        names.append(name)
-        kinds.append(kind)
-        frames.append(joints)
-        shapes.append(move(last @ model.flange, piece))
-    frame = np.array(frames, np.int64)
-    low = np.array([piece.min(axis=0) for piece in shapes])
-    high = np.array([piece.max(axis=0) for piece in shapes])
-    center = (low + high) / 2
-    radius = np.array(
-        [np.linalg.norm(piece - middle, axis=1).max() for piece, middle in zip(shapes, center, strict=True)]
-    )
+    names += ["gripper"] * len(robot.gripper.pieces)
+    kinds += [joints + 1] * len(robot.gripper.pieces)
+    frames += [joints] * len(robot.gripper.pieces)
+    shapes += _mounted(model, robot.gripper.pieces)
+    return _packed(model, frames, shapes), tuple(names), tuple(kinds)
+
+
+def _mounted(model: RobotModel, pieces: Pieces) -> list[Array]:
+    """Return pieces given in the frame of the flange in the last rotated frame."""
+    last = np.swapaxes(turns(model)[-1], 0, 1)  # a rotation: its inverse
+    return [move(last @ model.flange, piece) for piece in pieces]
+
+
+def _packed(model: RobotModel, frames: Sequence[int], shapes: Sequence[Array]) -> Bodies:
+    """Return pieces, each in a frame of the arm, with their bounds."""
     origin = make_chain(model, np.eye(4)).origin
-    sweep = np.array([_sweep(model, origin, int(f), piece) for f, piece in zip(frame, shapes, strict=True)])
-    start, vertices = _stack(shapes)
-    return Bodies(frame, start, vertices, center, radius, sweep), names, kinds
+    sweep = np.array([_sweep(model, origin, frame, piece) for frame, piece in zip(frames, shapes, strict=True)])
+    return Bodies(np.array(frames, np.int64), *bounds_of(shapes), sweep)
+
+
+def bounds_of(pieces: Sequence[Array]) -> tuple[NDArray[np.int64], Array, Array, Array]:
+    """Return first rows, stacked vertices, and centres and radii of bounding spheres of pieces."""
+    start, vertices = _stack(pieces)
+    low, high = np.minimum.reduceat(vertices, start[:-1]), np.maximum.reduceat(vertices, start[:-1])
+    center = (low + high) / 2
+    away = np.linalg.norm(vertices - np.repeat(center, np.diff(start), axis=0), axis=1)
+    return start, vertices, center, np.maximum.reduceat(away, start[:-1])
 
 
 def _sweep(model: RobotModel, origin: Array, frame: int, piece: Array) -> Array:
@@ -114,7 +145,7 @@ def _sweep(model: RobotModel, origin: Array, frame: int, piece: Array) -> Array:
     return found
 
 
-def self_pairs(model: RobotModel, links: NDArray[np.int64]) -> NDArray[np.int64]:
+def self_pairs(model: RobotModel, links: Sequence[int]) -> NDArray[np.int64]:
     """Return pairs of moving pieces of one arm that can collide, shape (pairs, 2).
 
     The gripper is not checked against the last two links, nor its part against the last link and the gripper:
@@ -124,11 +155,16 @@ def self_pairs(model: RobotModel, links: NDArray[np.int64]) -> NDArray[np.int64]
         model: the arm.
         links: the body of every piece, as `make_bodies` returns it.
     """
+    return _self_pairs(model, tuple(links)).copy()
+
+
+@lru_cache(maxsize=256)
+def _self_pairs(model: RobotModel, links: tuple[int, ...]) -> NDArray[np.int64]:
     joints = model.joints
     found = []
     for a in range(len(links)):
         for b in range(a + 1, len(links)):
-            low, high = sorted((int(links[a]), int(links[b])))
+            low, high = sorted((links[a], links[b]))
             if high <= joints:
                 wanted = low != high and (low, high) not in model.ignored
             elif high == joints + 1:
@@ -152,8 +188,8 @@ def make_obstacles(bodies: Sequence[Pieces]) -> tuple[Obstacles, NDArray[np.int6
         nothing = np.zeros((0, 3))
         one = np.zeros(1, np.int64)
         return Obstacles(one, nothing, nothing, nothing, one, nothing, nothing), owner
-    low = np.array([piece.min(axis=0) for piece in pieces])
-    high = np.array([piece.max(axis=0) for piece in pieces])
+    start, vertices = _stack(pieces)
+    low, high = np.minimum.reduceat(vertices, start[:-1]), np.maximum.reduceat(vertices, start[:-1])
     groups = _groups((low + high) / 2)
     order = np.concatenate(groups)
     sizes = np.array([len(group) for group in groups])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -19,7 +20,7 @@ MAX_PIECES = 32
 """Largest number of pieces per part; beyond it the cover stays looser than the tolerance."""
 IDLE_CUTS = 2
 """Consecutive cuts that may gain nothing: a ring must be halved before a cut of the halves helps."""
-CUT_PLANES = 16
+CUT_PLANES = 10
 """Number of planes tried per cut."""
 
 
@@ -37,6 +38,35 @@ class _Cut:
     """Volume of the convex hull, m3."""
     idle: int = 0
     """Consecutive cuts that gained nothing."""
+
+    @cached_property
+    def normals(self) -> Array:
+        """Normals of the triangles, as long as twice their areas, shape (triangles, 3)."""
+        (x, y, z), (u, v, w) = (
+            (self.triangles[:, 1] - self.triangles[:, 0]).T,
+            (self.triangles[:, 2] - self.triangles[:, 0]).T,
+        )
+        return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
+
+    @cached_property
+    def size(self) -> float:
+        """Largest extent along an axis, metres."""
+        return float(np.ptp(self.corners, axis=0).max())
+
+    @cached_property
+    def indexed(self) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+        """Distinct corners of the triangles, shape (corners, 3), and those of each triangle and edge, by index."""
+        corners, index = np.unique(self.triangles.reshape(-1, 3), axis=0, return_inverse=True)
+        faces = index.reshape(-1, 3)
+        ends = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
+        edges = np.unique(np.sort(ends, axis=1), axis=0)
+        return corners, faces, edges
+
+    def heights(self, points: Array, plane: Array) -> Array:
+        """Return heights of points of the surface above a plane, zero where they hardly differ from it."""
+        height = points @ plane[:3] - plane[3]
+        height[np.abs(height) < 1e-9 * max(self.size, 1e-9)] = 0.0
+        return height
 
 
 def convex_pieces(mesh: TriangleMesh, tolerance: float = 0.05, pieces: int = MAX_PIECES) -> Pieces:
@@ -93,9 +123,8 @@ def _best_cut(part: _Cut, mesh: TriangleMesh) -> tuple[_Cut, _Cut] | None:
     most = part.volume * (1 - 1e-3)
     best, chosen = most, None
     for plane in _candidates(part):
-        sides = [_clip(part, sign * plane, None) for sign in (1.0, -1.0)]
-        total = sum(side.volume for side in sides if side is not None)
-        if None not in sides and total < best * (1 - 1e-9):
+        total = _volume_of_halves(part, plane)
+        if total < best * (1 - 1e-9):
             best, chosen = total, plane
     if chosen is None:
         return None
@@ -107,13 +136,10 @@ def _best_cut(part: _Cut, mesh: TriangleMesh) -> tuple[_Cut, _Cut] | None:
 
 def _candidates(part: _Cut) -> list[Array]:
     """Return planes of faces inside the hull, and planes across its middle; shape (4,) each."""
-    corners = part.triangles
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.linalg.norm(cross, axis=1)
+    area, size = np.linalg.norm(part.normals, axis=1), part.size
     good = area > area.max() * 1e-6
-    normals = cross[good] / area[good, None]
-    levels = np.einsum("ij,ij->i", normals, corners[good, 0])
-    size = float(np.ptp(part.corners, axis=0).max())
+    normals = part.normals[good] / area[good, None]
+    levels = np.einsum("ij,ij->i", normals, part.triangles[good, 0])
     # A face plane cuts if there is solid in front of it; each plane once, largest faces first.
     front = (part.corners @ normals.T).max(axis=0) - levels > 1e-4 * size
     key = np.round(np.c_[normals, levels / size][front] * 1e4).astype(np.int64)
@@ -130,60 +156,69 @@ def _candidates(part: _Cut) -> list[Array]:
     return planes
 
 
-def _clip(part: _Cut, plane: Array, mesh: TriangleMesh | None) -> _Cut | None:
-    """Return the part behind a plane, or None if it is negligible; an estimate where no mesh is given."""
-    normal, level = plane[:3], plane[3]
-    size = float(np.ptp(part.corners, axis=0).max())
-    height = part.triangles @ normal - level
-    height[np.abs(height) < 1e-9 * max(size, 1e-9)] = 0.0
+def _volume_of_halves(part: _Cut, plane: Array) -> float:
+    """Return about the volume of the hulls of both sides of a plane, infinite if either is negligible."""
+    corners, faces, edges = part.indexed
+    height = part.heights(corners, plane)
+    levels = height[faces]
+    ends = height[edges]
+    cut = ends[:, 0] * ends[:, 1] < 0
+    tail, head = corners[edges[cut, 0]], corners[edges[cut, 1]]
+    between = tail + (ends[cut, 0] / (ends[cut, 0] - ends[cut, 1]))[:, None] * (head - tail)
+    total = 0.0
+    for side in (-1.0, 1.0):
+        # Corners in the plane count where a triangle leads from them to this side.
+        there = np.zeros(len(corners), bool)
+        there[faces[(side * levels > 0).any(axis=1)]] = True
+        there &= side * height >= 0
+        try:
+            total += float(ConvexHull(np.concatenate([corners[there], between])).volume)
+        except (QhullError, ValueError):
+            return np.inf
+    return total
+
+
+def _clip(part: _Cut, plane: Array, mesh: TriangleMesh) -> _Cut | None:
+    """Return the part behind a plane, or None if it is negligible."""
+    height = part.heights(part.triangles, plane)
+    below, above = (height < 0).any(axis=1), (height > 0).any(axis=1)
     # A face in the plane bounds the part behind it if its normal agrees, else the part in front.
-    along = np.cross(part.triangles[:, 1] - part.triangles[:, 0], part.triangles[:, 2] - part.triangles[:, 0]) @ normal
-    whole = (height <= 0).all(axis=1) & ((height < 0).any(axis=1) | (along > 0))
-    split = (height < 0).any(axis=1) & (height > 0).any(axis=1)
-    kept = [part.triangles[whole]]
-    if split.any():
-        kept.append(_split(part.triangles[split], height[split]))
-    triangles = np.concatenate(kept)
+    whole, across = ~above & (below | (part.normals @ plane[:3] > 0)), below & above
+    triangles = np.concatenate([part.triangles[whole], _split(part.triangles[across], height[across])])
     if len(triangles) < 2:
         return None
     planes = (*part.planes, plane)
-    points = triangles.reshape(-1, 3)
-    if mesh is not None:
-        points = np.concatenate([points, _inner_corners(planes, mesh, size)])
+    points = np.concatenate([triangles.reshape(-1, 3), _inner_corners(planes, mesh, part.size)])
     try:
         made = ConvexHull(points)
     except (QhullError, ValueError):
         return None
-    corners = hull(points[made.vertices]) if mesh is not None else points[made.vertices]
-    return _Cut(triangles, planes, corners, float(made.volume))
+    return _Cut(triangles, planes, hull(points[made.vertices]), float(made.volume))
 
 
 def _split(triangles: Array, height: Array) -> Array:
     """Return the parts of triangles behind a plane, as triangles."""
-    found = []
-    for corners, level in zip(triangles, height, strict=True):
-        polygon = []
-        for k in range(3):
-            a, b = level[k], level[(k + 1) % 3]
-            if a <= 0:
-                polygon.append(corners[k])
-            if a * b < 0:
-                polygon.append(corners[k] + a / (a - b) * (corners[(k + 1) % 3] - corners[k]))
-        found += [(polygon[0], polygon[k], polygon[k + 1]) for k in range(1, len(polygon) - 1)]
-    return np.array(found).reshape(-1, 3, 3)
+    ahead, following = np.roll(triangles, -1, axis=1), np.roll(height, -1, axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crossing = triangles + (height / (height - following))[:, :, None] * (ahead - triangles)
+    # Every corner that is not before the plane, and the crossing on the edge that begins at it, in turn.
+    points = np.stack([triangles, crossing], axis=2).reshape(-1, 6, 3)
+    there = np.stack([height <= 0, height * following < 0], axis=2).reshape(-1, 6)
+    order = np.argsort(~there, axis=1, kind="stable")[:, :4, None]
+    polygon = np.take_along_axis(points, order, axis=1)
+    fans = np.stack([polygon[:, [0, 1, 2]], polygon[:, [0, 2, 3]]], axis=1)
+    return fans[np.stack([np.ones(len(fans), bool), there.sum(axis=1) == 4], axis=1)]
 
 
 def _inner_corners(planes: tuple[Array, ...], mesh: TriangleMesh, size: float) -> Array:
     """Return the points where three cuts meet inside the solid. Shape (corners, 3)."""
-    found = []
-    for three in combinations(planes, 3):
-        matrix = np.array([plane[:3] for plane in three])
-        if abs(np.linalg.det(matrix)) > 1e-6:
-            found.append(np.linalg.solve(matrix, [plane[3] for plane in three]))
-    if not found:
+    three = list(combinations(range(len(planes)), 3))
+    if not three:
         return np.zeros((0, 3))
-    points = np.array(found)
     all_planes = np.array(planes)
+    chosen = all_planes[three]
+    meet = np.abs(np.linalg.det(chosen[:, :, :3])) > 1e-6
+    points: Array = np.linalg.solve(chosen[meet, :, :3], chosen[meet, :, 3:])[:, :, 0].astype(np.float64)
     behind = (points @ all_planes[:, :3].T - all_planes[:, 3] <= 1e-9 * size).all(axis=1)
     points = points[behind]
     return points[inside(points, mesh.triangles)] if len(points) else np.zeros((0, 3))

@@ -15,11 +15,14 @@ from falsework.robots.kernels.rrt_connect import check_many
 from falsework.robots.kinematics.forward import link_poses
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes
+from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.model.shapes import Pieces, inverse_pose, move
 
 Array = NDArray[np.float64]
 
 NO_FLOOR = -1e9
+_OBSTACLE, _ROBOT, _ELSEWHERE = -1, -2, -3
+"""Owners of obstacles that are no parts in place."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +107,10 @@ class CollisionQuery:
     bodies: Bodies
     obstacles: Obstacles
     rules: Rules
+    links: NDArray[np.int64]
+    """Link of each body, joints + 1 for the gripper, joints + 2 for the part; shape (bodies,)."""
+    owners: NDArray[np.int64]
+    """Part of each obstacle, negative where it is none in place; shape (obstacles,)."""
     body_names: tuple[str, ...]
     obstacle_names: tuple[str, ...]
     work: CollisionScratch = field(repr=False)
@@ -117,6 +124,11 @@ class CollisionQuery:
     def margin(self) -> float:
         """Distance to keep, metres."""
         return float(self.rules.margin)
+
+    def under(self, contact: Contact, margin: float) -> CollisionQuery:
+        """Return queries in the same scene under another contact rule and margin."""
+        rules = self.world._rules(self.model, self.links, self.owners, contact, margin)
+        return replace(self, contact=contact, rules=rules)
 
     def hits(self, configurations: ArrayLike) -> NDArray[np.int64]:
         """Return the first pair that is too near for each configuration, or -1. Shape (batch, joints) to (batch,)."""
@@ -158,7 +170,6 @@ class CollisionWorld:
     def __init__(self, cell: Cell, parts: PartShapes) -> None:
         self.cell = cell
         self.parts = parts
-        self._bare: dict[int, tuple[Bodies, list[str], list[int]]] = {}
 
     @cached_property
     def _static(self) -> tuple[tuple[str, Pieces], ...]:
@@ -216,47 +227,25 @@ class CollisionWorld:
                 f"no robot {robot}; the cell has {self.cell.robot_count}, 0 to {self.cell.robot_count - 1}"
             )
         entry = self.cell.robots[robot]
-        held = self.carried(robot, scene)
-        if held is None and robot in self._bare:
-            bodies, names, kinds = self._bare[robot]
-        else:
-            bodies, names, kinds = make_bodies(entry, held, self.parts.names)
-            if held is None:
-                self._bare[robot] = (bodies, names, kinds)
-        stands: list[tuple[str, int, Pieces]] = []  # name, part or -2 for anything else
+        bodies, names, kinds = make_bodies(entry, self.carried(robot, scene), self.parts.names)
+        stands: list[tuple[str, int, Pieces]] = []
         for index, (name, pieces) in enumerate(self._static):
             if index != robot:
-                stands.append((name, -2, pieces))
+                stands.append((name, _ROBOT if index < self.cell.robot_count else _OBSTACLE, pieces))
         for other in range(self.cell.robot_count):
             if other != robot:
-                stands += [(name, -2, (piece,)) for name, _, piece in self.robot_pieces(other, scene)]
+                stands += [(name, _ROBOT, (piece,)) for name, _, piece in self.robot_pieces(other, scene)]
         for part in np.flatnonzero(scene.present).tolist():
             stands.append((f"part {self.parts.names[part]}", part, self.parts.pieces[part]))
         for part, pose in scene.elsewhere:
             pieces = tuple(move(pose, piece) for piece in self.parts.pieces[part])
-            stands.append((f"part {self.parts.names[part]}", -2, pieces))
+            stands.append((f"part {self.parts.names[part]}", _ELSEWHERE, pieces))
         obstacles, owner = make_obstacles([pieces for _, _, pieces in stands])
-        label = np.array([kind for _, kind, _ in stands])[owner]
-        pair = np.ones((len(kinds), len(owner)), bool)
-        links = np.array(kinds)
-        joints = entry.model.joints
-        pair[links == 0] = False  # the base is fixed; other robots are checked against it when they move
-        pair[np.ix_(links == joints + 1, np.isin(label, list(contact.gripper)))] = False
-        pair[np.ix_(links == joints + 2, np.isin(label, list(contact.carried)))] = False
-        on_floor = np.full(len(kinds), self.cell.floor is not None)
-        on_floor[links == 0] = False
-        if contact.carried_floor:
-            on_floor[links == joints + 2] = False
-            fixed = np.array([name in {o.name for o in self.cell.obstacles} for name, _, _ in stands])[owner]
-            pair[np.ix_(links == joints + 2, fixed)] = False
-        rules = Rules(
-            pair=pair,
-            self_pairs=self_pairs(entry.model, links),
-            floor=NO_FLOOR if self.cell.floor is None else float(self.cell.floor),
-            on_floor=on_floor,
-            margin=float(self.cell.margins.free if margin is None else margin),
-        )
         chain = make_chain(entry.model, entry.base)
+        links, owners = np.array(kinds), np.array([part for _, part, _ in stands], np.int64)[owner]
+        if margin is None:
+            margin = self.cell.margins.free
+        rules = self._rules(entry.model, links, owners, contact, margin)
         return CollisionQuery(
             world=self,
             scene=scene,
@@ -266,9 +255,34 @@ class CollisionWorld:
             bodies=bodies,
             obstacles=obstacles,
             rules=rules,
+            links=links,
+            owners=owners,
             body_names=tuple(
-                f"{entry.name} {name}" if kind <= joints + 1 else name for name, kind in zip(names, kinds, strict=True)
+                f"{entry.name} {name}" if kind <= entry.model.joints + 1 else name
+                for name, kind in zip(names, kinds, strict=True)
             ),
             obstacle_names=tuple(stands[index][0] for index in owner),
             work=make_work(chain, bodies, obstacles, rules),
+        )
+
+    def _rules(
+        self, model: RobotModel, links: NDArray[np.int64], owners: NDArray[np.int64], contact: Contact, margin: float
+    ) -> Rules:
+        """Return the pairs of a query that are checked."""
+        gripper, load = links == model.joints + 1, links == model.joints + 2
+        pair = np.ones((len(links), len(owners)), bool)
+        pair[links == 0] = False  # the base is fixed; other robots are checked against it when they move
+        pair[np.ix_(gripper, np.isin(owners, list(contact.gripper)))] = False
+        pair[np.ix_(load, np.isin(owners, list(contact.carried)))] = False
+        on_floor = np.full(len(links), self.cell.floor is not None)
+        on_floor[links == 0] = False
+        if contact.carried_floor:
+            on_floor[load] = False
+            pair[np.ix_(load, owners == _OBSTACLE)] = False
+        return Rules(
+            pair=pair,
+            self_pairs=self_pairs(model, links.tolist()),
+            floor=NO_FLOOR if self.cell.floor is None else float(self.cell.floor),
+            on_floor=on_floor,
+            margin=float(margin),
         )

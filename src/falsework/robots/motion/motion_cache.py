@@ -12,8 +12,8 @@ from falsework.robots.motion.path_planner import Motion, plan_free
 
 Array = NDArray[np.float64]
 
-_CACHED_VIEWS = 256
-"""Largest number of cached query objects; the oldest is evicted first."""
+_CACHED_SCENES = 128
+"""Largest number of scenes whose query objects are cached; the oldest is evicted first."""
 
 
 class MotionCache:
@@ -31,7 +31,7 @@ class MotionCache:
         self.motions = self.motions_kept = self.views = 0
         self._nodes, self._seed = nodes, seed
         self._motions: dict[bytes, Motion] = {}
-        self._views: dict[bytes, CollisionQuery] = {}
+        self._views: dict[bytes, dict[str, CollisionQuery]] = {}
 
     def motion(self, scene: Scene, robot: int, start: Array, goal: Array) -> Motion:
         """Return a free motion of one robot; its seed depends only on the arguments.
@@ -61,16 +61,22 @@ class MotionCache:
             contact: pairs that may touch.
             margin: distance to keep from everything else, metres.
         """
-        key = (
-            _digest(scene, robot)
-            + repr((sorted(contact.gripper), sorted(contact.carried), contact.carried_floor, margin)).encode()
-        )
-        if key not in self._views:
-            self.views += 1
-            while len(self._views) > _CACHED_VIEWS:
+        place = _digest(scene, robot)
+        rules = repr((sorted(contact.gripper), sorted(contact.carried), contact.carried_floor, margin))
+        views = self._views.get(place)
+        if views is None:
+            while len(self._views) > _CACHED_SCENES:
                 del self._views[next(iter(self._views))]
-            self._views[key] = self.world.view(scene, robot, contact=contact, margin=margin)
-        return self._views[key]
+            views = self._views[place] = {}
+        if rules not in views:
+            self.views += 1
+            known = next(iter(views.values()), None)
+            views[rules] = (
+                self.world.view(scene, robot, contact=contact, margin=margin)
+                if known is None
+                else known.under(contact, margin)
+            )
+        return views[rules]
 
 
 def _digest(scene: Scene, robot: int) -> bytes:

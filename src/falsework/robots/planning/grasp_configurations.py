@@ -177,25 +177,21 @@ class GraspConfigurations:
         # One robot among parts, all others at home.
         alone = Scene(self.cell.homes, present, (None,) * self.cell.robot_count)
         view = self.cache.view(alone, robot, Contact(gripper=frozenset({part})), self.cell.margins.line)
-        grips = []
-        pair = None
-        for grasp, solutions in zip(found, branches, strict=True):
-            hits = view.hits(solutions) if len(solutions) else np.empty(0, int)
-            grips += [GraspConfiguration(robot, grasp, solutions[row]) for row in np.flatnonzero(hits < 0)]
-            if (hits >= 0).any():
-                pair = view.pair(int(hits[hits >= 0][0]))
-        if not grips:
-            self.reasons.add("hold", part, robot, "every grasp collides", pair)
-        return grips
+        values = np.concatenate(branches)
+        which = np.repeat(np.arange(len(found)), [len(solutions) for solutions in branches]).tolist()
+        hits = view.hits(values)
+        clear = np.flatnonzero(hits < 0).tolist()
+        if not clear:
+            self.reasons.add("hold", part, robot, "every grasp collides", view.pair(int(hits[-1])))
+        return [GraspConfiguration(robot, found[which[row]], values[row]) for row in clear]
 
 
 def _spread(grips: list[GraspConfiguration], count: int) -> list[GraspConfiguration]:
     """Return the first configurations, one of each grasp in turn, so that a single grasp does not use up all tries."""
-    rank: dict[int, int] = {}
-    keyed = []
-    for place, grip in enumerate(grips):
-        turn = rank.setdefault(id(grip.grasp), 0)
-        rank[id(grip.grasp)] += 1
-        keyed.append((turn, place, grip))
-    keyed.sort(key=lambda entry: entry[:2])
-    return [grip for _, _, grip in keyed[:count]]
+    chosen: list[GraspConfiguration] = []
+    while grips and len(chosen) < count:
+        first: dict[int, GraspConfiguration] = {}
+        rest = [grip for grip in grips if first.setdefault(id(grip.grasp), grip) is not grip]
+        chosen += first.values()
+        grips = rest
+    return chosen[:count]

@@ -110,12 +110,11 @@ class _Search:
         self.began = time.perf_counter()
         self.assembly, self.cell, self.oracle = assembly, cell, oracle
         self.settings, self.progress = settings, progress
-        self.graph = graph or KeyframeGraph(assembly, cell, settings=settings.keyframes, seed=settings.seed)
-        self.graph.haste, self.graph.yielding = settings.keyframes.haste, settings.keyframes.yielding
+        keyframes, present = settings.keyframes, None if task is None else task.start != REMOVED
+        self.graph = graph or KeyframeGraph(assembly, cell, settings=keyframes, seed=settings.seed, present=present)
+        self.graph.haste, self.graph.yielding = keyframes.haste, keyframes.yielding
         self.task = task_in_cell(assembly, cell, task, self.graph.exits)
-        balanced: Guide | None = guide
-        if settings.keyframes.haste:
-            balanced = BalanceGuide(guide, cell, self.graph.parts)
+        balanced = BalanceGuide(guide, cell, self.graph.parts) if keyframes.haste else guide
         ease = ExecutionHeuristic(self.graph, None if balanced is None else MemoizedGuide(balanced))
         score = None if guide is None else ease
         if settings.keyframes.haste:
@@ -227,6 +226,8 @@ class _Search:
             if len(chain) > len(self.best):
                 self.best = list(chain)
                 self.tried.clear()
+                if not self.graph.haste:
+                    dead_ends = 0  # beyond them: another search would have to come here first
             self._report(dead_ends)
             if np.array_equal(edge.node.state, self.task.target):
                 keep = self._keyframes_before_fall(root, chain)

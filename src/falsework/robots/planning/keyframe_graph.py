@@ -125,6 +125,7 @@ class KeyframeGraph:
         settings: KeyframeSettings = KeyframeSettings(),
         seed: int = 0,
         parts: PartShapes | None = None,
+        present: NDArray[np.bool_] | None = None,
     ) -> None:
         """Create an empty graph.
 
@@ -134,6 +135,7 @@ class KeyframeGraph:
             settings: limits on candidates.
             seed: seed of the free motions.
             parts: the parts as bodies in the cell, if already available.
+            present: parts that are ever in place, all by default, shape (parts,).
         """
         self.assembly, self.cell, self.settings, self.seed = assembly, cell, settings, seed
         self.haste, self.yielding = settings.haste, settings.yielding
@@ -145,7 +147,7 @@ class KeyframeGraph:
         self._grips = GraspConfigurations(assembly, self.cache, self.reasons, limit=settings.grasps)
         self.joint = JointHolds(self._grips)
         self._withdrawal = Withdrawal(self.cache, self.reasons, settings.withdrawals)
-        self.exits = ExitDirections(assembly, self.parts.turn)
+        self.exits = ExitDirections(assembly, self.parts.turn, present)
         self._begun: dict[tuple[Node, int], Iterator[Edge]] = {}
 
     def start(self, state: States, configurations: tuple[Array, ...], held: tuple[int | None, ...]) -> Node:
@@ -361,7 +363,8 @@ class KeyframeGraph:
                 what = f"to {entry.name}'s drop-off: {free.reason}"
                 self.reasons.add("remove", part, robot, what, free.pair, free.at)
                 continue
-            cost = float(way[row]) + self._free_seconds(robot, free.path) - self._free_seconds(robot, free.path[[0, -1]])
+            detour = self._free_seconds(robot, free.path) - self._free_seconds(robot, free.path[[0, -1]])
+            cost = float(way[row]) + detour
             if best is None or cost < best[0]:
                 best = cost, goal, free.path
         if best is None:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
+from falsework.robots.kernels.speed_profile import thin
 from falsework.robots.model.cell import Cell, cell_identity
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.motion.timing import time_path
@@ -25,7 +26,6 @@ _STANDSTILL = 1e-7
 """Length below which a path takes no time, rad or m."""
 _SPLINE_ERROR = 2e-5
 """Samples that the cubics between others approximate this closely are dropped, rad or m."""
-_SAMPLE_STRIDES = (64, 32, 16, 8, 4, 2, 1)
 
 
 def make_robot_plan(
@@ -103,28 +103,7 @@ def timed_leg(model: RobotModel, segment: PathSegment, speed: float) -> Trajecto
     return replace(made, times=made.times * stretch, velocities=made.velocities / stretch)
 
 
-def _enough(times: Array, positions: Array, velocities: Array, acceleration: Array) -> NDArray[np.intp]:
+def _enough(times: Array, positions: Array, velocities: Array, acceleration: Array) -> NDArray[np.int64]:
     """Return indices of knots whose cubics stay within `_SPLINE_ERROR` of all samples and the acceleration limits."""
-    kept = [0]
-    while kept[-1] < len(times) - 1:
-        here = kept[-1]
-        for ahead in _SAMPLE_STRIDES:
-            there = here + ahead
-            if there >= len(times):
-                continue
-            if ahead == 1:
-                break
-            span, rise = times[there] - times[here], positions[there] - positions[here]
-            start = (6 * rise / span - 4 * velocities[here] - 2 * velocities[there]) / span
-            stop = (-6 * rise / span + 2 * velocities[here] + 4 * velocities[there]) / span
-            if (np.maximum(np.abs(start), np.abs(stop)) > acceleration).any():
-                continue
-            between = slice(here + 1, there)
-            t = (times[between] - times[here])[:, None]
-            cubic = positions[here] + velocities[here] * t + start * t**2 / 2 + (stop - start) / span * t**3 / 6
-            if np.abs(cubic - positions[between]).max() <= _SPLINE_ERROR:
-                break
-        else:
-            there = here + 1
-        kept.append(there)
-    return np.array(kept, dtype=np.intp)
+    kept = np.empty(len(times), np.int64)
+    return kept[: thin(times, positions, velocities, acceleration, _SPLINE_ERROR, kept)]

@@ -15,6 +15,9 @@ from falsework.robots.planning.failure_report import FailureLog
 
 Array = NDArray[np.float64]
 
+_ROOM = 2.0
+"""Margin at the end of such a line, in margins of free motions, below which a longer line is tried first: between other
+bodies hardly any motion is free."""
 _MAX_WAYS = 16
 """Exit directions that are tried for a part."""
 
@@ -49,24 +52,37 @@ class Withdrawal:
         contact = Contact(carried=around, carried_floor=True)
         line = self.cache.view(scene, robot, contact, self.cell.margins.line)
         free: CollisionQuery | None = None
+        roomy: CollisionQuery | None = None
         for way in self._ordered(ways, tool):
+            tight: Array | None = None
             for times in self.lengths:
                 out = follow_line(line, here, way, times * self.cell.margins.approach)
                 if not out:
-                    self.reasons.add("remove", part, robot, f"{what}: {out.reason}", out.pair, out.at)
+                    if tight is None:
+                        self.reasons.add("remove", part, robot, f"{what}: {out.reason}", out.pair, out.at)
                     break
                 free = free or self.cache.view(scene, robot, NO_CONTACT, self.cell.margins.free)
+                roomy = roomy or self.cache.view(scene, robot, NO_CONTACT, _ROOM * self.cell.margins.free)
                 path = out.path
                 assert path is not None
                 hit = int(free.hits(path[-1])[0])
                 if hit < 0:
-                    yield (path,), scene
+                    if not roomy.collides(path[-1])[0]:
+                        tight = None
+                        yield (path,), scene
+                        break
+                    if tight is None:
+                        tight = path
+                    continue
+                if tight is not None:
                     break
                 lift = self._lift(scene, robot, path[-1], free)
                 if lift is not None:
                     yield (path, lift), scene
                     break
                 self.reasons.add("remove", part, robot, f"{what}: not clear at its end", free.pair(hit), path[-1])
+            if tight is not None:
+                yield (tight,), scene
 
     def _lift(self, scene: Scene, robot: int, here: Array, free: CollisionQuery) -> Array | None:
         """Return the path on which a part that was withdrawn along the floor is lifted off it; None if blocked."""

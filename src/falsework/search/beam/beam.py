@@ -161,6 +161,14 @@ class BeamSearch(LevelSearch):
             self._histories.keep(kept)
         return True
 
+    def largest_movement(self) -> tuple[float, int] | None:
+        """Return how far a part moves at most in the replay of the route found, m, and that part.
+
+        Returns:
+            None where no histories are kept.
+        """
+        return None if self._histories is None or not self.found else self._histories.largest_movement(0)
+
     def _beside(self, parts: tuple[int, ...]) -> NDArray[np.intp]:
         """Return the parts in contact with some others, those left out."""
         if self.task.neighbours is None or not parts:

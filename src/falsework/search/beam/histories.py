@@ -40,6 +40,8 @@ class Histories:
         self._levels = levels
         self._most = histories_in_memory(replayer.problem)
         self._known: list[dict[int, History | None]] = []
+        self._moved: list[dict[int, tuple[float, int]]] = []
+        """Of the states at rest: the largest movement of a part, and that part."""
         self._next: dict[int, History] = {}
 
     def standing(self, rows: NDArray[np.int64], parent: NDArray[np.int64], states: States) -> Mask:
@@ -66,14 +68,31 @@ class Histories:
     def keep(self, rows: NDArray[np.int64]) -> None:
         """Take over the histories of the candidates that became the last level, shape (kept,)."""
         self._fit(len(self._levels) - 1)
-        self._known.append({i: self._next[row] for i, row in enumerate(rows.tolist()) if row in self._next})
+        known = {i: self._next[row] for i, row in enumerate(rows.tolist()) if row in self._next}
+        self._known.append(dict(known))
+        self._moved.append({i: (history.moved, history.part) for i, history in known.items()})
         self._next = {}
         self._drop_oldest()
 
     def rewind(self, level: int) -> None:
         """Forget all levels after `level`."""
-        del self._known[level + 1 :]
+        del self._known[level + 1 :], self._moved[level + 1 :]
         self._next = {}
+
+    def largest_movement(self, row: int) -> tuple[float, int] | None:
+        """Return how far a part has moved at most on the way to a state of the last level, m, and that part.
+
+        Returns:
+            None where a state on the way does not come to rest.
+        """
+        level = len(self._levels) - 1
+        if self._history(level, row) is None:
+            return None
+        most = (0.0, -1)
+        for number in range(level, -1, -1):
+            most = max(most, self._moved[number][row])
+            row = int(self._levels[number].parent[row])
+        return most
 
     def _history(self, level: int, row: int) -> History | None:
         """Return the history of a state of a level; None where the way to it does not stand."""
@@ -86,19 +105,26 @@ class Histories:
         if history is None and first == 0 and way[-1] not in self._known[0]:
             start = self._replayer.replay(self._levels[0].states[way[-1]][None])
             history = start.histories[0] if start.histories else None
-            self._known[0][way[-1]] = history
+            self._store(0, way[-1], history)
         for at in range(first + 1, level + 1):
             before, after = way[level + 1 - at], way[level - at]
             if history is not None:
                 states = self._levels[at - 1].states[before], self._levels[at].states[after]
                 stands, history = self._replayer.step(history, *states)
                 history = history if stands else None
-            self._known[at][after] = history
+            self._store(at, after, history)
         return history
+
+    def _store(self, level: int, row: int, history: History | None) -> None:
+        """Remember the history of a state, None where the way to it does not stand."""
+        self._known[level][row] = history
+        if history is not None:
+            self._moved[level][row] = history.moved, history.part
 
     def _fit(self, count: int) -> None:
         """Make room for the histories of `count` levels."""
         self._known.extend({} for _ in range(count - len(self._known)))
+        self._moved.extend({} for _ in range(count - len(self._moved)))
 
     def _drop_oldest(self) -> None:
         """Forget the histories of the earliest levels where they take too much memory."""

@@ -7,7 +7,6 @@ state to state. Parts are inserted unstressed, robots release slowly, and every 
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -26,6 +25,7 @@ from falsework.stability.cpu.layout import COMPILED_LAYOUT
 from falsework.stability.problem import build_problem
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.stiffness import structure_size
+from falsework.utils.cores import core_count
 
 Array = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ class ReplaySettings:
     typical point under its share of a part's weight."""
     seed: int = 0
     """Seed of the noise."""
-    steps: int = 100
+    steps: int = 400
     """Newton iterations per increment before it is left undecided."""
 
     def __post_init__(self) -> None:
@@ -75,6 +75,10 @@ class History:
     """Contact points whose tensile strength was exceeded, shape (points,)."""
     age: NDArray[np.int32]
     """Steps for which both parts of each contact point have been present, shape (points,)."""
+    moved: float = 0.0
+    """Largest movement of a part since it was placed, m."""
+    part: int = -1
+    """The part that moved most, -1 where none moved."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,13 +155,12 @@ class Replayer:
         solver = self._solver if settings == self.settings else None
         return Replayer(self.assembly, settings, replay or self.replay_settings, solver)
 
-    def replay(self, states: ArrayLike, history: History | None = None, *, increments: int | None = None) -> Replay:
+    def replay(self, states: ArrayLike, history: History | None = None) -> Replay:
         """Replay consecutive states up to the first that does not come to rest.
 
         Args:
             states: in assembly order, shape (states, parts).
             history: history of the first state; without it, gravity is ramped up on the first state.
-            increments: replaces the increments of the settings.
 
         Raises:
             StateError: states of the wrong length or with other values.
@@ -166,19 +169,20 @@ class Replayer:
         count, problem = len(batch), self.problem
         displacement, springs = np.zeros((count, problem.parts, 6)), np.zeros((count, problem.points, 3))
         torn = np.zeros((count, problem.points), bool)
-        if history is not None:
-            displacement[0], springs[0], torn[0] = history.displacement, history.springs, history.torn
         age, joints = self._ages(batch, None if history is None else history.age), self.assembly.joints
         set_share = np.zeros((count, 0)) if joints is None or not joints.setting else joints.set_share(age)
         result, residual, moved = np.full(count, OPEN, np.int8), np.full(count, np.nan), np.zeros(count)
         iterations, part = np.zeros(count, np.int32), np.full(count, -1, np.int32)
+        if history is not None:
+            displacement[0], springs[0], torn[0] = history.displacement, history.springs, history.torn
+            moved[0], part[0] = history.moved, history.part
         reached = replay_range(
             self._structure,
             self._contact,
             batch,
             history is None,
             self._options,
-            increments or self.replay_settings.increments,
+            self.replay_settings.increments,
             self._noise,
             displacement,
             springs,
@@ -190,11 +194,14 @@ class Replayer:
             part,
             moved,
         )
-        histories = tuple(History(displacement[row], springs[row], torn[row], age[row]) for row in range(reached))
+        histories = tuple(
+            History(displacement[row], springs[row], torn[row], age[row], float(moved[row]), int(part[row]))
+            for row in range(reached)
+        )
         return Replay(result, moved, part, residual, self._size, histories)
 
     def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
-        """Take one step in a single increment, for a search.
+        """Take one step, as a replay of both states does that begins with the history of the first.
 
         Args:
             history: history of the state before.
@@ -203,7 +210,7 @@ class Replayer:
         Returns:
             Whether the structure comes to rest, and its history then.
         """
-        replay = self.replay(np.stack([before, after]), history, increments=1)
+        replay = self.replay(np.stack([before, after]), history)
         return bool(replay.stands[1] == RESTS), replay.histories[-1]
 
     def _ages(self, states: States, age: NDArray[np.int32] | None) -> NDArray[np.int32]:
@@ -234,7 +241,7 @@ class Replayer:
 
 def replay_plans(replayer: Replayer, plans: Sequence[States]) -> list[Replay]:
     """Replay several sequences of states, one per thread."""
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(core_count()) as pool:
         return list(pool.map(replayer.replay, plans))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Protocol, Self
@@ -14,6 +13,7 @@ from falsework.stability.contact.newton import FIRST_STEP
 from falsework.stability.contact.replay import History, Replay, ReplaySettings
 from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
+from falsework.utils.cores import core_count
 
 DRAWS = 20
 """Number of variations with random initial friction."""
@@ -32,7 +32,7 @@ class AnyReplayer(Protocol):
         ...
 
     def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
-        """Take one step in a single increment."""
+        """Take one step, as a replay of both states."""
         ...
 
 
@@ -98,7 +98,7 @@ def replay_varied(
         result = replayer.vary(settings, replay).replay(states)
         return Variation(name, result.good, result.falls_at)
 
-    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(threads or core_count()) as pool:
         return list(pool.map(run, variations(replayer.settings, draws)))
 
 
@@ -132,7 +132,7 @@ class RobustReplayer:
         plain = self._replayer.replay(states, history)
         if history is not None or not plain.good:
             return plain
-        workers, cases = os.cpu_count() or 1, list(self._cases)
+        workers, cases = core_count(), list(self._cases)
         with ThreadPoolExecutor(workers) as pool:
             for first in range(0, len(cases), workers):
                 some = cases[first : first + workers]
@@ -144,7 +144,7 @@ class RobustReplayer:
         return plain
 
     def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
-        """Take one step in a single increment; see `Replayer.step`."""
+        """Take one step under the settings; see `Replayer.step`."""
         return self._replayer.step(history, before, after)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
@@ -17,6 +16,7 @@ from falsework.stability.cpu.termination import Options
 from falsework.stability.problem import Problem
 from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
 from falsework.stability.verdict import Solver, Verdicts, proof_of
+from falsework.utils.cores import core_count
 
 _TASK = 16
 """States per task of a thread: few enough to balance the load, enough to hide the cost of a call."""
@@ -41,7 +41,7 @@ class Workers:
 
     def __init__(self, threads: int | None) -> None:
         """Start this many threads, by default one per core."""
-        self._threads = threads or os.cpu_count() or 1
+        self._threads = threads or core_count()
         self._pool = ThreadPoolExecutor(self._threads) if self._threads > 1 else None
 
     def run(self, work: Callable[[slice], None], batch: int) -> None:
