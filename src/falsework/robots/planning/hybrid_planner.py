@@ -110,15 +110,11 @@ class _Search:
         self.began = time.perf_counter()
         self.assembly, self.cell, self.oracle = assembly, cell, oracle
         self.settings, self.progress = settings, progress
-        present = None if task is None else task.start != REMOVED
-        self.graph = graph or KeyframeGraph(
-            assembly, cell, settings=settings.keyframes, seed=settings.seed, present=present
-        )
-        self.graph.haste, self.graph.yielding = settings.keyframes.haste, settings.keyframes.yielding
+        keyframes, present = settings.keyframes, None if task is None else task.start != REMOVED
+        self.graph = graph or KeyframeGraph(assembly, cell, settings=keyframes, seed=settings.seed, present=present)
+        self.graph.haste, self.graph.yielding = keyframes.haste, keyframes.yielding
         self.task = task_in_cell(assembly, cell, task, self.graph.exits)
-        balanced: Guide | None = guide
-        if settings.keyframes.haste:
-            balanced = BalanceGuide(guide, cell, self.graph.parts)
+        balanced = BalanceGuide(guide, cell, self.graph.parts) if keyframes.haste else guide
         ease = ExecutionHeuristic(self.graph, None if balanced is None else MemoizedGuide(balanced))
         score = None if guide is None else ease
         if settings.keyframes.haste:

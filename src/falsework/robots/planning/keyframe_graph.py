@@ -363,7 +363,8 @@ class KeyframeGraph:
                 what = f"to {entry.name}'s drop-off: {free.reason}"
                 self.reasons.add("remove", part, robot, what, free.pair, free.at)
                 continue
-            cost = way[row] + self._free_seconds(robot, free.path) - self._free_seconds(robot, free.path[[0, -1]])
+            detour = self._free_seconds(robot, free.path) - self._free_seconds(robot, free.path[[0, -1]])
+            cost = float(way[row]) + detour
             if best is None or cost < best[0]:
                 best = cost, goal, free.path
         if best is None:
