@@ -29,6 +29,9 @@ WARM_FIRST_STEP = 1e4
 """The same from the displacement of a parent, which is closer to the solution."""
 _GROWTH = 4.0
 """Least growth of the time step after a full step; it grows by the decrease of the residual where that is more."""
+_PATIENCE, _SLOW_GROWTH = 60, 1.2
+"""After so many iterations the least growth is this one: contacts that alternate between sliding and sticking need
+shorter steps."""
 _SHORTEST = 0.1
 """Smallest share of a step that is taken before the time step is reduced instead ..."""
 _CUT = 0.1
@@ -269,7 +272,8 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
             time *= _CUT
             continue
         if length == 1.0:
-            time = min(time * max(_GROWTH, size / max(next_size, 1e-300)), _LONGEST_STEP)
+            least = _GROWTH if iteration < _PATIENCE else _SLOW_GROWTH
+            time = min(time * max(least, size / max(next_size, 1e-300)), _LONGEST_STEP)
         else:
             time *= 2.0 * length
         size = next_size
