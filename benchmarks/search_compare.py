@@ -25,8 +25,6 @@ from typing import Any
 import tyro
 from record import report, spread, write_to
 
-from falsework.utils.cores import core_count
-
 _MEASURED = ("verdicts", "cpu_seconds", "seconds", "memory_gib")
 
 
@@ -43,7 +41,7 @@ class Options:
     seeds: int = 5
     """Number of seeds, from 0 on."""
     processes: int = 1
-    """Searches at the same time, each confined to its share of the cores."""
+    """Searches at the same time, each confined to its share of the cores (Linux)."""
     limit: float = 60.0
     """Seconds of CPU time for each search."""
     child: int | None = None
@@ -82,9 +80,10 @@ def run(options: Options, tree: Path, structure: str, seed: int) -> dict[str, An
     """Search for one plan in a process that imports falsework from a source tree."""
     command = [sys.executable, "-W", "ignore", __file__, "--child", str(seed), "--structures", structure]
     if options.processes > 1:
-        share = core_count() // options.processes
-        first = seed % options.processes * share
-        command = ["taskset", "--cpu-list", f"{first}-{first + share - 1}", *command]
+        cores = sorted(os.sched_getaffinity(0))
+        share = len(cores) // options.processes
+        own = cores[seed % options.processes * share :][:share]
+        command = ["taskset", "--cpu-list", ",".join(map(str, own)), *command]
     command += ["--robots", str(options.robots), "--limit", str(options.limit)]
     environment = {**os.environ, "PYTHONPATH": str(tree.resolve() / "src")}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
