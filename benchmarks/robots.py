@@ -65,6 +65,8 @@ STRUCTURES = {
     "bottle-12": "bottle-12",
     "dome-72": "dome-72",
 }
+PAPER_SECONDS = {"dome-37": 300, "vault-62-a": 5760, "vault-62-b": 5760}
+"""The paper's times for a plan of the robots."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,6 +157,7 @@ def building(name: str, arguments: Arguments) -> None:
         seconds=spread(seconds),
         cpu_seconds=spread(cpu),
         attempts=spread(attempts),
+        **({"paper_seconds": PAPER_SECONDS[name]} if name in PAPER_SECONDS else {}),
         seeds=tuple(range(arguments.first_seed, arguments.first_seed + arguments.seeds)),
     )
 
