@@ -35,7 +35,7 @@ def main() -> None:
         "force-torque-graph": force_torque.force_torque_graph,
         "scaling": scaling.cost_against_parts,
         **{f"gallery-{name}": commands.gallery for name in commands.BUILT_IN},
-        **{f"real-{name}": commands.real for name in commands.REAL},
+        **{f"real-{name}": commands.real for name in (*commands.REAL, *commands.PUBLIC)},
         "arch-plan.gif": commands.film,
         "page": screen.page,
     }

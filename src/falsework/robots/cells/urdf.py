@@ -109,7 +109,7 @@ def always_touching(model: RobotModel) -> set[tuple[int, int]]:
     links = np.array(kinds)
     obstacles, _ = make_obstacles([])
     chain = make_chain(model, np.eye(4))
-    pairs = self_pairs(model, links)
+    pairs = self_pairs(model, kinds)
     found = set()
     hits = np.empty(COLLISION_SAMPLES, np.int64)
     for a, b in sorted({(int(links[i]), int(links[j])) for i, j in pairs}):
