@@ -44,6 +44,8 @@ class Options:
     """Searches at the same time, each confined to its share of the cores (Linux)."""
     limit: float = 60.0
     """Seconds of CPU time for each search."""
+    plans: Path | None = None
+    """Folder to which plans are written."""
     child: int | None = None
     """Search with this seed in this process, and print the figures."""
     out: Path | None = None
@@ -53,7 +55,7 @@ class Options:
 def search(options: Options, seed: int) -> dict[str, Any]:
     """Search for one plan in this process."""
     from falsework.assembly import load_structure
-    from falsework.search import PlannerSettings, find_plans
+    from falsework.search import PlannerSettings, find_plans, save_plan
 
     find_plans(load_structure("arch:blocks=5"))  # have everything compiled
     assembly = load_structure(options.structures[0])
@@ -64,7 +66,7 @@ def search(options: Options, seed: int) -> dict[str, Any]:
         settings=PlannerSettings(seed=seed),
         stop=lambda: time.process_time() - cpu > options.limit,
     )
-    return {
+    figures = {
         "parts": assembly.part_count,
         "found": planning.found and len(planning.plans) == 1,
         "reached": planning.result.reached,
@@ -74,6 +76,9 @@ def search(options: Options, seed: int) -> dict[str, Any]:
         "seconds": time.perf_counter() - wall,
         "memory_gib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
     }
+    if options.plans is not None and planning.found:
+        save_plan(planning.plans[0], options.plans / f"{assembly.name}-{seed}.json")
+    return figures
 
 
 def run(options: Options, tree: Path, structure: str, seed: int) -> dict[str, Any]:
@@ -85,6 +90,8 @@ def run(options: Options, tree: Path, structure: str, seed: int) -> dict[str, An
         own = cores[seed % options.processes * share :][:share]
         command = ["taskset", "--cpu-list", ",".join(map(str, own)), *command]
     command += ["--robots", str(options.robots), "--limit", str(options.limit)]
+    if options.plans is not None:
+        command += ["--plans", str(options.plans)]
     environment = {**os.environ, "PYTHONPATH": str(tree.resolve() / "src")}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     return json.loads(done.stdout.splitlines()[-1])
