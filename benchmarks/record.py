@@ -20,8 +20,6 @@ from typing import Any
 
 import numpy as np
 
-from falsework.utils.cores import core_count
-
 ORIGIN = ("benchmark", "command", "commit", "date", "device", "seeds", "versions")
 """Keys of every record. Where the command is not known, `provenance` names the source of the figures."""
 LOAD_BEFORE = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
@@ -126,6 +124,8 @@ def processor() -> str:
     if about.exists():
         names = [line.partition(":")[2].strip() for line in about.read_text().splitlines() if "model name" in line]
         model = names[0] if names else model
+    from falsework.utils.cores import core_count  # here, since benchmarks run with the code of older commits too
+
     cores = core_count()
     return f"{model}, {cores} core{'s' if cores != 1 else ''}"
 
