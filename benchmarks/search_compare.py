@@ -25,6 +25,7 @@ from typing import Any
 import tyro
 from record import report, spread, write_to
 
+_HERE = Path(__file__).resolve().parents[1]
 _MEASURED = ("verdicts", "cpu_seconds", "seconds", "memory_gib")
 
 
@@ -45,7 +46,7 @@ class Options:
     limit: float = 60.0
     """Seconds of CPU time for each search."""
     plans: Path | None = None
-    """Folder to which plans are written."""
+    """Folder to which the plans of this tree are written."""
     child: int | None = None
     """Search with this seed in this process, and print the figures."""
     out: Path | None = None
@@ -90,7 +91,7 @@ def run(options: Options, tree: Path, structure: str, seed: int) -> dict[str, An
         own = cores[seed % options.processes * share :][:share]
         command = ["taskset", "--cpu-list", ",".join(map(str, own)), *command]
     command += ["--robots", str(options.robots), "--limit", str(options.limit)]
-    if options.plans is not None:
+    if options.plans is not None and tree == _HERE:
         command += ["--plans", str(options.plans)]
     environment = {**os.environ, "PYTHONPATH": str(tree.resolve() / "src")}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
@@ -107,8 +108,7 @@ def compare(options: Options) -> None:
     """Compare both trees in turn on all structures and seeds."""
     from states import find
 
-    here = Path(__file__).resolve().parents[1]
-    trees = {"now": here} if options.before is None else {"now": here, "before": options.before}
+    trees = {"now": _HERE} if options.before is None else {"now": _HERE, "before": options.before}
     for name in options.structures:
         runs: dict[str, list[dict[str, Any]]] = {tree: [] for tree in trees}
 

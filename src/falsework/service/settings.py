@@ -14,19 +14,19 @@ SHORTEST_TOKEN = 16
 STABILITY_BATCH = 64
 """Requests about stability that a worker takes at a time."""
 WINDOW = 0.003
-"""How long the first request of a batch waits for others, seconds."""
+"""Time that the first request of a batch waits for others, seconds."""
 CONNECTIONS = 512
-"""Clients at a time."""
+"""Largest number of clients at a time."""
 HEADER_BYTES = 16 * 1024
-"""Largest header."""
+"""Largest header of a request, bytes."""
 LONGEST_DEADLINE = 60.0
-"""For a plan, seconds."""
+"""Longest deadline of a request for a plan, seconds."""
 STABILITY_SECONDS = 10.0
-"""For verdicts."""
+"""Deadline of a request for verdicts, seconds."""
 PICTURE_SECONDS = 60.0
-"""For a picture, the start of the process that draws included."""
+"""Deadline of a request for a picture, the start of the process that draws included, seconds."""
 GRACE = 0.015
-"""How much later than its deadline a request is answered at the latest, if nothing blocks this process, seconds."""
+"""Largest delay of an answer after its deadline while nothing blocks this process, seconds."""
 STUCK_SECONDS = 10.0
 """Time after its last deadline after which a worker that is still busy is replaced."""
 
@@ -50,7 +50,7 @@ class ServiceSettings:
     """0 for any free one."""
     token: str | None = field(default=None, repr=False)
     """Token that clients must send; required if other machines can reach the service."""
-    workers: int = field(default_factory=lambda: core_count())
+    workers: int = field(default_factory=core_count)
     """Number of planning processes; one more computes verdicts."""
     batch: int = 8
     """Requests that a worker takes at a time to plan together."""

@@ -68,9 +68,11 @@ class Histories:
     def keep(self, rows: NDArray[np.int64]) -> None:
         """Take over the histories of the candidates that became the last level, shape (kept,)."""
         self._fit(len(self._levels) - 1)
-        known = {i: self._next[row] for i, row in enumerate(rows.tolist()) if row in self._next}
-        self._known.append(dict(known))
-        self._moved.append({i: (history.moved, history.part) for i, history in known.items()})
+        level = len(self._known)
+        self._fit(level + 1)
+        for i, row in enumerate(rows.tolist()):
+            if row in self._next:
+                self._store(level, i, self._next[row])
         self._next = {}
         self._drop_oldest()
 

@@ -15,14 +15,15 @@ OUTSIDE = 0.01
 """Distance from the bound at which a proof is sought where the outer end of the bracket could not be proven."""
 _BESIDE = 0.4
 """Distance of the next probe below the value down to which a velocity proves failure, as a share of `SHARE`."""
-_GROWTH = 4.0
-_WIDTH = 0.006
+GROWTH = 4.0
+"""Ratio of successive probes while only one end of a bracket is known."""
+WIDTH = 0.006
 """The same as `SHARE` for families in which failing probes are costly."""
-_STRIDES = (1.0 + 2.0 * _WIDTH, 1.06, 1.4)
-"""Ratios of successive probes, starting from the bound of a nearby state, before `growth` applies."""
+STRIDES = (1.0 + 2.0 * WIDTH, 1.06, 1.4)
+"""Ratios of successive probes, starting from the bound of a nearby state, before `GROWTH` applies."""
 _BELOW = 1.3
 """Ratio of a failing value to the next one below it."""
-_SLACK = 0.004
+SLACK = 0.004
 """Share of the least bound so far by which a family must be weaker to be searched: of equal ones only one is."""
 _CHECKED = (0.4, 0.75)
 """Shares of a bound at which a family that need not be monotone is probed again."""
@@ -87,16 +88,16 @@ def largest(
             if proven < value:
                 high = max(proven, low * (1.0 + 1e-9))
         if high is None:
-            value = min(_GROWTH * value, cap)
+            value = min(GROWTH * value, cap)
             continue
         if high - low <= max(SHARE * low, floor):
             return Bracket(low, inside, high, outside)
         if cut_last:
             value = high * (1.0 - SHARE * _BESIDE)
-        elif low > high / _GROWTH:
+        elif low > high / GROWTH:
             value = 0.5 * (low + high)
         else:
-            value = np.sqrt(low * high) if low > 0.0 else high / _GROWTH
+            value = np.sqrt(low * high) if low > 0.0 else high / GROWTH
 
 
 def stride(
@@ -107,7 +108,7 @@ def stride(
     cap: float,
     low: float = 0.0,
     floor: float = 0.0,
-    growth: float = _GROWTH,
+    growth: float = GROWTH,
     near: bool = False,
     known: tuple[float, Answer] | None = None,
 ) -> Bracket:
@@ -125,8 +126,8 @@ def stride(
         known: a failing value and its answer, if known.
     """
     inside, (high, outside) = start, known if known is not None else (None, None)
-    ratios = iter(_STRIDES if near else (_BELOW,) if known is not None else ())
-    value = guess / (1.0 + _WIDTH) if near else guess
+    ratios = iter(STRIDES if near else (_BELOW,) if known is not None else ())
+    value = guess / (1.0 + WIDTH) if near else guess
     if high is not None and not low < value < high:
         value = high / next(ratios, growth)
     value = min(value if value > low else next(ratios, growth) * low, cap)
@@ -140,7 +141,7 @@ def stride(
             high, outside = value, answer
         if high is None:
             value = min(next(ratios, growth) * value, cap)
-        elif high - low <= max(_WIDTH * low, floor):
+        elif high - low <= max(WIDTH * low, floor):
             return Bracket(low, inside, high, outside)
         elif low < high / growth:
             value = max(high / next(ratios, growth), float(np.sqrt(low * high)))
@@ -234,7 +235,7 @@ def weakest(
         known = None
         if count > 0:
             # Where the first has no bound, others mostly have none either.
-            value = cap if best is None else (1.0 - _SLACK) * best[1].inside
+            value = cap if best is None else (1.0 - SLACK) * best[1].inside
             answer = test(family, value)
             if answer.stands:
                 continue

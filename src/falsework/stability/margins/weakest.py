@@ -6,28 +6,19 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from falsework.stability.margins.brackets import Bracket
+from falsework.stability.margins.brackets import GROWTH, SLACK, STRIDES, WIDTH, Bracket
 from falsework.stability.margins.conditions import Answer
 
-_WIDTH = 0.006
-"""Largest width of a bracket, as a share of the bound."""
-_SLACK = 0.004
-"""Share of the least bound so far by which a family must be weaker to be searched: of equal ones only one is."""
 _RISE = 0.006
 """Share by which the least bound may rise without a new test of the others."""
 _COARSE = 1.5
 """Ratio of the ends of a bracket at which the other families are tested before it is narrowed."""
 _SPLIT = 0.38
 """Share of a bracket at which it is split: failing probes cost more than others."""
-_GROWTH = 4.0
-"""Ratio of successive probes while only one end of a bracket is known."""
 _STRIKES = 1
 """Tests beyond the least bound that may fail; after that families are tested inside it, where failures are rare."""
 _ALIKE = 0.2
 """Difference of values, as a share, up to which a probe starts from another family's rest."""
-_NEAR = (1.012, 1.06, 1.4)
-"""Ratios of successive probes, starting from the bound of a nearby state, before `_GROWTH` applies."""
-
 Probe = Callable[[int, float, Answer], Answer]
 """Answer of a family at a value, by a quick probe warm-started from an answer."""
 
@@ -95,11 +86,11 @@ class Weakest:
             best = min(self._high, key=lambda row: self._low[row][0])
             last = best
             low, high = self._low[best][0], self._high[best][0]
-            narrow = high - low <= max(_WIDTH * low, self._floor(best))
+            narrow = high - low <= max(WIDTH * low, self._floor(best))
             if not narrow and high > _COARSE * low:
                 self._narrow(best)
                 continue
-            value = (1.0 - _SLACK) * low
+            value = (1.0 - SLACK) * low
             rows, demand = (self._families, (1.0 - _RISE) * value) if narrow else (self._sample, value / _COARSE)
             left = [row for row in rows if row != best and self._low[row][0] < demand]
             if left:
@@ -123,17 +114,17 @@ class Weakest:
             if not self._ask(row, self._cap, self._low[row][1]):
                 self._strikes -= 1
             return
-        ratios = iter(_NEAR if near else ())
-        value = min(max(value, _NEAR[0] * self._low[row][0]), self._cap)
+        ratios = iter(STRIDES if near else ())
+        value = min(max(value, STRIDES[0] * self._low[row][0]), self._cap)
         while self._ask(row, value, self._low[row][1]) and value < self._cap:
-            value = min(next(ratios, _GROWTH) * value, self._cap)
+            value = min(next(ratios, GROWTH) * value, self._cap)
 
     def _narrow(self, row: int) -> None:
         """Probe a family within its bracket."""
         low, high = self._low[row][0], self._high[row][0]
         if low == 0.0:
-            value = min(self._guess(row), high / _GROWTH)
-        elif low < high / _GROWTH:
+            value = min(self._guess(row), high / GROWTH)
+        elif low < high / GROWTH:
             value = float(np.sqrt(low * high))
         else:
             value = low + _SPLIT * (high - low)
