@@ -2,7 +2,7 @@
 #
 #   make demo    plan the built-in vault with two robots and check the plan      (installs the core only)
 #   make test    the test suite            make lint    ruff, codespell
-#   make types   pyright                   make docs    the documentation, warnings as errors
+#   make types   pyrefly                   make docs    the documentation, warnings as errors
 #   make package sdist and wheel, tried in an environment of their own
 #   make check   all of it, as CI does     make clean   remove what these made
 #   make results the tables, from benchmarks/results/*.jsonl
@@ -105,10 +105,9 @@ lint: $(VENV)/.lint
 	$(BIN)/ruff format --check .
 	$(BIN)/codespell
 
-# pyright sees the packages that the code imports, the optional ones among them. With more room for objects that live
-# briefly it takes a tenth less time.
+# The checker sees the packages that the code imports, the optional ones among them.
 types: $(VENV)/.lint $(VENV)/.test $(VENV)/.docs
-	NODE_OPTIONS=--max-semi-space-size=128 $(BIN)/pyright
+	$(BIN)/pyrefly check --output-format min-text
 
 docs: $(VENV)/.docs
 	$(BIN)/python -m sphinx -W --keep-going --quiet -b html docs docs/_build/html

@@ -125,7 +125,7 @@ def measure(case: str, seed: int, options: Options, shards: ProcessGroup, device
         seconds.append(time.perf_counter() - begin)
     first, *timed = seconds
     measured = spread(timed or seconds)
-    row = {
+    row: dict[str, Any] = {
         "structure": name,
         "robots": options.robots,
         "width": int(width),

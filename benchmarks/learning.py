@@ -104,7 +104,7 @@ def settings_of(options: argparse.Namespace, row: str, robots: int, seed: int, *
         given["policy"] = PolicySettings(options.policy)
     if options.imitation_steps is not None:
         first, *others = given["phases"]
-        given["phases"] = (replace(first, steps=options.imitation_steps), *others)
+        given["phases"] = (replace(first, steps=options.imitation_steps), *others)  # type: ignore[call-arg]
     given |= changes
     sizes = {name: getattr(options, name) for name in ("layers", "channels", "heads") if getattr(options, name)}
     return TrainSettings(**{**given, "policy": replace(given.get("policy", PolicySettings()), **sizes)})

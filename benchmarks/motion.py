@@ -89,7 +89,7 @@ def main(options: Options) -> None:
 
 def distances(random: np.random.Generator, count: int) -> Iterator[dict[str, Any]]:
     """Compare random pairs of convex pieces: distant, close and overlapping."""
-    import coal  # pyright: ignore[reportMissingImports]
+    import coal
 
     still, missed, worst, touching = coal.Transform3s(), 0, 0.0, 0
     ours = theirs = 0.0

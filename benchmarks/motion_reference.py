@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import coal  # pyright: ignore[reportMissingImports]
+import coal
 import numpy as np
-import pinocchio  # pyright: ignore[reportMissingImports]
+import pinocchio
 from numpy.typing import NDArray
 
 from falsework.robots.motion.collision_world import CollisionQuery
@@ -74,9 +74,9 @@ class Reference:
 
     def plan(self, start: Array, goal: Array, low: Array, high: Array, step: float, seconds: float) -> Array | None:
         """Return a path by OMPL's RRT-Connect and its simplification, edges sampled every `step` rad."""
-        import ompl.base  # pyright: ignore[reportMissingImports]
-        import ompl.geometric  # pyright: ignore[reportMissingImports]
-        import ompl.util  # pyright: ignore[reportMissingImports]
+        import ompl.base
+        import ompl.geometric
+        import ompl.util
 
         ompl.util.setLogLevel(ompl.util.LogLevel.LOG_ERROR)
         joints = len(start)

@@ -239,7 +239,7 @@ def midway(name: str, arguments: Arguments) -> None:
                 ),
             )
             for kind in ("fresh", "kept"):
-                again = {"graph": graph, "oracle": oracle} if kind == "kept" else {}
+                again: dict[str, Any] = {"graph": graph, "oracle": oracle} if kind == "kept" else {}
                 begun, work = time.perf_counter(), time.process_time()
                 plan = plan_robots(
                     assembly,

@@ -140,7 +140,7 @@ class Table:
         for record in records(self.source):
             if record["benchmark"] == (self.benchmark or self.source) and self.where(record):
                 groups.setdefault(tuple(fill_in(template, [record]) for _, template in self.key), []).append(record)
-        found = []
+        found: list[tuple[Runs, Runs]] = []
         for runs in groups.values():
             newest = [run for run in runs if run["commit"] == runs[-1]["commit"]]
             found.append((newest, [run for run in runs if run["commit"] != runs[-1]["commit"]]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ def stack(count: int = 3) -> list[TriangleMesh]:
 
 
 def build(**changes) -> Assembly:
-    options = {"boundary": [0], "density": 2000.0, "friction": 0.5, "name": "stack"} | changes
+    options: dict[str, Any] = {"boundary": [0], "density": 2000.0, "friction": 0.5, "name": "stack"} | changes
     return Assembly.from_meshes(options.pop("meshes", stack()), **options)
 
 

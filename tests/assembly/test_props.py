@@ -10,7 +10,7 @@ import pytest
 from falsework.assembly import Assembly, Prop, keep_props, load_structure, prop_places, with_props
 from falsework.errors import AssemblyError
 from falsework.geometry import TriangleMesh
-from falsework.stability import Stability
+from falsework.stability import Criterion, Stability
 from falsework.stability.settings import EQUILIBRIUM
 
 
@@ -32,7 +32,7 @@ def overhang() -> Assembly:
 
 
 @pytest.mark.parametrize("criterion", ["contact", "equilibrium"])
-def test_a_prop_carries_an_overhang(overhang: Assembly, criterion: str) -> None:
+def test_a_prop_carries_an_overhang(overhang: Assembly, criterion: Criterion) -> None:
     """Without it the plank tips; with it half of its weight goes down the prop, from which the wall is as far."""
     propped = with_props(overhang, [Prop(1, (3.5, 0.5, 2.0), 0.0)])
     assert propped.names[-1] == "prop-plank"

@@ -55,8 +55,10 @@ def validate_gltf() -> Callable[[bytes], dict[str, Any]]:
     if not package.is_dir():
         pytest.skip("the glTF validator is not installed; make test does it")
 
+    program = node
+
     def report(content: bytes) -> dict[str, Any]:
-        command = [node, "-e", _PROGRAM, str(package)]
+        command = [program, "-e", _PROGRAM, str(package)]
         done = subprocess.run(command, input=content, capture_output=True, check=True, timeout=60)
         return json.loads(done.stdout)
 

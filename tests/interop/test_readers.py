@@ -185,8 +185,8 @@ def step_file(step_writer: Any, tmp_path: Path) -> Callable[..., Path]:
 
 
 def test_solids_of_a_step_file(step_file: Callable[..., Path]) -> None:
-    from OCP.BRepPrimAPI import BRepPrimAPI_MakeBox, BRepPrimAPI_MakeCylinder  # pyright: ignore[reportMissingImports]
-    from OCP.gp import gp_Ax2, gp_Dir, gp_Pnt  # pyright: ignore[reportMissingImports]
+    from OCP.BRepPrimAPI import BRepPrimAPI_MakeBox, BRepPrimAPI_MakeCylinder
+    from OCP.gp import gp_Ax2, gp_Dir, gp_Pnt
 
     drum = BRepPrimAPI_MakeCylinder(gp_Ax2(gp_Pnt(500, 500, 200), gp_Dir(0, 0, 1)), 300, 500).Shape()
     path = step_file(BRepPrimAPI_MakeBox(gp_Pnt(0, 0, 0), gp_Pnt(1000, 1000, 200)).Shape(), drum)
@@ -199,8 +199,8 @@ def test_solids_of_a_step_file(step_file: Callable[..., Path]) -> None:
 
 
 def test_a_step_file_without_solids(step_file: Callable[..., Path], tmp_path: Path) -> None:
-    from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeFace  # pyright: ignore[reportMissingImports]
-    from OCP.gp import gp_Dir, gp_Pln, gp_Pnt  # pyright: ignore[reportMissingImports]
+    from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeFace
+    from OCP.gp import gp_Dir, gp_Pln, gp_Pnt
 
     plane = BRepBuilderAPI_MakeFace(gp_Pln(gp_Pnt(0, 0, 0), gp_Dir(0, 0, 1)), 0.0, 1.0, 0.0, 1.0).Face()
     with pytest.raises(InputError, match="has no solid"):

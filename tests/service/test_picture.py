@@ -103,7 +103,12 @@ def test_without_pillow_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr("os.nice", lambda _: 0)
     assembly = load_structure("arch:blocks=3")
     mine, theirs = multiprocessing.Pipe()
-    order = {"state": np.array([1, 1, 1, 2, 2], dtype=np.uint8), "plan": None, "step": None, "frames": 1}
+    order: dict[str, Any] = {
+        "state": np.array([1, 1, 1, 2, 2], dtype=np.uint8),
+        "plan": None,
+        "step": None,
+        "frames": 1,
+    }
     order |= {"proof": False, "width": 80, "azimuth": 0.0, "elevation": 20.0}
     _Painter(WorkerConfig(assembly, "picture")).answer([Item(7, order, 1.0)], theirs)
     done = mine.recv()

@@ -21,7 +21,7 @@ from falsework.service.settings import ServiceSettings
 class Loop(asyncio.SelectorEventLoop):
     """Event loop that cannot wait for pipes, as on Windows."""
 
-    def add_reader(self, *arguments: Any) -> None:
+    def add_reader(self, fd: Any, callback: Any, *args: Any) -> None:
         raise NotImplementedError
 
 

@@ -56,7 +56,7 @@ def shortfall(oracle: DemandingStability, states: States) -> dict[str, dict[str,
     if not kinds or not len(states):
         return {}
     found = oracle.margins(states, tuple(kinds))
-    lacks = {}
+    lacks: dict[str, dict[str, float]] = {}
     for kind in kinds:
         values = [bound.value for bound in (getattr(margins, kind) for margins in found) if bound is not None]
         if kind == "friction":

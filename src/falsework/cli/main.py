@@ -123,7 +123,7 @@ def _parse(arguments: list[str]) -> Command | None:
             for name, kind in ((name, _command_class(name)) for name in group or COMMANDS)
         ]
         program, rest = ("falsework", arguments) if not group else (f"falsework {arguments[0]}", arguments[1:])
-        kind, about = Union[tuple(classes)], _ABOUT  # noqa: UP007
+        kind, about = Union[tuple(classes)], _ABOUT  # noqa: UP007  # type: ignore[valid-type]
     markers = (tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone, tyro.conf.OmitArgPrefixes)
     complaint = io.StringIO()
     try:
@@ -144,7 +144,7 @@ def _spell_unions_out(kind: Any) -> None:
     for name, hint in hints.items():
         inner, notes = (hint.__origin__, hint.__metadata__) if get_origin(hint) is Annotated else (hint, ())
         if isinstance(inner, UnionType):
-            inner = Union[get_args(inner)]  # noqa: UP007
+            inner = Union[get_args(inner)]  # noqa: UP007  # type: ignore[valid-type]
             hints[name] = Annotated[(inner, *notes)] if notes else inner
         elif is_dataclass(inner):
             _spell_unions_out(inner)

@@ -54,11 +54,11 @@ def read_step(path: Path | str, *, unit: str | None = None) -> Draft:
         InputError: no STEP file, no solid in it, or a unit.
     """
     try:
-        from OCP.BRepMesh import BRepMesh_IncrementalMesh  # pyright: ignore[reportMissingImports]
-        from OCP.IFSelect import IFSelect_RetDone  # pyright: ignore[reportMissingImports]
-        from OCP.STEPControl import STEPControl_Reader  # pyright: ignore[reportMissingImports]
-        from OCP.TopAbs import TopAbs_SOLID  # pyright: ignore[reportMissingImports]
-        from OCP.TopExp import TopExp_Explorer  # pyright: ignore[reportMissingImports]
+        from OCP.BRepMesh import BRepMesh_IncrementalMesh
+        from OCP.IFSelect import IFSelect_RetDone
+        from OCP.STEPControl import STEPControl_Reader
+        from OCP.TopAbs import TopAbs_SOLID
+        from OCP.TopExp import TopExp_Explorer
     except ImportError:
         raise DependencyError("STEP files need cadquery-ocp; pip install 'falsework[step]'") from None
     path = Path(path)
@@ -83,12 +83,12 @@ def read_step(path: Path | str, *, unit: str | None = None) -> Draft:
 
 def _block(reader: Any, solid: Any) -> Block:
     """Return the triangles of a solid."""
-    from OCP.BRep import BRep_Tool  # pyright: ignore[reportMissingImports]
-    from OCP.StepRepr import StepRepr_RepresentationItem  # pyright: ignore[reportMissingImports]
-    from OCP.TopAbs import TopAbs_FACE, TopAbs_REVERSED  # pyright: ignore[reportMissingImports]
-    from OCP.TopExp import TopExp_Explorer  # pyright: ignore[reportMissingImports]
-    from OCP.TopLoc import TopLoc_Location  # pyright: ignore[reportMissingImports]
-    from OCP.TopoDS import TopoDS  # pyright: ignore[reportMissingImports]
+    from OCP.BRep import BRep_Tool
+    from OCP.StepRepr import StepRepr_RepresentationItem
+    from OCP.TopAbs import TopAbs_FACE, TopAbs_REVERSED
+    from OCP.TopExp import TopExp_Explorer
+    from OCP.TopLoc import TopLoc_Location
+    from OCP.TopoDS import TopoDS
 
     vertices, faces = [], []
     explorer = TopExp_Explorer(solid, TopAbs_FACE)

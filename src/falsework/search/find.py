@@ -250,7 +250,7 @@ def plan_of(
         bare = assembly.part_count - len(assembly.props)
         used = np.flatnonzero((route.states[:, bare:] != REMOVED).any(axis=0))
         if len(used) < len(assembly.props):
-            states = np.ascontiguousarray(route.states[:, [*range(bare), *(bare + used)]])
+            states = np.ascontiguousarray(route.states[:, np.concatenate([np.arange(bare), bare + used])])
             assembly = keep_props(assembly, used.tolist())
             route, oracle, replay = SupportRoute.through(states), Stability(assembly, oracle.settings), None
     points, contact = len(assembly.contacts.points), oracle.settings.criterion == "contact"

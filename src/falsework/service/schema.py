@@ -75,7 +75,7 @@ def models_of(assembly: Assembly, settings: ServiceSettings) -> Models:
         Field(min_length=parts, max_length=parts, description="one value a part: 0 removed, 1 installed, 2 held"),
     ]
     state = values | Literal["complete", "empty"]
-    numbers = Annotated[list[whole(0, parts - 1)], Field(max_length=parts, json_schema_extra={"uniqueItems": True})]
+    numbers = Annotated[list[whole(0, parts - 1)], Field(max_length=parts, json_schema_extra={"uniqueItems": True})]  # type: ignore[valid-type]
     longest = round(1000 * LONGEST_DEADLINE)
     replan: dict[str, Any] = {
         "state": (state, Field(default="complete", description="current state; boundary parts are always 2")),

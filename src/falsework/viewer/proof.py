@@ -94,7 +94,7 @@ def _proof(assembly: Assembly, state: States, verdicts: Verdicts, row: int) -> S
     if not (slides or verdicts.unstable[row]):
         return StateProof(False, False, "neither stable nor unstable could be proven", {})
     motion = motion_of(assembly, verdicts, row)
-    moved = {} if motion is None else moved_parts(assembly, state, motion)
+    moved: dict[int, NDArray[np.float64]] = {} if motion is None else moved_parts(assembly, state, motion)
     weighed = state.copy()
     if slides:  # the arrow of a part that slides down would lie on that of its weight
         weighed[list(moved)] = HELD

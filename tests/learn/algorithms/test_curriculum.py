@@ -75,6 +75,7 @@ def test_states_of_high_surrogate_loss_are_drawn_by_their_rank(arch, generator) 
     # Fully corrected, every state weighs as if it had been drawn evenly.
     curriculum.updates = _CORRECTED_AFTER
     drawn = curriculum.sample(1000, generator)
+    assert drawn.weight is not None
     weight = curriculum._probability(torch.ones(count, dtype=torch.bool))[drawn.rows] * drawn.weight
     assert torch.allclose(weight, weight[0].expand(1000), rtol=1e-3)
     assert drawn.weight.max() == 1

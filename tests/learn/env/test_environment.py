@@ -71,7 +71,7 @@ def bottle() -> Assembly:
 
 
 def random_rollouts(assembly: Assembly, count: int, seed: int = 0, **options) -> tuple[Environment, Rollouts]:
-    options = {"oracle": Stability(assembly, EQUILIBRIUM), **options}
+    options: dict[str, Any] = {"oracle": Stability(assembly, EQUILIBRIUM), **options}
     environment = Environment(assembly, 2, device="cpu", **options)
     starts = environment.rules.complete(count)
     generator = environment.generator(seed)

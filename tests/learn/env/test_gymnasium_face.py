@@ -81,7 +81,7 @@ def test_it_agrees_with_the_environment_on_tensors(graph: StateGraph, arch: Asse
     endings = set()
     for episode in range(60):
         observation, info = face.reset(seed=episode)
-        over = False
+        over, reward = False, 0.0
         while not over:
             state = torch.tensor(observation.astype(np.uint8))[None]
             assert tensors.rules.moves(state)[0].int().tolist() == info["action_mask"].tolist()

@@ -36,7 +36,9 @@ def attend(
         for head in range(len(matrix)):
             score = [leaky_relu(says[head] @ senders[one] + asks[head] @ own, 0.2) for one in into]
             weight = torch.softmax(torch.stack(score), dim=0)
-            heads.append(sum(w * (senders[one] @ matrix[head]) for w, one in zip(weight, into, strict=True)))
+            heads.append(
+                torch.stack([w * (senders[one] @ matrix[head]) for w, one in zip(weight, into, strict=True)]).sum(0)
+            )
         out[node] = torch.cat(heads)
     return out
 

@@ -47,7 +47,7 @@ def cut_cells(planes: Array, edges: Array, near: Sequence[Sequence[int]]) -> lis
             outline, labels = _clip(outline, labels, half_plane, label)
         if len(outline) < 3:
             raise InputError("a block has no volume left; make the vault flatter or use fewer parts")
-        nodes = [tuple(sorted((cell, labels[k - 1], labels[k]))) for k in range(len(labels))]
+        nodes = [_node(cell, labels[k - 1], labels[k]) for k in range(len(labels))]
         cells.append(list(zip(nodes, labels, strict=True)))
     return cells
 
@@ -130,3 +130,8 @@ def _convex(corners: Array, *, upward: bool) -> bool:
     turn = np.cross(along, np.roll(along, -1, axis=0))
     normal = turn.sum(axis=0)
     return bool((turn @ normal > 0.0).all()) and (normal[2] > 0.0) == upward
+
+
+def _node(one: int, two: int, three: int) -> tuple[int, int, int]:
+    low, middle, high = sorted((one, two, three))
+    return low, middle, high

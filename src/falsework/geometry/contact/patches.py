@@ -164,7 +164,7 @@ def intersect_faces(faces: Faces, i: NDArray[np.int64], j: NDArray[np.int64], *,
     a, b, slope, level, gap, overlap = a[near], b[near], slope[near], level[near], gap[near], overlap[near]
     shapes = shapely.intersection(shapely.polygons(a[:, :, 1:]), shapely.polygons(b[:, :, 1:]))
     shapes = _clip_to_band(shapes, slope, level, gap=gap, overlap=overlap)
-    areas = shapely.area(shapes)
+    areas = np.asarray(shapely.area(shapes))
     solid = areas > (1e-3 * np.maximum(gap, overlap)) ** 2  # touching edges leave slivers of rounding
     shapes, areas = shapes[solid], areas[solid]
     kept = np.flatnonzero(near)[solid]

@@ -129,5 +129,5 @@ class PolicyOptimizer:
 @torch.no_grad()
 def _blend(tensors: Sequence[torch.Tensor], others: Sequence[torch.Tensor], share: float) -> None:
     """Move tensors by a share of the way to others, in place and in one call; all the way for 1."""
-    every: Any = torch._foreach_lerp_  # pyright: ignore[reportPrivateImportUsage]
+    every: Any = torch._foreach_lerp_
     every(list(tensors), [other.detach() for other in others], share)

@@ -191,8 +191,8 @@ class _Norm(nn.LayerNorm):
     thousand rows a state that was half of all time; sums as products with a constant matrix are a tenth of it.
     """
 
-    def forward(self, features: Tensor) -> Tensor:
-        return super().forward(features) if features.device.type == "cpu" else self.by_products(features)
+    def forward(self, input: Tensor) -> Tensor:
+        return super().forward(input) if input.device.type == "cpu" else self.by_products(input)
 
     def by_products(self, features: Tensor) -> Tensor:
         """Return the same in the type of the features."""

@@ -90,7 +90,7 @@ class WeightsAndBiases:
             DependencyError: wandb is not installed.
         """
         try:
-            import wandb  # pyright: ignore[reportMissingImports]
+            import wandb
         except ImportError:
             raise DependencyError("--log wandb needs wandb; pip install 'falsework[wandb]', or leave it out") from None
         name = folder.resolve().name

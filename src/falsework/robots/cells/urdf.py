@@ -97,7 +97,7 @@ def load_urdf(path: str | Path, *, base: str | None = None, tip: str | None = No
     ignored = set(model.ignored)
     srdf = file.with_suffix(".srdf")
     ignored |= _named_pairs(srdf, owner) if srdf.is_file() else always_touching(model)
-    return RobotModel(**{**model.__dict__, "ignored": frozenset(ignored)})
+    return replace(model, ignored=frozenset(ignored))
 
 
 def always_touching(model: RobotModel) -> set[tuple[int, int]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ MESSAGE = "compiling the motion code; this happens once and takes up to 15 secon
 
 def is_compiled() -> bool:
     """Return whether numba has cached code of all entry points that matches their sources."""
-    functions = (
+    functions: tuple[Any, ...] = (
         rrt_connect._run,
         forward.place_many,
         numeric_ik.reach_poses,

@@ -140,6 +140,7 @@ def thin(times, positions, velocities, push, error, kept):
             there = here + ahead
             if there < len(times) and _close(times, positions, velocities, here, there, push, error):
                 break
+        else:
             there = here + 1
         kept[count] = here = there
         count += 1

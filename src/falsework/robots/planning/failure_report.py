@@ -140,7 +140,7 @@ def explain(
     """
     hopeless = max(tried, key=lambda key: (tried[key], -key[1])) if tried else None
     focus = {(kind, part) for kind, part in tried} | {("hold", part) for part in unreachable}
-    details = []
+    details: list[dict[str, Any]] = []
     for reason, count in reasons.counts.most_common():
         # A hold may fail because the part could not leave later with that grasp.
         if (reason.action, reason.part) not in focus and ("hold", reason.part) not in focus:

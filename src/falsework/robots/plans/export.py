@@ -110,7 +110,7 @@ def _ros(plan: RobotPlan, kind: Literal["json", "yaml"]) -> Iterator[Written]:
     everything = []
     start = 0.0
     for index in range(len(plan)):
-        entries = []
+        entries: list[dict[str, Any]] = []
         robot = plan.steps[index].robot
         for event in events_of(plan, index):
             if isinstance(event, Grip):

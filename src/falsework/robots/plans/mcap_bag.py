@@ -75,8 +75,8 @@ class _Bag:
 
     def __init__(self) -> None:
         try:
-            from mcap.writer import Writer  # pyright: ignore[reportMissingImports]
-            from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # pyright: ignore[reportMissingImports]
+            from mcap.writer import Writer
+            from rosbags.typesys import Stores, get_types_from_msg, get_typestore
         except ImportError:
             raise DependencyError("an MCAP bag needs mcap and rosbags: pip install 'falsework[schedule]'") from None
         self.store = get_typestore(Stores.ROS2_HUMBLE)

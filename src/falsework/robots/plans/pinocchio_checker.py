@@ -36,8 +36,8 @@ def import_pinocchio() -> tuple[Any, Any]:
         DependencyError: not installed; the message names the extra.
     """
     try:
-        import coal  # pyright: ignore[reportMissingImports]
-        import pinocchio  # pyright: ignore[reportMissingImports]
+        import coal
+        import pinocchio
     except ImportError:
         raise DependencyError(
             "checking robot plans needs Pinocchio and Coal; install them: pip install 'falsework[robots]'"

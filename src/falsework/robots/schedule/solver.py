@@ -35,7 +35,7 @@ def import_ortools():
         DependencyError: not installed; the message names the extra.
     """
     try:
-        from ortools.sat.python import cp_model  # pyright: ignore[reportMissingImports]
+        from ortools.sat.python import cp_model
     except ImportError:
         raise DependencyError(
             "scheduling arms that move at the same time needs OR-Tools; install it: pip install 'falsework[schedule]'"

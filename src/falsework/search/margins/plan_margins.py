@@ -43,7 +43,7 @@ class PlanMargins:
         """
         kinds = [kind for kind in MEASURED if kind == also or getattr(demands, kind) is not None]
         found = oracle.margins(states, tuple(kinds)) if kinds else []
-        measured = {}
+        measured: dict[str, tuple[float | None, ...]] = {}
         for kind in kinds:
             bounds = [getattr(margins, kind) for margins in found]
             measured[kind] = tuple(None if bound is None else bound.value for bound in bounds)

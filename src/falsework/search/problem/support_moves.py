@@ -56,19 +56,17 @@ class SupportMoves:
         held = self._holdable & (states == HELD)
         change = held | (self._holdable & (states == INSTALLED) & free)
         bare = np.ones_like(held)  # parts without a prop below, which a robot may then remove
-        if len(props):
-            under, there = np.asarray(task.props), states[:, props] != REMOVED
-            for prop in range(len(props)):
-                bare[:, under[prop]] &= ~there[:, prop]
-            room = (there.sum(axis=1) < task.prop_limit)[:, None]
+        under, there = np.asarray(task.props, dtype=np.int64), states[:, props] != REMOVED
+        for prop in range(len(props)):
+            bare[:, under[prop]] &= ~there[:, prop]
+        room = (there.sum(axis=1) < task.prop_limit)[:, None]
         if direction is Direction.DISASSEMBLY:
             presence = self._removable & held & bare
         else:
             presence = self._removable & (states == REMOVED) & free
         if task.clearance is not None:
             presence &= task.clearance.can_leave(states)
-        if len(props):
-            presence[:, props] = there | (room & (states[:, under] != REMOVED))
+        presence[:, props] = there | (room & (states[:, under] != REMOVED))
         return np.concatenate([change, presence], axis=1)
 
     def follow(self, states: States, actions: NDArray[np.integer]) -> States:

@@ -267,7 +267,7 @@ class Prober:
         if friction == self.assembly.friction:
             return self._structure
         strength = strength_of(replace(self.assembly, friction=friction), self.settings.gravity)
-        return self._structure._replace(**strength_arrays(self.problem, strength))
+        return self._structure._replace(**strength_arrays(self.problem, strength))  # type: ignore[arg-type]
 
     def _whitened(self, condition: Condition) -> Array:
         """Return the wrenches of a condition for the kernels: read-only, as they are compiled for."""

@@ -43,7 +43,7 @@ class Camera:
     def axes(self) -> Array:
         """Rows are right, up and towards the viewer, shape (3, 3)."""
         a, e = np.radians([self.azimuth, self.elevation])
-        right = np.array([np.cos(a), np.sin(a), 0.0])
+        right = np.array([np.cos(a), np.sin(a), 0.0], dtype=np.float64)
         towards = np.array([np.sin(a) * np.cos(e), -np.cos(a) * np.cos(e), np.sin(e)])
         return np.stack([right, np.cross(towards, right), towards])
 
