@@ -56,8 +56,10 @@ def instructions_pdf(
     for name in ("reportlab", "matplotlib"):
         if find_spec(name) is None:
             raise DependencyError(f"a sheet as PDF needs {name}; pip install 'falsework[sheet]', or write .csv")
+    from reportlab import rl_config
     from reportlab.pdfgen.canvas import Canvas
 
+    rl_config.useA85 = 0  # pictures as bytes: their ASCII form is a quarter longer, and slow to write
     _register_fonts()
     buffer = io.BytesIO()
     canvas = Canvas(buffer, pagesize=_PAGE, pageCompression=1, invariant=1)
