@@ -196,6 +196,8 @@ class FailedActions:
 
     def releases(self, node: Node) -> list[int]:
         """Return held parts whose robots block actions that failed at a keyframe, first those that cannot leave."""
+        if not self.graph.support:
+            return []
         robots = Counter(robot for action in self.of(node) for robot in self._robots[node.key, action])
         held, allowed = [node.held[robot] for robot, _ in robots.most_common()], self.solvability.releasable(node.state)
         parts = [part for part in held if part is not None and allowed[part] and node.can_release(part)]

@@ -114,7 +114,6 @@ class _Search:
         self.graph = graph or KeyframeGraph(assembly, cell, settings=keyframes, seed=settings.seed, present=present)
         self.graph.haste, self.graph.yielding = keyframes.haste, keyframes.yielding
         self.task = task_in_cell(assembly, cell, task, self.graph.exits)
-        self.graph.support = self.task.support
         balanced = BalanceGuide(guide, cell, self.graph.parts) if keyframes.haste else guide
         ease = ExecutionHeuristic(self.graph, None if balanced is None else MemoizedGuide(balanced))
         score = None if guide is None else ease
@@ -154,6 +153,7 @@ class _Search:
             self.solvability.relax(share)
             self.dead.clear()
             for turn in range(self.settings.attempts if share == shares[-1] else 1):
+                self.graph.support = self.task.support and self.attempt > 0
                 prefix: list[Edge] = []
                 if turn and self.settings.keyframes.haste:
                     prefix = self._before_dead_ends(turn)

@@ -89,7 +89,7 @@ class KeyframeGraph:
         self.haste, self.yielding = settings.haste, settings.yielding
         """As in the settings of the search that uses the graph."""
         self.support = False
-        """Whether the search that uses the graph may release a held part, and hold it again."""
+        """Whether held parts may be released and held again; from the second turn of a search on, as most need none."""
         self.parts = parts or place_parts(assembly, cell.placement)
         self.world = CollisionWorld(cell, self.parts)
         self.reasons = FailureLog()
@@ -191,7 +191,7 @@ class KeyframeGraph:
         free.sort(key=lambda robot: self._reluctance(node, robot, center))
         found = False
         # Where a part may be held again, a grasp with which it cannot leave later is better than none.
-        again = any(part == other for other, _ in node.released)
+        again = any(part == other for other, _ in node.changed)
         for lasting in (True, False) if self.support and not again else (True,):
             # One grasp with each robot before another with the first: which robot holds a part matters more than how.
             turns = [self._hold_with(node, part, robot, lasting) for robot in free]
@@ -213,8 +213,8 @@ class KeyframeGraph:
 
     def _hold_with(self, node: Node, part: int, robot: int, lasting: bool) -> Iterator[Edge]:
         grips = self.grips(robot, part, node.state)
-        if node.released:
-            grips = [grip for grip in grips if (part, grip.configuration.tobytes()) not in node.released]
+        if node.changed:
+            grips = [grip for grip in grips if (part, grip.configuration.tobytes()) not in node.changed]
         if not grips:
             return
         contact = Contact(gripper=frozenset({part}))

@@ -28,8 +28,8 @@ class Node:
     """The part that each robot holds."""
     clock: Clock = NO_TIME
     """Times at this keyframe if robots move at the same time; not part of the identity of nodes."""
-    released: frozenset[tuple[int, bytes]] = frozenset()
-    """Parts released since a part was last removed, each with the configuration that it was held in."""
+    changed: frozenset[tuple[int, bytes]] = frozenset()
+    """Parts held or released since a part was last removed; those released with the configuration that held them."""
 
     @cached_property
     def present(self) -> NDArray[np.bool_]:
@@ -40,8 +40,8 @@ class Node:
     def key(self) -> bytes:
         """Key that is equal for equal nodes."""
         rounded = np.round(np.concatenate(self.configurations), 6) + 0.0
-        released = repr(sorted(self.released)) if self.released else ""
-        return self.state.tobytes() + rounded.tobytes() + (repr(self.held) + released).encode()
+        released = sorted(entry for entry in self.changed if entry[1])
+        return self.state.tobytes() + rounded.tobytes() + repr((self.held, released)).encode()
 
     @property
     def scene(self) -> Scene:
@@ -49,8 +49,8 @@ class Node:
         return Scene(self.configurations, self.present, (None,) * len(self.configurations))
 
     def can_release(self, part: int) -> bool:
-        """Return whether a part is held and was not released since a part was last removed."""
-        return part in self.held and all(part != other for other, _ in self.released)
+        """Return whether a part is held since before a part was last removed; others need not have been held."""
+        return part in self.held and all(part != other for other, _ in self.changed)
 
     def after(self, action: int, robot: int, values: Array, clock: Clock = NO_TIME) -> Node:
         """Return the keyframe after an action.
@@ -64,12 +64,10 @@ class Node:
         part, state = action % len(self.state), state_after(self.state, action)
         configurations, held = list(self.configurations), list(self.held)
         configurations[robot], held[robot] = np.asarray(values), part if state[part] == HELD else None
-        released = self.released
-        if state[part] == REMOVED:
-            released = frozenset()
-        elif state[part] == INSTALLED:
-            released = released | {(part, self.configurations[robot].tobytes())}
-        return Node(state, tuple(configurations), tuple(held), clock, released)
+        changed: frozenset[tuple[int, bytes]] = frozenset()
+        if state[part] != REMOVED:
+            changed = self.changed | {(part, b"" if state[part] == HELD else self.configurations[robot].tobytes())}
+        return Node(state, tuple(configurations), tuple(held), clock, changed)
 
 
 @dataclass(frozen=True, eq=False)

@@ -102,10 +102,7 @@ class SolvabilityCheck:
         return len(self._solvable)
 
     def prepare(self, stop: Stop | None = None) -> SearchResult:
-        """Find one abstract plan. Where parts are missing, the task then has the latest step of each.
-
-        Parts are released and held again only in a plan for which there is no other way.
-        """
+        """Find one abstract plan, with releases where no other is found; of missing parts the latest step of each."""
         settings = PlannerSettings(width=_FIRST_BEAM_WIDTH, seed=self._seed)
         planner = Planner(replace(self.task, support=False), self.oracle, settings, guide=self._guide)
         route = self.roll_out(None, stop) or self.roll_out(np.random.default_rng(self._seed), stop)
@@ -295,8 +292,9 @@ class SolvabilityCheck:
         return self._moves[key]
 
     def planned_releases(self, state: States) -> list[int]:
-        """Return the parts that the plan found last releases in a state."""
-        return [part for part in np.flatnonzero(self.releasable(state)).tolist() if self.preferred(state, part)]
+        """Return the part that the plan found last releases in a state, if it does."""
+        parts = np.flatnonzero(self.releasable(state) & (state.tobytes() in self._preferred)).tolist()
+        return [part for part in parts if self.preferred(state, part)]
 
     def releasable(self, states: States) -> Mask:
         """Return which parts robots hold and may release, stability aside. Shape that of the states."""

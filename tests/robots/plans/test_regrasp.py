@@ -1,0 +1,203 @@
+"""Arms that release a part and hold it again: plans, their independent check, schedules, and rejected input."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'falsework[robots]'")
+
+from falsework.assembly.library.blocks import box, gather
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import HELD, INSTALLED, REMOVED, complete_state
+from falsework.errors import InputError, PlanError, StateError
+from falsework.robots.model.cell import Cell, Obstacle
+from falsework.robots.model.shapes import block
+from falsework.robots.planning.hybrid_planner import plan_robots
+from falsework.robots.planning.hybrid_result import HybridSettings
+from falsework.robots.planning.keyframe_graph import KeyframeGraph
+from falsework.robots.plans.check import check_robot_plan
+from falsework.robots.plans.export import export_plan
+from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.plans.robot_plan_file import load_robot_plan, robot_plan_from_dict, robot_plan_to_dict
+from falsework.robots.plans.robot_plan_file import save_robot_plan
+from falsework.robots.plans.timeline import arm_shares, event_times, nodes_of
+from falsework.search import Task
+from falsework.search.plans.plan_check import validate_plan
+from falsework.stability import Stability
+
+NEAR, FAR = 0, 1
+"""The cube that the first arm holds by its side, and another on the far side."""
+
+
+@pytest.fixture(scope="module")
+def sunk() -> Assembly:
+    """Two cubes of 0.2 m; one stands between low fixed rims, so that it can leave upwards only."""
+    solids = [box("near", (-0.1, -0.1, 0.0), (0.1, 0.1, 0.2)), box("far", (0.25, -0.1, 0.0), (0.45, 0.1, 0.2))]
+    for name, low, high in (
+        ("west", (-0.15, -0.1, 0.0), (-0.11, 0.1, 0.03)),
+        ("east", (0.11, -0.1, 0.0), (0.15, 0.1, 0.03)),
+        ("south", (-0.1, -0.15, 0.0), (0.1, -0.11, 0.03)),
+        ("north", (-0.1, 0.11, 0.0), (0.1, 0.15, 0.03)),
+        ("ground", (-0.6, -0.6, -0.05), (0.6, 0.6, 0.0)),
+    ):
+        solids.append(box(name, low, high, fixed=True))
+    made = gather(solids)
+    return Assembly.from_meshes(made.meshes, boundary=made.boundary, density=250.0, name="sunk")
+
+
+@pytest.fixture(scope="module")
+def roofed(cell_of: Callable[..., Cell]) -> Cell:
+    """Two arms, and a bar above the gripper of one that holds the near cube by its side."""
+    return replace(cell_of(2), obstacles=(Obstacle("bar", (block((-0.22, -0.4, 0.17), (-0.13, 0.4, 0.19)),)),))
+
+
+@pytest.fixture(scope="module")
+def begun(sunk: Assembly, roofed: Cell) -> dict:
+    """The first arm holds the near cube by its side, from which it cannot be lifted."""
+    graph, state = KeyframeGraph(sunk, roofed), complete_state(sunk.boundary)
+    grips = [grip for grip in graph.grips(0, NEAR, state) if grip.grasp.approach[0] > 0.99]
+    nearest = min(grips, key=lambda grip: np.abs(grip.configuration - roofed.homes[0]).max())
+    state[NEAR] = HELD
+    return {
+        "start": state,
+        "configurations": (nearest.configuration, roofed.homes[1]),
+        "held": (NEAR, None),
+        "oracle": Stability(sunk),
+    }
+
+
+def planned(sunk: Assembly, roofed: Cell, begun: dict, *, support: bool, **settings):
+    task = Task.create(sunk.boundary, 2, start=begun["start"], identity=sunk.identity, support=support)
+    given = {key: value for key, value in begun.items() if key != "start"}
+    limits = HybridSettings(attempts=4, **settings)
+    return plan_robots(sunk, roofed, task=task, settings=limits, **given)
+
+
+@pytest.fixture(scope="module")
+def plan(sunk: Assembly, roofed: Cell, begun: dict) -> RobotPlan:
+    """A plan that holds the near cube again from above."""
+    found = planned(sunk, roofed, begun, support=True).plan
+    assert found is not None
+    return found
+
+
+def test_without_regrasping_there_is_no_plan(sunk: Assembly, roofed: Cell, begun: dict) -> None:
+    found = planned(sunk, roofed, begun, support=False)
+    assert found.plan is None
+    assert found.explanation is not None
+    assert "remove near-0" in found.explanation.text
+
+
+def test_with_regrasping_the_part_leaves_by_another_grasp(plan: RobotPlan, sunk: Assembly, roofed: Cell) -> None:
+    states = plan.plan.states[:, NEAR].tolist()
+    assert plan.plan.support
+    release = states.index(INSTALLED)
+    again = states.index(HELD, release)
+    assert states[release - 1] == HELD
+    assert states[-1] == REMOVED
+    first, second = plan.keyframes[0], plan.keyframes[again]
+    robot = second.held.index(NEAR)
+    assert robot != 0 or np.abs(second.configurations[0] - first.configurations[0]).max() > 0.1
+    assert plan.plan.describe(release - 1) == "release near-0"
+    assert [t.touches for t in plan.steps[release - 1].trajectories][0] == NEAR
+    report = check_robot_plan(plan, sunk, roofed)
+    assert report.good, [str(problem) for problem in report.problems]
+    assert validate_plan(plan.plan, sunk).good
+    assert plan.plan.replay is not None
+    assert plan.plan.replay.stands
+
+
+def test_in_reverse_the_release_is_a_hold(plan: RobotPlan, sunk: Assembly, roofed: Cell) -> None:
+    back = plan.reverse()
+    kinds = [plan.grip(step) for step in range(len(plan))]
+    assert kinds.count("open") == 1
+    swapped = {"open": "close", "close": "open", None: None}
+    assert [back.grip(step) for step in range(len(plan))] == [swapped[kind] for kind in kinds[::-1]]
+    report = check_robot_plan(back, sunk, roofed)
+    assert report.good, [str(problem) for problem in report.problems]
+    assert validate_plan(back.plan, sunk).good
+    for one in (plan, back):
+        events = nodes_of(one)[1]
+        nodes = nodes_of(one)[0]
+        for step in range(len(one)):
+            own = [k for k, node in enumerate(nodes) if node.step == step]
+            if one.grip(step) is not None:
+                assert nodes[events[step].node].trajectory is None
+                assert events[step].node == (own[-1] if one.grip(step) == "close" else own[0])
+
+
+def test_files_keep_it(plan: RobotPlan, tmp_path: Path) -> None:
+    path = tmp_path / "plan.json"
+    save_robot_plan(plan, path)
+    read = load_robot_plan(path)
+    assert read.plan.support
+    np.testing.assert_array_equal(read.plan.actions, plan.plan.actions)
+    np.testing.assert_array_equal(read.plan.states, plan.plan.states)
+    data = robot_plan_to_dict(plan)
+    data["plan"]["rules"]["support"] = False
+    with pytest.raises(PlanError, match="not an action of disassembly"):
+        robot_plan_from_dict(data)
+
+
+def test_a_release_of_what_is_not_held_is_refused(plan: RobotPlan) -> None:
+    data = json.loads(json.dumps(robot_plan_to_dict(plan)))
+    step = [entry["do"] for entry in data["plan"]["steps"]].index("release")
+    data["plan"]["steps"][step]["part"] = FAR
+    with pytest.raises(PlanError, match=f"cannot release part {FAR}, which is installed"):
+        robot_plan_from_dict(data)
+
+
+def test_the_check_sees_another_arm_let_go(plan: RobotPlan, sunk: Assembly, roofed: Cell) -> None:
+    """Keyframes in which the released part stays held are against the states."""
+    release = next(step for step in range(len(plan)) if plan.grip(step) == "open")
+    frames = list(plan.keyframes)
+    frames[release + 1] = replace(frames[release + 1], held=frames[release].held)
+    report = check_robot_plan(replace(plan, keyframes=tuple(frames)), sunk, roofed)
+    assert any("the robots hold parts" in problem.what for problem in report.problems)
+
+
+def test_programs_open_the_gripper_before_the_retreat(plan: RobotPlan, tmp_path: Path) -> None:
+    step = next(step for step in range(len(plan)) if plan.grip(step) == "open")
+    export_plan(plan, tmp_path / "there", "ros2-json")
+    sequence = json.loads((tmp_path / "there" / f"step-{step + 1:03d}.json").read_text())["sequence"]
+    assert sequence[0]["gripper"] == "open"
+    assert all("joint_trajectory" in entry for entry in sequence[1:])
+    export_plan(plan.reverse(), tmp_path / "back", "ros2-json")
+    sequence = json.loads((tmp_path / "back" / f"step-{len(plan) - step:03d}.json").read_text())["sequence"]
+    assert sequence[-1]["gripper"] == "close"
+
+
+def test_a_schedule_keeps_the_order_of_release_and_hold(sunk: Assembly, roofed: Cell, begun: dict) -> None:
+    pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'falsework[schedule]'")
+    from falsework.robots.planning.plan_together import plan_together
+    from falsework.robots.schedule.build import schedule_plan
+    from falsework.robots.schedule.simulation import simulate
+
+    task = Task.create(sunk.boundary, 2, start=begun["start"], identity=sunk.identity, support=True)
+    given = {key: value for key, value in begun.items() if key != "start"}
+    plan = plan_together(sunk, roofed, task=task, settings=HybridSettings(attempts=4), **given).plan
+    assert plan is not None
+    assert "open" in [plan.grip(step) for step in range(len(plan))]
+    for one in (plan, schedule_plan(plan.reverse(), sunk, roofed)):
+        assert one.schedule is not None
+        assert (np.diff(event_times(one, one.schedule)) >= 0).all()
+        report = check_robot_plan(one, sunk, roofed)
+        assert report.good, [str(problem) for problem in report.problems]
+        assert validate_plan(one.plan, sunk).good
+        assert simulate(one, runs=100).good
+        for share in arm_shares(one, one.schedule):
+            assert share.moves + share.holds + share.waits == pytest.approx(1.0)
+
+
+def test_dbg(sunk, roofed, begun):
+    r = planned(sunk, roofed, begun, support=True)
+    print(r.statistics, r.explanation.text)
+    for d in r.explanation.details: print(d)
+    print(begun["configurations"])
+    assert 0
