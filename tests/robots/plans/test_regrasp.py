@@ -35,6 +35,7 @@ from falsework.robots.plans.timeline import arm_shares, event_times, nodes_of
 from falsework.search import Outcome, Task
 from falsework.search.plans.plan_check import validate_plan
 from falsework.stability import Stability, Verdict, Verdicts
+from falsework.viewer.pictures.gantt import bars_of
 
 NEAR, FAR = 0, 1
 """The cube that the first arm holds by its side, and another on the far side."""
@@ -204,6 +205,12 @@ def test_a_schedule_keeps_the_order_of_release_and_hold(sunk: Assembly, roofed: 
         assert simulate(one, runs=100).good
         for share in arm_shares(one, one.schedule):
             assert share.moves + share.holds + share.waits == pytest.approx(1.0)
+        events = event_times(one, one.schedule)
+        holds = [bar for bar in bars_of(one) if bar.does == "holds"]
+        assert holds
+        for bar in holds:  # the chart shows an arm at a part while that part is held
+            state = one.plan.states[np.searchsorted(events, (bar.begin + bar.end) / 2)]
+            assert state[bar.part] == HELD
 
 
 def test_a_part_that_would_fall_is_not_released(plan: RobotPlan, roofed: Cell, begun: dict) -> None:
