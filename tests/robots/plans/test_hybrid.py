@@ -200,7 +200,7 @@ def test_a_dead_end_leads_back_to_the_hold_that_causes_it(
         return result.statistics["dead_ends"]
 
     found = dead_ends()
-    monkeypatch.setattr("falsework.robots.planning.dead_ends.FailedActions.blamed", lambda *_: set())
+    monkeypatch.setattr("falsework.robots.planning.action_ranking.FailedActions.blamed", lambda *_: set())
     assert 0 < found < dead_ends()
 
 

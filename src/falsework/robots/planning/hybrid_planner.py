@@ -154,6 +154,8 @@ class _Search:
             self.dead.clear()
             for turn in range(self.settings.attempts if share == shares[-1] else 1):
                 self.graph.support = self.task.support and self.attempt > 0
+                if self.graph.support and self.attempt == 1:  # what failed without releases may succeed with them
+                    self.dead, self.failures = set(), FailedActions(self.graph, self.solvability)
                 prefix: list[Edge] = []
                 if turn and self.settings.keyframes.haste:
                     prefix = self._before_dead_ends(turn)
@@ -267,9 +269,8 @@ class _Search:
 
     def _options(self, node: Node, rng: np.random.Generator) -> Iterator[Edge]:
         """Yield edges out of a keyframe in order of trial."""
-        tried, probes, worked = 0, _SOLVABILITY_CHECKS * (1 + self.attempt), False
+        tried, verdicts, probes, worked = 0, 0, _SOLVABILITY_CHECKS * (1 + self.attempt), False
         idle: list[Edge] = []
-        verdicts = 0
         for action in self.ranking.actions(node, self.attempt, rng):
             if (node, action) in self.failures or self.deadline_passed():
                 continue
@@ -360,8 +361,7 @@ class _Search:
         partial = None
         if self.best and self.solvability.falls(route_along(root, self.best)) is None:
             partial = self._plan(root, self.best, why)
-        statistics = self._statistics() if partial is None else partial.statistics
-        return HybridResult(None, partial, why, statistics)
+        return HybridResult(None, partial, why, self._statistics() if partial is None else partial.statistics)
 
     def _plan(self, root: Node, chain: list[Edge], why: Explanation | None = None) -> RobotPlan:
         if self.settings.together:
