@@ -43,7 +43,7 @@ class PlanRobots(Command):
     examples: ClassVar[tuple[str, ...]] = (
         "falsework robots plan my-folder --cell cell.toml --out robot_plan.json",
         "falsework robots plan my-folder --cell cell.toml --policy my-run --robots-seed 3 --deadline 60",
-        "falsework robots plan my-folder --cell cell.toml --state 2210 --joints now.json --holding left=3",
+        "falsework robots plan my-folder --cell cell.toml --state 2210 --joints now.json --holding left=3 --support",
     )
 
     structure: StructureOptions

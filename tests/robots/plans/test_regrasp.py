@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -302,7 +303,8 @@ def test_an_abstract_plan_may_need_a_release(column: Assembly) -> None:
     def level(states, actions, direction) -> np.ndarray:
         return np.zeros(actions.shape)
 
-    rules, boundary = Rules(), np.arange(6) == 5
+    rules: Any = Rules()
+    boundary = np.arange(6) == 5
     plain = SolvabilityCheck(column, Task.create(boundary, 2, clearance=rules), rules, guide=level)
     assert plain.prepare().outcome is Outcome.PROVED_IMPOSSIBLE
     check = SolvabilityCheck(column, Task.create(boundary, 2, clearance=rules, support=True), rules, guide=level)

@@ -105,7 +105,8 @@ def fall_in_words(what: str, route: Route, row: int, names: Sequence[str], plans
     """
     place = "in the first state"
     if row:
-        verb, name = describe_step(*route.states[::-1][row - 1 : row + 1], names).split(" ", 1)
+        before, after = route.states[::-1][row - 1 : row + 1]
+        verb, name = describe_step(before, after, names).split(" ", 1)
         place = f"at step {row} of assembly, {_DOING[verb]} {name}"
     counted = f" ({plans} such plans)" if plans else ""
     return f"every state of a {what} is stable, but the structure collapses in the replay {place}{counted}"
