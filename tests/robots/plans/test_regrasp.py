@@ -19,6 +19,7 @@ from falsework.assembly.state import HELD, INSTALLED, REMOVED, complete_state
 from falsework.errors import InputError, PlanError, StateError
 from falsework.robots.model.cell import Cell, Obstacle
 from falsework.robots.model.shapes import block
+from falsework.robots.planning.failure_report import fall_in_words
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridSettings
 from falsework.robots.planning.keyframe_graph import KeyframeGraph
@@ -136,6 +137,8 @@ def test_in_reverse_the_release_is_a_hold(plan: RobotPlan, sunk: Assembly, roofe
     report = check_robot_plan(back, sunk, roofed)
     assert report.good, [str(problem) for problem in report.problems]
     assert validate_plan(back.plan, sunk).good
+    place = len(plan) - kinds.index("open")
+    assert "holding near-0" in fall_in_words("plan", plan.plan.route, place, sunk.names)
     for one in (plan, back):
         events = nodes_of(one)[1]
         nodes = nodes_of(one)[0]
