@@ -37,6 +37,7 @@ from falsework.robots.plans.robot_plan_file import (
 from falsework.robots.plans.timeline import arm_shares, event_times, nodes_of
 from falsework.search import Outcome, Task
 from falsework.search.plans.plan_check import validate_plan
+from falsework.search.problem.support_route import SupportRoute
 from falsework.stability import Stability, Verdict, Verdicts
 from falsework.viewer.pictures.gantt import bars_of
 
@@ -252,6 +253,7 @@ def test_a_grasp_that_cannot_leave_is_the_last_choice(sunk: Assembly, roofed: Ce
     graph.support = True
     hold = next(graph.edges(root, NEAR))
     assert not hold.node.can_release(NEAR)  # it need not have been held
+    assert not hold.node.was_released(NEAR)
     removal = next(graph.edges(next(graph.edges(hold.node, FAR)).node, FAR + sunk.part_count))
     assert removal.node.can_release(NEAR)
     stays, goes = list(graph.edges(removal.node, NEAR))
@@ -260,6 +262,7 @@ def test_a_grasp_that_cannot_leave_is_the_last_choice(sunk: Assembly, roofed: Ce
     np.testing.assert_array_equal(goes.node.configurations[hold.robot], covered.homes[hold.robot])
     assert stays.node.state[NEAR] == INSTALLED
     assert stays.node.held[hold.robot] is None
+    assert stays.node.was_released(NEAR)
     assert next(graph.edges(stays.node, NEAR), None) is None  # the next grasp must be one that can leave
 
 
@@ -320,6 +323,30 @@ def test_an_abstract_plan_may_need_a_release(column: Assembly) -> None:
         assert check.planned_releases(route.states[row + 1]) == []
     check.forbid(route, 1)  # states before the last but one lead on no longer: no other way round
     assert not check.stays(route.states[0])
+
+
+def test_a_planned_release_is_carried_out_at_once(
+    sunk: Assembly, roofed: Cell, begun: dict, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Releases that the abstract plan has are edges in the first turn of the search."""
+    prepare, states = SolvabilityCheck.prepare, [begun["start"]]
+    for part, value in ((NEAR, INSTALLED), (FAR, HELD), (FAR, REMOVED), (NEAR, HELD), (NEAR, REMOVED)):
+        states.append(states[-1].copy())
+        states[-1][part] = value
+
+    def prepared(check: SolvabilityCheck, stop: Any = None) -> Any:
+        result = prepare(check, stop)
+        check._follow([SupportRoute.through(np.array(states))])
+        return result
+
+    task = Task.create(sunk.boundary, 2, start=begun["start"], identity=sunk.identity, support=True)
+    given = {key: value for key, value in begun.items() if key != "start"} | {"settings": HybridSettings(attempts=1)}
+    assert plan_robots(sunk, roofed, task=task, **given).plan is None
+    monkeypatch.setattr(SolvabilityCheck, "prepare", prepared)
+    found = plan_robots(sunk, roofed, task=task, **given).plan
+    assert found is not None
+    np.testing.assert_array_equal(found.plan.states, states)
+    assert check_robot_plan(found, sunk, roofed).good
 
 
 def test_rejected_input(sunk: Assembly, roofed: Cell, begun: dict) -> None:

@@ -83,7 +83,7 @@ class ActionRanking:
             attempt: number of the search; later ones are perturbed more.
             rng: random generator of the perturbation.
         """
-        releases = [part for part in self.solvability.planned_releases(node.state) if node.can_release(part)]
+        releases = [part for part in self.solvability.planned_releases(node.state) if not node.was_released(part)]
         actions = self.solvability.legal(node.state)
         if not actions:
             return releases

@@ -191,8 +191,7 @@ class KeyframeGraph:
         free.sort(key=lambda robot: self._reluctance(node, robot, center))
         found = False
         # Where a part may be held again, a grasp with which it cannot leave later is better than none.
-        again = any(part == other for other, _ in node.changed)
-        for lasting in (True, False) if self.support and not again else (True,):
+        for lasting in (True, False) if self.support and not node.was_released(part) else (True,):
             # One grasp with each robot before another with the first: which robot holds a part matters more than how.
             turns = [self._hold_with(node, part, robot, lasting) for robot in free]
             while turns:

@@ -52,6 +52,10 @@ class Node:
         """Return whether a part is held since before a part was last removed; others need not have been held."""
         return part in self.held and all(part != other for other, _ in self.changed)
 
+    def was_released(self, part: int) -> bool:
+        """Return whether a part was released since a part was last removed."""
+        return any(part == other and configuration for other, configuration in self.changed)
+
     def after(self, action: int, robot: int, values: Array, clock: Clock = NO_TIME) -> Node:
         """Return the keyframe after an action.
 
