@@ -340,7 +340,8 @@ def test_a_planned_release_is_carried_out_at_once(
         return result
 
     task = Task.create(sunk.boundary, 2, start=begun["start"], identity=sunk.identity, support=True)
-    given = {key: value for key, value in begun.items() if key != "start"} | {"settings": HybridSettings(attempts=1)}
+    given: dict[str, Any] = {key: value for key, value in begun.items() if key != "start"}
+    given["settings"] = HybridSettings(attempts=1)
     assert plan_robots(sunk, roofed, task=task, **given).plan is None
     monkeypatch.setattr(SolvabilityCheck, "prepare", prepared)
     found = plan_robots(sunk, roofed, task=task, **given).plan
