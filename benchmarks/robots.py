@@ -9,6 +9,7 @@
     python benchmarks/robots.py random --cells 20
     python benchmarks/robots.py dome-37 --policy RUN
     python benchmarks/robots.py dome-37 --together --seeds 10
+    python benchmarks/robots.py vault-62-b --support --seeds 4
     python benchmarks/robots.py all
 
 The first five plan a published structure in the built-in cell of that name: `seconds` is from structure and cell in
@@ -16,6 +17,7 @@ memory to a proven plan with timed motions, compilation not counted. The last li
 `--together`: each seed is planned twice, one robot at a time and with robots that move at the same time;
 `makespan_share` is the makespan of the second over the first plan, `extra_seconds` its additional planning time, and
 `delayed` random runs of its schedule are simulated, `checked_runs` of them by Pinocchio and Coal.
+`--support`: each seed is planned twice, without and with parts that are released and held again.
 `--midway`: each seed is planned, then planned again from three of its keyframes at which a part is held, as after a
 disruption: `fresh` from structure and cell alone, `kept` with the keyframe graph and the verdicts of the first plan.
 `random`: dome-37 in cells with random bases of two arms from which every part can be held; success and, for each
@@ -84,6 +86,7 @@ class Arguments:
     policy: Path | None = None
     no_check: bool = False
     together: bool = False
+    support: bool = False
     midway: bool = False
     delayed: int = 1000
     checked_runs: int = 3
@@ -99,17 +102,27 @@ def structure(name: str) -> Assembly:
 
 
 def once(
-    assembly: Assembly, cell: Cell, seed: int, deadline: float, *, check: bool, guide: Guide | None = None
+    assembly: Assembly,
+    cell: Cell,
+    seed: int,
+    deadline: float,
+    *,
+    check: bool,
+    guide: Guide | None = None,
+    support: bool = False,
 ) -> tuple[HybridResult, dict]:
-    """Plan once from structure and cell alone, with a guide if given."""
+    """Plan once from structure and cell alone, with a guide if given, and with parts held again if `support`."""
+    task = Task.create(assembly.boundary, cell.robot_count, identity=assembly.identity, support=support)
     begun, work = time.perf_counter(), time.process_time()
-    result = plan_robots(assembly, cell, guide=guide, settings=HybridSettings(seed=seed, deadline=deadline))
+    result = plan_robots(assembly, cell, task=task, guide=guide, settings=HybridSettings(seed=seed, deadline=deadline))
     seconds, work = time.perf_counter() - begun, time.process_time() - work
     statistics = {key: value for key, value in result.statistics.items() if key not in ("failure", "seconds", "seed")}
     fields: dict[str, Any] = {"found": result.found, "seconds": round(seconds, 3), "cpu_seconds": round(work, 3)}
     fields |= statistics
     if result.plan is not None:
         fields["motion_seconds"] = round(result.plan.seconds, 1)
+        if support:
+            fields["released"] = [result.plan.grip(step) for step in range(len(result.plan))].count("open")
     if result.explanation is not None:
         fields["why"] = result.explanation.text
     plan = result.plan or result.partial
@@ -159,6 +172,37 @@ def building(name: str, arguments: Arguments) -> None:
         attempts=spread(attempts),
         **({"paper_seconds": PAPER_SECONDS[name]} if name in PAPER_SECONDS else {}),
         seeds=tuple(range(arguments.first_seed, arguments.first_seed + arguments.seeds)),
+    )
+
+
+def regrasping(name: str, arguments: Arguments) -> None:
+    """Plan with several seeds in one built-in cell, without and with parts held again, then report both."""
+    assembly, cell = structure(STRUCTURES[name]), load_cell(name)
+    seeds = tuple(range(arguments.first_seed, arguments.first_seed + arguments.seeds))
+    figures: dict[str, list[float]] = {}
+    found, released, good = [0, 0], 0, 0
+    for seed in seeds:
+        for support in (False, True):
+            result, fields = once(
+                assembly, cell, seed, arguments.deadline, check=support and not arguments.no_check, support=support
+            )
+            report("robots support seed", cell=name, robots=cell.robot_count, support=support, **fields, seeds=(seed,))
+            found[support] += result.found
+            released += fields.get("released", 0)
+            good += bool(result.found and fields.get("check"))
+            for what in ("attempts", "dead_ends", "cpu_seconds"):
+                figures.setdefault(f"{what}_with" if support else what, []).append(fields[what])
+    report(
+        "robots support",
+        cell=name,
+        robots=cell.robot_count,
+        runs=len(seeds),
+        found=found[False],
+        found_with=found[True],
+        released=released,
+        checked_good=None if arguments.no_check else good,
+        **{what: spread(values) for what, values in figures.items()},
+        seeds=seeds,
     )
 
 
@@ -349,7 +393,9 @@ def main() -> None:
     Stability(load_structure("stack:blocks=2"))
     names = [*STRUCTURES, "random"] if arguments.what == "all" else [arguments.what]
     for name in names:
-        if arguments.together:
+        if arguments.support:
+            regrasping(name, arguments)
+        elif arguments.together:
             together(name, arguments)
         elif arguments.midway:
             midway(name, arguments)

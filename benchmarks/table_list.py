@@ -631,6 +631,20 @@ TABLES = {
         ),
         benchmark="robots together seed",
     ),
+    "robots-support": Table(
+        "robots",
+        (("cell", "{cell}"), ("parts held again", "{support}")),
+        (
+            ("plan found", "{found}"),
+            ("searches", "{attempts}"),
+            ("dead ends", "{dead_ends}"),
+            ("releases in the plan", "{released}"),
+            ("CPU time, s", "{cpu_seconds}"),
+            ("motion, s", "{motion_seconds}"),
+            ("passed the independent check", "{check}"),
+        ),
+        benchmark="robots support seed",
+    ),
     "support": Table(
         "support",
         STRUCTURE,

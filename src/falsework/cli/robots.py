@@ -43,7 +43,7 @@ class PlanRobots(Command):
     examples: ClassVar[tuple[str, ...]] = (
         "falsework robots plan my-folder --cell cell.toml --out robot_plan.json",
         "falsework robots plan my-folder --cell cell.toml --policy my-run --robots-seed 3 --deadline 60",
-        "falsework robots plan my-folder --cell cell.toml --state 2210 --joints now.json --holding left=3",
+        "falsework robots plan my-folder --cell cell.toml --state 2210 --joints now.json --holding left=3 --support",
     )
 
     structure: StructureOptions
@@ -70,6 +70,9 @@ class PlanRobots(Command):
     """State to end in: `empty`, digits, or a file."""
     missing: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
     """Parts not delivered yet, such as 3,4; assembly does without them as long as possible."""
+    support: bool = False
+    """Let arms release parts that stand without them and hold them again with another grasp, where there is no other
+    way."""
     assembly_order: bool = False
     """Write the motions in the order of assembly."""
     sequential: bool = False
@@ -147,6 +150,7 @@ class PlanRobots(Command):
             missing=() if self.missing is None else parse_parts(self.missing, "--missing", assembly.names),
             clearance=assembly.clearance,
             identity=assembly.identity,
+            support=self.support,
         )
 
     def _guide(self, assembly: Assembly, task: Task) -> Guide | None:

@@ -82,6 +82,18 @@ def test_plan_check_export(run: Callable, cell_file: Path, tmp_path: Path) -> No
         assert (folder / name).is_file()
 
 
+def test_arms_may_hold_again(run: Callable, cell_file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "robot_plan.json"
+    arguments = ("robots", "plan", STACK, "--cell", cell_file, "--out", out, "--support", "--json")
+    code, records, error = run(*arguments)
+    assert code == 0, error
+    assert records[0]["releases"] == 0  # not needed here
+    assert records[0]["steps"] == 4
+    code, _, error = run(*arguments, "--missing", "1")
+    assert code == 2
+    assert error.strip() == ("falsework: plans with repeated holds take no missing parts; leave out one of the two")
+
+
 def test_a_bad_plan_is_exit_code_one(run: Callable, cell_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "robot_plan.json"
     assert run("robots", "plan", STACK, "--cell", cell_file, "--out", out, "--assembly-order")[0] == 0

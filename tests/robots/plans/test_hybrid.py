@@ -16,7 +16,8 @@ from falsework.robots.model.cell import Cell, Obstacle, Placement
 from falsework.robots.model.shapes import block
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
-from falsework.robots.planning.keyframe_graph import Edge, KeyframeGraph, KeyframeSettings, Node
+from falsework.robots.planning.keyframe_graph import KeyframeGraph, KeyframeSettings
+from falsework.robots.planning.keyframes import Edge, Node
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.search import Direction, Task
 from falsework.search.plans.plan_check import validate_plan
@@ -199,7 +200,7 @@ def test_a_dead_end_leads_back_to_the_hold_that_causes_it(
         return result.statistics["dead_ends"]
 
     found = dead_ends()
-    monkeypatch.setattr("falsework.robots.planning.dead_ends.FailedActions.blamed", lambda *_: set())
+    monkeypatch.setattr("falsework.robots.planning.action_ranking.FailedActions.blamed", lambda *_: set())
     assert 0 < found < dead_ends()
 
 

@@ -138,7 +138,7 @@ def test_arms_that_leave_are_in_the_way_until_they_have_left(
     state = complete_state(column.boundary)
     grips = graph._grips
     mine, theirs = graph.grips(0, 1, state)[0].configuration, graph.grips(1, 1, state)[0].configuration
-    clock = NO_TIME.held(1, 2.0, 2, 0.0).removed(1, 1.0, 2, graph.parts.center[1], theirs)
+    clock = NO_TIME.held(1, 2.0, 2, 0.0).left_place(1, 1.0, 2, graph.parts.center[1], theirs)
     values = np.array([mine, cell.homes[0]])
     there, home = grips.clear_at(0, values, clock)
     assert 2.0 < there < 3.0  # both grasp the same part

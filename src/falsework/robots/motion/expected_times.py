@@ -25,7 +25,7 @@ _CLEAR = 0.6
 
 @dataclass(frozen=True, eq=False)
 class Leaving:
-    """Robot that leaves with a part."""
+    """Robot that leaves the place of a part, with it or without it."""
 
     robot: int
     clear: float
@@ -45,7 +45,7 @@ class Clock:
     state: float = 0.0
     """Time at which the structure reaches the state of the keyframe, seconds."""
     left: tuple[Leaving, ...] = ()
-    """Latest removals."""
+    """Latest removals and releases."""
 
     def of(self, robot: int) -> float:
         """Return the time at which a robot is done, seconds."""
@@ -68,8 +68,8 @@ class Clock:
         times[robot] = max(max(times[robot], clear) + seconds, self.state)
         return Clock(tuple(times), times[robot], self.left)
 
-    def removed(self, robot: int, seconds: float, robots: int, center: Array, here: Array) -> Clock:
-        """Return the clock after a robot has left with its part, and carried it away in `seconds`.
+    def left_place(self, robot: int, seconds: float, robots: int, center: Array, here: Array) -> Clock:
+        """Return the clock after a robot has left the place of a part in `seconds`, with it or without it.
 
         Args:
             robot: index of the robot.

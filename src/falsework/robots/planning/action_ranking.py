@@ -1,12 +1,16 @@
-"""Order in which the planner tries actions: ease of execution plus an action heuristic."""
+"""Choice of actions: ease of execution plus an action heuristic, actions that failed, and holds to exchange."""
 
 from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, Mask, States
-from falsework.robots.planning.keyframe_graph import Edge, KeyframeGraph, Node
+from falsework.robots.planning.keyframe_graph import KeyframeGraph
+from falsework.robots.planning.keyframes import Edge, Node
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.task import Direction
@@ -72,21 +76,24 @@ class ActionRanking:
     def actions(self, node: Node, attempt: int, rng: np.random.Generator) -> list[int]:
         """Return the legal actions in order of trial: easy ones near a free robot and far from busy ones.
 
+        Releases are among them, first, only where the abstract plan needs them.
+
         Args:
             node: the keyframe.
             attempt: number of the search; later ones are perturbed more.
             rng: random generator of the perturbation.
         """
+        releases = [part for part in self.solvability.planned_releases(node.state) if not node.was_released(part)]
         actions = self.solvability.legal(node.state)
         if not actions:
-            return []
+            return releases
         allowed: Mask = np.zeros((1, 2 * len(node.state)), dtype=bool)
         allowed[0, actions] = True
         scores = np.array([self._score(node, action) for action in actions])
         scores += self.ease.guided(node.state[None], allowed)[0, actions]
         scores += rng.normal(size=len(actions)) * (0.1 if attempt == 0 else 0.4 * min(attempt, 4))
         ordered = [actions[k] for k in np.argsort(-scores, kind="stable")]
-        return self._passing_first(node, ordered) if self.graph.haste else ordered
+        return releases + (self._passing_first(node, ordered) if self.graph.haste else ordered)
 
     def _passing_first(self, node: Node, actions: list[int]) -> list[int]:
         """Put the first part that can leave as soon as it is held before those for which an arm would have to wait."""
@@ -134,3 +141,78 @@ class ActionRanking:
                 apart = float(np.linalg.norm(self.graph.parts.center[part] - center)) / self.graph.spread
                 score += min(apart, 1.0)
         return score
+
+
+class FailedActions:
+    """Actions without a motion, each with the robots that block it.
+
+    Conflict-directed backjumping: Prosser, Hybrid algorithms for the constraint satisfaction problem (1993).
+    """
+
+    def __init__(self, graph: KeyframeGraph, solvability: SolvabilityCheck) -> None:
+        """Create an empty set.
+
+        Args:
+            graph: keyframe graph, which logs why motions fail.
+            solvability: source of the legal actions.
+        """
+        self.graph, self.solvability = graph, solvability
+        self._robots: dict[tuple[bytes, int], set[int]] = {}
+
+    def __contains__(self, entry: tuple[Node, int]) -> bool:
+        node, action = entry
+        return (node.key, action) in self._robots
+
+    def add(self, node: Node, action: int) -> bool:
+        """Record an action that has just failed: blocked by robots in collisions, and by the robot that holds the part.
+
+        Without any, it is blocked by the robots that could hold the part if they held no other.
+
+        Returns:
+            Whether two parts turned out to be ones that no two arms can hold at the same time.
+        """
+        parts, names = self.graph.assembly.part_count, [robot.name for robot in self.graph.cell.robots]
+        found = {node.held.index(action - parts)} if action >= parts else set()
+        for reason in self.graph.reasons.recent:
+            for body in reason.pair or ():
+                found |= {k for k, name in enumerate(names) if k != reason.robot and body.startswith(f"{name} ")}
+        if not found:
+            holding = [robot for robot, part in enumerate(node.held) if part is not None]
+            found = {robot for robot in holding if self.graph.grips(robot, action, node.state)}
+        self._robots[node.key, action] = found
+        if action >= parts or node.state[action] == HELD:
+            return False
+        holds = [part for robot in found if (part := node.held[robot]) is not None]
+        return any(self.graph.joint.learn(part, action, node.state) for part in holds)
+
+    def of(self, node: Node) -> list[int]:
+        """Return the actions that have failed at a keyframe."""
+        return [action for action in self.solvability.legal(node.state) if (node, action) in self]
+
+    def kinds(self, node: Node) -> list[tuple[str, int]]:
+        """Return kind and part of the actions that have failed at a keyframe."""
+        parts = len(node.state)
+        return [("hold" if action < parts else "remove", action % parts) for action in self.of(node)]
+
+    def releases(self, node: Node) -> list[int]:
+        """Return held parts whose robots block actions that failed at a keyframe, first those that cannot leave."""
+        if not self.graph.support:
+            return []
+        robots = Counter(robot for action in self.of(node) for robot in self._robots[node.key, action])
+        held, allowed = [node.held[robot] for robot, _ in robots.most_common()], self.solvability.releasable(node.state)
+        parts = [part for part in held if part is not None and allowed[part] and node.can_release(part)]
+        return sorted(parts, key=lambda part: (node, part + len(node.state)) not in self)
+
+    def blamed(self, node: Node, chain: Sequence[Edge]) -> set[int]:
+        """Return the holds without which an action that failed at a keyframe might have succeeded.
+
+        Args:
+            node: the keyframe.
+            chain: the edges that lead to it.
+
+        Returns:
+            Indices of edges.
+        """
+        robots = {robot for action in self.of(node) for robot in self._robots[node.key, action]}
+        last = {edge.robot: number for number, edge in enumerate(chain)}
+        return {last[robot] for robot in robots if node.held[robot] is not None and robot in last}

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from falsework.robots.model.cell import Cell
 from falsework.robots.motion.collision_world import CollisionWorld
-from falsework.robots.planning.keyframe_graph import Edge, PathSegment
+from falsework.robots.planning.keyframes import Edge, PathSegment
 from falsework.robots.planning.trajectory_assembly import timed_leg
 from falsework.robots.plans.robot_plan import RobotPlan, RobotStep
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph

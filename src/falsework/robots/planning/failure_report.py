@@ -10,9 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.assembly.state import describe_step
 from falsework.search.problem.result import Route
 
 Array = NDArray[np.float64]
+
+_DOING = {"insert": "inserting", "release": "releasing", "hold": "holding"}
 
 
 @dataclass(frozen=True)
@@ -20,7 +23,7 @@ class LoggedFailure:
     """One failure."""
 
     action: str
-    """`hold` or `remove`."""
+    """`hold`, `release` or `remove`."""
     part: int
     robot: int
     what: str
@@ -102,9 +105,9 @@ def fall_in_words(what: str, route: Route, row: int, names: Sequence[str], plans
     """
     place = "in the first state"
     if row:
-        action, parts = int(route.actions[::-1][row - 1]), len(names)
-        doing = "inserting" if action >= parts else "releasing"
-        place = f"at step {row} of assembly, {doing} {names[action % parts]}"
+        before, after = route.states[::-1][row - 1 : row + 1]
+        verb, name = describe_step(before, after, names).split(" ", 1)
+        place = f"at step {row} of assembly, {_DOING[verb]} {name}"
     counted = f" ({plans} such plans)" if plans else ""
     return f"every state of a {what} is stable, but the structure collapses in the replay {place}{counted}"
 

@@ -19,23 +19,23 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import REMOVED, States
+from falsework.assembly.state import REMOVED
 from falsework.robots.model.cell import Cell
 from falsework.robots.motion.expected_times import BalanceGuide
-from falsework.robots.planning.action_ranking import ActionRanking, ExecutionHeuristic
-from falsework.robots.planning.dead_ends import FailedActions
+from falsework.robots.planning.action_ranking import ActionRanking, ExecutionHeuristic, FailedActions
 from falsework.robots.planning.early_approach import approach_early
 from falsework.robots.planning.failure_report import Explanation, explain, fall_in_words
 from falsework.robots.planning.hybrid_result import HybridProgress, HybridResult, HybridSettings, Progress
 from falsework.robots.planning.initial_keyframe import first_keyframe, task_in_cell
-from falsework.robots.planning.keyframe_graph import Edge, KeyframeGraph, Node, PathSegment
+from falsework.robots.planning.keyframe_graph import KeyframeGraph
+from falsework.robots.planning.keyframes import Edge, Node, PathSegment, route_along
 from falsework.robots.planning.reordering import reorder
 from falsework.robots.planning.shorter_motions import shorten_motions
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.robots.planning.trajectory_assembly import make_robot_plan
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.search.problem.guide import Guide, MemoizedGuide, SupportGuide
-from falsework.search.problem.result import Outcome, Route, SearchResult
+from falsework.search.problem.result import Outcome, SearchResult
 from falsework.search.problem.task import Task
 from falsework.stability.oracle import Stability
 
@@ -153,6 +153,9 @@ class _Search:
             self.solvability.relax(share)
             self.dead.clear()
             for turn in range(self.settings.attempts if share == shares[-1] else 1):
+                self.graph.support = self.task.support and self.attempt > 0
+                if self.graph.support and self.attempt == 1:  # what failed without releases may succeed with them
+                    self.dead, self.failures = set(), FailedActions(self.graph, self.solvability)
                 prefix: list[Edge] = []
                 if turn and self.settings.keyframes.haste:
                     prefix = self._before_dead_ends(turn)
@@ -176,7 +179,7 @@ class _Search:
 
     def _before_dead_ends(self, turn: int) -> list[Edge]:
         """Return the beginning of the longest partial plan, a shorter one from turn to turn; none of a short plan."""
-        if 2 * len(self.best) < self.task.steps:
+        if 2 * self._done(self.best) < self.task.steps:
             return []
         prefix = self.best[: max(len(self.best) - _STEPS_BACK * 2 ** (turn - 1), 0)]
         if prefix:
@@ -208,7 +211,8 @@ class _Search:
             if edge is None:
                 self.dead.add(nodes[-1].key)
                 self.dead_states[nodes[-1].state.tobytes()] += 1
-                self._note_dead_end(nodes[-1], len(chain))
+                if self._done(chain) >= self._done(self.best):
+                    self.tried.update(self.failures.kinds(nodes[-1]))
                 blamed = causes[-1] | self.failures.blamed(nodes[-1], chain)
                 back = max(blamed, default=len(chain) - 1)
                 del nodes[back + 1 :], options[back + 1 :], causes[back + 1 :], chain[max(back, 0) :]
@@ -223,7 +227,7 @@ class _Search:
                     options[-1] = self._options(nodes[-1], rng)
                 continue
             chain.append(edge)
-            if len(chain) > len(self.best):
+            if self._done(chain) > self._done(self.best):
                 self.best = list(chain)
                 self.tried.clear()
                 if not self.graph.haste:
@@ -250,7 +254,7 @@ class _Search:
         Returns:
             The number of keyframes before that state, 0 if there is no other path; None if the replay succeeds.
         """
-        route = self._route(root, chain)
+        route = route_along(root, chain)
         row = self.solvability.falls(route)
         if row is None:
             return None
@@ -265,9 +269,8 @@ class _Search:
 
     def _options(self, node: Node, rng: np.random.Generator) -> Iterator[Edge]:
         """Yield edges out of a keyframe in order of trial."""
-        tried, probes, worked = 0, _SOLVABILITY_CHECKS * (1 + self.attempt), False
+        tried, verdicts, probes, worked = 0, 0, _SOLVABILITY_CHECKS * (1 + self.attempt), False
         idle: list[Edge] = []
-        verdicts = 0
         for action in self.ranking.actions(node, self.attempt, rng):
             if (node, action) in self.failures or self.deadline_passed():
                 continue
@@ -302,13 +305,14 @@ class _Search:
             if tried == _ACTIONS_PER_KEYFRAME:
                 break
         yield from idle
+        for part in self.failures.releases(node):
+            if not self.deadline_passed() and self.solvability.solvable(node.state, part):
+                self.counts["releases"] += 1
+                yield from (edge for edge in self.graph.edges(node, part) if edge.node.key not in self.dead)
 
-    def _note_dead_end(self, node: Node, depth: int) -> None:
-        """Count the actions that failed where the search got farthest."""
-        if depth < len(self.best):
-            return
-        for action in self.failures.of(node):
-            self.tried["hold" if action < len(node.state) else "remove", action % len(node.state)] += 1
+    def _done(self, chain: Sequence[Edge]) -> int:
+        """Return the steps of disassembly that a chain has done; a release takes one back."""
+        return int(self.task.steps_done(chain[-1].node.state)) if chain else 0
 
     def _hopeless(self) -> bool:
         """Return whether a part must leave that no robot can hold even when it is alone."""
@@ -332,7 +336,8 @@ class _Search:
         now = time.perf_counter()
         if self.progress is not None and now - self._reported > 0.1:
             self._reported = now
-            self.progress(HybridProgress(len(self.best), self.task.steps, self.attempt, dead_ends, now - self.began))
+            reached = self._done(self.best)
+            self.progress(HybridProgress(reached, self.task.steps, self.attempt, dead_ends, now - self.began))
 
     def solved(self, root: Node, chain: list[Edge]) -> HybridResult:
         """Certify a chain of edges and compute its trajectories."""
@@ -343,7 +348,7 @@ class _Search:
         """Explain why there is no plan, and return the partial one."""
         why = explain(
             outcome,
-            len(self.best),
+            self._done(self.best),
             self.task.steps,
             self.graph.reasons,
             self.tried,
@@ -354,15 +359,9 @@ class _Search:
             abstract=self.abstract is not None and not self.abstract.found,
         )
         partial = None
-        if self.best and self.solvability.falls(self._route(root, self.best)) is None:
+        if self.best and self.solvability.falls(route_along(root, self.best)) is None:
             partial = self._plan(root, self.best, why)
-        statistics = self._statistics() if partial is None else partial.statistics
-        return HybridResult(None, partial, why, statistics)
-
-    @staticmethod
-    def _route(root: Node, chain: list[Edge]) -> Route:
-        states: States = np.array([root.state, *(edge.node.state for edge in chain)], dtype=np.uint8)
-        return Route(states, np.array([edge.action for edge in chain], dtype=np.int64))
+        return HybridResult(None, partial, why, self._statistics() if partial is None else partial.statistics)
 
     def _plan(self, root: Node, chain: list[Edge], why: Explanation | None = None) -> RobotPlan:
         if self.settings.together:
@@ -381,7 +380,7 @@ class _Search:
         return plan
 
     def _timed(self, root: Node, chain: list[Edge]) -> RobotPlan:
-        route, task, forces = self._route(root, chain), self.solvability.task, self.settings.forces
+        route, task, forces = route_along(root, chain), self.solvability.task, self.settings.forces
         return make_robot_plan(
             self.assembly, self.cell, task, self.oracle, route, root, chain, forces=forces, timed=self.timed
         )
@@ -397,4 +396,5 @@ class _Search:
             "free_motions": self.graph.cache.motions,
             "free_motions_used_again": self.graph.cache.motions_kept,
             "verdicts": self.oracle.counters.asked,
+            **({"releases": self.counts["releases"]} if self.task.support else {}),
         }

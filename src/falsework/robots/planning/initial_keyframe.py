@@ -12,17 +12,25 @@ from falsework.assembly.state import HELD
 from falsework.errors import InputError, StateError
 from falsework.robots.grasping.exit_directions import ExitDirections
 from falsework.robots.model.cell import Cell
-from falsework.robots.planning.keyframe_graph import KeyframeGraph, Node
-from falsework.search.problem.task import Task
+from falsework.robots.planning.keyframe_graph import KeyframeGraph
+from falsework.robots.planning.keyframes import Node
+from falsework.search.problem.task import STAGE, Task
 
 
 def task_in_cell(assembly: Assembly, cell: Cell, task: Task | None, exits: ExitDirections) -> Task:
     """Return a task with the number of robots of the cell, and with free exit directions, none of them downwards.
 
     Raises:
-        InputError: more parts held at start or target than there are robots.
+        InputError: props.
+        StateError: more parts held at start or target than there are robots, or a part that ends up released.
     """
     given = task or Task.create(assembly.boundary, cell.robot_count, identity=assembly.identity)
+    if given.props:
+        raise InputError("robot plans have no props; plan for the structure without them")
+    freed = np.flatnonzero(STAGE[given.target] < STAGE[given.start])
+    if len(freed):
+        name = assembly.names[int(freed[0])]
+        raise StateError(f"part {name} is held in the start and installed in the target; hold it in the target too")
     return Task.create(
         assembly.boundary,
         cell.robot_count,
@@ -32,6 +40,7 @@ def task_in_cell(assembly: Assembly, cell: Cell, task: Task | None, exits: ExitD
         missing=given.missing,
         clearance=exits.table,
         identity=assembly.identity,
+        support=given.support,
     )
 
 

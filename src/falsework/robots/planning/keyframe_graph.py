@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -18,15 +18,17 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, States
 from falsework.robots.grasping.exit_directions import ExitDirections
+from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes, place_parts
 from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, CollisionWorld, Contact, Scene
-from falsework.robots.motion.expected_times import NO_TIME, Clock, expected_seconds
+from falsework.robots.motion.expected_times import expected_seconds
 from falsework.robots.motion.motion_cache import MotionCache
 from falsework.robots.motion.path_planner import follow_line
 from falsework.robots.planning.failure_report import FailureLog
 from falsework.robots.planning.grasp_configurations import GraspConfiguration, GraspConfigurations
 from falsework.robots.planning.joint_holds import JointHolds
+from falsework.robots.planning.keyframes import Edge, Node, PathSegment
 from falsework.robots.planning.withdrawal import Withdrawal
 
 Array = NDArray[np.float64]
@@ -60,60 +62,6 @@ class KeyframeSettings:
     """In haste, prefer grasps at which a robot is out of the way of those that are leaving with a part."""
 
 
-@dataclass(frozen=True, eq=False)
-class Node:
-    """Keyframe: a state and the configurations of the robots."""
-
-    state: States
-    """Shape (parts,)."""
-    configurations: tuple[Array, ...]
-    held: tuple[int | None, ...]
-    """The part that each robot holds."""
-    clock: Clock = NO_TIME
-    """Times at this keyframe if robots move at the same time; not part of the identity of nodes."""
-
-    @cached_property
-    def present(self) -> NDArray[np.bool_]:
-        """Which parts are in place, shape (parts,)."""
-        return self.state != REMOVED
-
-    @cached_property
-    def key(self) -> bytes:
-        """Key that is equal for equal nodes."""
-        rounded = np.round(np.concatenate(self.configurations), 6) + 0.0
-        return self.state.tobytes() + rounded.tobytes() + repr(self.held).encode()
-
-    @property
-    def scene(self) -> Scene:
-        """The node as a scene of the collision world."""
-        return Scene(self.configurations, self.present, (None,) * len(self.configurations))
-
-
-@dataclass(frozen=True, eq=False)
-class PathSegment:
-    """Path of one robot without time parameterisation."""
-
-    kind: str
-    """`free` or `line`."""
-    path: Array
-    """Shape (points, joints)."""
-    part: int | None = None
-    touches: int | None = None
-    view: CollisionQuery | None = None
-    """Collision queries of the scene in which a free path was planned."""
-
-
-@dataclass(frozen=True, eq=False)
-class Edge:
-    """Executed action."""
-
-    action: int
-    robot: int
-    segments: tuple[PathSegment, ...]
-    node: Node
-    """Keyframe after the action."""
-
-
 class KeyframeGraph:
     """Keyframes of one structure in one cell, and the motions between them."""
 
@@ -140,6 +88,8 @@ class KeyframeGraph:
         self.assembly, self.cell, self.settings, self.seed = assembly, cell, settings, seed
         self.haste, self.yielding = settings.haste, settings.yielding
         """As in the settings of the search that uses the graph."""
+        self.support = False
+        """Whether held parts may be released and held again; from the second turn of a search on, as most need none."""
         self.parts = parts or place_parts(assembly, cell.placement)
         self.world = CollisionWorld(cell, self.parts)
         self.reasons = FailureLog()
@@ -168,6 +118,8 @@ class KeyframeGraph:
 
     def _edges(self, node: Node, action: int) -> Iterator[Edge]:
         parts = self.assembly.part_count
+        if action < parts and node.state[action] == HELD:
+            return self._release(node, action)
         return self._remove(node, action - parts) if action >= parts else self._hold(node, action)
 
     def keyframes(self, state: States) -> Iterator[Node]:
@@ -237,23 +189,31 @@ class KeyframeGraph:
         free = [robot for robot, held in enumerate(node.held) if held is None]
         center = self.parts.center[part]
         free.sort(key=lambda robot: self._reluctance(node, robot, center))
-        # One grasp with each robot before another with the first: which robot holds a part matters more than how.
-        turns = [self._hold_with(node, part, robot) for robot in free]
-        while turns:
-            for ways in list(turns):
-                edge = next(ways, None)
-                if edge is None:
-                    turns.remove(ways)
-                else:
-                    yield edge
+        found = False
+        # Where a part may be held again, a grasp with which it cannot leave later is better than none.
+        for lasting in (True, False) if self.support and not node.was_released(part) else (True,):
+            # One grasp with each robot before another with the first: which robot holds a part matters more than how.
+            turns = [self._hold_with(node, part, robot, lasting) for robot in free]
+            while turns:
+                for ways in list(turns):
+                    edge = next(ways, None)
+                    if edge is None:
+                        turns.remove(ways)
+                    else:
+                        found = True
+                        yield edge
+            if found:
+                return
 
     def _reluctance(self, node: Node, robot: int, center: Array) -> float:
         """Rank free robots for a part: near ones first, and those first that are available early."""
         far = float(np.linalg.norm(self.cell.robots[robot].base[:2, 3] - center[:2]))
         return far + self.haste * self.spread * node.clock.late(robot)
 
-    def _hold_with(self, node: Node, part: int, robot: int) -> Iterator[Edge]:
+    def _hold_with(self, node: Node, part: int, robot: int, lasting: bool) -> Iterator[Edge]:
         grips = self.grips(robot, part, node.state)
+        if node.changed:
+            grips = [grip for grip in grips if (part, grip.configuration.tobytes()) not in node.changed]
         if not grips:
             return
         contact = Contact(gripper=frozenset({part}))
@@ -266,7 +226,7 @@ class KeyframeGraph:
         bent: list[Edge] = []
         clock = node.clock if self.haste and self.yielding else None
         for grip in self._grips.best(open_grips, robot, node.scene, node.held, self.settings.candidates, clock):
-            edge = self._try_grip(node, part, grip, view)
+            edge = self._try_grip(node, part, grip, view, lasting)
             if edge is None:
                 continue
             if not self.haste or len(edge.segments[0].path) == 2:
@@ -278,41 +238,45 @@ class KeyframeGraph:
                 bent = []
         yield from sorted(bent, key=lambda edge: self._free_seconds(robot, edge.segments[0].path))
 
-    def _try_grip(self, node: Node, part: int, grip: GraspConfiguration, view: CollisionQuery) -> Edge | None:
-        robot, margins = grip.robot, self.cell.margins
-        clear = self.cache.view(node.scene, robot, NO_CONTACT, margins.free)
-        outside: Array | None = None
-        for share in self.settings.approaches:
-            retreat = follow_line(view, grip.configuration, -grip.grasp.approach, share * margins.approach)
-            if retreat.path is None:
-                self.reasons.add("hold", part, robot, f"approach: {retreat.reason}", retreat.pair, retreat.at)
-                continue
-            hit = int(clear.hits(retreat.path[-1])[0])
-            if hit < 0:
-                outside = retreat.path[-1]
-                break
-            self.reasons.add("hold", part, robot, "approach: too near", clear.pair(hit), retreat.path[-1])
-        if outside is None:
+    def _try_grip(
+        self, node: Node, part: int, grip: GraspConfiguration, view: CollisionQuery, lasting: bool
+    ) -> Edge | None:
+        robot = grip.robot
+        clear = self.cache.view(node.scene, robot, NO_CONTACT, self.cell.margins.free)
+        retreat = self._retreat("hold", part, robot, grip.configuration, -grip.grasp.approach, view, clear)
+        if retreat is None:
             return None
-        # A robot cannot regrasp later: the part must be able to leave with this grasp once its exit is free.
-        if not self._can_leave_later(node, part, grip):
+        # The part must be able to leave with this grasp once its exit is free, unless it is held again before.
+        if lasting and not self._can_leave_later(node, part, grip):
             return None
-        free = self.cache.motion(node.scene, robot, node.configurations[robot], outside)
+        free = self.cache.motion(node.scene, robot, node.configurations[robot], retreat[-1])
         if not free:
             self.reasons.add("hold", part, robot, f"motion to the part: {free.reason}", free.pair, free.at)
             return None
-        state = node.state.copy()
-        state[part] = HELD
         assert free.path is not None
-        assert retreat.path is not None
-        line = PathSegment("line", retreat.path[::-1].copy(), touches=part)
+        line = PathSegment("line", retreat[::-1].copy(), touches=part)
         segments = (PathSegment("free", free.path, view=clear), line)
         clear_at = node.clock.clear_near(robot, self.parts.center[part])
         if self.yielding:
             clear_at = float(self._grips.clear_at(robot, grip.configuration[None], node.clock)[0])
         clock = node.clock.held(robot, self._expected(robot, segments), self.cell.robot_count, clear_at)
-        after = replace(_replaced(node, state, robot, grip.configuration, part), clock=clock)
-        return Edge(part, robot, segments, after)
+        return Edge(part, robot, segments, node.after(part, robot, grip.configuration, clock))
+
+    def _retreat(
+        self, action: str, part: int, robot: int, here: Array, way: Array, view: CollisionQuery, clear: CollisionQuery
+    ) -> Array | None:
+        """Return the line on which a gripper leaves a part until it is clear of everything; None if it is blocked."""
+        what = "approach" if action == "hold" else "retreat"
+        for share in self.settings.approaches:
+            line = follow_line(view, here, way, share * self.cell.margins.approach)
+            if line.path is None:
+                self.reasons.add(action, part, robot, f"{what}: {line.reason}", line.pair, line.at)
+                continue
+            hit = int(clear.hits(line.path[-1])[0])
+            if hit < 0:
+                return line.path
+            self.reasons.add(action, part, robot, f"{what}: too near", clear.pair(hit), line.path[-1])
+        return None
 
     def _can_leave_later(self, node: Node, part: int, grip: GraspConfiguration) -> bool:
         later, ways = self.way_out(part, node.state)
@@ -325,6 +289,23 @@ class KeyframeGraph:
         scene = Scene(values, later != REMOVED, (None,) * len(values))
         lines = self._withdrawal.lines(scene, part, grip.robot, grip.configuration, ways, "later withdrawal")
         return next(lines, None) is not None
+
+    # Releasing
+
+    def _release(self, node: Node, part: int) -> Iterator[Edge]:
+        """Yield the edge on which a robot lets go of a part and stays beside it, then the one on which it goes home."""
+        robot = node.held.index(part)
+        here, entry = node.configurations[robot], self.cell.robots[robot]
+        view = self._view(node, robot, self.cell.margins.line)
+        clear = self.cache.view(node.scene, robot, NO_CONTACT, self.cell.margins.free)
+        path = self._retreat("release", part, robot, here, -tool_pose(entry, here)[:3, 2], view, clear)
+        if path is None:
+            return
+        line = PathSegment("line", path, touches=part)
+        yield self._leave(node, part, robot, (line,), path[-1])
+        home = self.cache.motion(node.scene, robot, path[-1], entry.home)
+        if home.path is not None:
+            yield self._leave(node, part, robot, (line, PathSegment("free", home.path, view=clear)), entry.home)
 
     # Removing
 
@@ -369,16 +350,17 @@ class KeyframeGraph:
                 best = cost, goal, free.path
         if best is None:
             return None
-        state = node.state.copy()
-        state[part] = REMOVED
         lines = tuple(PathSegment("line", path, part=part) for path in paths)
         segments = (*lines, PathSegment("free", best[2], part=part, view=view))
-        place = self.parts.center[part], node.configurations[robot]
-        clock = node.clock.removed(robot, self._expected(robot, segments), self.cell.robot_count, *place)
-        after = replace(_replaced(node, state, robot, best[1], None), clock=clock)
-        return Edge(self.assembly.part_count + part, robot, segments, after)
+        return self._leave(node, self.assembly.part_count + part, robot, segments, best[1])
 
-    # Helpers of both
+    # Helpers of all
+
+    def _leave(self, node: Node, action: int, robot: int, segments: tuple[PathSegment, ...], end: Array) -> Edge:
+        """Return the edge of an action by which a robot leaves the place of a part, with it or without it."""
+        place = self.parts.center[action % self.assembly.part_count], node.configurations[robot]
+        clock = node.clock.left_place(robot, self._expected(robot, segments), self.cell.robot_count, *place)
+        return Edge(action, robot, segments, node.after(action, robot, end, clock))
 
     def _expected(self, robot: int, segments: tuple[PathSegment, ...]) -> float:
         model = self.cell.robots[robot].model
@@ -392,9 +374,3 @@ class KeyframeGraph:
         part = node.held[robot]
         contact = NO_CONTACT if part is None else Contact(gripper=frozenset({part}))
         return self.cache.view(node.scene, robot, contact, margin)
-
-
-def _replaced(node: Node, state: States, robot: int, values: Array, part: int | None) -> Node:
-    configurations, held = list(node.configurations), list(node.held)
-    configurations[robot], held[robot] = np.asarray(values), part
-    return Node(state, tuple(configurations), tuple(held))

@@ -13,12 +13,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import HELD, REMOVED, States
+from falsework.assembly.state import States
 from falsework.robots.kernels.rrt_connect import INTERVALS, edges_free
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, Contact
 from falsework.robots.motion.path_planner import plan_free, resolution_of
-from falsework.robots.planning.keyframe_graph import Edge, KeyframeGraph, Node, PathSegment
+from falsework.robots.planning.keyframe_graph import KeyframeGraph
+from falsework.robots.planning.keyframes import Edge, Node, PathSegment, state_after
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import event_times
 from falsework.robots.schedule.conflicts import choices, fixed_precedences
@@ -69,7 +70,7 @@ def reorder(graph: KeyframeGraph, oracle: Stability, root: Node, chain: Sequence
 
 
 def _way_out(graph: KeyframeGraph, before: Node, edge: Edge) -> Array | None:
-    """Return the exit direction along which a part is withdrawn; None for a hold."""
+    """Return the exit direction along which a part is withdrawn; None for a hold or a release."""
     if edge.action < graph.assembly.part_count:
         return None
     path = edge.segments[0].path
@@ -97,22 +98,18 @@ def _towards(
             first, second = order[k], order[k + 1]
             if rank[first] < rank[second] or chain[first].robot == chain[second].robot or pinned & {first, second}:
                 continue
+            if chain[first].action == chain[second].action:
+                continue  # one robot releases the part that the other holds next
             key = (first, second, states[k].tobytes())
             if key in refused:
                 continue
-            between = _after(states[k], chain[second].action)
+            between = state_after(states[k], chain[second].action)
             if not _leaves(graph, states[k], chain[second].action, ways[second]) or not oracle.stable(between[None])[0]:
                 refused.add(key)
                 continue
             order[k], order[k + 1], states[k + 1] = second, first, between
             moved = True
     return order, np.array(states, dtype=np.uint8)
-
-
-def _after(state: States, action: int) -> States:
-    after = state.copy()
-    after[action % len(state)] = HELD if action < len(state) else REMOVED
-    return after
 
 
 def _leaves(graph: KeyframeGraph, state: States, action: int, way: Array | None) -> bool:
@@ -134,11 +131,7 @@ def _follow(graph: KeyframeGraph, root: Node, edges: Sequence[Edge]) -> list[Edg
                 return k
             same = path is segment.path
             segments.append(segment if same else replace(segment, path=path, view=view))
-        holds = edge.action < len(node.state)
-        configurations, held = list(node.configurations), list(node.held)
-        configurations[edge.robot] = segments[-1].path[-1]
-        held[edge.robot] = edge.action if holds else None
-        node = Node(_after(node.state, edge.action), tuple(configurations), tuple(held))
+        node = node.after(edge.action, edge.robot, segments[-1].path[-1])
         found.append(replace(edge, segments=tuple(segments), node=node))
     return found
 

@@ -10,6 +10,7 @@ the structure collapses is then forbidden, and states that could only continue t
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, Mask, States
 from falsework.robots.planning.joint_holds import HoldingOracle, JointHolds
+from falsework.robots.planning.keyframes import state_after
 from falsework.search.beam.adaptive import AdaptiveBeam, AdaptiveSettings
 from falsework.search.planner import Planner
 from falsework.search.problem.guide import Guide, SupportGuide
@@ -26,6 +28,8 @@ from falsework.search.problem.result import Route, SearchResult, Stop
 from falsework.search.problem.rollout import roll_out
 from falsework.search.problem.task import Direction, Task
 from falsework.search.settings import PlannerSettings
+from falsework.search.support.planner import SupportPlanner, planner_for
+from falsework.stability.cache import unique_rows
 from falsework.stability.oracle import Stability
 
 ActionScore = Callable[[States, Mask], NDArray[np.floating]]
@@ -79,9 +83,8 @@ class SolvabilityCheck:
         self.joint = joint
         self.oracle = oracle if joint is None else HoldingOracle(oracle, joint)
         self.task = task.judged_by(self.oracle)
-        self._guide = guide or SupportGuide(assembly)
-        self._score = score
-        self._assembly, self._seed = assembly, seed
+        self._guide, self._score, self._seed = guide or SupportGuide(assembly), score, seed
+        self._touched = ~task.boundary & ~np.isin(np.arange(task.part_count), task.fixed)
         self.postponed: tuple[int, ...] = ()
         self.fallen: tuple[Route, int] | None = None
         """Where `prepare` finds nothing: the plan that got farthest in its replay, and the state of its collapse."""
@@ -89,7 +92,7 @@ class SolvabilityCheck:
         self._costs: list[int] = []  # verdicts spent on each path found to a solvable state
         self.spent = 0
         """Number of verdicts spent on paths to solvable states."""
-        self._preferred: set[bytes] = set()
+        self._preferred: dict[bytes, int] = {}  # states of the plan to follow, with their places in it
         self._solvable: set[bytes] = {task.target.tobytes()}
         self._not_found: set[bytes] = set()
         self._forbidden: set[bytes] = set()
@@ -99,9 +102,9 @@ class SolvabilityCheck:
         return len(self._solvable)
 
     def prepare(self, stop: Stop | None = None) -> SearchResult:
-        """Find one abstract plan. Where parts are missing, the task then has the latest step of each."""
+        """Find one abstract plan, with releases where no other is found; of missing parts the latest step of each."""
         settings = PlannerSettings(width=_FIRST_BEAM_WIDTH, seed=self._seed)
-        planner = Planner(self.task, self.oracle, settings, guide=self._guide)
+        planner = Planner(replace(self.task, support=False), self.oracle, settings, guide=self._guide)
         route = self.roll_out(None, stop) or self.roll_out(np.random.default_rng(self._seed), stop)
         if route is not None:
             planner.begin_with(route)
@@ -111,6 +114,11 @@ class SolvabilityCheck:
             self.postponed = planner.postponed
             self.task = self.task.postpone(planner.postponed)
             self._follow(planner.routes)
+        elif self.task.support:
+            again = planner_for(self.task, self.oracle, settings, guide=self._guide)
+            if isinstance(again, SupportPlanner):
+                result, self.fallen = again.run(stop=stop), again.fallen
+                self._follow(again.routes)
         return result
 
     def perturb(self, seed: int) -> None:
@@ -195,16 +203,17 @@ class SolvabilityCheck:
         known = np.array([np.frombuffer(key, np.uint8) for key in self._solvable - self._forbidden])
         if self.joint is not None:
             known = known[self.joint.possible(known)]
-        left = {self.task.target.tobytes()}
-        done = self.task.steps_done(known)
-        for level in np.unique(done)[::-1]:
-            states = known[done == level]
-            rows, actions = np.nonzero(self.task.moves(states, Direction.DISASSEMBLY))
-            after = self.task.follow(states[rows], actions, Direction.DISASSEMBLY)
-            leads = np.array([state.tobytes() in left for state in after], dtype=bool)
-            left |= {states[row].tobytes() for row in np.unique(rows[leads])}
+        moves = self.task.moves(known, Direction.DISASSEMBLY)
+        moves[:, : self.task.part_count] |= self.releasable(known)
+        before: dict[bytes, set[bytes]] = defaultdict(set)
+        for row, action in zip(*(index.tolist() for index in np.nonzero(moves)), strict=True):
+            before[state_after(known[row], action).tobytes()].add(known[row].tobytes())
+        left = new = {self.task.target.tobytes()}
+        while new:
+            new = set().union(*(before[state] for state in new)) - left
+            left = left | new
         self._solvable = left
-        self._preferred &= left
+        self._preferred = {state: place for state, place in self._preferred.items() if state in left}
 
     def _search(self, beam: AdaptiveBeam, widest: int, verdicts: float = np.inf) -> Sequence[Route]:
         """Return routes of a beam search with successful replays; none if it finds none within so many verdicts."""
@@ -256,12 +265,13 @@ class SolvabilityCheck:
 
     def preferred(self, state: States, action: int) -> bool:
         """Return whether an action follows the plan found last."""
-        return self._after(state, action).tobytes() in self._preferred
+        place = self._preferred.get(state_after(state, action).tobytes(), -1)
+        return place > self._preferred.get(state.tobytes(), -1)
 
     def _follow(self, routes: Sequence[Route]) -> None:
         if routes:
-            self._preferred = {state.tobytes() for route in routes for state in route.states}
-            self._solvable |= self._preferred
+            self._preferred = {state.tobytes(): k for route in routes for k, state in enumerate(route.states)}
+            self._solvable |= self._preferred.keys()
 
     def relax(self, share: float) -> None:
         """Let missing parts come after a share of the steps that stability alone allows them to wait."""
@@ -275,19 +285,28 @@ class SolvabilityCheck:
         self._follow(self._search(beam, _FIRST_BEAM_WIDTH))
 
     def legal(self, state: States) -> list[int]:
-        """Return actions that the rules allow, stability aside."""
+        """Return actions that the rules allow, stability and releases aside."""
         key = state.tobytes()
         if key not in self._moves:
             self._moves[key] = np.flatnonzero(self.task.moves(state[None], Direction.DISASSEMBLY)[0]).tolist()
         return self._moves[key]
 
+    def planned_releases(self, state: States) -> list[int]:
+        """Return the part that the plan found last releases in a state, if it does."""
+        parts = np.flatnonzero(self.releasable(state) & (state.tobytes() in self._preferred)).tolist()
+        return [part for part in parts if self.preferred(state, part)]
+
+    def releasable(self, states: States) -> Mask:
+        """Return which parts robots hold and may release, stability aside. Shape that of the states."""
+        return (states == HELD) & self._touched & self.task.support
+
     def known(self, state: States, action: int) -> bool:
         """Return whether the state after an action is known to be solvable."""
-        return self._after(state, action).tobytes() in self._solvable
+        return state_after(state, action).tobytes() in self._solvable
 
     def solvable(self, state: States, action: int) -> bool:
         """Return whether the state after an action is stable and a path from there to the target is found; cached."""
-        after = self._after(state, action)
+        after = state_after(state, action)
         key = after.tobytes()
         if key in self._solvable:
             return True
@@ -295,14 +314,12 @@ class SolvabilityCheck:
             return False
         if self.joint is not None and not self.joint.possible(after[None])[0]:
             return False
-        asked = self.task.needs_verdict(np.array([action]), Direction.DISASSEMBLY)[0]
+        release = action < len(state) and state[action] == HELD
+        asked = release or self.task.needs_verdict(np.array([action]), Direction.DISASSEMBLY)[0]
         if (asked and not self.oracle.stable(after[None], parents=state[None])[0]) or not self._join(after):
             self._not_found.add(key)
             return False
         return True
-
-    def _after(self, state: States, action: int) -> States:
-        return self.task.follow(state[None], np.array([action]), Direction.DISASSEMBLY)[0]
 
     def _join(self, start: States) -> bool:
         """Search forwards from a stable state until a solvable one is reached; all on the path then are."""
@@ -328,12 +345,7 @@ class SolvabilityCheck:
         return int(np.clip(usual, _FEWEST_JOIN_VERDICTS, _JOIN_VERDICTS))
 
     def _way_to_solvable(self, start: States, refused: set[bytes]) -> States | None:
-        """Return states from a stable one to the last before a solvable one; holds on the path are not checked.
-
-        Args:
-            start: initial state, shape (parts,).
-            refused: states that are not stable.
-        """
+        """Return states from a stable one to the last before a solvable one; none is refused, holds are not checked."""
         self._left = self._allowance()
         ways: States = start[None, None]
         judged: States = start[None]  # on each path, the last state that has a verdict
@@ -343,8 +355,8 @@ class SolvabilityCheck:
             if not len(rows):
                 return None
             after = self.task.follow(states[rows], actions, Direction.DISASSEMBLY)
-            first, after = _distinct(after)
-            rows, actions = rows[first], actions[first]
+            first = np.sort(unique_rows(after)[0])
+            rows, actions, after = rows[first], actions[first], after[first]
             hit = next((k for k, state in enumerate(after) if state.tobytes() in self._solvable), None)
             if hit is not None:  # solvable states are stable, so the step to one needs no verdict
                 return ways[rows[hit]]
@@ -384,10 +396,3 @@ class SolvabilityCheck:
             kept.append(batch[good])
             room -= int(good.sum())
         return np.concatenate([np.empty(0, np.intp), *kept])
-
-
-def _distinct(states: States) -> tuple[np.ndarray, States]:
-    keys = np.ascontiguousarray(states).view(np.dtype((np.void, states.shape[1]))).ravel()
-    _, first = np.unique(keys, return_index=True)
-    first = np.sort(first)
-    return first, states[first]

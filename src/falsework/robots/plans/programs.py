@@ -64,14 +64,15 @@ Command = Wait | Grip | Reach | Begin | Trajectory
 
 def events_of(plan: RobotPlan, step: int) -> Iterator[Trajectory | Grip]:
     """Yield the motions of a step and the gripper actions before or after them, in time."""
-    removes = int(plan.plan.actions[step]) >= len(plan.plan.boundary)
-    apart = plan.direction is Direction.DISASSEMBLY
-    # Disassembly: hold = approach, close; remove = leave, carry, open. Assembly is the mirror image.
-    if not apart:
-        yield Grip(removes)
+    grip, apart = plan.grip(step), plan.direction is Direction.DISASSEMBLY
+    # Disassembly: hold = approach, close; release = open, retreat; remove = leave, carry, open. Assembly mirrors it.
+    first = not apart if grip is None else grip == "open"
+    closes = not apart if grip is None else grip == "close"
+    if first:
+        yield Grip(closes)
     yield from plan.steps[step].trajectories
-    if apart:
-        yield Grip(not removes)
+    if not first:
+        yield Grip(closes)
 
 
 def commands_of(plan: RobotPlan, robot: int) -> Iterator[Command]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.assembly.state import HELD
 from falsework.errors import PlanError
 from falsework.robots.model.cell import Cell, cell_identity
 from falsework.search.plans.plan import Plan
@@ -195,6 +196,13 @@ class RobotPlan:
     def direction(self) -> Direction:
         """Whether the motions disassemble or assemble."""
         return self.plan.direction
+
+    def grip(self, step: int) -> Literal["close", "open"] | None:
+        """Return what the gripper of a step does at a part in place; None if the part leaves or comes."""
+        part, action = int(self.plan.actions[step]) % len(self.plan.boundary), int(self.plan.actions[step])
+        if action != part:
+            return None
+        return "close" if self.plan.states[step + 1][part] == HELD else "open"
 
     def describe(self, step: int) -> str:
         """Describe a step, such as `left: remove keystone (3.1 s)`."""

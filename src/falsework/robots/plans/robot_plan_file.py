@@ -158,8 +158,8 @@ class _Reader(Reader):
         self._keys(cell, {"name", "identity", "robots"}, "cell", frozenset({"source"}))
         robots = tuple(self._robot(entry, f"robot {k}") for k, entry in enumerate(self._list(cell["robots"], "robots")))
         abstract = plan_from_dict(data["plan"], f"the plan in {self._source}")
-        if abstract.support:
-            self._fail("its plan holds parts again or has props, which robot plans do not support")
+        if abstract.props:
+            self._fail("its plan has props, which robot plans do not support")
         joints = [len(robot.joint_names) for robot in robots]
         keyframes = tuple(
             self._keyframe(entry, f"keyframe {k}", joints, len(abstract.boundary))

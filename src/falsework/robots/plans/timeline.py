@@ -67,14 +67,15 @@ def nodes_of(plan: RobotPlan) -> tuple[tuple[MotionNode, ...], tuple[Event, ...]
     """
     nodes: list[MotionNode] = []
     events = []
-    apart, parts = plan.direction is Direction.DISASSEMBLY, len(plan.plan.boundary)
+    apart = plan.direction is Direction.DISASSEMBLY
     for index, step in enumerate(plan.steps):
         moves = [MotionNode(step.robot, index, k, t.seconds) for k, t in enumerate(step.trajectories)]
-        grips = int(plan.plan.actions[index]) < parts or not moves
-        if grips:
-            moves.insert(len(moves) if apart else 0, MotionNode(step.robot, index, None, 0.0))
-        at_end = not apart and not grips
-        events.append(Event(len(nodes) + (0 if grips != apart else len(moves) - 1), at_end))
+        grip = plan.grip(index)
+        first = apart if grip is None else grip == "open"
+        if grip is not None or not moves:
+            moves.insert(0 if first else len(moves), MotionNode(step.robot, index, None, 0.0))
+        at_end = not (apart or first or moves[-1].trajectory is None)
+        events.append(Event(len(nodes) + (0 if first else len(moves) - 1), at_end))
         nodes += moves
     return tuple(nodes), tuple(events)
 

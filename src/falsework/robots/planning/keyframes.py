@@ -1,0 +1,112 @@
+"""Keyframes: configurations of all robots in a state, and the motions of one robot from one to the next."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import HELD, INSTALLED, REMOVED, States
+from falsework.robots.motion.collision_world import CollisionQuery, Scene
+from falsework.robots.motion.expected_times import NO_TIME, Clock
+from falsework.search.problem.result import Route
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Node:
+    """Keyframe: a state and the configurations of the robots."""
+
+    state: States
+    """Shape (parts,)."""
+    configurations: tuple[Array, ...]
+    held: tuple[int | None, ...]
+    """The part that each robot holds."""
+    clock: Clock = NO_TIME
+    """Times at this keyframe if robots move at the same time; not part of the identity of nodes."""
+    changed: frozenset[tuple[int, bytes]] = frozenset()
+    """Parts held or released since a part was last removed; those released with the configuration that held them."""
+
+    @cached_property
+    def present(self) -> NDArray[np.bool_]:
+        """Which parts are in place, shape (parts,)."""
+        return self.state != REMOVED
+
+    @cached_property
+    def key(self) -> bytes:
+        """Key that is equal for equal nodes."""
+        rounded = np.round(np.concatenate(self.configurations), 6) + 0.0
+        released = sorted(entry for entry in self.changed if entry[1])
+        return self.state.tobytes() + rounded.tobytes() + repr((self.held, released)).encode()
+
+    @property
+    def scene(self) -> Scene:
+        """The node as a scene of the collision world."""
+        return Scene(self.configurations, self.present, (None,) * len(self.configurations))
+
+    def can_release(self, part: int) -> bool:
+        """Return whether a part is held since before a part was last removed; others need not have been held."""
+        return part in self.held and all(part != other for other, _ in self.changed)
+
+    def was_released(self, part: int) -> bool:
+        """Return whether a part was released since a part was last removed."""
+        return any(part == other and configuration for other, configuration in self.changed)
+
+    def after(self, action: int, robot: int, values: Array, clock: Clock = NO_TIME) -> Node:
+        """Return the keyframe after an action.
+
+        Args:
+            action: as of `state_after`.
+            robot: the robot that carries it out.
+            values: its configuration then, shape (joints,).
+            clock: times then.
+        """
+        part, state = action % len(self.state), state_after(self.state, action)
+        configurations, held = list(self.configurations), list(self.held)
+        configurations[robot], held[robot] = np.asarray(values), part if state[part] == HELD else None
+        changed: frozenset[tuple[int, bytes]] = frozenset()
+        if state[part] != REMOVED:
+            changed = self.changed | {(part, b"" if state[part] == HELD else self.configurations[robot].tobytes())}
+        return Node(state, tuple(configurations), tuple(held), clock, changed)
+
+
+@dataclass(frozen=True, eq=False)
+class PathSegment:
+    """Path of one robot without time parameterisation."""
+
+    kind: str
+    """`free` or `line`."""
+    path: Array
+    """Shape (points, joints)."""
+    part: int | None = None
+    touches: int | None = None
+    view: CollisionQuery | None = None
+    """Collision queries of the scene in which a free path was planned."""
+
+
+@dataclass(frozen=True, eq=False)
+class Edge:
+    """Executed action."""
+
+    action: int
+    robot: int
+    segments: tuple[PathSegment, ...]
+    node: Node
+    """Keyframe after the action."""
+
+
+def state_after(state: States, action: int) -> States:
+    """Return the state after an action: `i` holds part `i`, or releases it if it is held; `parts + i` removes it."""
+    after, part = state.copy(), action % len(state)
+    after[part] = REMOVED if action >= len(state) else INSTALLED if state[part] == HELD else HELD
+    return after
+
+
+def route_along(root: Node, chain: Sequence[Edge]) -> Route:
+    """Return the states and actions of a chain of edges."""
+    states: States = np.array([root.state, *(edge.node.state for edge in chain)], dtype=np.uint8)
+    return Route(states, np.array([edge.action for edge in chain], dtype=np.int64))
