@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from falsework.errors import InputError
 from falsework.robots.kernels.collision import distance_between
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.builtin_robots import builtin_robot
-from falsework.robots.model.cell import Cell, CellRobot, Gripper
+from falsework.robots.model.cell import Cell, CellRobot, Gripper, Obstacle
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.shapes import block, hull, move, pose
 from falsework.robots.motion.collision_world import CollisionQuery, CollisionWorld, Contact, Scene
@@ -147,6 +148,29 @@ def test_contact_rules_allow_what_they_name(two_arms: tuple[CollisionWorld, Part
     assert len(free)
     strict = world.view(carried, 0, margin=0.001)
     assert {strict.explain(values) for values in free} == {("part one", "part two")}
+
+
+def test_a_part_leaves_the_obstacle_under_it_and_no_other(
+    two_arms: tuple[CollisionWorld, PartShapes],
+) -> None:
+    """A plate below the part may touch it on its way; a post beside the way, which it does not touch yet, may not."""
+    from falsework.robots.kinematics.inverse import inverse
+
+    bare, parts = two_arms
+    low, high = parts.pieces[0][0].min(axis=0), parts.pieces[0][0].max(axis=0)
+    plate = Obstacle("plate", (block((low[0], low[1], low[2] - 0.01), (high[0], high[1], low[2])),))
+    post = Obstacle("post", (block((low[0] - 0.09, low[1], low[2]), (low[0] - 0.06, high[1], high[2])),))
+    world = CollisionWorld(replace(bare.cell, obstacles=(plate, post)), parts)
+    tool = np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, high[2] + 0.0005], [0, 0, 0, 1]])
+    start = inverse(world.cell.robots[0], tool)[0]
+    scene = Scene.at_home(world.cell, parts).with_removed(1)
+    start = start[~world.view(scene, 0, contact=Contact(gripper=frozenset({0})), margin=0.001).collides(start)][0]
+    carried = scene.with_attached(0, 0, tool_pose(world.cell.robots[0], start))
+    line = world.view(carried, 0, contact=Contact(carried_floor=True), margin=0.001)
+    assert not line.collides(start)[0]
+    assert world.view(carried, 0, margin=0.001).explain(start) == ("part one", "plate")
+    beyond = inverse(world.cell.robots[0], pose((-0.075, 0, 0)) @ tool)[0]
+    assert {line.explain(values) for values in beyond} == {("part one", "post")}
 
 
 def test_a_part_in_the_gripper_goes_where_the_tool_goes(two_arms: tuple[CollisionWorld, PartShapes]) -> None:

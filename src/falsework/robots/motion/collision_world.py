@@ -9,7 +9,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.errors import InputError
-from falsework.robots.kernels.collision import CLEAR, Bodies, Chain, CollisionScratch, Obstacles, Rules, make_work
+from falsework.robots.kernels.collision import (
+    CLEAR,
+    Bodies,
+    Chain,
+    CollisionScratch,
+    Obstacles,
+    Rules,
+    distance_between,
+    make_work,
+)
 from falsework.robots.kernels.kernel_arrays import Carried, make_bodies, make_chain, make_obstacles, self_pairs
 from falsework.robots.kernels.rrt_connect import check_many
 from falsework.robots.kinematics.forward import link_poses
@@ -21,7 +30,7 @@ from falsework.robots.model.shapes import Pieces, inverse_pose, move
 Array = NDArray[np.float64]
 
 NO_FLOOR = -1e9
-_OBSTACLE, _ROBOT, _ELSEWHERE = -1, -2, -3
+_OBSTACLE, _ROBOT, _ELSEWHERE, _SUPPORT = -1, -2, -3, -4
 """Owners of obstacles that are no parts in place."""
 
 
@@ -77,7 +86,7 @@ class Contact:
     """Pairs that may touch during one motion; all others keep their distance.
 
     For an approach or a withdrawal: the gripper may touch the part that it grips. For the withdrawal of a part: the
-    carried part may touch the parts (and the floor) that it leaves. The second rule is only safe along a straight line
+    carried part may touch the parts, the floor and the obstacles that it leaves. The second rule is only safe along a straight line
     that the clearance table has proven free for the present parts; these pairs are not checked here.
     """
 
@@ -86,7 +95,7 @@ class Contact:
     carried: frozenset[int] = frozenset()
     """Parts that the part in the gripper may touch."""
     carried_floor: bool = False
-    """Whether the part in the gripper may touch the floor and obstacles."""
+    """Whether the part in the gripper may touch the floor, and obstacles that it touches at its place."""
 
 
 NO_CONTACT = Contact()
@@ -170,6 +179,7 @@ class CollisionWorld:
     def __init__(self, cell: Cell, parts: PartShapes) -> None:
         self.cell = cell
         self.parts = parts
+        self._resting: dict[int, tuple[int, ...]] = {}
 
     @cached_property
     def _static(self) -> tuple[tuple[str, Pieces], ...]:
@@ -179,6 +189,18 @@ class CollisionWorld:
             for robot in self.cell.robots
         ]
         return (*found, *((obstacle.name, obstacle.pieces) for obstacle in self.cell.obstacles))
+
+    def _supports(self, part: int) -> tuple[int, ...]:
+        """Return the obstacles that a part touches at its place, by their indices in `_static`."""
+        if part not in self._resting:
+            near = self.cell.margins.line
+            self._resting[part] = tuple(
+                index
+                for index, (_, pieces) in enumerate(self._static)
+                if index >= self.cell.robot_count
+                and any(distance_between(a, b) <= near for a in self.parts.pieces[part] for b in pieces)
+            )
+        return self._resting[part]
 
     def carried(self, robot: int, scene: Scene) -> Carried | None:
         """Return the pieces of a robot's load, in the frame of the flange."""
@@ -229,9 +251,12 @@ class CollisionWorld:
         entry = self.cell.robots[robot]
         bodies, names, kinds = make_bodies(entry, self.carried(robot, scene), self.parts.names)
         stands: list[tuple[str, int, Pieces]] = []
+        load = scene.attached[robot]
+        supports = self._supports(load.part) if contact.carried_floor and load is not None else ()
         for index, (name, pieces) in enumerate(self._static):
             if index != robot:
-                stands.append((name, _ROBOT if index < self.cell.robot_count else _OBSTACLE, pieces))
+                fixed = _SUPPORT if index in supports else _OBSTACLE
+                stands.append((name, _ROBOT if index < self.cell.robot_count else fixed, pieces))
         for other in range(self.cell.robot_count):
             if other != robot:
                 stands += [(name, _ROBOT, (piece,)) for name, _, piece in self.robot_pieces(other, scene)]
@@ -278,7 +303,7 @@ class CollisionWorld:
         on_floor[links == 0] = False
         if contact.carried_floor:
             on_floor[load] = False
-            pair[np.ix_(load, owners == _OBSTACLE)] = False
+            pair[np.ix_(load, owners == _SUPPORT)] = False
         return Rules(
             pair=pair,
             self_pairs=self_pairs(model, links.tolist()),
