@@ -86,8 +86,8 @@ class Contact:
     """Pairs that may touch during one motion; all others keep their distance.
 
     For an approach or a withdrawal: the gripper may touch the part that it grips. For the withdrawal of a part: the
-    carried part may touch the parts, the floor and the obstacles that it leaves. The second rule is only safe along a straight line
-    that the clearance table has proven free for the present parts; these pairs are not checked here.
+    carried part may touch the parts, the floor and the obstacles that it leaves. The second rule is only safe along a
+    straight line that the clearance table has proven free for the present parts; these pairs are not checked here.
     """
 
     gripper: frozenset[int] = frozenset()
