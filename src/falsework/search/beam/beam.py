@@ -85,8 +85,13 @@ class BeamSearch(LevelSearch):
         return all(self._whole)
 
     @property
+    def asked(self) -> int:
+        """Verdicts requested so far, earlier runs included."""
+        return self._before.asked + self._judge.asked
+
+    @property
     def counters(self) -> SearchCounters:
-        """Work done so far, earlier runs included."""
+        """Work done so far, earlier runs included; takes time with the levels, unlike `asked`."""
         now = SearchCounters(0, self._candidates, self._judge.asked, self._judge.rejected)
         return self._before + now + SearchCounters(states=sum(len(level.states) for level in self.levels))
 
