@@ -146,11 +146,10 @@ class Stability:
         """
         contact = self.settings.criterion == "contact"
         found = Verdicts.blank(len(states), points=self.problem.points, parts=self.problem.parts, displaced=contact)
-        guesses = [self._guess_of(state) for state in states]
-        rows = np.array([row for row, guess in enumerate(guesses) if guess is not None], dtype=np.intp)
-        if self._cpu is None or not len(rows) or self._choose(len(rows)) is not self._cpu:
+        stored = {row: guess for row, state in enumerate(states) if (guess := self._guess_of(state)) is not None}
+        if self._cpu is None or not stored or self._choose(len(stored)) is not self._cpu:
             return found
-        guess = np.array([guesses[row] for row in rows], dtype=np.float64)
+        rows, guess = np.array(list(stored)), np.array(list(stored.values()), dtype=np.float64)
         again = self._cpu.check(states[rows], parents=states[rows], guess=guess)
         good = again.stable & self._accept(states[rows], again)
         self._put(states[rows[good]], again[good])
@@ -367,16 +366,13 @@ class Stability:
         found = self._guesses.get(state.tobytes())
         if found is not None or not self.holds_keep_stable:
             return found
-        held = np.flatnonzero((state == HELD) & ~self.assembly.boundary)
-        if len(held) > _UNHELD:
-            return None
-        before = state.copy()
-        for values in product((REMOVED, INSTALLED, HELD), repeat=len(held)):
-            before[held] = values
+        held, before = np.flatnonzero((state == HELD) & ~self.assembly.boundary), state.copy()
+        for values in product((REMOVED, INSTALLED, HELD), repeat=len(held) if len(held) <= _UNHELD else 0):
+            before[held] = values if values else HELD
             found = self._guesses.get(before.tobytes())
             if found is not None:
-                return found
-        return None
+                break
+        return found
 
     def _pass_on(self, states: States, origins: States) -> None:
         """Let states that were cached as stable share the guess of their parents."""
@@ -400,7 +396,5 @@ class Stability:
     def _count(self, verdicts: Verdicts) -> None:
         self.counters.cpu += int((verdicts.decided_by == Solver.CPU).sum())
         self.counters.gpu += int((verdicts.decided_by == Solver.GPU).sum())
-        self.counters.exact += int(
-            ((verdicts.decided_by == Solver.EXACT) | (verdicts.decided_by == Solver.GUROBI)).sum()
-        )
+        self.counters.exact += int(np.isin(verdicts.decided_by, (Solver.EXACT, Solver.GUROBI)).sum())
         self.counters.undecided += int(verdicts.undecided.sum())

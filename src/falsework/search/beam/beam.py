@@ -19,12 +19,7 @@ from falsework.search.beam.settings import BeamSettings
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.hashing import StateHash
 from falsework.search.problem.oracle import CountingOracle, Oracle
-from falsework.search.problem.result import (
-    Outcome,
-    SearchCounters,
-    SearchResult,
-    beam_failure,
-)
+from falsework.search.problem.result import Outcome, SearchCounters, SearchResult, beam_failure
 from falsework.search.problem.task import Direction, Task
 
 _RETREAT_LEVELS = 8

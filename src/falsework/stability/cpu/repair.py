@@ -3,7 +3,7 @@
 A state differs from a stable one, whose forces are known, in a part or two. Forces that balance it differ from those
 mostly near by. So keep every force more than a few contacts away, take those at the border as loads, and balance the
 parts inside: the work of a few parts however large the structure is. Failure proves nothing, since forces may have to
-change farther away.
+change farther away: the weight of a part that is let go of has to reach a support.
 """
 
 from __future__ import annotations
@@ -27,12 +27,13 @@ def _keep_border(structure, state, near, work, pairs, forces):
     """Turn the forces between parts that are free in `near` and parts that are free in `state` alone into loads.
 
     Returns:
-        Number of pairs left, at the front of the scratch.
+        Number of pairs left, at the front of the scratch, and whether one of them leads to a part that cannot move,
+        without which a weight that nothing bore before has nowhere to go.
     """
     parts, first = structure.pair_parts, structure.pair_start
     ta, tb, basis, pair, start = structure.transfer_a, structure.transfer_b, work.basis, work.pair, work.start
     scale, friction, pull, stick, tears = work.force_scale, work.friction, work.pull, work.stick, work.tears
-    kept, points = 0, 0
+    kept, points, grounded = 0, 0, False
     for p in range(pairs):
         q, begin, end, a, b = pair[p], start[p], start[p + 1], work.slot_a[p], work.slot_b[p]
         if (a < 0 and state[parts[q, 0]] == 1) or (b < 0 and state[parts[q, 1]] == 1):
@@ -49,6 +50,7 @@ def _keep_border(structure, state, near, work, pairs, forces):
                 a5 += basis[j, 5, 0] * f0 + basis[j, 5, 1] * f1 + basis[j, 5, 2] * f2
             add_pair_wrench(ta, tb, q, a, b, a0, a1, a2, a3, a4, a5, work.load)
             continue
+        grounded = grounded or a < 0 or b < 0
         pair[kept], start[kept], work.slot_a[kept], work.slot_b[kept] = q, points, a, b
         for j in range(begin, end):
             for i in range(6):
@@ -59,7 +61,7 @@ def _keep_border(structure, state, near, work, pairs, forces):
             points += 1
         kept += 1
     start[kept] = points
-    return kept
+    return kept, grounded
 
 
 @njit(cache=True)
@@ -110,7 +112,9 @@ def repair_state(structure, state, parent, rings, options, work, near, forces):
         if kept == 0 or 2 * kept > free:
             break
         pairs, _ = restrict(structure, near, work)
-        pairs = _keep_border(structure, state, near, work, pairs, forces)
+        pairs, grounded = _keep_border(structure, state, near, work, pairs, forces)
+        if not grounded:
+            continue
         for p in range(pairs):
             shift = structure.pair_start[work.pair[p]] - work.start[p]
             for j in range(work.start[p], work.start[p + 1]):

@@ -84,7 +84,7 @@ class CpuSolver:
             states: checked states, shape (batch, parts).
             certificates: return forces and velocity too.
             parents: for each state a stable one that differs in few parts, shape (batch, parts); a mechanism is
-                sought near the difference first where no certificates are requested.
+                sought near the difference first, unless certificates are requested and there is a guess.
             guess: contact forces in N to start from, shape (batch, points, 3), zero where not known; overwritten with
                 the forces that were found. With `parents`, those that balance them, which are repaired near the
                 difference first.
@@ -112,8 +112,9 @@ class CpuSolver:
             kernel = self.structure, chosen
             if parents is not None:
                 beside = parents[rows]
-                # Proofs are mostly requested for stable states.
-                if not certificates and not fall_range(*kernel, beside, RINGS, self._options, motion, *found):
+                # Proofs along a plan are requested for stable states.
+                along = certificates and guess is not None
+                if not along and not fall_range(*kernel, beside, RINGS, self._options, motion, *found):
                     return
                 near = beside, known[rows], REPAIR_RINGS, self._options, force
                 if known[rows].any() and not repair_range(*kernel, *near, *found):
