@@ -21,6 +21,10 @@ from falsework.utils.cores import core_count
 
 _TASK = 16
 """States per task of a thread: few enough to balance the load, enough to hide the cost of a call."""
+_LARGE = 200
+"""Parts from which ADMM, where it begins with forces of a state near by, has these options ..."""
+_FROM_FORCES = {"rho": 3e-4, "relaxation": 1.6, "iterations": 150}
+"""... so that interior point steps, each with a factorization, are mostly not needed."""
 
 
 def kernel_options(settings: StabilitySettings) -> Options:
@@ -68,6 +72,7 @@ class CpuSolver:
         self.settings = settings
         self.structure = build_structure(problem)
         self._options = kernel_options(settings)
+        self._from_forces = self._options._replace(**_FROM_FORCES) if problem.parts >= _LARGE else self._options
         self._workers = Workers(settings.cpu.threads)
 
     def check(
@@ -119,7 +124,7 @@ class CpuSolver:
                 near = beside, known[rows], REPAIR_RINGS, self._options, force
                 if known[rows].any() and not repair_range(*kernel, *near, *found):
                     return
-            solve_range(*kernel, self._options, force, motion, warm, *found)
+            solve_range(*kernel, self._from_forces if warm else self._options, force, motion, warm, *found)
             if warm and (found[0] == UNDECIDED).any():  # the interior point method may stall near the cones
                 solve_range(*kernel, self._options, force, motion, not warm, *found)
 
