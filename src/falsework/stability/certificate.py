@@ -167,12 +167,12 @@ def residual_of_forces(
     contacts, mass = assembly.contacts, assembly.mass
     owner = contacts.contact_of_point
     a, b = contacts.parts[owner, 0], contacts.parts[owner, 1]
-    forces = np.where(_acts(states, a, b)[:, :, None], forces, 0.0)
+    strength, acts = strength_of(assembly, claim.gravity), _acts(states, a, b)
+    forces = np.where(acts[:, :, None], forces, 0.0)
     weight = claim.gravity * mass.mass[~assembly.immovable].sum()
 
     size = np.linalg.norm(forces, axis=2)
     finite = np.isfinite(size).all(axis=1)
-    strength, acts = strength_of(assembly, claim.gravity), _acts(states, a, b)
     forces, outside = _into_cone(np.where(finite[:, None, None], forces, 0.0), strength, claim.cone)
     forces = np.where(acts[:, :, None], forces, 0.0)
     admissible = finite & np.where(acts, outside <= _ROUNDING * (size + weight), True).all(axis=1)
