@@ -268,7 +268,8 @@ def _resultants(assembly: Assembly, forces: Array) -> tuple[Array, Array]:
     """
     contacts = assembly.contacts
     if not len(contacts.points):
-        return (np.zeros((len(forces), 0, 3)),) * 2
+        nothing = np.zeros((len(forces), 0, 3))
+        return nothing, nothing
     middle, arms = _arms(assembly)
     first = contacts.start[:-1]
     force = np.einsum("bqi,qij->bqj", np.add.reduceat(forces, first, axis=1), contacts.frames)

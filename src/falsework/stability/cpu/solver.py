@@ -109,7 +109,7 @@ class CpuSolver:
             forces = np.zeros((0, problem.points, 3))
         velocity = verdicts.velocity if verdicts.velocity is not None else np.zeros((0, problem.parts, 6))
         steps = np.zeros(batch, np.int32)
-        known = np.zeros(batch, bool) if guess is None or parents is None else guess.any(axis=(1, 2))
+        known = np.zeros(batch, bool) if guess is None or parents is None else np.asarray(guess.any(axis=(1, 2)))
 
         def work(rows: slice) -> None:
             found = verdicts.verdict[rows], verdicts.residual[rows], verdicts.iterations[rows], steps[rows]
