@@ -179,7 +179,7 @@ def report_plans(options: Options) -> None:
                 report("scaling plan", **result, robots=2, limit=options.limit, seeds=[seed], time="processor")
                 found += [result] if result["found"] else []
         sizes = sorted({result["parts"] for result in found})
-        if len(sizes) > 1:
+        if len(sizes) > 2:
             exponent = exponents(found, PLAN_MEASURED)
             seeds = range(options.seeds)
             report("scaling plan fit", parts=sizes, criterion=criterion, exponent=exponent, seeds=seeds, robots=2)

@@ -329,11 +329,12 @@ TABLES = {
     ),
     "planning-exponents": Table(
         "scaling",
-        (("criterion", "{criterion}"), ("sizes", "{parts}")),
+        (("criterion", "{criterion}"), ("parts, median and range", "{parts}")),
         tuple(
             (name, f"{{exponent.{name}}}") for name in ("contacts_s", "search_s", "proofs_s", "plan_s", "memory_gib")
         ),
         benchmark="scaling plan fit",
+        where=lambda record: len(record["parts"]) > 2,
     ),
     "gpu-stability": Table(
         "gpu_stability",
