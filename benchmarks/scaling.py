@@ -2,6 +2,7 @@
 
     python benchmarks/scaling.py
     python benchmarks/scaling.py --parts 62 250 1000 4000 10000 --out benchmarks/results/scaling.jsonl
+    python benchmarks/scaling.py --plans --parts 62 125 250 500 1000 --limit 300 --out benchmarks/results/scaling.jsonl
 
 For every size, processor time in seconds: for the contacts, for the problem (wrench maps, order of elimination), for
 one verdict of the complete structure with its certificate accepted by the checker, under both criteria, and under
@@ -9,6 +10,11 @@ one verdict of the complete structure with its certificate accepted by the check
 displacement of the state before (`next_s`, median). Besides, iterations from rest, and the peak memory of the process.
 Each size runs in a process of its own, so that memory is that size's alone. `exponent` is the slope of a straight line
 through the logarithms: 1 is linear in the number of parts.
+
+`--plans` measures a plan with two robots instead, by criterion and seed, in processor time of all cores: the structure
+with its contacts, the search (under `contact` with its replays), and the proofs of all states, forces kept in the plan.
+`search_s` ends with the last level; a search that uses more than `--limit` seconds ends without a plan, and does not
+count in the fit.
 """
 
 from __future__ import annotations
@@ -20,6 +26,7 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tyro
@@ -28,10 +35,13 @@ from record import report, write_to
 from falsework.assembly import load_structure
 from falsework.assembly.state import HELD, REMOVED, complete_state
 from falsework.geometry import find_contacts
+from falsework.search import PlannerSettings, SearchProgress, find_plans
 from falsework.stability import Stability, StabilitySettings
 from falsework.stability.settings import EQUILIBRIUM
+from falsework.stability.verdict import Criterion
 
 MEASURED = ("contacts_s", "problem_s", "equilibrium_s", "contact_s", "next_s", "memory_gib")
+PLAN_MEASURED = ("contacts_s", "search_s", "proofs_s", "plan_s", "memory_gib")
 _HIGHEST = 4
 """Parts that are held and removed."""
 
@@ -46,8 +56,16 @@ class Options:
     """Number of runs of each; the median counts."""
     out: Path | None = None
     """File to which the records are appended; the picture in the documentation is drawn from the last of them."""
+    plans: bool = False
+    """Measure plans instead of verdicts."""
+    criteria: tuple[Criterion, ...] = ("contact", "equilibrium")
+    """Criteria of the plans."""
+    seeds: int = 1
+    """Seeds of the searches for a plan, from 0 on."""
+    limit: float = 300.0
+    """Seconds of processor time for a search."""
     alone: bool = False
-    """Measure the first size in this process and print its object only."""
+    """Measure the first size in this process and print its object only; of a plan, that of the last seed."""
 
 
 def measure(parts: int, repeats: int) -> dict[str, float | int | str]:
@@ -101,23 +119,91 @@ def measure(parts: int, repeats: int) -> dict[str, float | int | str]:
     }
 
 
+def measure_plan(parts: int, criterion: Criterion, seed: int, limit: float) -> dict[str, Any]:
+    """Return the times of one plan, or of a search that found none."""
+    settings = StabilitySettings(criterion=criterion)
+    small = load_structure("vault:parts=62")
+    find_plans(small, oracle=Stability(small, settings))  # compiles
+    begun = time.process_time()
+    assembly = load_structure(f"vault:parts={parts}")
+    loaded = searched = time.process_time()
+
+    def reached(_: SearchProgress) -> None:
+        nonlocal searched
+        searched = time.process_time()
+
+    planning = find_plans(
+        assembly,
+        robots=2,
+        oracle=Stability(assembly, settings),
+        settings=PlannerSettings(seed=seed),
+        progress=reached,
+        stop=lambda: time.process_time() - loaded > limit,
+    )
+    return {
+        "parts": assembly.part_count,
+        "criterion": criterion,
+        "found": bool(planning.plans),
+        "reached": planning.result.reached,
+        "steps": planning.result.steps,
+        "verdicts": planning.result.counters.asked,
+        "contacts_s": round(loaded - begun, 3),
+        "search_s": round(searched - loaded, 3),
+        "proofs_s": round(time.process_time() - searched, 3),
+        "plan_s": round(time.process_time() - begun, 3),
+        "memory_gib": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, 3),
+    }
+
+
+def apart(*arguments: object) -> dict[str, Any]:
+    """Return what this script measures with some arguments in a process of its own."""
+    command = [sys.executable, __file__, "--alone", *map(str, arguments)]
+    line = subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip().splitlines()[-1]
+    return json.loads(line)
+
+
+def exponents(results: list[dict[str, Any]], names: tuple[str, ...]) -> dict[str, float]:
+    """Return the slopes of the logarithms of measured values over those of the parts."""
+    sizes = np.log([result["parts"] for result in results])
+    return {name: round(float(np.polyfit(sizes, np.log([r[name] for r in results]), 1)[0]), 2) for name in names}
+
+
+def report_plans(options: Options) -> None:
+    """Measure plans of all sizes under each criterion."""
+    for criterion in options.criteria:
+        found = []
+        for parts in options.parts:
+            for seed in range(options.seeds):
+                wanted = "--parts", parts, "--criteria", criterion, "--seeds", seed + 1, "--limit", options.limit
+                result = apart("--plans", *wanted)
+                report("scaling plan", **result, robots=2, limit=options.limit, seeds=[seed], time="processor")
+                found += [result] if result["found"] else []
+        sizes = sorted({result["parts"] for result in found})
+        if len(sizes) > 2:
+            exponent = exponents(found, PLAN_MEASURED)
+            seeds = range(options.seeds)
+            report("scaling plan fit", parts=sizes, criterion=criterion, exponent=exponent, seeds=seeds, robots=2)
+
+
 def main(options: Options) -> None:
     """Run the benchmark."""
+    if options.alone and options.plans:
+        found = measure_plan(options.parts[0], options.criteria[0], options.seeds - 1, options.limit)
+        print(json.dumps(found), flush=True)
+        return
     if options.alone:
         print(json.dumps(measure(options.parts[0], options.repeats)), flush=True)
         return
     write_to(options.out)
+    if options.plans:
+        report_plans(options)
+        return
     results = []
     for parts in options.parts:
-        command = [sys.executable, __file__, "--alone", "--parts", str(parts), "--repeats", str(options.repeats)]
-        line = subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip().splitlines()[-1]
-        results.append(json.loads(line))
+        results.append(apart("--parts", parts, "--repeats", options.repeats))
         report("scaling", **results[-1], repeats=options.repeats, time="processor")
     if len(results) > 1:
-        sizes = np.log([result["parts"] for result in results])
-        fit = {name: float(np.polyfit(sizes, np.log([r[name] for r in results]), 1)[0]) for name in MEASURED}
-        exponent = {name: round(value, 2) for name, value in fit.items()}
-        report("scaling fit", parts=options.parts, exponent=exponent, time="processor")
+        report("scaling fit", parts=options.parts, exponent=exponents(results, MEASURED), time="processor")
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import tyro
 from record import report, spread, write_to
@@ -39,6 +39,8 @@ class Options:
     """Worktree of the commit to compare with."""
     robots: int = 2
     """Parts held at once."""
+    criterion: Literal["contact", "equilibrium"] = "contact"
+    """Stability criterion of the plans."""
     seeds: int = 5
     """Number of seeds, from 0 on."""
     processes: int = 1
@@ -57,13 +59,16 @@ def search(options: Options, seed: int) -> dict[str, Any]:
     """Search for one plan in this process."""
     from falsework.assembly import load_structure
     from falsework.search import PlannerSettings, find_plans, save_plan
+    from falsework.stability import Stability, StabilitySettings
 
-    find_plans(load_structure("arch:blocks=5"))  # have everything compiled
-    assembly = load_structure(options.structures[0])
+    stability = StabilitySettings(criterion=options.criterion)
+    small, assembly = load_structure("arch:blocks=5"), load_structure(options.structures[0])
+    find_plans(small, oracle=Stability(small, stability))  # have everything compiled
     cpu, wall = time.process_time(), time.perf_counter()
     planning = find_plans(
         assembly,
         robots=options.robots,
+        oracle=Stability(assembly, stability),
         settings=PlannerSettings(seed=seed),
         stop=lambda: time.process_time() - cpu > options.limit,
     )
@@ -90,7 +95,7 @@ def run(options: Options, tree: Path, structure: str, seed: int) -> dict[str, An
         share = len(cores) // options.processes
         own = cores[seed % options.processes * share :][:share]
         command = ["taskset", "--cpu-list", ",".join(map(str, own)), *command]
-    command += ["--robots", str(options.robots), "--limit", str(options.limit)]
+    command += ["--robots", str(options.robots), "--limit", str(options.limit), "--criterion", options.criterion]
     if options.plans is not None and tree == _HERE:
         command += ["--plans", str(options.plans)]
     environment = {**os.environ, "PYTHONPATH": str(tree.resolve() / "src")}
@@ -137,6 +142,7 @@ def compare(options: Options) -> None:
             parts=runs["now"][0]["parts"],
             steps=runs["now"][0]["steps"],
             robots=options.robots,
+            criterion=options.criterion,
             limit=options.limit,
             processes=options.processes,
             **now,

@@ -247,6 +247,23 @@ TABLES = {
             ("memory, GiB", "{memory_gib}"),
         ),
         benchmark="search_compare plans",
+        where=lambda record: record.get("criterion") != "equilibrium",
+    ),
+    "search-compare-equilibrium": Table(
+        "search_compare",
+        (*STRUCTURE_AND_ROBOTS, ("before", "{before_commit}")),
+        (
+            ("verdicts", "{verdicts}"),
+            ("before", "{before.verdicts}"),
+            ("CPU time, s", "{cpu_seconds}"),
+            ("before", "{before.cpu_seconds}"),
+            ("ratio", "{cpu_ratio}"),
+            ("plans found", "{found}"),
+            ("before", "{before.found}"),
+            ("memory, GiB", "{memory_gib}"),
+        ),
+        benchmark="search_compare plans",
+        where=lambda record: record.get("criterion") == "equilibrium",
     ),
     "search-bound": Table(
         "search",
@@ -294,6 +311,30 @@ TABLES = {
         ),
         benchmark="scaling fit",
         where=lambda record: record.get("time") == "processor",
+    ),
+    "planning": Table(
+        "scaling",
+        (("criterion", "{criterion}"), ("parts", "{parts}")),
+        (
+            ("plan found", "{found}"),
+            ("steps reached", "{reached} of {steps}"),
+            ("verdicts", "{verdicts}"),
+            ("contacts, s", "{contacts_s}"),
+            ("search, s", "{search_s}"),
+            ("proofs, s", "{proofs_s}"),
+            ("all, s", "{plan_s}"),
+            ("memory, GiB", "{memory_gib}"),
+        ),
+        benchmark="scaling plan",
+    ),
+    "planning-exponents": Table(
+        "scaling",
+        (("criterion", "{criterion}"), ("parts, median and range", "{parts}")),
+        tuple(
+            (name, f"{{exponent.{name}}}") for name in ("contacts_s", "search_s", "proofs_s", "plan_s", "memory_gib")
+        ),
+        benchmark="scaling plan fit",
+        where=lambda record: len(record["parts"]) > 2,
     ),
     "gpu-stability": Table(
         "gpu_stability",

@@ -34,6 +34,7 @@ def main() -> None:
         "clear-exits": exits.clear_exits,
         "force-torque-graph": force_torque.force_torque_graph,
         "scaling": scaling.cost_against_parts,
+        "planning": scaling.planning_against_parts,
         **{f"gallery-{name}": commands.gallery for name in commands.BUILT_IN},
         **{f"real-{name}": commands.real for name in (*commands.REAL, *commands.PUBLIC)},
         "arch-plan.gif": commands.film,

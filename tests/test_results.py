@@ -139,6 +139,18 @@ def test_recorded_commands_of_falsework_still_exist(capsys: pytest.CaptureFixtur
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("criterion", ["contact", "equilibrium"])
+def test_the_time_of_a_plan_is_measured_by_phase(criterion: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    code, text = run("scaling", ["--alone", "--plans", "--parts", "60", "--criteria", criterion], monkeypatch)
+    record = json.loads(text)
+    assert code == 0
+    assert record["found"]
+    assert record["reached"] == record["steps"] == 118
+    phases = record["contacts_s"] + record["search_s"] + record["proofs_s"]
+    assert record["plan_s"] == pytest.approx(phases, abs=0.01)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("script", SMOKE)
 def test_cheap_benchmarks_run(script: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "records.jsonl"

@@ -1,9 +1,10 @@
-"""Cost against the number of parts, from the records of `benchmarks/scaling.py`."""
+"""Cost of verdicts and of plans against the number of parts, from the records of `benchmarks/scaling.py`."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -21,7 +22,7 @@ SERIES = {
 
 def cost_against_parts(path: Path) -> None:
     """Draw seconds over parts on logarithmic axes with fitted lines."""
-    records = [json.loads(line) for line in DATA.read_text(encoding="utf-8").splitlines()]
+    records = _records()
     fit = [record for record in records if record["benchmark"] == "scaling fit"][-1]
     sizes = [one for one in records if one["benchmark"] == "scaling" and one["commit"] == fit["commit"]]
     parts = np.array([size["parts"] for size in sizes], dtype=float)
@@ -40,3 +41,39 @@ def cost_against_parts(path: Path) -> None:
     axes.legend(frameon=False)
     figure.savefig(path, dpi=110)
     plt.close(figure)
+
+
+def planning_against_parts(path: Path) -> None:
+    """Draw processor seconds to a proven plan over parts, on logarithmic axes with lines through three plans or more."""
+    records = _records()
+    figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
+    plans = [record for record in records if record["benchmark"] == "scaling plan"]
+    plans = [plan for plan in plans if plan["commit"] == plans[-1]["commit"]]
+    ticks = sorted({plan["parts"] for plan in plans})
+    for criterion, colour in zip(("contact", "equilibrium"), ROBOTS, strict=False):
+        mine = [plan for plan in plans if plan["criterion"] == criterion]
+        found = [plan for plan in mine if plan["found"]]
+        parts, seconds = (np.array([plan[key] for plan in found], dtype=float) for key in ("parts", "plan_s"))
+        label = criterion
+        if len(parts) > 2:
+            exponent, level = np.polyfit(np.log(parts), np.log(seconds), 1)
+            label = f"{criterion}: parts$^{{{exponent:.2f}}}$"
+            axes.loglog(parts, np.exp(level) * parts**exponent, color=colour, linewidth=1)
+        axes.loglog(parts, seconds, "o", color=colour, label=label)
+        for plan in mine:
+            if not plan["found"]:
+                axes.loglog(plan["parts"], plan["plan_s"], "^", color=colour, fillstyle="none")
+    if not all(plan["found"] for plan in plans):
+        axes.loglog([], [], "^", color=INK, fillstyle="none", label="no plan by then")
+    axes.set_xticks(ticks, [f"{value}" for value in ticks], minor=False)
+    axes.minorticks_off()
+    axes.set_xlabel("parts of the built-in vault", color=INK)
+    axes.set_ylabel(f"processor seconds to a proven plan,\n{plans[-1]['device']}", color=INK)
+    axes.grid(alpha=0.3)
+    axes.legend(frameon=False)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def _records() -> list[dict[str, Any]]:
+    return [json.loads(line) for line in DATA.read_text(encoding="utf-8").splitlines()]

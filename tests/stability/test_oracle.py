@@ -157,9 +157,18 @@ def test_nothing_is_proven_from_memory_that_was_not_judged(arch: Assembly) -> No
     other[5] = 2
     assert stability.check_again(np.stack([other, states[0]])).stable.tolist() == [False, True]
     assert Stability(arch).check_again(states).undecided.all()
-    equilibrium = Stability(arch, StabilitySettings(criterion="equilibrium"))
-    equilibrium.judge(states, parents=states)
-    assert equilibrium.check_again(states).undecided.all()
+
+
+def test_forces_are_proven_from_memory_too(arch: Assembly) -> None:
+    _, states = judged(arch)
+    settings = StabilitySettings(criterion="equilibrium")
+    stability = Stability(arch, settings)
+    assert stability.check_again(states).undecided.all()
+    stability.judge(states, parents=states)
+    again = stability.check_again(states)
+    assert (again.proof == Proof.FORCES).all()
+    assert (again.iterations == 0).all()
+    assert verify_certificates(arch, states, again, settings.claim).all()
 
 
 def test_a_displacement_that_proves_nothing_is_not_passed_on(arch: Assembly) -> None:

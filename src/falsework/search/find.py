@@ -273,19 +273,17 @@ def plan_of(
 
 
 def _prove(states: States, oracle: Stability, verdicts: Verdicts) -> None:
-    """Check the states of a route: from the displacements that the search found, else one after the other.
+    """Check the states of a route: from what the search found them stable by, else one after the other.
 
     Args:
         states: shape (states, parts).
         oracle: checks them.
         verdicts: out: verdicts on them, with certificates where there is room.
     """
-    rest = np.arange(len(states))
-    if oracle.settings.criterion == "contact":
-        for first in range(0, len(states), _PROVED_AT_ONCE):
-            rows = np.arange(first, min(first + _PROVED_AT_ONCE, len(states)))
-            verdicts.put(rows, oracle.check_again(states[rows]))
-        rest = np.flatnonzero(~verdicts.stable)
+    for first in range(0, len(states), _PROVED_AT_ONCE):
+        rows = np.arange(first, min(first + _PROVED_AT_ONCE, len(states)))
+        verdicts.put(rows, oracle.check_again(states[rows]))
+    rest = np.flatnonzero(~verdicts.stable)
     if len(rest):
         found = Verdicts.blank(len(rest)) if verdicts.forces is None else verdicts[rest]
         _prove_in_order(states[rest], oracle, found)
@@ -293,7 +291,7 @@ def _prove(states: States, oracle: Stability, verdicts: Verdicts) -> None:
 
 
 def _prove_in_order(states: States, oracle: Stability, verdicts: Verdicts) -> None:
-    """Check states of a route; those of a large structure from the displacement of the state before.
+    """Check states of a route; those of a large structure from the displacement or forces of the state before.
 
     Args:
         states: shape (states, parts).
@@ -302,7 +300,7 @@ def _prove_in_order(states: States, oracle: Stability, verdicts: Verdicts) -> No
     """
     count, parts = states.shape
     length = -(-count // _PIECES)
-    if oracle.settings.criterion != "contact" or oracle.settings.solver == "gpu" or parts < _LARGE:
+    if oracle.settings.solver == "gpu" or parts < _LARGE:
         length = 1
     begins = np.arange(0, count, length)
     at_once = _PIECES if length > 1 else _PROVED_AT_ONCE

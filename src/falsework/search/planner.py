@@ -134,7 +134,8 @@ class Planner:
         def report(event: SearchProgress) -> None:
             if progress is not None:
                 seconds = self._seconds + time.perf_counter() - begun
-                progress(replace(event, asked=self.counters.asked, seconds=seconds))
+                asked = self._counters.asked + sum(beam.search.asked for beam in self._beams.values())
+                progress(replace(event, asked=asked, seconds=seconds))
 
         interrupted = False
         try:

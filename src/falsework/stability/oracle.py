@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Sequence
 from functools import cached_property
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import States, as_states
+from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states
 from falsework.errors import InputError
 from falsework.stability.cache import VerdictCache, unique_rows, unique_states
 from falsework.stability.certificate import verify_certificates
@@ -37,6 +38,8 @@ _BATCH = 32 * 1024 * 1024
 """Memory for contact forces or displacements of one batch, bytes."""
 _WORTH_A_GPU = 8
 """States from which `auto` uses the GPU: a launch costs as much as a few states on the CPU."""
+_UNHELD = 3
+"""Held parts up to which a guess is looked up for the state before they were held."""
 
 
 class Stability:
@@ -136,18 +139,17 @@ class Stability:
         return verdict
 
     def check_again(self, states: States) -> Verdicts:
-        """Check states `(batch, parts)` from the displacements at which `judge` found them at rest.
+        """Check states `(batch, parts)` from the displacements or forces by which `judge` found them stable.
 
         Returns:
-            Stable verdicts with certificates; undecided where no displacement is stored or it no longer proves
-            the state.
+            Stable verdicts with certificates; undecided where none are stored or they no longer prove the state.
         """
-        found = Verdicts.blank(len(states), points=self.problem.points, parts=self.problem.parts, displaced=True)
-        known = [row for row, state in enumerate(states) if state.tobytes() in self._guesses]
-        if not isinstance(self._cpu, ContactSolver) or self._choose(len(known)) is not self._cpu or not known:
+        contact = self.settings.criterion == "contact"
+        found = Verdicts.blank(len(states), points=self.problem.points, parts=self.problem.parts, displaced=contact)
+        stored = {row: guess for row, state in enumerate(states) if (guess := self._guess_of(state)) is not None}
+        if self._cpu is None or not stored or self._choose(len(stored)) is not self._cpu:
             return found
-        rows = np.array(known)
-        guess = np.array([self._guesses[states[row].tobytes()] for row in known], dtype=np.float64)
+        rows, guess = np.array(list(stored)), np.array(list(stored.values()), dtype=np.float64)
         again = self._cpu.check(states[rows], parents=states[rows], guess=guess)
         good = again.stable & self._accept(states[rows], again)
         self._put(states[rows[good]], again[good])
@@ -155,10 +157,12 @@ class Stability:
         return found
 
     def check_next(self, states: States, before: States, known: Verdicts) -> Verdicts:
-        """Check states `(batch, parts)`, under `contact` first from the displacements `known` of their predecessors."""
-        if not isinstance(self._cpu, ContactSolver) or known.displacement is None:
+        """Check states `(batch, parts)` first from the displacements, or forces, `known` of their predecessors."""
+        contact = self.settings.criterion == "contact"
+        proof = known.displacement if contact else known.forces
+        if self._cpu is None or proof is None or self._choose(len(states)) is not self._cpu:
             return self.check(states)
-        guess = np.where(known.stable[:, None, None], known.displacement, np.nan)
+        guess = np.where(known.stable[:, None, None], proof, np.nan if contact else 0.0)
         found = self._cpu.check(states, parents=before, guess=guess)
         good = found.stable & self._accept(states, found)
         self._put(states[good], found[good])
@@ -330,7 +334,7 @@ class Stability:
             return self.exact.check(states).without_certificates()
         verdicts, contact = Verdicts.blank(len(states)), self.settings.criterion == "contact"
         # Look up the parents first: storing the results of their children may evict them.
-        known = [None] * len(states) if parents is None else [self._guesses.get(p.tobytes()) for p in parents]
+        known = [None] * len(states) if parents is None else [self._guess_of(parent) for parent in parents]
         size = max(_BATCH // max(self._guess_bytes, 1), 16)
         for first in range(0, len(states), size):
             rows = np.arange(first, min(first + size, len(states)))
@@ -357,10 +361,23 @@ class Stability:
                 verdicts.put(rest, self._decide_exactly(states[rest], verdicts[rest]))
         return verdicts
 
+    def _guess_of(self, state: States) -> NDArray[np.float32] | None:
+        """Return the guess stored for a state; where holds keep states stable, also for it with parts not yet held."""
+        found = self._guesses.get(state.tobytes())
+        if found is not None or not self.holds_keep_stable:
+            return found
+        held, before = np.flatnonzero((state == HELD) & ~self.assembly.boundary), state.copy()
+        for values in product((REMOVED, INSTALLED, HELD), repeat=len(held) if len(held) <= _UNHELD else 0):
+            before[held] = values if values else HELD
+            found = self._guesses.get(before.tobytes())
+            if found is not None:
+                break
+        return found
+
     def _pass_on(self, states: States, origins: States) -> None:
         """Let states that were cached as stable share the guess of their parents."""
         for state, origin in zip(states, origins, strict=True):
-            known = self._guesses.get(origin.tobytes())
+            known = self._guess_of(origin)
             if known is not None:
                 self._guesses.setdefault(state.tobytes(), known)
 
@@ -379,7 +396,5 @@ class Stability:
     def _count(self, verdicts: Verdicts) -> None:
         self.counters.cpu += int((verdicts.decided_by == Solver.CPU).sum())
         self.counters.gpu += int((verdicts.decided_by == Solver.GPU).sum())
-        self.counters.exact += int(
-            ((verdicts.decided_by == Solver.EXACT) | (verdicts.decided_by == Solver.GUROBI)).sum()
-        )
+        self.counters.exact += int(np.isin(verdicts.decided_by, (Solver.EXACT, Solver.GUROBI)).sum())
         self.counters.undecided += int(verdicts.undecided.sum())

@@ -19,12 +19,7 @@ from falsework.search.beam.settings import BeamSettings
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.hashing import StateHash
 from falsework.search.problem.oracle import CountingOracle, Oracle
-from falsework.search.problem.result import (
-    Outcome,
-    SearchCounters,
-    SearchResult,
-    beam_failure,
-)
+from falsework.search.problem.result import Outcome, SearchCounters, SearchResult, beam_failure
 from falsework.search.problem.task import Direction, Task
 
 _RETREAT_LEVELS = 8
@@ -85,8 +80,13 @@ class BeamSearch(LevelSearch):
         return all(self._whole)
 
     @property
+    def asked(self) -> int:
+        """Verdicts requested so far, earlier runs included."""
+        return self._before.asked + self._judge.asked
+
+    @property
     def counters(self) -> SearchCounters:
-        """Work done so far, earlier runs included."""
+        """Work done so far, earlier runs included; takes time with the levels, unlike `asked`."""
         now = SearchCounters(0, self._candidates, self._judge.asked, self._judge.rejected)
         return self._before + now + SearchCounters(states=sum(len(level.states) for level in self.levels))
 

@@ -12,7 +12,8 @@ from falsework.assembly.state import States
 from falsework.stability.cpu.kernel import solve_range
 from falsework.stability.cpu.layout import COMPILED_LAYOUT, build_structure
 from falsework.stability.cpu.neighbourhood import RINGS, fall_range
-from falsework.stability.cpu.termination import Options
+from falsework.stability.cpu.repair import REPAIR_RINGS, repair_range
+from falsework.stability.cpu.termination import UNDECIDED, Options
 from falsework.stability.problem import Problem
 from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
 from falsework.stability.verdict import Solver, Verdicts, proof_of
@@ -20,6 +21,10 @@ from falsework.utils.cores import core_count
 
 _TASK = 16
 """States per task of a thread: few enough to balance the load, enough to hide the cost of a call."""
+_LARGE = 200
+"""Parts from which ADMM, where it begins with forces of a state near by, has these options ..."""
+_FROM_FORCES = {"rho": 3e-4, "relaxation": 1.6, "iterations": 150}
+"""... so that interior point steps, each with a factorization, are mostly not needed."""
 
 
 def kernel_options(settings: StabilitySettings) -> Options:
@@ -67,6 +72,7 @@ class CpuSolver:
         self.settings = settings
         self.structure = build_structure(problem)
         self._options = kernel_options(settings)
+        self._from_forces = self._options._replace(**_FROM_FORCES) if problem.parts >= _LARGE else self._options
         self._workers = Workers(settings.cpu.threads)
 
     def check(
@@ -83,9 +89,10 @@ class CpuSolver:
             states: checked states, shape (batch, parts).
             certificates: return forces and velocity too.
             parents: for each state a stable one that differs in few parts, shape (batch, parts); a mechanism is
-                sought near the difference first.
-            guess: contact forces in N to start from, shape (batch, points, 3); overwritten with the
-                forces that were found.
+                sought near the difference first, unless certificates are requested and there is a guess.
+            guess: contact forces in N to start from, shape (batch, points, 3), zero where not known; overwritten with
+                the forces that were found. With `parents`, those that balance them, which are repaired near the
+                difference first.
 
         Returns:
             Verdicts; `UNDECIDED` where neither proof was found within the limits of the settings.
@@ -102,14 +109,24 @@ class CpuSolver:
             forces = np.zeros((0, problem.points, 3))
         velocity = verdicts.velocity if verdicts.velocity is not None else np.zeros((0, problem.parts, 6))
         steps = np.zeros(batch, np.int32)
+        known = np.zeros(batch, bool) if guess is None or parents is None else np.asarray(guess.any(axis=(1, 2)))
 
         def work(rows: slice) -> None:
             found = verdicts.verdict[rows], verdicts.residual[rows], verdicts.iterations[rows], steps[rows]
-            motion, warm = velocity[rows], guess is not None
-            if parents is None or fall_range(
-                self.structure, states[rows], parents[rows], RINGS, self._options, motion, *found
-            ):
-                solve_range(self.structure, states[rows], self._options, forces[rows], motion, warm, *found)
+            chosen, motion, force, warm = states[rows], velocity[rows], forces[rows], guess is not None
+            kernel = self.structure, chosen
+            if parents is not None:
+                beside = parents[rows]
+                # Proofs along a plan are requested for stable states.
+                along = certificates and guess is not None
+                if not along and not fall_range(*kernel, beside, RINGS, self._options, motion, *found):
+                    return
+                near = beside, known[rows], REPAIR_RINGS, self._options, force
+                if known[rows].any() and not repair_range(*kernel, *near, *found):
+                    return
+            solve_range(*kernel, self._from_forces if warm else self._options, force, motion, warm, *found)
+            if warm and (found[0] == UNDECIDED).any():  # the interior point method may stall near the cones
+                solve_range(*kernel, self._options, force, motion, not warm, *found)
 
         self._workers.run(work, batch)
         if verdicts.forces is not None and forces is not verdicts.forces:

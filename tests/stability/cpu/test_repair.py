@@ -1,0 +1,72 @@
+"""Repair of contact forces near a change: what it finds is a proof, and what it leaves is decided as before."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from falsework.assembly import library
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import HELD, INSTALLED, complete_state
+from falsework.stability import Stability, Verdict, verify_certificates
+from falsework.stability.cpu.repair import REPAIR_RINGS, repair_range
+from falsework.stability.cpu.solver import CpuSolver
+from falsework.stability.problem import build_problem
+from falsework.stability.settings import EQUILIBRIUM
+
+
+@pytest.fixture(scope="module")
+def vault() -> Assembly:
+    return library.build("vault")
+
+
+@pytest.fixture(scope="module")
+def released(vault: Assembly) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Complete vault after the release of each part, and before."""
+    complete = complete_state(vault.boundary)
+    parts = np.flatnonzero(complete == INSTALLED)
+    before = np.repeat(complete[None], len(parts), axis=0)
+    before[np.arange(len(parts)), parts] = HELD
+    return np.repeat(complete[None], len(parts), axis=0), before
+
+
+def test_repaired_forces_prove_the_state(vault: Assembly, released: tuple[NDArray, NDArray]) -> None:
+    states, before = released
+    solver = CpuSolver(build_problem(vault))
+    known = solver.check(before)
+    verdict, residual = np.zeros(len(states), np.int8), np.full(len(states), np.nan)
+    counts = np.zeros((2, len(states)), np.int32)
+    assert known.forces is not None
+    forces = known.forces.copy()
+    kernel = solver.structure, states, before, known.stable, REPAIR_RINGS, solver._options
+    left = repair_range(*kernel, forces, verdict, residual, *counts)
+    good = np.flatnonzero(verdict == Verdict.STABLE)
+    assert len(good) == len(states) - left > 0
+    checked = solver.check(states)[good]
+    assert checked.forces is not None
+    checked.forces[:] = forces[good]
+    assert verify_certificates(vault, states[good], checked, EQUILIBRIUM.claim).all()
+    changed = (forces[good] != known.forces[good]).any(axis=2)
+    assert (changed.sum(axis=1) < changed.shape[1]).any()  # forces farther away are those of before
+
+
+def test_forces_of_another_state_do_not_mislead(vault: Assembly, released: tuple[NDArray, NDArray]) -> None:
+    states, before = released
+    oracle = Stability(vault, EQUILIBRIUM)
+    wrong = oracle.check(before[::-1].copy())
+    assert wrong.forces is not None
+    wrong.forces[:] *= 1.5
+    found = oracle.check_next(states, before, wrong)
+    assert (found.verdict == oracle.check(states).verdict).all()
+    assert verify_certificates(vault, states, found, EQUILIBRIUM.claim).all()
+
+
+def test_forces_are_passed_on_by_holds(vault: Assembly) -> None:
+    oracle, complete = Stability(vault, EQUILIBRIUM), complete_state(vault.boundary)
+    held = np.repeat(complete[None], 3, axis=0)
+    parts = np.flatnonzero(complete == INSTALLED)[[0, 5, 9]]
+    for row in range(3):
+        held[row, parts[: row + 1]] = HELD
+    assert oracle.judge(complete[None], parents=complete[None]).stable.all()
+    assert oracle.check_again(held).stable.all()
