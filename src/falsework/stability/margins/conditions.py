@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -125,7 +126,7 @@ class Prober:
         if self.contact:
             known = near is not None and near.displacement is not None
             options = self._quick_options if quick and known else self._contact_options
-            return self._ask_contact(state, condition, near, moved, options)
+            return self._ask_contact(state, [condition], [near if known else None], [-1], moved, options)[0]
         answer = self.balance(state, condition, near)
         if answer.stands or answer.velocity is not None:
             return answer
@@ -136,7 +137,9 @@ class Prober:
 
     def balance(self, state: States, condition: Condition, near: Answer | None = None) -> Answer:
         """Check whether a state is in equilibrium, whatever the criterion; arguments as for `ask`."""
-        structure = self._under(condition.friction)._replace(gravity=self._whitened(condition))
+        gravity = self._whitened([condition.extra])[0]
+        gravity.setflags(write=False)  # as the kernels are compiled for
+        structure = self._under(condition.friction)._replace(gravity=gravity)
         warm = near is not None and near.forces is not None
         forces, velocity = np.zeros((1, self.problem.points, 3)), np.zeros((1, self.problem.parts, 6))
         if warm and near is not None and near.forces is not None:
@@ -148,42 +151,62 @@ class Prober:
         stands, fails = bool(verdict[0] == STABLE), bool(verdict[0] == UNSTABLE)
         return Answer(condition, stands, forces=forces[0] if stands else None, velocity=velocity[0] if fails else None)
 
+    def ask_each(
+        self, state: States, conditions: Sequence[Condition], near: Sequence[Answer | int]
+    ) -> list[Answer]:
+        """Check a state quickly under conditions with the same friction, until it fails under one; under `contact`.
+
+        Args:
+            state: shape (parts,).
+            conditions: friction and loads.
+            near: for each the stable answer under a nearby condition, or the index of an earlier one of these.
+        """
+        known = [answer if isinstance(answer, Answer) else None for answer in near]
+        after = [answer if isinstance(answer, int) else -1 for answer in near]
+        return self._ask_contact(state, conditions, known, after, None, self._quick_options)
+
     def _ask_contact(
         self,
         state: States,
-        condition: Condition,
-        near: Answer | None,
+        conditions: Sequence[Condition],
+        near: Sequence[Answer | None],
+        after: Sequence[int],
         moved: Array | None,
         options: ContactOptions,
-    ) -> Answer:
-        structure = self._under(condition.friction)
-        displacement = np.zeros((1, self.problem.parts, 6))
-        warm = near is not None and near.displacement is not None
-        if warm and near is not None and near.displacement is not None:
-            displacement[0] = near.displacement
-        result, residual, spent = np.zeros(1, np.int8), np.zeros(1), np.zeros(1, np.int32)
-        offsets = self._no_motion if moved is None else self._offsets(moved)
-        rest_under(
+    ) -> list[Answer]:
+        count = len(conditions)
+        structure = self._under(conditions[0].friction)
+        displacement = np.zeros((count, self.problem.parts, 6))
+        for row, answer in enumerate(near):
+            if answer is not None and answer.displacement is not None:
+                displacement[row] = answer.displacement
+        warm = near[0] is not None
+        result, residual, spent = np.zeros(count, np.int8), np.zeros(count), np.zeros(count, np.int32)
+        tried = rest_under(
             structure,
             self._contact,
             np.array(state),
-            np.array(self._whitened(condition)[None]),
-            offsets,
+            self._whitened([condition.extra for condition in conditions]),
+            self._no_motion if moved is None else self._offsets(moved),
             options,
             displacement,
             warm,
+            np.array(after, np.int64),
             result,
             residual,
             spent,
         )
-        stands = bool(result[0] == RESTS)
-        return Answer(
-            condition,
-            stands,
-            moves_away=bool(result[0] == MOVES_AWAY),
-            quick=options.steps == 0,
-            displacement=displacement[0] if stands else None,
-        )
+        quick = options.steps == 0
+        return [
+            Answer(
+                condition,
+                bool(result[row] == RESTS),
+                moves_away=bool(result[row] == MOVES_AWAY),
+                quick=quick,
+                displacement=displacement[row] if result[row] == RESTS else None,
+            )
+            for row, condition in enumerate(conditions[:tried])
+        ]
 
     def forces(self, state: States, answer: Answer) -> Array:
         """Return the contact forces of a stable answer, N, shape (points, 3)."""
@@ -269,12 +292,10 @@ class Prober:
         strength = strength_of(replace(self.assembly, friction=friction), self.settings.gravity)
         return self._structure._replace(**strength_arrays(self.problem, strength))
 
-    def _whitened(self, condition: Condition) -> Array:
-        """Return the wrenches of a condition for the kernels: read-only, as they are compiled for."""
-        wrench = self.problem.gravity_wrench + condition.extra
-        whitened = np.ascontiguousarray((self.problem.whitening @ wrench[:, :, None])[:, :, 0])
-        whitened.setflags(write=False)
-        return whitened
+    def _whitened(self, extra: Sequence[Array]) -> Array:
+        """Return the weights with additional wrenches for the kernels, shape (extra, parts, 6)."""
+        wrench = self.problem.gravity_wrench + np.array(extra)
+        return np.einsum("prc,lpc->lpr", self.problem.whitening, wrench, order="C")
 
     def _offsets(self, moved: Array) -> Array:
         """Return the scaled spring forces that displaced fixed parts cause at contact points, shape (points, 3)."""

@@ -207,9 +207,15 @@ def weakest_load(
     order = sorted(order, key=lambda row: names[row] != weak)
     if prober.contact:
         families = {row: LoadFamily(prober, state, start, loads[row], guess=guess(row), cap=cap) for row in order}
+        friction = start.condition.friction
+
+        def probe(rows: Sequence[int], multiple: float, nearby: Sequence[Answer | int]) -> list[Answer]:
+            conditions = [Condition(friction, multiple * loads[row]) for row in rows]
+            return prober.ask_each(state, conditions, nearby)
+
         race = Weakest(
             order,
-            lambda row, multiple, nearby: families[row].probe(multiple, nearby),
+            probe,
             start,
             guess=guess,
             cap=cap,

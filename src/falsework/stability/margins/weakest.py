@@ -19,8 +19,11 @@ _STRIKES = 1
 """Tests beyond the least bound that may fail; after that families are tested inside it, where failures are rare."""
 _ALIKE = 0.2
 """Difference of values, as a share, up to which a probe starts from another family's rest."""
-Probe = Callable[[int, float, Answer], Answer]
-"""Answer of a family at a value, by a quick probe warm-started from an answer."""
+_BATCH = 64
+"""Families that are tested in one call."""
+Probe = Callable[[Sequence[int], float, Sequence[Answer | int]], list[Answer]]
+"""Answers of families at a value by quick probes, until the first that fails. Each is warm-started from an answer, or
+from that of an earlier family in the list, given by its index."""
 
 
 class Weakest:
@@ -46,7 +49,7 @@ class Weakest:
 
         Args:
             families: those to compare, likely weakest first.
-            probe: answer of a family at a value.
+            probe: answers of families at a value.
             start: the stable answer at 0.
             guess: value of a family to try first.
             cap: value beyond which there is no bound.
@@ -94,7 +97,7 @@ class Weakest:
             rows, demand = (self._families, (1.0 - _RISE) * value) if narrow else (self._sample, value / _COARSE)
             left = [row for row in rows if row != best and self._low[row][0] < demand]
             if left:
-                self._test(self._nearest(best, left), value, high)
+                self._test(best, left, value, high)
             elif not narrow:
                 self._narrow(best)
             elif confirmed.get(best) == high:
@@ -130,31 +133,43 @@ class Weakest:
             value = low + _SPLIT * (high - low)
         self._ask(row, value, self._low[row][1])
 
-    def _test(self, row: int, value: float, high: float) -> None:
-        """Test a family at a value below which it is known to be stable, or beyond the bound, to do so only once."""
-        low, near = self._low[row]
+    def _test(self, best: int, left: Sequence[int], value: float, high: float) -> None:
+        """Test families at a value below which they are known to be stable, or beyond the bound, to do so only once."""
         distance = self._distance
-        if distance is None and self._strikes:
-            self._strikes -= not self._ask(row, high, near)
+        if distance is None:
+            beyond = self._strikes > 0
+            if not self._probe_all(left[:_BATCH], high if beyond else value):
+                self._strikes -= beyond
             return
-        if distance is not None:
-            kin = min(
-                self._families,
-                key=lambda other: (abs(self._low[other][0] / value - 1.0) > _ALIKE, distance(row, other)),
-            )
-            if abs(self._low[kin][0] - value) < abs(low - value):
-                near = self._low[kin][1]
-        self._ask(row, value, near)
+        if left[0] not in self._sample:
+            left = sorted(left, key=lambda row: distance(row, best))
+        self._probe_all(left[:_BATCH], value)
+
+    def _probe_all(self, rows: Sequence[int], value: float) -> bool:
+        """Probe families at a value until one fails; return whether none does."""
+        answers = self._probe(rows, value, [self._origin(rows, place, value) for place in range(len(rows))])
+        for row, answer in zip(rows, answers, strict=False):
+            self._keep(row, value, answer)
+        return answers[-1].stands
+
+    def _origin(self, rows: Sequence[int], place: int, value: float) -> Answer | int:
+        """Return where to start the probe of a family: at its last rest, or at that of a neighbour or one before it."""
+        row, distance = rows[place], self._distance
+        low, near = self._low[row]
+        if distance is None:
+            return near
+        before = {other: index for index, other in enumerate(rows[:place])}
+        known = [other for other in self._families if abs(self._low[other][0] / value - 1.0) <= _ALIKE]
+        kin = min([*known, *before], key=lambda other: distance(row, other), default=row)
+        if kin in before:
+            return before[kin]
+        return self._low[kin][1] if abs(self._low[kin][0] - value) < abs(low - value) else near
 
     def _ask(self, row: int, value: float, near: Answer) -> bool:
         """Probe a family and keep the answer; return whether it is stable."""
-        answer = self._probe(row, value, near)
-        (self._low if answer.stands else self._high)[row] = value, answer
+        (answer,) = self._probe([row], value, [near])
+        self._keep(row, value, answer)
         return answer.stands
 
-    def _nearest(self, best: int, left: Sequence[int]) -> int:
-        """Return the family to test next."""
-        distance = self._distance
-        if distance is None or left[0] in self._sample:
-            return left[0]
-        return min(left, key=lambda row: distance(row, best))
+    def _keep(self, row: int, value: float, answer: Answer) -> None:
+        (self._low if answer.stands else self._high)[row] = value, answer
