@@ -33,13 +33,8 @@ def held_loads(prober: Prober, state: States, start: Answer) -> tuple[HeldLoad, 
         state: shape (parts,).
         start: the stable answer for the unmodified state.
     """
-    assembly, problem = prober.assembly, prober.problem
-    held = np.flatnonzero((state == HELD) & ~assembly.boundary)
-    forces = prober.forces(state, start)
-    net = problem.gravity_wrench.copy()
-    active = problem.active(state[None])[0]
-    for part, wrench in ((problem.part_a, problem.wrench_a), (problem.part_b, problem.wrench_b)):
-        np.add.at(net, part[active], np.einsum("pri,pi->pr", wrench[active], forces[active]))
+    held = np.flatnonzero((state == HELD) & ~prober.assembly.boundary)
+    net = prober.problem.gravity_wrench + prober.contact_wrench(state, prober.forces(state, start))
     return tuple(HeldLoad(int(part), *(_three(-net[part, rows]) for rows in (slice(3), slice(3, 6)))) for part in held)
 
 
