@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -47,6 +49,10 @@ _LARGE = 20.0
 """Load, in weights of the part, from which it is balanced by itself where one solution does not suffice ..."""
 _MANY, _RARELY = 4000, 20
 """... in at most so many iterations, with a test after every so many."""
+
+
+class OutOfTime(Exception):
+    """End of the time for a search: it returns the bracket that it has."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +116,13 @@ class Prober:
             self._contact_options = solver.contact_options._replace(warm_steps=_WARM_STEPS)
             self._quick_options = self._contact_options._replace(warm_steps=_QUICK_STEPS, steps=0)
         self._no_motion = np.zeros((0, 3))
+        self._end = np.inf
+
+    def until(self, end: float) -> Prober:
+        """Return a prober that raises `OutOfTime` from a time on, as `time.perf_counter` counts it."""
+        prober = copy(self)
+        prober._end = end
+        return prober
 
     def own(self) -> Condition:
         """Return the condition of the unmodified structure."""
@@ -132,7 +145,12 @@ class Prober:
             near: the answer under a nearby condition, for a warm start.
             moved: under `contact`, prescribed displacements of fixed parts, shape (parts, 6), m and rad.
             quick: under `contact`, only iterate from the nearby answer; if that fails, a rest position may still exist.
+
+        Raises:
+            OutOfTime: the time of this prober is over.
         """
+        if time.perf_counter() > self._end:
+            raise OutOfTime
         if self.contact:
             known = near is not None and near.displacement is not None
             options = self._quick_options if quick and known else self._contact_options
@@ -206,9 +224,7 @@ class Prober:
         stands, fails = bool(verdict[0] == STABLE), bool(verdict[0] == UNSTABLE)
         return Answer(condition, stands, forces=forces[0] if stands else None, velocity=velocity[0] if fails else None)
 
-    def ask_each(
-        self, state: States, conditions: Sequence[Condition], near: Sequence[Answer | int]
-    ) -> list[Answer]:
+    def ask_each(self, state: States, conditions: Sequence[Condition], near: Sequence[Answer | int]) -> list[Answer]:
         """Check a state quickly under conditions with the same friction, until it fails under one; under `contact`.
 
         Args:
@@ -216,6 +232,8 @@ class Prober:
             conditions: friction and loads.
             near: for each the stable answer under a nearby condition, or the index of an earlier one of these.
         """
+        if time.perf_counter() > self._end:
+            raise OutOfTime
         known = [answer if isinstance(answer, Answer) else None for answer in near]
         after = [answer if isinstance(answer, int) else -1 for answer in near]
         return self._ask_contact(state, conditions, known, after, None, self._quick_options)

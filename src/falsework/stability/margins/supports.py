@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import HELD, States
 from falsework.stability.certificate import forces_of_displacement, residual_of_forces
 from falsework.stability.margins.brackets import largest
-from falsework.stability.margins.conditions import Answer, Prober
+from falsework.stability.margins.conditions import Answer, OutOfTime, Prober
 from falsework.stability.margins.state_margins import HeldLoad
 from falsework.stability.stiffness import MOVEMENT, structure_size
 
@@ -51,6 +51,9 @@ def settlements(prober: Prober, state: States, start: Answer) -> tuple[tuple[int
 
     Returns:
         Boundary parts with settlements in m, None where there is no bound.
+
+    Raises:
+        OutOfTime: the time of the prober is over.
     """
     assembly, problem, claim, depths = prober.assembly, prober.problem, prober.settings.claim, []
     active = problem.active(state[None])[0]
@@ -70,6 +73,8 @@ def settlements(prober: Prober, state: States, start: Answer) -> tuple[tuple[int
             return answer if left <= claim.tolerance else replace(answer, stands=False)
 
         bracket = largest(probe, start, guess=0.5 * cap, cap=cap, floor=_SHALLOW * cap)
+        if not bracket.finished:
+            raise OutOfTime
         depths.append((part, None if bracket.outside is None else float(bracket.inside)))
     return tuple(depths)
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from falsework.stability.margins.brackets import GROWTH, SLACK, STRIDES, WIDTH, Bracket
-from falsework.stability.margins.conditions import Answer
+from falsework.stability.margins.conditions import Answer, OutOfTime
 
 _RISE = 0.006
 """Share by which the least bound may rise without a new test of the others."""
@@ -19,7 +19,7 @@ _STRIKES = 1
 """Tests beyond the least bound that may fail; after that families are tested inside it, where failures are rare."""
 _ALIKE = 0.2
 """Difference of values, as a share, up to which a probe starts from another family's rest."""
-_BATCH = 64
+_BATCH = 16
 """Families that are tested in one call."""
 Probe = Callable[[Sequence[int], float, Sequence[Answer | int]], list[Answer]]
 """Answers of families at a value by quick probes, until the first that fails. Each is warm-started from an answer, or
@@ -68,20 +68,31 @@ class Weakest:
     def search(
         self, confirm: Callable[[int, float, Answer], tuple[float, Answer]], near: float | None = None
     ) -> tuple[int, Bracket] | None:
-        """Return the weakest family and its bracket; None where no family has a bound.
+        """Return the weakest family and its bracket, without an outer end where none has a bound; None without any.
 
         Args:
             confirm: answer of a family at a value at which a quick probe failed, given that answer, or a stable one at
                 a larger value.
             near: bound of the first family in a nearby state.
         """
+        try:
+            return self._search(confirm, near)
+        except OutOfTime:
+            least = min(self._families, key=lambda row: self._low[row][0])
+            failing = min(self._high.values(), key=lambda known: known[0], default=(None, None))
+            return least, Bracket(*self._low[least], *failing, finished=False)
+
+    def _search(
+        self, confirm: Callable[[int, float, Answer], tuple[float, Answer]], near: float | None
+    ) -> tuple[int, Bracket] | None:
         confirmed: dict[int, float] = {}
         last = None
         while True:
             if not self._high:
                 rows = [row for row in self._families if self._low[row][0] < self._cap]
                 if not rows:
-                    return None
+                    row = next(iter(self._families), None)
+                    return None if row is None else (row, Bracket(*self._low[row], None, None))
                 row = last if last in rows else rows[0]
                 self._raise(row, self._guess(row) if near is None else near, near is not None or row == last)
                 near = None
