@@ -100,10 +100,13 @@ class StateMargins:
     def to_dict(self, names: tuple[str, ...]) -> dict[str, Any]:
         """Return the margins as a JSON object: those that were requested, null where there is no bound.
 
+        For those that a deadline cut short, `fails_at` has values at which the state fails, without proof.
+
         Args:
             names: names of the parts.
         """
         data: dict[str, Any] = {"stands": self.stands}
+        fails: dict[str, float] = {}
         for kind, key, bound, scale in (
             ("friction", "friction", self.friction, 1.0),
             ("tilt", "tilt_deg", self.tilt, 180.0 / np.pi),
@@ -115,6 +118,8 @@ class StateMargins:
             if kind in self.kinds:
                 value = None if bound is None or bound.value is None else bound.value * scale
                 data[key] = value if self.stands or key == "friction" else 0.0
+                if bound is not None and not bound.finished and bound.outside is not None:
+                    fails[key] = bound.outside * scale
         if "push" in self.kinds:
             data["push_part"] = None if self.push is None else self.push.part
             data["push_name"] = None if self.push is None or self.push.part is None else names[self.push.part]
@@ -137,5 +142,5 @@ class StateMargins:
         data["monotone"] = all(bound.monotone for bound in given)
         if self.unfinished:
             data["proven"] = False
-            data["unfinished"] = list(self.unfinished)
+            data["unfinished"], data["fails_at"] = list(self.unfinished), fails
         return data

@@ -19,8 +19,8 @@ _STRIKES = 1
 """Tests beyond the least bound that may fail; after that families are tested inside it, where failures are rare."""
 _ALIKE = 0.2
 """Difference of values, as a share, up to which a probe starts from another family's rest."""
-_BATCH = 16
-"""Families that are tested in one call."""
+_BATCH = 1000
+"""Families that are tested in one call, divided by the number of parts."""
 Probe = Callable[[Sequence[int], float, Sequence[Answer | int]], list[Answer]]
 """Answers of families at a value by quick probes, until the first that fails. Each is warm-started from an answer, or
 from that of an earlier family in the list, given by its index."""
@@ -61,6 +61,7 @@ class Weakest:
         self._families, self._probe, self._guess = list(families), probe, guess
         self._cap, self._floor = cap, floor
         self._distance, self._strikes = distance, _STRIKES
+        self._batch = max(_BATCH // max(len(start.condition.extra), 1), 1)
         self._sample = self._families[:sample]
         self._low = dict.fromkeys(families, (0.0, start))
         self._high: dict[int, tuple[float, Answer]] = {}
@@ -149,12 +150,12 @@ class Weakest:
         distance = self._distance
         if distance is None:
             beyond = self._strikes > 0
-            if not self._probe_all(left[:_BATCH], high if beyond else value):
+            if not self._probe_all(left[: self._batch], high if beyond else value):
                 self._strikes -= beyond
             return
         if left[0] not in self._sample:
             left = sorted(left, key=lambda row: distance(row, best))
-        self._probe_all(left[:_BATCH], value)
+        self._probe_all(left[: self._batch], value)
 
     def _probe_all(self, rows: Sequence[int], value: float) -> bool:
         """Probe families at a value until one fails; return whether none does."""
