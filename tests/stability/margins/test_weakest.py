@@ -46,7 +46,7 @@ class Families:
         self.hidden.pop(row, None)
         return value, Answer(CONDITION, value < self.bounds[row])
 
-    def find(self, *, around: bool = False) -> tuple[int, Bracket] | None:
+    def find(self, *, around: bool = False, hurry: bool = False) -> tuple[int, Bracket] | None:
         """Return the weakest family and its bracket; with `around`, families lie on a circle."""
         count = len(self.bounds)
         return Weakest(
@@ -58,6 +58,7 @@ class Families:
             floor=lambda _: 1e-4,
             distance=(lambda one, other: min((one - other) % count, (other - one) % count)) if around else None,
             sample=count // 3 if around else None,
+            hurry=hurry,
         ).search(self.confirm)
 
     def search(self, *, around: bool = False) -> tuple[int, float, float] | None:
@@ -126,11 +127,12 @@ def test_when_the_time_is_over_all_bear_the_inner_end_and_one_fails_at_the_outer
     bounds = [4.0, 2.5, 7.0, 3.0, 50.0, 20.0]
     widths = []
     for most in range(60):
-        found = Families(bounds, most=most).find(around=around)
+        found = Families(bounds, most=most).find(around=around, hurry=True)
         assert found is not None
         _, bracket = found
         assert bracket.inside < 2.5
         assert bracket.outside is None or bracket.outside >= 2.5
+        assert bracket.inside >= 2.0 if most >= 30 else bracket.inside >= 0.125 or most < 6
         if bracket.finished:
             break
         widths.append(np.inf if bracket.outside is None else bracket.outside - bracket.inside)

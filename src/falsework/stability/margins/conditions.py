@@ -124,6 +124,11 @@ class Prober:
         prober._end = end
         return prober
 
+    @property
+    def limited(self) -> bool:
+        """Whether the time of this prober ends."""
+        return self._end < np.inf
+
     def own(self) -> Condition:
         """Return the condition of the unmodified structure."""
         return Condition(self.assembly.friction, np.zeros((self.problem.parts, 6)))

@@ -235,6 +235,7 @@ def weakest_load(
             floor=lambda row: FLOOR * guess(row),
             distance=distance,
             sample=sample,
+            hurry=prober.limited,
         )
         known = value if order and names[order[0]] == weak else None
         found = race.search(lambda row, multiple, failed: families[row].settle(multiple, failed), near=known)

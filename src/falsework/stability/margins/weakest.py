@@ -15,6 +15,8 @@ _COARSE = 1.5
 """Ratio of the ends of a bracket at which the other families are tested before it is narrowed."""
 _SPLIT = 0.38
 """Share of a bracket at which it is split: failing probes cost more than others."""
+_FIRST = 1 / 8
+"""Share of a guess that all families are tested at first where the time is limited; it doubles until one fails."""
 _STRIKES = 1
 """Tests beyond the least bound that may fail; after that families are tested inside it, where failures are rare."""
 _ALIKE = 0.2
@@ -44,6 +46,7 @@ class Weakest:
         floor: Callable[[int], float],
         distance: Callable[[int, int], int] | None = None,
         sample: int | None = None,
+        hurry: bool = False,
     ) -> None:
         """Take the families.
 
@@ -57,12 +60,13 @@ class Weakest:
             distance: distance between families; a probe starts from the rest of a family nearby.
             sample: number of the first families that are tested before the weakest of them is narrowed; all by
                 default.
+            hurry: whether the time is limited, so that what all families bear is found first, if roughly.
         """
         self._families, self._probe, self._guess = list(families), probe, guess
         self._cap, self._floor = cap, floor
         self._distance, self._strikes = distance, _STRIKES
         self._batch = max(_BATCH // max(len(start.condition.extra), 1), 1)
-        self._sample = self._families[:sample]
+        self._sample, self._hurry = self._families[:sample], hurry
         self._low = dict.fromkeys(families, (0.0, start))
         self._high: dict[int, tuple[float, Answer]] = {}
 
@@ -88,6 +92,8 @@ class Weakest:
     ) -> tuple[int, Bracket] | None:
         confirmed: dict[int, float] = {}
         last = None
+        if self._hurry and self._families:
+            self._raise_all(_FIRST * min(self._guess(row) for row in self._families))
         while True:
             if not self._high:
                 rows = [row for row in self._families if self._low[row][0] < self._cap]
@@ -122,6 +128,14 @@ class Weakest:
     def _bracket(self, row: int) -> Bracket:
         (low, stands), (high, fails) = self._low[row], self._high[row]
         return Bracket(low, stands, high, fails)
+
+    def _raise_all(self, value: float) -> None:
+        """Raise the loads of all families together until one fails or the cap is reached."""
+        while value < self._cap:
+            for first in range(0, len(self._families), self._batch):
+                if not self._probe_all(self._families[first : first + self._batch], value):
+                    return
+            value *= 2.0
 
     def _raise(self, row: int, value: float, near: bool) -> None:
         """Raise a load until it fails or reaches the cap, at once where others have reached it."""
