@@ -193,7 +193,7 @@ def test_wrong_kinds(scenes: Any) -> None:
 
 @pytest.mark.parametrize("settings", CRITERIA, ids=lambda settings: settings.criterion)
 def test_without_a_bound_the_largest_value_is_proven(scenes: Any, settings: StabilitySettings) -> None:
-    """A block between two held ones, pressed on by both, bears ten weights of the structure sideways and 100 its own."""
+    """A block on the ground bears a hundred times its own weight."""
     blocks = [scenes.box([x, 0, 0], [x + 1, 1, 1], f"block-{x}") for x in range(3)]
     row = scenes.make([*blocks, scenes.box([-1, -1, -1], [4, 2, 0], "ground")], [3], friction=0.6)
     found = margins(row, settings, "load_factor", state=[2, 1, 2, 2])
