@@ -202,8 +202,8 @@ def stands_by(judge: str, assembly: Assembly, state: np.ndarray) -> bool | None:
     return None if answer == 0 else answer == 1
 
 
-def plans(names: list[str], robots: int) -> None:
-    """Compare the weakest friction of first plans with that of plans made for it."""
+def plans(names: list[str], robots: int, limit: float) -> None:
+    """Compare the weakest friction of first plans with that of plans made for it in limited processor time."""
     for name in names:
         assembly = load_structure(find(name))
         begun = time.process_time()
@@ -214,12 +214,17 @@ def plans(names: list[str], robots: int) -> None:
         oracle, states = Stability(assembly), first.plans[0].states
         before = PlanMargins.of(oracle, states, Demands(), also="friction").weakest("friction")
         begun = time.process_time()
-        best = maximise_margin(assembly, task_of(assembly, robots), "friction")
+        end = begun + limit
+        best = maximise_margin(
+            assembly, task_of(assembly, robots), "friction", stop=lambda end=end: time.process_time() > end
+        )
         seconds = time.process_time() - begun
         after = best.plans[0].margins
         assert after is not None
         weakest = after.weakest("friction")
         bound: dict[str, Any] = {} if after.bound is None else {"bound": after.bound}
+        if np.isfinite(limit):
+            bound["limit_processor_s"] = limit
         report(
             "margins plans",
             structure=name,
@@ -244,6 +249,7 @@ def main() -> None:
     parser.add_argument("--before", type=Path)
     parser.add_argument("--cases", type=int, default=500)
     parser.add_argument("--robots", type=int, default=2)
+    parser.add_argument("--limit", type=float, default=float("inf"), help="CPU s of the search for a maximised plan")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
@@ -254,7 +260,7 @@ def main() -> None:
     elif options.what == "truth":
         truth(options.cases, options.seed)
     else:
-        plans(names, options.robots)
+        plans(names, options.robots, options.limit)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from falsework.stability.margins.brackets import OUTSIDE, Bracket, largest, stri
 from falsework.stability.margins.conditions import Answer, Condition, OutOfTime, Prober
 from falsework.stability.margins.families import FLOOR, SMOOTH, Near, friction_bracket, load_bracket, weakest_load
 from falsework.stability.margins.pushes import Pushes
-from falsework.stability.margins.state_margins import Bound, StateMargins
+from falsework.stability.margins.state_margins import Bound, StateMargins, triple
 from falsework.stability.margins.supports import held_loads, settlements
 from falsework.stability.strength import strength_of
 from falsework.stability.verdict import Verdict, Verdicts
@@ -84,6 +84,7 @@ class MarginFinder:
         if deadline is not None and not deadline > 0:
             raise InputError(f"a deadline of {deadline:g} s leaves no time; give more than 0")
         batch = as_states(states, self._assembly.boundary)
+        assert self.pushes is not None  # computed once, before copies and threads share it
         if deadline is not None:
             limited = copy(self)
             limited.prober = self.prober.until(time.perf_counter() + deadline)
@@ -91,7 +92,6 @@ class MarginFinder:
         return self._all(batch, kinds)
 
     def _all(self, batch: States, kinds: Sequence[str]) -> list[StateMargins]:
-        assert self.pushes is not None  # computed once, before threads share it
         with ThreadPoolExecutor(self.prober.settings.cpu.threads) as pool:
             prober = self.prober.until(np.inf)
             starts = list(pool.map(lambda state: prober.ask(state, prober.own()), batch))
@@ -195,7 +195,7 @@ class MarginFinder:
         if found is None:
             return self._unbounded(state, start), self._unbounded(state, start)
         row, bracket = found
-        direction = _three(self.directions[row])
+        direction = triple(self.directions[row])
         horizontal = self._bound(state, bracket, self._times(start.condition, loads[row]), direction=direction)
         if self._assembly.loads is None and self._assembly.joints is None:
             # Weight with a horizontal acceleration `a g` is the weight on ground tilted by atan(a), times a factor;
@@ -248,7 +248,7 @@ class MarginFinder:
         if found is None:
             return self._unbounded(state, start)
         row, bracket = found
-        direction = _three(self.directions[row])
+        direction = triple(self.directions[row])
         return self._bound(state, bracket, self._tilts(start.condition, row), direction=direction)
 
     def _polygon(self, state: States, start: Answer) -> Array:
@@ -314,7 +314,7 @@ class MarginFinder:
         if found is None:
             return self._unbounded(state, start)
         row, times = int(rows[found[0]]), self._times(start.condition, loads[found[0]])
-        direction = _three(pushes.normal[row])
+        direction = triple(pushes.normal[row])
         return self._bound(state, found[1], times, part=int(pushes.part[row]), direction=direction)
 
     def _grip(self, state: States, start: Answer) -> Array:
@@ -385,10 +385,6 @@ class MarginFinder:
             direction=direction if known and bracket.finished else None,
             finished=bracket.finished,
         )
-
-
-def _three(values: Array) -> tuple[float, float, float]:
-    return float(values[0]), float(values[1]), float(values[2])
 
 
 def _fails(verdicts: Verdicts) -> bool:

@@ -144,3 +144,8 @@ class StateMargins:
             data["proven"] = False
             data["unfinished"], data["fails_at"] = list(self.unfinished), fails
         return data
+
+
+def triple(values: Array) -> tuple[float, float, float]:
+    """Return three numbers as a tuple."""
+    return float(values[0]), float(values[1]), float(values[2])

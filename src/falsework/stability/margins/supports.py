@@ -11,7 +11,7 @@ from falsework.assembly.state import HELD, States
 from falsework.stability.certificate import forces_of_displacement, residual_of_forces
 from falsework.stability.margins.brackets import largest
 from falsework.stability.margins.conditions import Answer, OutOfTime, Prober
-from falsework.stability.margins.state_margins import HeldLoad
+from falsework.stability.margins.state_margins import HeldLoad, triple
 from falsework.stability.stiffness import MOVEMENT, structure_size
 
 Array = NDArray[np.float64]
@@ -35,7 +35,7 @@ def held_loads(prober: Prober, state: States, start: Answer) -> tuple[HeldLoad, 
     """
     held = np.flatnonzero((state == HELD) & ~prober.assembly.boundary)
     net = prober.problem.gravity_wrench + prober.contact_wrench(state, prober.forces(state, start))
-    return tuple(HeldLoad(int(part), *(_three(-net[part, rows]) for rows in (slice(3), slice(3, 6)))) for part in held)
+    return tuple(HeldLoad(int(part), *(triple(-net[part, rows]) for rows in (slice(3), slice(3, 6)))) for part in held)
 
 
 def settlements(prober: Prober, state: States, start: Answer) -> tuple[tuple[int, float | None], ...]:
@@ -77,7 +77,3 @@ def settlements(prober: Prober, state: States, start: Answer) -> tuple[tuple[int
             raise OutOfTime
         depths.append((part, None if bracket.outside is None else float(bracket.inside)))
     return tuple(depths)
-
-
-def _three(values: Array) -> tuple[float, float, float]:
-    return float(values[0]), float(values[1]), float(values[2])
