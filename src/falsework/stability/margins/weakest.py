@@ -167,9 +167,9 @@ class Weakest:
             if not self._probe_all(left[: self._batch], high if beyond else value):
                 self._strikes -= beyond
             return
-        if left[0] not in self._sample:
-            left = sorted(left, key=lambda row: distance(row, best))
-        self._probe_all(left[: self._batch], value)
+        sampled = [row for row in left if row in self._sample]
+        rows = sampled or sorted(left, key=lambda row: distance(row, best))
+        self._probe_all(rows[: self._batch], value)
 
     def _probe_all(self, rows: Sequence[int], value: float) -> bool:
         """Probe families at a value until one fails; return whether none does."""
