@@ -52,6 +52,17 @@ def test_a_structure_that_falls_has_no_margins(falsework: Run, tmp_path: Path, w
     assert done.records[0]["tilt_deg"] == 0.0
 
 
+def test_a_deadline_ends_the_search(falsework: Run) -> None:
+    done = falsework("margins", "vault", "--json", "--deadline", "0.001")
+    assert done.code == 0
+    (record,) = done.records
+    assert set(record["unfinished"]) == {"friction", "tilt", "horizontal", "load_factor", "push"}
+    assert record["friction"] == 0.55
+    assert record["tilt_deg"] == 0.0
+    assert record["proven"] is False
+    assert "push cut short by the deadline" in falsework("margins", "vault", "--deadline", "0.001").out
+
+
 def test_placement_errors_cost_some_draws(falsework: Run, tmp_path: Path, write_structure: Any) -> None:
     """A block whose middle is 50 mm inside an edge: within 10 mm all draws stand, within 200 mm many do not."""
     edge = write_structure(tmp_path / "edge", [((0, 0, 0), (1, 1, 1)), ((0.45, 0, 1), (1.45, 1, 2))])
@@ -71,6 +82,7 @@ def test_placement_errors_cost_some_draws(falsework: Run, tmp_path: Path, write_
         (("--placement", "-1mm"), "not above zero"),
         (("--placement", "1mm", "--draws", "0"), "the number of draws is 0; give at least 1"),
         (("--settlement", "--criterion", "equilibrium"), "equilibrium has no displacements"),
+        (("--deadline", "0"), "a deadline of 0 s leaves no time"),
     ],
 )
 def test_wrong_options(falsework: Run, stack: Path, options: tuple[str, ...], words: str) -> None:

@@ -63,6 +63,8 @@ class FindMargins(Command):
     """Also find the largest tilt in each of 36 directions."""
     settlement: bool = False
     """Also find how deep each support may settle, under the criterion contact."""
+    deadline: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint=UNSET)] = None
+    """Time for the margins of each state. Margins that are not found by then have what has been proven so far."""
     placement: Annotated[str | None, arg(metavar="LENGTHS", help_behavior_hint=UNSET)] = None
     """Placement errors, such as 1mm,2mm, at which to count the stable draws, with contacts found anew. Slow."""
     draws: int = 1000
@@ -91,7 +93,7 @@ class FindMargins(Command):
         oracle, found = Stability(assembly, settings), []
         with output.bar("margins") as show:
             for row in range(len(states)):
-                found += oracle.margins(states[row], (*QUICK, *extra))
+                found += oracle.margins(states[row], (*QUICK, *extra), deadline=self.deadline)
                 show(row + 1, len(states), f"state {row + 1} of {len(states)}")
         shares = self._shares(assembly, states, errors, settings, output)
         overloaded = False
@@ -193,7 +195,9 @@ def _text(record: dict[str, Any]) -> str:
         f"{entry['share']:.1%} stand placed within {entry['error_m'] * 1e3:g} mm"
         for entry in record.get("placement", [])
     ]
-    if not record["proven"]:
+    if record.get("unfinished"):
+        words.append(f"{', '.join(record['unfinished'])} cut short by the deadline")
+    elif not record["proven"]:
         words.append("not proven on both sides")
     if not record["monotone"]:
         words.append("a condition further inside fails")

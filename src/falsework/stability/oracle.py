@@ -210,21 +210,24 @@ class Stability:
         verdicts.proof[:] = proof_of(verdicts.verdict, self.settings.criterion)
         return verdicts
 
-    def margins(self, states: ArrayLike, kinds: Sequence[str] | None = None) -> list[StateMargins]:
+    def margins(
+        self, states: ArrayLike, kinds: Sequence[str] | None = None, *, deadline: float | None = None
+    ) -> list[StateMargins]:
         """Return how far friction, tilt, loads and pushes are from the limit of stability.
 
         Args:
             states: one state `(parts,)` or a batch `(batch, parts)`.
             kinds: margins to compute; by default all but the polygon of tilts and the settlement of supports.
+            deadline: seconds after which searches return what they have proven, see `StateMargins.unfinished`.
 
         Returns:
             One object per state, each value with a certificate on both sides of its bound.
 
         Raises:
-            InputError: a margin that is not defined under the criterion.
+            InputError: a margin that is not defined under the criterion, or a deadline of zero or less.
             StateError: states of the wrong length or with other values.
         """
-        return self._margins.of(states, QUICK if kinds is None else kinds)
+        return self._margins.of(states, QUICK if kinds is None else kinds, deadline=deadline)
 
     @cached_property
     def prober(self) -> Prober:

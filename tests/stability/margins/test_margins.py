@@ -189,3 +189,63 @@ def test_wrong_kinds(scenes: Any) -> None:
         Stability(scenes.tower(1)).margins([[1, 2]], ("wind",))
     with pytest.raises(InputError, match="equilibrium has no displacements"):
         Stability(scenes.tower(1), CRITERIA[1]).margins([[1, 2]], ("settlement",))
+
+
+@pytest.mark.parametrize("settings", CRITERIA, ids=lambda settings: settings.criterion)
+def test_without_a_bound_the_largest_value_is_proven(scenes: Any, settings: StabilitySettings) -> None:
+    """A block on the ground bears a hundred times its own weight."""
+    blocks = [scenes.box([x, 0, 0], [x + 1, 1, 1], f"block-{x}") for x in range(3)]
+    row = scenes.make([*blocks, scenes.box([-1, -1, -1], [4, 2, 0], "ground")], [3], friction=0.6)
+    found = margins(row, settings, "load_factor", state=[2, 1, 2, 2])
+    assert found.load_factor is not None
+    assert found.load_factor.value is None
+    assert found.load_factor.part is None
+    extra = found.load_factor.inside_condition.extra
+    assert extra[1, 2] == pytest.approx(-99.0 * 9.81 * row.mass.mass[1])
+
+
+def test_large_loads_need_no_exact_solver(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pushes of ten weights of an arch on a voussoir between held ones: forces in balance, or a velocity, at once."""
+    arch = load_structure("arch:blocks=9")
+    state = complete_state(arch.boundary)
+    state[[2, 4, 6]] = 2
+    settings = StabilitySettings(criterion="equilibrium")
+    oracle = Stability(arch, settings)
+    asked: list[Any] = []
+    exact = type(oracle.prober)._exact
+    monkeypatch.setattr(type(oracle.prober), "_exact", lambda *given: (asked.append(given[2]), exact(*given))[1])
+    (found,) = oracle.margins(state, ("push",))
+    assert found.push is not None
+    prove(arch, settings, state, found.push)
+    assert len(asked) <= 2
+
+
+@pytest.mark.parametrize("settings", CRITERIA, ids=lambda settings: settings.criterion)
+def test_a_deadline_leaves_what_has_been_proven(settings: StabilitySettings) -> None:
+    dome = load_structure("dome")
+    oracle, state = Stability(dome, settings), complete_state(dome.boundary)
+    (found,) = oracle.margins(state, ("friction", "tilt", "push"), deadline=1e-9)
+    assert found.stands
+    assert set(found.unfinished) == {"friction", "tilt", "push"}
+    for bound in (found.friction, found.tilt, found.push):
+        assert bound is not None
+        assert not bound.finished
+        assert not bound.proven
+        assert bound.inside_proof.stable[0]
+    assert found.friction.value == dome.friction  # type: ignore[union-attr]
+    assert found.tilt.value == found.push.value == 0.0  # type: ignore[union-attr]
+    record = found.to_dict(dome.names)
+    assert record["unfinished"] == list(found.unfinished)
+    assert not record["proven"]
+    assert record["fails_at"] == {}
+
+
+def test_a_deadline_that_is_kept_cuts_nothing(scenes: Any) -> None:
+    (found,) = Stability(scenes.tower(2, friction=0.9)).margins([[1, 1, 2]], deadline=600.0)
+    assert found.unfinished == ()
+    assert near(found.tilt, np.arctan(0.5))
+
+
+def test_a_deadline_of_nothing(scenes: Any) -> None:
+    with pytest.raises(InputError, match="a deadline of 0 s leaves no time"):
+        Stability(scenes.tower(1)).margins([[1, 2]], deadline=0.0)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
 
-from falsework.stability.margins.conditions import Answer, Condition
+from falsework.stability.margins.brackets import Bracket
+from falsework.stability.margins.conditions import Answer, Condition, OutOfTime
 from falsework.stability.margins.weakest import Weakest
 
 CAP = 100.0
@@ -18,25 +20,36 @@ START = Answer(CONDITION, True)
 class Families:
     """Families that stand up to given bounds, with all probes counted."""
 
-    def __init__(self, bounds: list[float], hidden: dict[int, float] | None = None) -> None:
-        """Take the bounds; quick probes find none of the rest positions beyond those in `hidden`."""
-        self.bounds, self.hidden = bounds, hidden or {}
+    def __init__(self, bounds: list[float], hidden: dict[int, float] | None = None, most: int = -1) -> None:
+        """Take the bounds; quick probes find none of the rest positions beyond those in `hidden`.
+
+        After `most` probes the time is over.
+        """
+        self.bounds, self.hidden, self.most = bounds, hidden or {}, most
         self.probes, self.fails = Counter[int](), Counter[int]()
 
-    def probe(self, row: int, value: float, _near: Answer) -> Answer:
-        self.probes[row] += 1
-        stands = value < min(self.bounds[row], self.hidden.get(row, np.inf))
-        self.fails[row] += not stands
-        return Answer(CONDITION, stands, quick=True)
+    def probe(self, rows: Sequence[int], value: float, near: Sequence[Answer | int]) -> list[Answer]:
+        assert all(isinstance(start, Answer) or start < place for place, start in enumerate(near))
+        answers: list[Answer] = []
+        for row in rows:
+            if answers and not answers[-1].stands:
+                break
+            if self.probes.total() == self.most:
+                raise OutOfTime
+            self.probes[row] += 1
+            stands = value < min(self.bounds[row], self.hidden.get(row, np.inf))
+            self.fails[row] += not stands
+            answers.append(Answer(CONDITION, stands, quick=True))
+        return answers
 
     def confirm(self, row: int, value: float, _failed: Answer) -> tuple[float, Answer]:
         self.hidden.pop(row, None)
         return value, Answer(CONDITION, value < self.bounds[row])
 
-    def search(self, *, around: bool = False) -> tuple[int, float, float] | None:
-        """Return the weakest family and the ends of its bracket; with `around`, families lie on a circle."""
+    def find(self, *, around: bool = False, hurry: bool = False) -> tuple[int, Bracket] | None:
+        """Return the weakest family and its bracket; with `around`, families lie on a circle."""
         count = len(self.bounds)
-        found = Weakest(
+        return Weakest(
             range(count),
             self.probe,
             START,
@@ -45,11 +58,17 @@ class Families:
             floor=lambda _: 1e-4,
             distance=(lambda one, other: min((one - other) % count, (other - one) % count)) if around else None,
             sample=count // 3 if around else None,
+            hurry=hurry,
         ).search(self.confirm)
-        if found is None:
-            return None
+
+    def search(self, *, around: bool = False) -> tuple[int, float, float] | None:
+        """Return the weakest family and the ends of its bracket; None where none has a bound."""
+        found = self.find(around=around)
+        assert found is not None
         row, bracket = found
-        assert bracket.outside is not None
+        if bracket.outside is None:
+            assert bracket.inside == CAP
+            return None
         assert bracket.fails is not None
         assert not bracket.fails.quick  # confirmed
         return row, bracket.inside, bracket.outside
@@ -101,3 +120,25 @@ def test_a_family_that_bears_more_from_rest_gives_way_to_the_next() -> None:
 
 def test_a_family_without_a_bound_from_rest_has_none() -> None:
     assert Families([1e9, 1e9], hidden={1: 2.0}).search() is None
+
+
+@pytest.mark.parametrize("around", [False, True])
+def test_when_the_time_is_over_all_bear_the_inner_end_and_one_fails_at_the_outer(around: bool) -> None:
+    bounds = [4.0, 2.5, 7.0, 3.0, 50.0, 20.0]
+    widths = []
+    for most in range(60):
+        found = Families(bounds, most=most).find(around=around, hurry=True)
+        assert found is not None
+        _, bracket = found
+        assert bracket.inside < 2.5
+        assert bracket.outside is None or bracket.outside >= 2.5
+        assert bracket.inside >= 2.0 if most >= 30 else bracket.inside >= 0.125 or most < 6
+        if bracket.finished:
+            break
+        widths.append(np.inf if bracket.outside is None else bracket.outside - bracket.inside)
+    assert bracket.finished
+    assert widths[0] == np.inf > widths[-1] > 0
+
+
+def test_without_families_there_is_no_bound() -> None:
+    assert Families([]).find() is None

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from falsework.stability.margins.conditions import Answer
+from falsework.stability.margins.conditions import Answer, OutOfTime
 
 SHARE = 0.005
 """Largest width of a bracket, as a share of the bound."""
@@ -44,6 +44,8 @@ class Bracket:
     fails: Answer | None
     monotone: bool = True
     """Whether every probed value between the unmodified state and the bound is stable."""
+    finished: bool = True
+    """Whether the search ended before its time was over; if not, the bracket is wider."""
 
 
 def largest(
@@ -73,7 +75,10 @@ def largest(
     if high is not None:
         value = high * (1.0 - SHARE * _BESIDE)
     while True:
-        answer = probe(value, inside)
+        try:
+            answer = probe(value, inside)
+        except OutOfTime:
+            return Bracket(low, inside, high, outside, finished=False)
         shrunk = high
         if answer.stands:
             low, inside, cut_last = value, answer, False
@@ -132,7 +137,10 @@ def stride(
         value = high / next(ratios, growth)
     value = min(value if value > low else next(ratios, growth) * low, cap)
     while True:
-        answer = probe(value, inside)
+        try:
+            answer = probe(value, inside)
+        except OutOfTime:
+            return Bracket(low, inside, high, outside, finished=False)
         if answer.stands:
             low, inside = value, answer
             if high is None and value >= cap:
@@ -163,22 +171,25 @@ def least(probe: Probe, start: Answer, *, value: float, floor: float) -> Bracket
     """
     high, inside = value, start
     low, outside = 0.0, None
-    while outside is None:
-        trial = high / 2 if high / 2 > floor else 0.0
-        answer = probe(trial, inside)
-        if not answer.stands:
-            low, outside = trial, answer
-        elif trial == 0.0:
-            return Bracket(0.0, answer, None, None)
-        else:
-            high, inside = trial, answer
-    while high - low > max(SHARE * high, floor * SHARE):
-        trial = 0.5 * (low + high)
-        answer = probe(trial, inside)
-        if answer.stands:
-            high, inside = trial, answer
-        else:
-            low, outside = trial, answer
+    try:
+        while outside is None:
+            trial = high / 2 if high / 2 > floor else 0.0
+            answer = probe(trial, inside)
+            if not answer.stands:
+                low, outside = trial, answer
+            elif trial == 0.0:
+                return Bracket(0.0, answer, None, None)
+            else:
+                high, inside = trial, answer
+        while high - low > max(SHARE * high, floor * SHARE):
+            trial = 0.5 * (low + high)
+            answer = probe(trial, inside)
+            if answer.stands:
+                high, inside = trial, answer
+            else:
+                low, outside = trial, answer
+    except OutOfTime:
+        return Bracket(high, inside, None if outside is None else low, outside, finished=False)
     return Bracket(high, inside, low, outside)
 
 
@@ -215,6 +226,7 @@ def weakest(
     test: Callable[[int, float], Answer],
     bound: Callable[[int, tuple[float, Answer] | None], Bracket],
     cap: float,
+    start: Answer,
 ) -> tuple[int, Bracket] | None:
     """Find the family with the least bound, without a search for the bounds of the others.
 
@@ -226,21 +238,28 @@ def weakest(
         test: answer of a family at a value.
         bound: bound of a family, given a failing value and its answer where known.
         cap: value beyond which there is no bound.
+        start: the stable answer at 0.
 
     Returns:
-        The family and its bracket; None where no family has a bound.
+        The family and its bracket, without an outer end where no family has a bound; None without families.
     """
     best: tuple[int, Bracket] | None = None
-    for count, family in enumerate(families):
+    for family in families:
         known = None
-        if count > 0:
-            # Where the first has no bound, others mostly have none either.
-            value = cap if best is None else (1.0 - SLACK) * best[1].inside
-            answer = test(family, value)
-            if answer.stands:
-                continue
-            known = value, answer
-        bracket = bound(family, known)
-        if bracket.outside is not None:
+        try:
+            if best is not None:
+                # Where the first has no bound, others mostly have none either.
+                value = cap if best[1].outside is None else (1.0 - SLACK) * best[1].inside
+                answer = test(family, value)
+                if answer.stands:
+                    continue
+                known = value, answer
+            bracket = bound(family, known)
+        except OutOfTime:
+            bracket = Bracket(0.0, start, None, None, finished=False)
+        if not bracket.finished:  # nothing is known of the families that were not tested
+            least = bracket if best is None or bracket.outside is not None else best[1]
+            return family, Bracket(0.0, start, least.outside, least.fails, finished=False)
+        if best is None or bracket.outside is not None:
             best = family, bracket
     return best

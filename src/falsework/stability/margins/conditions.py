@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -9,14 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.loads import Loads
-from falsework.stability.certificate import forces_of_displacement, resistance_to_velocity, verify_certificates
+from falsework.stability.certificate import (
+    forces_of_displacement,
+    residual_bound_of_velocity,
+    resistance_to_velocity,
+    verify_certificates,
+)
 from falsework.stability.contact.kernel import ContactOptions
 from falsework.stability.contact.newton import MOVES_AWAY, RESTS
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.cpu.kernel import solve_range
 from falsework.stability.cpu.layout import KernelArrays, strength_arrays
 from falsework.stability.cpu.solver import CpuSolver, kernel_options
-from falsework.stability.cpu.termination import STABLE, UNSTABLE
+from falsework.stability.cpu.termination import STABLE, UNSTABLE, Options
 from falsework.stability.margins.kernel import rest_under
 from falsework.stability.reference.clarabel import ExactSolver
 from falsework.stability.strength import strength_of
@@ -34,8 +42,17 @@ _WARM_STEPS = 40
 """Newton iterations from the displacement under a nearby load before a state is loaded from rest."""
 _QUICK_STEPS = 80
 """The same during the search for a bound, when no state is loaded from rest."""
-_ABOVE = 1.002
-"""Factor on the tolerance for a velocity that cuts off a load: its proof must exceed the tolerance by this much."""
+_ABOVE = 2.0
+"""Multiple of the tolerance that the proof of a velocity must exceed to cut off a load: so it also proves a tilt, which
+is the same load made smaller. The bound moves by less than a thousandth."""
+_LARGE = 20.0
+"""Load, in weights of the part, from which it is balanced by itself where one solution does not suffice ..."""
+_MANY, _RARELY = 4000, 20
+"""... in at most so many iterations, with a test after every so many."""
+
+
+class OutOfTime(Exception):
+    """End of the time for a search: it returns the bracket that it has."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +116,18 @@ class Prober:
             self._contact_options = solver.contact_options._replace(warm_steps=_WARM_STEPS)
             self._quick_options = self._contact_options._replace(warm_steps=_QUICK_STEPS, steps=0)
         self._no_motion = np.zeros((0, 3))
+        self._end = np.inf
+
+    def until(self, end: float) -> Prober:
+        """Return a prober that raises `OutOfTime` from a time on, as `time.perf_counter` counts it."""
+        prober = copy(self)
+        prober._end = end
+        return prober
+
+    @property
+    def limited(self) -> bool:
+        """Whether the time of this prober ends."""
+        return self._end < np.inf
 
     def own(self) -> Condition:
         """Return the condition of the unmodified structure."""
@@ -121,12 +150,19 @@ class Prober:
             near: the answer under a nearby condition, for a warm start.
             moved: under `contact`, prescribed displacements of fixed parts, shape (parts, 6), m and rad.
             quick: under `contact`, only iterate from the nearby answer; if that fails, a rest position may still exist.
+
+        Raises:
+            OutOfTime: the time of this prober is over.
         """
+        if time.perf_counter() > self._end:
+            raise OutOfTime
         if self.contact:
             known = near is not None and near.displacement is not None
             options = self._quick_options if quick and known else self._contact_options
-            return self._ask_contact(state, condition, near, moved, options)
+            return self._ask_contact(state, [condition], [near if known else None], [-1], moved, options)[0]
         answer = self.balance(state, condition, near)
+        if not answer.stands and answer.velocity is None and (size := self._size(state, condition.extra)) > _LARGE:
+            answer = self._balance_apart(state, condition, size)
         if answer.stands or answer.velocity is not None:
             return answer
         exact = self._exact(state, condition)
@@ -136,7 +172,52 @@ class Prober:
 
     def balance(self, state: States, condition: Condition, near: Answer | None = None) -> Answer:
         """Check whether a state is in equilibrium, whatever the criterion; arguments as for `ask`."""
-        structure = self._under(condition.friction)._replace(gravity=self._whitened(condition))
+        return self._balance(state, condition, self._whitened([condition.extra])[0], self._options, near)
+
+    def _size(self, state: States, extra: Array) -> float:
+        """Return the largest additional force on a part that can move, in weights of the part; 0 where joints pull."""
+        strength, moved = self.problem.strength, state == 1
+        if strength.pull.any() or strength.stick.any():
+            return 0.0
+        weights = self.settings.gravity * self.assembly.mass.mass
+        return float((np.linalg.norm(extra[moved, :3], axis=1) / weights[moved]).max(initial=0.0))
+
+    def _balance_apart(self, state: States, condition: Condition, size: float) -> Answer:
+        """Balance a large load by itself, and then the weights with what that leaves.
+
+        Beside a load of many weights, the weights are below the precision of one solution. The cones of dry contacts
+        are closed under addition, so both forces together balance both. First-order iterations stay close to the
+        smallest forces, which matters for the force bound: an interior point is far from them.
+
+        Args:
+            state: shape (parts,).
+            condition: friction and loads.
+            size: the load in weights of a part.
+        """
+        alone, options = condition.extra / size, self._options
+        options = options._replace(
+            force_bound=options.force_bound / size, iterations=_MANY, check_every=_RARELY, interior_steps=0
+        )
+        found = self._balance(state, condition, self._whitened([alone - self.problem.gravity_wrench])[0], options)
+        if found.forces is not None:
+            left = self.contact_wrench(state, found.forces) + alone
+            rest = self.balance(state, Condition(condition.friction, size * np.where((state == 1)[:, None], left, 0.0)))
+            if rest.forces is not None:
+                forces = size * found.forces + rest.forces
+                within = forces[:, 0].sum() <= self._options.force_bound * self.problem.weight
+                return Answer(condition, bool(within), forces=forces if within else None)
+        if found.velocity is not None:
+            changed, velocity = condition.of(self.assembly), found.velocity
+            least = residual_bound_of_velocity(changed, state[None], velocity[None], self.settings.claim)[0]
+            return Answer(condition, False, velocity=velocity if least > self.settings.tolerance else None)
+        return Answer(condition, False)
+
+    def _balance(
+        self, state: States, condition: Condition, load: Array, options: Options, near: Answer | None = None
+    ) -> Answer:
+        """Check whether a state is in equilibrium under whitened wrenches on its parts, shape (parts, 6)."""
+        load.setflags(write=False)  # as the kernels are compiled for
+        structure = self._under(condition.friction)._replace(gravity=load)
         warm = near is not None and near.forces is not None
         forces, velocity = np.zeros((1, self.problem.points, 3)), np.zeros((1, self.problem.parts, 6))
         if warm and near is not None and near.forces is not None:
@@ -144,46 +225,74 @@ class Prober:
         verdict, residual = np.zeros(1, np.int8), np.zeros(1)
         steps = np.zeros(1, np.int32), np.zeros(1, np.int32)
         batch = np.array(state[None])
-        solve_range(structure, batch, self._options, forces, velocity, warm, verdict, residual, *steps)
+        solve_range(structure, batch, options, forces, velocity, warm, verdict, residual, *steps)
         stands, fails = bool(verdict[0] == STABLE), bool(verdict[0] == UNSTABLE)
         return Answer(condition, stands, forces=forces[0] if stands else None, velocity=velocity[0] if fails else None)
+
+    def ask_each(self, state: States, conditions: Sequence[Condition], near: Sequence[Answer | int]) -> list[Answer]:
+        """Check a state quickly under conditions with the same friction, until it fails under one; under `contact`.
+
+        Args:
+            state: shape (parts,).
+            conditions: friction and loads.
+            near: for each the stable answer under a nearby condition, or the index of an earlier one of these.
+        """
+        if time.perf_counter() > self._end:
+            raise OutOfTime
+        known = [answer if isinstance(answer, Answer) else None for answer in near]
+        after = [answer if isinstance(answer, int) else -1 for answer in near]
+        return self._ask_contact(state, conditions, known, after, None, self._quick_options)
 
     def _ask_contact(
         self,
         state: States,
-        condition: Condition,
-        near: Answer | None,
+        conditions: Sequence[Condition],
+        near: Sequence[Answer | None],
+        after: Sequence[int],
         moved: Array | None,
         options: ContactOptions,
-    ) -> Answer:
-        structure = self._under(condition.friction)
-        displacement = np.zeros((1, self.problem.parts, 6))
-        warm = near is not None and near.displacement is not None
-        if warm and near is not None and near.displacement is not None:
-            displacement[0] = near.displacement
-        result, residual, spent = np.zeros(1, np.int8), np.zeros(1), np.zeros(1, np.int32)
-        offsets = self._no_motion if moved is None else self._offsets(moved)
-        rest_under(
+    ) -> list[Answer]:
+        count = len(conditions)
+        structure = self._under(conditions[0].friction)
+        displacement = np.zeros((count, self.problem.parts, 6))
+        for row, answer in enumerate(near):
+            if answer is not None and answer.displacement is not None:
+                displacement[row] = answer.displacement
+        warm = near[0] is not None
+        result, residual, spent = np.zeros(count, np.int8), np.zeros(count), np.zeros(count, np.int32)
+        tried = rest_under(
             structure,
             self._contact,
             np.array(state),
-            np.array(self._whitened(condition)[None]),
-            offsets,
+            self._whitened([condition.extra for condition in conditions]),
+            self._no_motion if moved is None else self._offsets(moved),
             options,
             displacement,
             warm,
+            np.array(after, np.int64),
             result,
             residual,
             spent,
         )
-        stands = bool(result[0] == RESTS)
-        return Answer(
-            condition,
-            stands,
-            moves_away=bool(result[0] == MOVES_AWAY),
-            quick=options.steps == 0,
-            displacement=displacement[0] if stands else None,
-        )
+        quick = options.steps == 0
+        return [
+            Answer(
+                condition,
+                bool(result[row] == RESTS),
+                moves_away=bool(result[row] == MOVES_AWAY),
+                quick=quick,
+                displacement=displacement[row] if result[row] == RESTS else None,
+            )
+            for row, condition in enumerate(conditions[:tried])
+        ]
+
+    def contact_wrench(self, state: States, forces: Array) -> Array:
+        """Return the wrenches of contact forces, N, shape (points, 3), on all parts, N and Nm, shape (parts, 6)."""
+        problem = self.problem
+        active, net = problem.active(state[None])[0], np.zeros((problem.parts, 6))
+        for part, wrench in ((problem.part_a, problem.wrench_a), (problem.part_b, problem.wrench_b)):
+            np.add.at(net, part[active], np.einsum("pri,pi->pr", wrench[active], forces[active]))
+        return net
 
     def forces(self, state: States, answer: Answer) -> Array:
         """Return the contact forces of a stable answer, N, shape (points, 3)."""
@@ -269,12 +378,10 @@ class Prober:
         strength = strength_of(replace(self.assembly, friction=friction), self.settings.gravity)
         return self._structure._replace(**strength_arrays(self.problem, strength))  # type: ignore[arg-type]
 
-    def _whitened(self, condition: Condition) -> Array:
-        """Return the wrenches of a condition for the kernels: read-only, as they are compiled for."""
-        wrench = self.problem.gravity_wrench + condition.extra
-        whitened = np.ascontiguousarray((self.problem.whitening @ wrench[:, :, None])[:, :, 0])
-        whitened.setflags(write=False)
-        return whitened
+    def _whitened(self, extra: Sequence[Array]) -> Array:
+        """Return the weights with additional wrenches for the kernels, shape (extra, parts, 6)."""
+        wrench = self.problem.gravity_wrench + np.array(extra)
+        return np.einsum("prc,lpc->lpr", self.problem.whitening, wrench, order="C")
 
     def _offsets(self, moved: Array) -> Array:
         """Return the scaled spring forces that displaced fixed parts cause at contact points, shape (points, 3)."""

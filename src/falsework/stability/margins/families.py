@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import States
 from falsework.stability.margins.brackets import Bracket, Probe, checked, largest, least, stride, weakest
-from falsework.stability.margins.conditions import Answer, Condition, Prober
+from falsework.stability.margins.conditions import Answer, Condition, OutOfTime, Prober
 from falsework.stability.margins.weakest import Weakest
 
 Array = NDArray[np.float64]
@@ -57,6 +57,9 @@ def friction_bracket(prober: Prober, state: States, start: Answer, near: Near) -
             near="friction" in near or low < own,
             known=None if known is None else (1.0 / known[0], known[1]),
         )
+        if not found.finished:
+            outside = None if found.outside is None else 1.0 / found.outside
+            return Bracket(1.0 / found.inside, found.stands, outside, found.fails, finished=False)
         if found.outside is None:
             return least(from_rest, found.stands, value=1.0 / found.inside, floor=floor)
         return Bracket(1.0 / found.inside, found.stands, 1.0 / found.outside, found.fails)
@@ -66,12 +69,16 @@ def friction_bracket(prober: Prober, state: States, start: Answer, near: Near) -
     if own <= floor or not prober.contact:
         bracket = least(ask, start, value=own, floor=floor)
     else:
-        bracket = _from_rest_too(find(None, probe=ask), from_rest, lambda low, stands: find(None, low, stands))
-        # A check of the number starts from rest, and near the bound the start matters.
-        loaded = from_rest(bracket.inside, None)
-        bracket = replace(bracket, stands=loaded) if loaded.stands else find((bracket.inside, loaded))
-        bracket = checked(bracket, ask, start, lambda value, answer: find((value, answer)), origin=own)
-    if bracket.inside > floor:
+        bracket = find(None, probe=ask)
+        try:
+            bracket = _from_rest_too(bracket, from_rest, lambda low, stands: find(None, low, stands))
+            # A check of the number starts from rest, and near the bound the start matters.
+            loaded = from_rest(bracket.inside, None)
+            bracket = replace(bracket, stands=loaded) if loaded.stands else find((bracket.inside, loaded))
+            bracket = checked(bracket, ask, start, lambda value, answer: find((value, answer)), origin=own)
+        except OutOfTime:
+            bracket = replace(bracket, finished=False)
+    if bracket.inside > floor and bracket.finished:
         near["friction"] = 0, bracket.inside
     return bracket
 
@@ -157,7 +164,11 @@ def load_bracket(
     """
     if prober.contact:
         family = LoadFamily(prober, state, start, load, guess=guess, cap=cap)
-        return family.checked(family.settled(family.quick(known)))
+        bracket = family.quick(known)
+        try:
+            return family.checked(family.settled(bracket))
+        except OutOfTime:
+            return replace(bracket, finished=False)
     friction = start.condition.friction
     bracket = largest(
         lambda value, nearby: prober.ask(state, Condition(friction, value * load), nearby),
@@ -188,7 +199,9 @@ def weakest_load(
     distance: Callable[[int, int], int] | None = None,
     sample: int | None = None,
 ) -> tuple[int, Bracket] | None:
-    """Return the load with the least largest multiple, and its bracket; None where no load has a bound.
+    """Return the load with the least largest multiple, and its bracket; None without loads.
+
+    Where no load has a bound, the bracket is that of the first one, up to `cap`.
 
     Args:
         prober: solver of the structure.
@@ -207,27 +220,38 @@ def weakest_load(
     order = sorted(order, key=lambda row: names[row] != weak)
     if prober.contact:
         families = {row: LoadFamily(prober, state, start, loads[row], guess=guess(row), cap=cap) for row in order}
+        friction = start.condition.friction
+
+        def probe(rows: Sequence[int], multiple: float, nearby: Sequence[Answer | int]) -> list[Answer]:
+            conditions = [Condition(friction, multiple * loads[row]) for row in rows]
+            return prober.ask_each(state, conditions, nearby)
+
         race = Weakest(
             order,
-            lambda row, multiple, nearby: families[row].probe(multiple, nearby),
+            probe,
             start,
             guess=guess,
             cap=cap,
             floor=lambda row: FLOOR * guess(row),
             distance=distance,
             sample=sample,
+            hurry=prober.limited,
         )
         known = value if order and names[order[0]] == weak else None
         found = race.search(lambda row, multiple, failed: families[row].settle(multiple, failed), near=known)
-        found = found and (found[0], families[found[0]].checked(found[1]))
+        try:
+            found = found and (found[0], families[found[0]].checked(found[1]))
+        except OutOfTime:
+            found = found and (found[0], replace(found[1], finished=False))
     else:
         found = weakest(
             order,
             lambda row, multiple: prober.ask(state, Condition(start.condition.friction, multiple * loads[row]), start),
             lambda row, known: load_bracket(prober, state, start, loads[row], guess=guess(row), cap=cap, known=known),
             cap,
+            start,
         )
-    if found is not None:
+    if found is not None and found[1].outside is not None and found[1].finished:
         near["load"] = names[found[0]], found[1].inside
     return found
 

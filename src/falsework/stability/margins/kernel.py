@@ -13,9 +13,11 @@ from falsework.utils.kernels import njit
 
 @njit(nogil=True, cache=True)
 def rest_under(
-    structure, contact_structure, state, loads, moved, options, displacement, warm, result, residual, iterations
+    structure, contact_structure, state, loads, moved, options, displacement, warm, after, result, residual, iterations
 ):
     """Search for the rest position of a state under each load; the law is that of `solve_contact_state`.
+
+    The search ends with the first load under which none is found.
 
     Args:
         structure, contact_structure, options: as in `solve_contact_state`; without iterations from rest, the result
@@ -26,7 +28,11 @@ def rest_under(
             shape (points, 3) or (0, 3).
         displacement: in: guesses in m and rad where `warm`; out: displacements, shape (loads, parts, 6).
         warm: whether `displacement` holds guesses.
+        after: for each load, an earlier one whose displacement is the guess; -1 for its own.
         result, residual, iterations: out, one entry per load.
+
+    Returns:
+        Number of loads that were tried.
     """
     work, contact = make_scratch(structure), make_contact_scratch(structure)
     order = structure.elimination.order
@@ -45,12 +51,15 @@ def rest_under(
         if count == 0 or adrift:
             result[k], residual[k] = (MOVES_AWAY, np.inf) if adrift else (RESTS, 0.0)
             displacement[k] = 0.0
+            if adrift:
+                return k + 1
             continue
         for j in range(len(order)):
             for r in range(6):
                 contact.load[j, r] = loads[k, order[j], r]
         if warm:
-            read_displacement(structure, contact_structure, work, displacement[k], contact.displacement)
+            guess = displacement[k if after[k] < 0 else after[k]]
+            read_displacement(structure, contact_structure, work, guess, contact.displacement)
             result[k], residual[k], iterations[k] = come_to_rest(
                 structure,
                 contact_structure,
@@ -70,3 +79,6 @@ def rest_under(
             iterations[k] += taken
         displacement[k] = 0.0
         write_displacement(structure, contact_structure, work, contact.displacement, displacement[k])
+        if result[k] != RESTS:
+            return k + 1
+    return len(loads)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 from dataclasses import replace
 from functools import cached_property
 
@@ -13,10 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from falsework.assembly.state import INSTALLED, REMOVED, States, as_states
 from falsework.errors import InputError
 from falsework.stability.margins.brackets import OUTSIDE, Bracket, largest, stride, weakest
-from falsework.stability.margins.conditions import Answer, Condition, Prober
+from falsework.stability.margins.conditions import Answer, Condition, OutOfTime, Prober
 from falsework.stability.margins.families import FLOOR, SMOOTH, Near, friction_bracket, load_bracket, weakest_load
 from falsework.stability.margins.pushes import Pushes
-from falsework.stability.margins.state_margins import Bound, StateMargins
+from falsework.stability.margins.state_margins import Bound, StateMargins, triple
 from falsework.stability.margins.supports import held_loads, settlements
 from falsework.stability.strength import strength_of
 from falsework.stability.verdict import Verdict, Verdicts
@@ -58,15 +60,20 @@ class MarginFinder:
         """Faces of the parts that a gripper can push on."""
         return Pushes.on(self._assembly)
 
-    def of(self, states: ArrayLike, kinds: Sequence[str] = QUICK) -> list[StateMargins]:
+    def of(
+        self, states: ArrayLike, kinds: Sequence[str] = QUICK, *, deadline: float | None = None
+    ) -> list[StateMargins]:
         """Return the margins of states, computed in parallel on all cores.
 
         Args:
             states: one state `(parts,)` or a batch `(batch, parts)`.
             kinds: margins to compute.
+            deadline: seconds after which searches return what they have proven, see `StateMargins.unfinished`. The
+                verdicts of the unmodified states, and one probe a core, may take longer.
 
         Raises:
-            InputError: an unknown margin, or settlement under `equilibrium`, which has no displacements.
+            InputError: an unknown margin, settlement under `equilibrium`, which has no displacements, or a deadline of
+                zero or less.
             StateError: states of the wrong length or with other values.
         """
         for kind in kinds:
@@ -74,24 +81,44 @@ class MarginFinder:
                 raise InputError(f"unknown margin {kind!r}; choose among {', '.join(KINDS)}")
         if "settlement" in kinds and not self.prober.contact:
             raise InputError("the criterion equilibrium has no displacements; compute settlement under contact")
+        if deadline is not None and not deadline > 0:
+            raise InputError(f"a deadline of {deadline:g} s leaves no time; give more than 0")
         batch = as_states(states, self._assembly.boundary)
-        assert self.pushes is not None  # computed once, before threads share it
+        assert self.pushes is not None  # computed once, before copies and threads share it
+        if deadline is not None:
+            limited = copy(self)
+            limited.prober = self.prober.until(time.perf_counter() + deadline)
+            return limited._all(batch, kinds)
+        return self._all(batch, kinds)
+
+    def _all(self, batch: States, kinds: Sequence[str]) -> list[StateMargins]:
         with ThreadPoolExecutor(self.prober.settings.cpu.threads) as pool:
-            starts = list(pool.map(lambda state: self.prober.ask(state, self.prober.own()), batch))
+            prober = self.prober.until(np.inf)
+            starts = list(pool.map(lambda state: prober.ask(state, prober.own()), batch))
             found = [StateMargins(start.stands, tuple(kinds)) for start in starts]
 
             def run(job: tuple[int, str]) -> list[StateMargins]:
                 """Compute one margin of consecutive states, one after another."""
                 near: Near = {}
                 rows = range(job[0], min(job[0] + _RUN, len(batch)))
-                return [self._one(batch[row], starts[row], job[1], kinds, near) for row in rows]
+                return [self._in_time(batch[row], starts[row], job[1], kinds, near) for row in rows]
 
             jobs = [(first, kind) for first in range(0, len(batch), _RUN) for kind in kinds]
             for (first, _), parts in zip(jobs, pool.map(run, jobs), strict=True):
                 for row, part in enumerate(parts, first):
                     given = {name: value for name, value in vars(part).items() if value is not None and np.size(value)}
+                    given["unfinished"] = (*found[row].unfinished, *part.unfinished)
                     found[row] = replace(found[row], **given)
         return found
+
+    def _in_time(self, state: States, start: Answer, kind: str, kinds: Sequence[str], near: Near) -> StateMargins:
+        """Return one margin of a state as `_one` does, with a note if the deadline cut it short."""
+        try:
+            found = self._one(state, start, kind, kinds, near)
+        except OutOfTime:
+            return StateMargins(start.stands, unfinished=(kind,))
+        cut = tuple(name for name, value in vars(found).items() if isinstance(value, Bound) and not value.finished)
+        return replace(found, unfinished=cut)
 
     def _one(self, state: States, start: Answer, kind: str, kinds: Sequence[str], near: Near) -> StateMargins:
         """Return one margin of a state, and those that come with it; `near` has the bounds of the state before."""
@@ -168,7 +195,7 @@ class MarginFinder:
         if found is None:
             return self._unbounded(state, start), self._unbounded(state, start)
         row, bracket = found
-        direction = tuple(self.directions[row].tolist())
+        direction = triple(self.directions[row])
         horizontal = self._bound(state, bracket, self._times(start.condition, loads[row]), direction=direction)
         if self._assembly.loads is None and self._assembly.joints is None:
             # Weight with a horizontal acceleration `a g` is the weight on ground tilted by atan(a), times a factor;
@@ -179,6 +206,7 @@ class MarginFinder:
                 None if bracket.outside is None else float(np.arctan(bracket.outside)),
                 None if bracket.fails is None else self._tilted(bracket.fails, row, bracket.outside or 0.0),
                 bracket.monotone,
+                bracket.finished,
             )
             return self._bound(state, tilted, self._tilts(start.condition, row), direction=direction), horizontal
         return self._tilt(state, start, order), horizontal
@@ -210,16 +238,17 @@ class MarginFinder:
                 lambda angle, near: probe(row, angle, near),
                 start,
                 guess=float(np.arctan(max(self._assembly.friction, 0.1))),
-                cap=float(np.arctan(LARGEST_SHARE)),
+                cap=cap,
                 floor=FLOOR,
                 known=known,
             )
 
-        found = weakest(order, lambda row, angle: probe(row, angle, start), bound, float(np.arctan(LARGEST_SHARE)))
+        cap = float(np.arctan(LARGEST_SHARE))
+        found = weakest(order, lambda row, angle: probe(row, angle, start), bound, cap, start)
         if found is None:
             return self._unbounded(state, start)
         row, bracket = found
-        direction = tuple(self.directions[row].tolist())
+        direction = triple(self.directions[row])
         return self._bound(state, bracket, self._tilts(start.condition, row), direction=direction)
 
     def _polygon(self, state: States, start: Answer) -> Array:
@@ -227,6 +256,8 @@ class MarginFinder:
         for row in range(DIRECTIONS):
             load = self.weights[:, None] * np.pad(self.directions[row], (0, 3))
             bracket = load_bracket(self.prober, state, start, load, guess=guess, cap=LARGEST_SHARE)
+            if not bracket.finished:
+                raise OutOfTime
             if bracket.outside is not None:
                 limits[row] = guess = bracket.inside
         return np.arctan(limits)
@@ -283,7 +314,7 @@ class MarginFinder:
         if found is None:
             return self._unbounded(state, start)
         row, times = int(rows[found[0]]), self._times(start.condition, loads[found[0]])
-        direction = tuple(pushes.normal[row].tolist())
+        direction = triple(pushes.normal[row])
         return self._bound(state, found[1], times, part=int(pushes.part[row]), direction=direction)
 
     def _grip(self, state: States, start: Answer) -> Array:
@@ -296,7 +327,7 @@ class MarginFinder:
         return total
 
     def _unbounded(self, state: States, start: Answer) -> Bound:
-        """Return a margin without bound, with the proof of the unmodified state."""
+        """Return a margin without bound for want of loads, with the proof of the unmodified state."""
         return self._bound(state, Bracket(0.0, start, None, None), lambda _: start.condition)
 
     @staticmethod
@@ -318,7 +349,7 @@ class MarginFinder:
         *,
         shift: float = 0.0,
         part: int | None = None,
-        direction: tuple[float, ...] | None = None,
+        direction: tuple[float, float, float] | None = None,
         always: bool = False,
     ) -> Bound:
         """Certify both ends of a bracket; a bracket without an outer end has no bound, unless `always`.
@@ -331,7 +362,8 @@ class MarginFinder:
             part, direction: those of the weakest load.
             always: whether the family has a bound even without an outer end, as friction has at zero.
         """
-        fails, outside = bracket.fails, bracket.outside
+        fails, outside = bracket.fails if bracket.finished else None, bracket.outside
+        known = outside is not None or always or not bracket.finished
         proof = None if fails is None else self.prober.certify(state, fails)
         if fails is not None and proof is not None and not _fails(proof):
             # Close to the bound neither side may be provable; try at the largest distance that a bracket may span.
@@ -342,15 +374,16 @@ class MarginFinder:
             if _fails(second):
                 fails, outside, proof = again, share * bracket.inside, second
         return Bound(
-            value=float(bracket.inside) + shift if outside is not None or always else None,
+            value=float(bracket.inside) + shift if known else None,
             outside=None if outside is None else float(outside) + shift,
             inside_proof=self.prober.certify(state, bracket.stands),
             outside_proof=proof,
             inside_condition=bracket.stands.condition,
             outside_condition=None if fails is None else fails.condition,
             monotone=bracket.monotone,
-            part=part,
-            direction=None if direction is None else (direction[0], direction[1], direction[2]),
+            part=part if known and bracket.finished else None,
+            direction=direction if known and bracket.finished else None,
+            finished=bracket.finished,
         )
 
 

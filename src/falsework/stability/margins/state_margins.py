@@ -23,11 +23,11 @@ class Bound:
     outside: float | None
     """First value at which it is not stable, within 1 %; None where there is none."""
     inside_proof: Verdicts
-    """Verdict at `value`, a batch of one, with its certificate."""
+    """Verdict under `inside_condition`, a batch of one, with its certificate."""
     outside_proof: Verdicts | None
     """Verdict at `outside`: unstable, or sliding under `contact`; undecided where nothing could be proven."""
     inside_condition: Condition
-    """Friction and loads at `value`."""
+    """Friction and loads at `value`; where there is no bound, at the largest value that is tried, of the first load."""
     outside_condition: Condition | None
     monotone: bool = True
     """Whether the state is stable at all values probed from its own to the bound: a theorem under `equilibrium`, not
@@ -36,12 +36,15 @@ class Bound:
     """Part that the weakest load of the family acts on."""
     direction: tuple[float, float, float] | None = None
     """Direction of the weakest load."""
+    finished: bool = True
+    """Whether the search ended before the deadline. If not, `value` is what has been proven so far, with any load of
+    the family, and `outside` may be far from it, without proof, or None."""
 
     @property
     def proven(self) -> bool:
         """Whether certificates on both sides, as far as there is a bound, were accepted."""
         failed = self.outside_proof is None or self.outside_proof.verdict[0] in (Verdict.UNSTABLE, Verdict.SLIDES)
-        return bool(self.inside_proof.stable[0]) and failed
+        return bool(self.inside_proof.stable[0]) and failed and self.finished
 
 
 @dataclass(frozen=True)
@@ -91,14 +94,19 @@ class StateMargins:
     """Largest tilt in each of 36 directions from x to y, rad; infinite where there is no bound. Shape (36,)."""
     settlement: tuple[tuple[int, float | None], ...] = ()
     """Boundary parts with their largest settlement, m; None where there is no bound."""
+    unfinished: tuple[str, ...] = ()
+    """Margins that a deadline cut short: those with a value have what has been proven so far."""
 
     def to_dict(self, names: tuple[str, ...]) -> dict[str, Any]:
         """Return the margins as a JSON object: those that were requested, null where there is no bound.
+
+        For those that a deadline cut short, `fails_at` has values at which the state fails, without proof.
 
         Args:
             names: names of the parts.
         """
         data: dict[str, Any] = {"stands": self.stands}
+        fails: dict[str, float] = {}
         for kind, key, bound, scale in (
             ("friction", "friction", self.friction, 1.0),
             ("tilt", "tilt_deg", self.tilt, 180.0 / np.pi),
@@ -110,6 +118,8 @@ class StateMargins:
             if kind in self.kinds:
                 value = None if bound is None or bound.value is None else bound.value * scale
                 data[key] = value if self.stands or key == "friction" else 0.0
+                if bound is not None and not bound.finished and bound.outside is not None:
+                    fails[key] = bound.outside * scale
         if "push" in self.kinds:
             data["push_part"] = None if self.push is None else self.push.part
             data["push_name"] = None if self.push is None or self.push.part is None else names[self.push.part]
@@ -130,4 +140,12 @@ class StateMargins:
         given = [bound for bound in bounds if bound is not None]
         data["proven"] = all(bound.proven for bound in given)
         data["monotone"] = all(bound.monotone for bound in given)
+        if self.unfinished:
+            data["proven"] = False
+            data["unfinished"], data["fails_at"] = list(self.unfinished), fails
         return data
+
+
+def triple(values: Array) -> tuple[float, float, float]:
+    """Return three numbers as a tuple."""
+    return float(values[0]), float(values[1]), float(values[2])

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from falsework.assembly.state import HELD, States
 from falsework.stability.certificate import forces_of_displacement, residual_of_forces
 from falsework.stability.margins.brackets import largest
-from falsework.stability.margins.conditions import Answer, Prober
-from falsework.stability.margins.state_margins import HeldLoad
+from falsework.stability.margins.conditions import Answer, OutOfTime, Prober
+from falsework.stability.margins.state_margins import HeldLoad, triple
 from falsework.stability.stiffness import MOVEMENT, structure_size
 
 Array = NDArray[np.float64]
@@ -33,14 +33,9 @@ def held_loads(prober: Prober, state: States, start: Answer) -> tuple[HeldLoad, 
         state: shape (parts,).
         start: the stable answer for the unmodified state.
     """
-    assembly, problem = prober.assembly, prober.problem
-    held = np.flatnonzero((state == HELD) & ~assembly.boundary)
-    forces = prober.forces(state, start)
-    net = problem.gravity_wrench.copy()
-    active = problem.active(state[None])[0]
-    for part, wrench in ((problem.part_a, problem.wrench_a), (problem.part_b, problem.wrench_b)):
-        np.add.at(net, part[active], np.einsum("pri,pi->pr", wrench[active], forces[active]))
-    return tuple(HeldLoad(int(part), *(_three(-net[part, rows]) for rows in (slice(3), slice(3, 6)))) for part in held)
+    held = np.flatnonzero((state == HELD) & ~prober.assembly.boundary)
+    net = prober.problem.gravity_wrench + prober.contact_wrench(state, prober.forces(state, start))
+    return tuple(HeldLoad(int(part), *(triple(-net[part, rows]) for rows in (slice(3), slice(3, 6)))) for part in held)
 
 
 def settlements(prober: Prober, state: States, start: Answer) -> tuple[tuple[int, float | None], ...]:
@@ -56,6 +51,9 @@ def settlements(prober: Prober, state: States, start: Answer) -> tuple[tuple[int
 
     Returns:
         Boundary parts with settlements in m, None where there is no bound.
+
+    Raises:
+        OutOfTime: the time of the prober is over.
     """
     assembly, problem, claim, depths = prober.assembly, prober.problem, prober.settings.claim, []
     active = problem.active(state[None])[0]
@@ -75,9 +73,7 @@ def settlements(prober: Prober, state: States, start: Answer) -> tuple[tuple[int
             return answer if left <= claim.tolerance else replace(answer, stands=False)
 
         bracket = largest(probe, start, guess=0.5 * cap, cap=cap, floor=_SHALLOW * cap)
+        if not bracket.finished:
+            raise OutOfTime
         depths.append((part, None if bracket.outside is None else float(bracket.inside)))
     return tuple(depths)
-
-
-def _three(values: Array) -> tuple[float, float, float]:
-    return float(values[0]), float(values[1]), float(values[2])

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from falsework.stability.margins.brackets import GROWTH, SLACK, STRIDES, WIDTH, Bracket
-from falsework.stability.margins.conditions import Answer
+from falsework.stability.margins.conditions import Answer, OutOfTime
 
 _RISE = 0.006
 """Share by which the least bound may rise without a new test of the others."""
@@ -15,12 +15,17 @@ _COARSE = 1.5
 """Ratio of the ends of a bracket at which the other families are tested before it is narrowed."""
 _SPLIT = 0.38
 """Share of a bracket at which it is split: failing probes cost more than others."""
+_FIRST = 1 / 8
+"""Share of a guess that all families are tested at first where the time is limited; it doubles until one fails."""
 _STRIKES = 1
 """Tests beyond the least bound that may fail; after that families are tested inside it, where failures are rare."""
 _ALIKE = 0.2
 """Difference of values, as a share, up to which a probe starts from another family's rest."""
-Probe = Callable[[int, float, Answer], Answer]
-"""Answer of a family at a value, by a quick probe warm-started from an answer."""
+_BATCH = 1000
+"""Families that are tested in one call, divided by the number of parts."""
+Probe = Callable[[Sequence[int], float, Sequence[Answer | int]], list[Answer]]
+"""Answers of families at a value by quick probes, until the first that fails. Each is warm-started from an answer, or
+from that of an earlier family in the list, given by its index."""
 
 
 class Weakest:
@@ -41,12 +46,13 @@ class Weakest:
         floor: Callable[[int], float],
         distance: Callable[[int, int], int] | None = None,
         sample: int | None = None,
+        hurry: bool = False,
     ) -> None:
         """Take the families.
 
         Args:
             families: those to compare, likely weakest first.
-            probe: answer of a family at a value.
+            probe: answers of families at a value.
             start: the stable answer at 0.
             guess: value of a family to try first.
             cap: value beyond which there is no bound.
@@ -54,31 +60,46 @@ class Weakest:
             distance: distance between families; a probe starts from the rest of a family nearby.
             sample: number of the first families that are tested before the weakest of them is narrowed; all by
                 default.
+            hurry: whether the time is limited, so that what all families bear is found first, if roughly.
         """
         self._families, self._probe, self._guess = list(families), probe, guess
         self._cap, self._floor = cap, floor
         self._distance, self._strikes = distance, _STRIKES
-        self._sample = self._families[:sample]
+        self._batch = max(_BATCH // max(len(start.condition.extra), 1), 1)
+        self._sample, self._hurry = self._families[:sample], hurry
         self._low = dict.fromkeys(families, (0.0, start))
         self._high: dict[int, tuple[float, Answer]] = {}
 
     def search(
         self, confirm: Callable[[int, float, Answer], tuple[float, Answer]], near: float | None = None
     ) -> tuple[int, Bracket] | None:
-        """Return the weakest family and its bracket; None where no family has a bound.
+        """Return the weakest family and its bracket, without an outer end where none has a bound; None without any.
 
         Args:
             confirm: answer of a family at a value at which a quick probe failed, given that answer, or a stable one at
                 a larger value.
             near: bound of the first family in a nearby state.
         """
+        try:
+            return self._search(confirm, near)
+        except OutOfTime:
+            least = min(self._families, key=lambda row: self._low[row][0])
+            failing = min(self._high.values(), key=lambda known: known[0], default=(None, None))
+            return least, Bracket(*self._low[least], *failing, finished=False)
+
+    def _search(
+        self, confirm: Callable[[int, float, Answer], tuple[float, Answer]], near: float | None
+    ) -> tuple[int, Bracket] | None:
         confirmed: dict[int, float] = {}
         last = None
+        if self._hurry and self._families:
+            self._raise_all(_FIRST * min(self._guess(row) for row in self._families))
         while True:
             if not self._high:
                 rows = [row for row in self._families if self._low[row][0] < self._cap]
                 if not rows:
-                    return None
+                    row = next(iter(self._families), None)
+                    return None if row is None else (row, Bracket(*self._low[row], None, None))
                 row = last if last in rows else rows[0]
                 self._raise(row, self._guess(row) if near is None else near, near is not None or row == last)
                 near = None
@@ -94,7 +115,7 @@ class Weakest:
             rows, demand = (self._families, (1.0 - _RISE) * value) if narrow else (self._sample, value / _COARSE)
             left = [row for row in rows if row != best and self._low[row][0] < demand]
             if left:
-                self._test(self._nearest(best, left), value, high)
+                self._test(best, left, value, high)
             elif not narrow:
                 self._narrow(best)
             elif confirmed.get(best) == high:
@@ -107,6 +128,14 @@ class Weakest:
     def _bracket(self, row: int) -> Bracket:
         (low, stands), (high, fails) = self._low[row], self._high[row]
         return Bracket(low, stands, high, fails)
+
+    def _raise_all(self, value: float) -> None:
+        """Raise the loads of all families together until one fails or the cap is reached."""
+        while value < self._cap:
+            for first in range(0, len(self._families), self._batch):
+                if not self._probe_all(self._families[first : first + self._batch], value):
+                    return
+            value *= 2.0
 
     def _raise(self, row: int, value: float, near: bool) -> None:
         """Raise a load until it fails or reaches the cap, at once where others have reached it."""
@@ -130,31 +159,43 @@ class Weakest:
             value = low + _SPLIT * (high - low)
         self._ask(row, value, self._low[row][1])
 
-    def _test(self, row: int, value: float, high: float) -> None:
-        """Test a family at a value below which it is known to be stable, or beyond the bound, to do so only once."""
-        low, near = self._low[row]
+    def _test(self, best: int, left: Sequence[int], value: float, high: float) -> None:
+        """Test families at a value below which they are known to be stable, or beyond the bound, to do so only once."""
         distance = self._distance
-        if distance is None and self._strikes:
-            self._strikes -= not self._ask(row, high, near)
+        if distance is None:
+            beyond = self._strikes > 0
+            if not self._probe_all(left[: self._batch], high if beyond else value):
+                self._strikes -= beyond
             return
-        if distance is not None:
-            kin = min(
-                self._families,
-                key=lambda other: (abs(self._low[other][0] / value - 1.0) > _ALIKE, distance(row, other)),
-            )
-            if abs(self._low[kin][0] - value) < abs(low - value):
-                near = self._low[kin][1]
-        self._ask(row, value, near)
+        sampled = [row for row in left if row in self._sample]
+        rows = sampled or sorted(left, key=lambda row: distance(row, best))
+        self._probe_all(rows[: self._batch], value)
+
+    def _probe_all(self, rows: Sequence[int], value: float) -> bool:
+        """Probe families at a value until one fails; return whether none does."""
+        answers = self._probe(rows, value, [self._origin(rows, place, value) for place in range(len(rows))])
+        for row, answer in zip(rows, answers, strict=False):
+            self._keep(row, value, answer)
+        return answers[-1].stands
+
+    def _origin(self, rows: Sequence[int], place: int, value: float) -> Answer | int:
+        """Return where to start the probe of a family: at its last rest, or at that of a neighbour or one before it."""
+        row, distance = rows[place], self._distance
+        low, near = self._low[row]
+        if distance is None:
+            return near
+        before = {other: index for index, other in enumerate(rows[:place])}
+        known = [other for other in self._families if abs(self._low[other][0] / value - 1.0) <= _ALIKE]
+        kin = min([*known, *before], key=lambda other: distance(row, other), default=row)
+        if kin in before:
+            return before[kin]
+        return self._low[kin][1] if abs(self._low[kin][0] - value) < abs(low - value) else near
 
     def _ask(self, row: int, value: float, near: Answer) -> bool:
         """Probe a family and keep the answer; return whether it is stable."""
-        answer = self._probe(row, value, near)
-        (self._low if answer.stands else self._high)[row] = value, answer
+        (answer,) = self._probe([row], value, [near])
+        self._keep(row, value, answer)
         return answer.stands
 
-    def _nearest(self, best: int, left: Sequence[int]) -> int:
-        """Return the family to test next."""
-        distance = self._distance
-        if distance is None or left[0] in self._sample:
-            return left[0]
-        return min(left, key=lambda row: distance(row, best))
+    def _keep(self, row: int, value: float, answer: Answer) -> None:
+        (self._low if answer.stands else self._high)[row] = value, answer
