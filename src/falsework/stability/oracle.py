@@ -54,14 +54,14 @@ class Stability:
             raise InputError("joints that set need the criterion contact; equilibrium has no steps")
         self.assembly = assembly
         self.settings = settings
+        self._contact = settings.criterion == "contact"
         self.problem = build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity)
         self._gurobi = self._make_gurobi()
         self.counters = Counters()
         self._cpu = self._make_cpu()
         self._gpu = self._make_gpu()
-        contact = settings.criterion == "contact"
-        self._cache = VerdictCache(holds_keep_stable=not contact)
-        self._guess_shape = (self.problem.parts, 6) if contact else (self.problem.points, 3)
+        self._cache = VerdictCache(holds_keep_stable=not self._contact)
+        self._guess_shape = (self.problem.parts, 6) if self._contact else (self.problem.points, 3)
         self._guesses: OrderedDict[bytes, NDArray[np.float32]] = OrderedDict()
         self._guesses_limit = _GUESSES // max(self._guess_bytes // 2, 1)
 
@@ -144,8 +144,9 @@ class Stability:
         Returns:
             Stable verdicts with certificates; undecided where none are stored or they no longer prove the state.
         """
-        contact = self.settings.criterion == "contact"
-        found = Verdicts.blank(len(states), points=self.problem.points, parts=self.problem.parts, displaced=contact)
+        found = Verdicts.blank(
+            len(states), points=self.problem.points, parts=self.problem.parts, displaced=self._contact
+        )
         stored = {row: guess for row, state in enumerate(states) if (guess := self._guess_of(state)) is not None}
         if self._cpu is None or not stored or self._choose(len(stored)) is not self._cpu:
             return found
@@ -158,11 +159,10 @@ class Stability:
 
     def check_next(self, states: States, before: States, known: Verdicts) -> Verdicts:
         """Check states `(batch, parts)` first from the displacements, or forces, `known` of their predecessors."""
-        contact = self.settings.criterion == "contact"
-        proof = known.displacement if contact else known.forces
+        proof = known.displacement if self._contact else known.forces
         if self._cpu is None or proof is None or self._choose(len(states)) is not self._cpu:
             return self.check(states)
-        guess = np.where(known.stable[:, None, None], proof, np.nan if contact else 0.0)
+        guess = np.where(known.stable[:, None, None], proof, np.nan if self._contact else 0.0)
         found = self._cpu.check(states, parents=before, guess=guess)
         good = found.stable & self._accept(states, found)
         self._put(states[good], found[good])
@@ -274,7 +274,7 @@ class Stability:
 
     def _make_cpu(self) -> CpuSolver | ContactSolver | None:
         """Return the CPU solver if the settings ask for it, and always under `contact`."""
-        if self.settings.criterion == "contact":
+        if self._contact:
             return ContactSolver(self.assembly, self.problem, self.settings)
         return CpuSolver(self.problem, self.settings) if self.settings.solver in ("auto", "cpu") else None
 
@@ -285,14 +285,13 @@ class Stability:
             states: shape (batch, parts).
             verdicts: verdicts of the solver that left them undecided.
         """
-        contact = self.settings.criterion == "contact"
         # Where equilibrium is proven and no rest position was found, the exact solver has nothing to add.
-        rows = np.flatnonzero(~(contact & verdicts.undecided & (verdicts.residual <= self.settings.tolerance)))
+        rows = np.flatnonzero(~(self._contact & verdicts.undecided & (verdicts.residual <= self.settings.tolerance)))
         decided = verdicts[np.arange(len(verdicts))]
         if not len(rows):
             return decided
         exact = self.exact.check(states[rows])
-        if contact:
+        if self._contact:
             # Equilibrium does not imply stability here: states that the contact solver left undecided stay undecided.
             slides = exact.stable & (verdicts.slides[rows] | np.isposinf(verdicts.residual[rows]))
             exact.verdict[exact.stable & ~slides] = Verdict.UNDECIDED
@@ -335,15 +334,15 @@ class Stability:
         solver = self._choose(len(states))
         if solver is None:
             return self.exact.check(states).without_certificates()
-        verdicts, contact = Verdicts.blank(len(states)), self.settings.criterion == "contact"
+        verdicts = Verdicts.blank(len(states))
         # Look up the parents first: storing the results of their children may evict them.
         known = [None] * len(states) if parents is None else [self._guess_of(parent) for parent in parents]
         size = max(_BATCH // max(self._guess_bytes, 1), 16)
         for first in range(0, len(states), size):
             rows = np.arange(first, min(first + size, len(states)))
             guess = None
-            if parents is not None and not (solver is self._gpu and contact):
-                guess = np.full((len(rows), *self._guess_shape), np.nan if contact else 0.0)
+            if parents is not None and not (solver is self._gpu and self._contact):
+                guess = np.full((len(rows), *self._guess_shape), np.nan if self._contact else 0.0)
                 for row, start in zip(range(len(rows)), known[first : first + size], strict=True):
                     if start is not None:
                         guess[row] = start
