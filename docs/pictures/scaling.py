@@ -44,7 +44,7 @@ def cost_against_parts(path: Path) -> None:
 
 
 def planning_against_parts(path: Path) -> None:
-    """Draw processor seconds to a proven plan over parts, on logarithmic axes with lines through three plans or more."""
+    """Draw processor seconds to a proven plan over parts, on logarithmic axes, and lines through three or more."""
     records = _records()
     figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
     plans = [record for record in records if record["benchmark"] == "scaling plan"]
