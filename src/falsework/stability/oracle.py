@@ -39,7 +39,7 @@ _BATCH = 32 * 1024 * 1024
 _WORTH_A_GPU = 8
 """States from which `auto` uses the GPU: a launch costs as much as a few states on the CPU."""
 _UNHELD = 3
-"""Held parts up to which a guess is looked up for the state before they were held."""
+"""Held parts of which a guess is looked up for the state before they were held."""
 
 
 class Stability:
@@ -59,9 +59,8 @@ class Stability:
         self.counters = Counters()
         self._cpu = self._make_cpu()
         self._gpu = self._make_gpu()
-        contact = settings.criterion == "contact"
-        self._cache = VerdictCache(holds_keep_stable=not contact)
-        self._guess_shape = (self.problem.parts, 6) if contact else (self.problem.points, 3)
+        self._cache = VerdictCache(holds_keep_stable=self.holds_keep_stable)
+        self._guess_shape = (self.problem.points, 3) if self.holds_keep_stable else (self.problem.parts, 6)
         self._guesses: OrderedDict[bytes, NDArray[np.float32]] = OrderedDict()
         self._guesses_limit = _GUESSES // max(self._guess_bytes // 2, 1)
 
@@ -295,6 +294,8 @@ class Stability:
             exact.verdict[exact.stable & ~slides] = Verdict.UNDECIDED
             exact.verdict[slides] = Verdict.SLIDES
             exact.proof[:] = proof_of(exact.verdict, self.settings.criterion)
+        elif exact.forces is not None:  # the next states start from them
+            self._remember(states[rows[exact.stable]], exact.forces[exact.stable])
         decided.put(rows, exact)
         return decided
 
@@ -335,10 +336,9 @@ class Stability:
         verdicts, contact = Verdicts.blank(len(states)), self.settings.criterion == "contact"
         # Look up the parents first: storing the results of their children may evict them.
         known = [None] * len(states) if parents is None else [self._guess_of(parent) for parent in parents]
-        size = max(_BATCH // max(self._guess_bytes, 1), 16)
+        size, guess = max(_BATCH // max(self._guess_bytes, 1), 16), None
         for first in range(0, len(states), size):
             rows = np.arange(first, min(first + size, len(states)))
-            guess = None
             if parents is not None and not (solver is self._gpu and contact):
                 guess = np.full((len(rows), *self._guess_shape), np.nan if contact else 0.0)
                 for row, start in zip(range(len(rows)), known[first : first + size], strict=True):
@@ -366,9 +366,9 @@ class Stability:
         found = self._guesses.get(state.tobytes())
         if found is not None or not self.holds_keep_stable:
             return found
-        held, before = np.flatnonzero((state == HELD) & ~self.assembly.boundary), state.copy()
-        for values in product((REMOVED, INSTALLED, HELD), repeat=len(held) if len(held) <= _UNHELD else 0):
-            before[held] = values if values else HELD
+        held, before = np.flatnonzero((state == HELD) & ~self.assembly.boundary)[:_UNHELD], state.copy()
+        for values in product((REMOVED, INSTALLED, HELD), repeat=len(held)):
+            before[held] = values
             found = self._guesses.get(before.tobytes())
             if found is not None:
                 break
