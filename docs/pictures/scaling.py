@@ -48,7 +48,8 @@ def planning_against_parts(path: Path) -> None:
     records = _records()
     figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
     plans = [record for record in records if record["benchmark"] == "scaling plan"]
-    plans = [plan for plan in plans if plan["commit"] == plans[-1]["commit"]]
+    newest = {plan["criterion"]: plan["commit"] for plan in plans}
+    plans = [plan for plan in plans if plan["commit"] == newest[plan["criterion"]]]
     ticks = sorted({plan["parts"] for plan in plans})
     for criterion, colour in zip(("contact", "equilibrium"), ROBOTS, strict=False):
         mine = [plan for plan in plans if plan["criterion"] == criterion]

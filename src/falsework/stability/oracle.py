@@ -39,7 +39,7 @@ _BATCH = 32 * 1024 * 1024
 _WORTH_A_GPU = 8
 """States from which `auto` uses the GPU: a launch costs as much as a few states on the CPU."""
 _UNHELD = 3
-"""Held parts up to which a guess is looked up for the state before they were held."""
+"""Held parts of which a guess is looked up for the state before they were held."""
 
 
 class Stability:
@@ -77,7 +77,7 @@ class Stability:
     @property
     def holds_keep_stable(self) -> bool:
         """Whether a stable state stays stable when a part is held: under `equilibrium`, not under `contact`."""
-        return self.settings.criterion == "equilibrium"
+        return not self._contact
 
     @cached_property
     def replayer(self) -> Replayer | None:
@@ -297,6 +297,8 @@ class Stability:
             exact.verdict[exact.stable & ~slides] = Verdict.UNDECIDED
             exact.verdict[slides] = Verdict.SLIDES
             exact.proof[:] = proof_of(exact.verdict, self.settings.criterion)
+        elif exact.forces is not None:  # the next states start from them
+            self._remember(states[rows[exact.stable]], exact.forces[exact.stable])
         decided.put(rows, exact)
         return decided
 
@@ -337,10 +339,9 @@ class Stability:
         verdicts = Verdicts.blank(len(states))
         # Look up the parents first: storing the results of their children may evict them.
         known = [None] * len(states) if parents is None else [self._guess_of(parent) for parent in parents]
-        size = max(_BATCH // max(self._guess_bytes, 1), 16)
+        size, guess = max(_BATCH // max(self._guess_bytes, 1), 16), None
         for first in range(0, len(states), size):
             rows = np.arange(first, min(first + size, len(states)))
-            guess = None
             if parents is not None and not (solver is self._gpu and self._contact):
                 guess = np.full((len(rows), *self._guess_shape), np.nan if self._contact else 0.0)
                 for row, start in zip(range(len(rows)), known[first : first + size], strict=True):
@@ -356,11 +357,10 @@ class Stability:
                 self._remember(states[rows][solved.stable], guess[solved.stable])
             verdicts.put(rows, solved)
         rest = np.flatnonzero(verdicts.verdict == Verdict.UNDECIDED)
-        if len(rest):
-            if solver is self._gpu:
-                verdicts.put(rest, self.settle(states[rest], verdicts.residual[rest]))
-            else:
-                verdicts.put(rest, self._decide_exactly(states[rest], verdicts[rest]))
+        if len(rest) and solver is self._gpu:
+            verdicts.put(rest, self.settle(states[rest], verdicts.residual[rest]))
+        elif len(rest):
+            verdicts.put(rest, self._decide_exactly(states[rest], verdicts[rest]))
         return verdicts
 
     def _guess_of(self, state: States) -> NDArray[np.float32] | None:
@@ -368,19 +368,17 @@ class Stability:
         found = self._guesses.get(state.tobytes())
         if found is not None or not self.holds_keep_stable:
             return found
-        held, before = np.flatnonzero((state == HELD) & ~self.assembly.boundary), state.copy()
-        for values in product((REMOVED, INSTALLED, HELD), repeat=len(held) if len(held) <= _UNHELD else 0):
-            before[held] = values if values else HELD
-            found = self._guesses.get(before.tobytes())
-            if found is not None:
+        held, before = np.flatnonzero((state == HELD) & ~self.assembly.boundary)[:_UNHELD], state.copy()
+        for values in product((REMOVED, INSTALLED, HELD), repeat=len(held)):
+            before[held] = values
+            if (found := self._guesses.get(before.tobytes())) is not None:
                 break
         return found
 
     def _pass_on(self, states: States, origins: States) -> None:
         """Let states that were cached as stable share the guess of their parents."""
         for state, origin in zip(states, origins, strict=True):
-            known = self._guess_of(origin)
-            if known is not None:
+            if (known := self._guess_of(origin)) is not None:
                 self._guesses.setdefault(state.tobytes(), known)
 
     def _remember(self, states: States, found: NDArray[np.float64]) -> None:
