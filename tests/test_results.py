@@ -81,6 +81,13 @@ def test_records_name_their_origin(file: Path) -> None:
         assert record["benchmark"].split()[0] == file.stem, f"{file.name}:{number}"
 
 
+@pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
+def test_no_record_is_there_twice(file: Path) -> None:
+    """A merge may append the same lines again, and a table would then count a seed twice."""
+    lines = file.read_text(encoding="utf-8").splitlines()
+    assert len(set(lines)) == len(lines)
+
+
 def test_pages_hold_what_the_records_say(tables: Any) -> None:
     stale = [page.name for page in tables.PAGES if tables.filled(page) != page.read_text(encoding="utf-8")]
     assert not stale, "run `make results`"

@@ -44,7 +44,7 @@ def cost_against_parts(path: Path) -> None:
 
 
 def planning_against_parts(path: Path) -> None:
-    """Draw processor seconds to a proven plan over parts, on logarithmic axes, and lines through three or more."""
+    """Draw processor seconds to a plan over parts, on logarithmic axes, and lines through three sizes or more."""
     records = _records()
     figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
     plans = [record for record in records if record["benchmark"] == "scaling plan"]
@@ -56,7 +56,7 @@ def planning_against_parts(path: Path) -> None:
         found = [plan for plan in mine if plan["found"]]
         parts, seconds = (np.array([plan[key] for plan in found], dtype=float) for key in ("parts", "plan_s"))
         label = criterion
-        if len(parts) > 2:
+        if len(set(parts.tolist())) > 2:
             exponent, level = np.polyfit(np.log(parts), np.log(seconds), 1)
             label = f"{criterion}: parts$^{{{exponent:.2f}}}$"
             axes.loglog(parts, np.exp(level) * parts**exponent, color=colour, linewidth=1)
