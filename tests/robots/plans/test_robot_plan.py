@@ -116,6 +116,22 @@ def test_there_and_back_on_disk(robot_plan: RobotPlan, tmp_path: Path) -> None:
     assert load_robot_plan(again).seconds == found.seconds
 
 
+def test_files_keep_accelerations_between_close_knots(robot_plan: RobotPlan, tmp_path: Path) -> None:
+    """Decimals that are cut off count by the square of the time between two knots, which may be 0.1 ms."""
+
+    def with_close_knots(trajectory: Trajectory) -> Trajectory:
+        cubic = trajectory._cubics()
+        times = np.unique(np.concatenate([trajectory.times, trajectory.times[:-1] + 9e-5, trajectory.times[1:] - 9e-5]))
+        return replace(trajectory, times=times, positions=cubic(times), velocities=cubic.derivative(1)(times))
+
+    steps = (replace(step, trajectories=tuple(map(with_close_knots, step.trajectories))) for step in robot_plan.steps)
+    close = replace(robot_plan, steps=tuple(steps))
+    save_robot_plan(close, tmp_path / "plan.json")
+    for was, now in zip(close.steps, load_robot_plan(tmp_path / "plan.json").steps, strict=True):
+        for before, after in zip(was.trajectories, now.trajectories, strict=True):
+            assert after.peaks()[1].max() <= 1.001 * before.peaks()[1].max()
+
+
 def test_files_follow_the_schema(robot_plan: RobotPlan) -> None:
     data = robot_plan_to_dict(robot_plan)
     schema = robot_plan_schema()

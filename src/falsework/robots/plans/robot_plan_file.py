@@ -25,8 +25,8 @@ FORMAT = "falsework.robot-plan/2"
 FIRST_FORMAT = "falsework.robot-plan/1"
 """Format without a schedule; read, no longer written."""
 
-DIGITS = 9
-"""Decimals of joint values, velocities and times: coarser ones would show as acceleration where knots are close."""
+DIGITS = 12
+"""Decimals of joint values, velocities and times: fewer would show as acceleration where knots are 0.1 ms apart."""
 JOINS = 1e-5
 """Joint values that differ by no more are equal, rad or m."""
 
