@@ -18,6 +18,7 @@ from falsework.errors import InputError
 from falsework.robots.plans.mcap_bag import write_bag
 from falsework.robots.plans.programs import Grip, events_of, rapid_modules, ur_scripts
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
+from falsework.robots.plans.robot_plan_file import rounded
 from falsework.utils.archive import write_whole
 
 Array = NDArray[np.float64]
@@ -92,8 +93,8 @@ def joint_trajectory(plan: RobotPlan, robot: int, trajectory: Trajectory, start:
         "joint_names": [f"{record.name}_{joint}" for joint in record.joint_names],
         "points": [
             {
-                "positions": _plain(positions),
-                "velocities": _plain(velocities),
+                "positions": rounded(positions),
+                "velocities": rounded(velocities),
                 "accelerations": [],
                 "effort": [],
                 "time_from_start": _duration(start + moment),
@@ -136,10 +137,6 @@ def _part(plan: RobotPlan, index: int) -> str:
 def _duration(seconds: float) -> dict[str, int]:
     whole = round(seconds * _NANO)
     return {"sec": whole // _NANO, "nanosec": whole % _NANO}
-
-
-def _plain(values: Array) -> list[float]:
-    return (np.round(values, 9) + 0.0).tolist()
 
 
 def _json(value: Any) -> str:

@@ -64,16 +64,16 @@ def robot_plan_to_dict(plan: RobotPlan) -> dict[str, Any]:
                     "name": robot.name,
                     "model": robot.model,
                     "joints": list(robot.joint_names),
-                    "base": _numbers(robot.base),
+                    "base": rounded(robot.base),
                     "gripper": robot.gripper,
-                    "tool": _numbers(robot.tool),
+                    "tool": rounded(robot.tool),
                 }
                 for robot in plan.robots
             ],
         },
         "plan": plan_to_dict(plan.plan, proofs=plan.plan.proof_arrays() is not None),
         "keyframes": [
-            {"configurations": [_numbers(values) for values in keyframe.configurations], "held": list(keyframe.held)}
+            {"configurations": [rounded(values) for values in keyframe.configurations], "held": list(keyframe.held)}
             for keyframe in plan.keyframes
         ],
         "steps": [
@@ -85,9 +85,9 @@ def robot_plan_to_dict(plan: RobotPlan) -> dict[str, Any]:
                         "kind": trajectory.kind,
                         "part": trajectory.part,
                         "touches": trajectory.touches,
-                        "times": _numbers(trajectory.times),
-                        "positions": _numbers(trajectory.positions),
-                        "velocities": _numbers(trajectory.velocities),
+                        "times": rounded(trajectory.times),
+                        "positions": rounded(trajectory.positions),
+                        "velocities": rounded(trajectory.velocities),
                     }
                     for trajectory in step.trajectories
                 ],
@@ -141,7 +141,8 @@ def robot_plan_from_dict(data: Any, source: str = "the robot plan") -> RobotPlan
     return _Reader(source).plan(data)
 
 
-def _numbers(values: Array) -> Any:
+def rounded(values: Array) -> Any:
+    """Return values as nested lists, with as many decimals as files have."""
     return (np.round(np.asarray(values, dtype=np.float64), DIGITS) + 0.0).tolist()
 
 
