@@ -53,6 +53,16 @@ def fewest(rules: str) -> Callable[[Runs, Runs], str]:
 
 STRUCTURE = (("structure", "{structure}"),)
 STRUCTURE_AND_ROBOTS = (("structure", "{structure}"), ("robots", "{robots}"))
+SEARCHES_COMPARED = (
+    ("verdicts", "{verdicts}"),
+    ("before", "{before.verdicts}"),
+    ("CPU time, s", "{cpu_seconds}"),
+    ("before", "{before.cpu_seconds}"),
+    ("ratio", "{cpu_ratio}"),
+    ("plans found", "{found}"),
+    ("before", "{before.found}"),
+    ("memory, GiB", "{memory_gib}"),
+)
 
 TABLES = {
     "plans": Table(
@@ -236,32 +246,14 @@ TABLES = {
     "search-compare": Table(
         "search_compare",
         (*STRUCTURE_AND_ROBOTS, ("before", "{before_commit}")),
-        (
-            ("verdicts", "{verdicts}"),
-            ("before", "{before.verdicts}"),
-            ("CPU time, s", "{cpu_seconds}"),
-            ("before", "{before.cpu_seconds}"),
-            ("ratio", "{cpu_ratio}"),
-            ("plans found", "{found}"),
-            ("before", "{before.found}"),
-            ("memory, GiB", "{memory_gib}"),
-        ),
+        SEARCHES_COMPARED,
         benchmark="search_compare plans",
         where=lambda record: record.get("criterion") != "equilibrium",
     ),
     "search-compare-equilibrium": Table(
         "search_compare",
         (*STRUCTURE_AND_ROBOTS, ("before", "{before_commit}")),
-        (
-            ("verdicts", "{verdicts}"),
-            ("before", "{before.verdicts}"),
-            ("CPU time, s", "{cpu_seconds}"),
-            ("before", "{before.cpu_seconds}"),
-            ("ratio", "{cpu_ratio}"),
-            ("plans found", "{found}"),
-            ("before", "{before.found}"),
-            ("memory, GiB", "{memory_gib}"),
-        ),
+        SEARCHES_COMPARED,
         benchmark="search_compare plans",
         where=lambda record: record.get("criterion") == "equilibrium",
     ),

@@ -8,6 +8,8 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from palette import INK, ROBOTS
 
 DATA = Path(__file__).resolve().parents[2] / "benchmarks" / "results" / "scaling.jsonl"
@@ -33,14 +35,7 @@ def cost_against_parts(path: Path) -> None:
         level = np.exp(np.mean(np.log(seconds) - exponent * np.log(parts)))
         axes.loglog(parts, level * parts**exponent, color=colour, linewidth=1)
         axes.loglog(parts, seconds, "o", color=colour, label=f"{label}: parts$^{{{exponent:.2f}}}$")
-    axes.set_xticks(parts, [f"{int(value)}" for value in parts], minor=False)
-    axes.minorticks_off()
-    axes.set_xlabel("parts of the built-in vault", color=INK)
-    axes.set_ylabel(f"processor seconds, {fit['device']}", color=INK)
-    axes.grid(alpha=0.3)
-    axes.legend(frameon=False)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    _save(figure, axes, path, [size["parts"] for size in sizes], f"processor seconds, {fit['device']}")
 
 
 def planning_against_parts(path: Path) -> None:
@@ -50,7 +45,6 @@ def planning_against_parts(path: Path) -> None:
     plans = [record for record in records if record["benchmark"] == "scaling plan"]
     newest = {plan["criterion"]: plan["commit"] for plan in plans}
     plans = [plan for plan in plans if plan["commit"] == newest[plan["criterion"]]]
-    ticks = sorted({plan["parts"] for plan in plans})
     for criterion, colour in zip(("contact", "equilibrium"), ROBOTS, strict=False):
         mine = [plan for plan in plans if plan["criterion"] == criterion]
         found = [plan for plan in mine if plan["found"]]
@@ -66,15 +60,21 @@ def planning_against_parts(path: Path) -> None:
                 axes.loglog(plan["parts"], plan["plan_s"], "^", color=colour, fillstyle="none")
     if not all(plan["found"] for plan in plans):
         axes.loglog([], [], "^", color=INK, fillstyle="none", label="no plan by then")
-    axes.set_xticks(ticks, [f"{value}" for value in ticks], minor=False)
-    axes.minorticks_off()
-    axes.set_xlabel("parts of the built-in vault", color=INK)
-    axes.set_ylabel(f"processor seconds to a proven plan,\n{plans[-1]['device']}", color=INK)
-    axes.grid(alpha=0.3)
-    axes.legend(frameon=False)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    ticks = sorted({plan["parts"] for plan in plans})
+    _save(figure, axes, path, ticks, f"processor seconds to a proven plan,\n{plans[-1]['device']}")
 
 
 def _records() -> list[dict[str, Any]]:
     return [json.loads(line) for line in DATA.read_text(encoding="utf-8").splitlines()]
+
+
+def _save(figure: Figure, axes: Axes, path: Path, parts: list[int], what: str) -> None:
+    """Label the axes and write the picture."""
+    axes.set_xticks(parts, [str(value) for value in parts], minor=False)
+    axes.minorticks_off()
+    axes.set_xlabel("parts of the built-in vault", color=INK)
+    axes.set_ylabel(what, color=INK)
+    axes.grid(alpha=0.3)
+    axes.legend(frameon=False)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
