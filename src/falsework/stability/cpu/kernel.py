@@ -9,7 +9,7 @@ import numpy as np
 
 from falsework.stability.cpu.admm import factor_admm, run_admm, try_bonded
 from falsework.stability.cpu.interior_point import run_interior
-from falsework.stability.cpu.layout import make_scratch, restrict
+from falsework.stability.cpu.layout import load_forces, make_scratch, restrict, store_forces
 from falsework.stability.cpu.termination import STABLE, UNDECIDED
 from falsework.utils.kernels import njit
 
@@ -31,12 +31,11 @@ def solve_state(structure, state, options, work, forces, velocity, warm):
     pairs, count = restrict(structure, state, work)
     if count == 0:
         return STABLE, 0.0, 0, 0
-    for p in range(pairs):
-        shift = structure.pair_start[work.pair[p]] - work.start[p]
-        for j in range(work.start[p], work.start[p + 1]):
-            for r in range(3):
-                work.u[j, r] = forces[j + shift, r] / work.force_scale[j] if warm else 0.0
-            work.u[j, 0] += work.pull[j]
+    if warm:
+        load_forces(structure, work, pairs, forces, work.u)
+    else:
+        for j in range(work.start[pairs]):
+            work.u[j, 0], work.u[j, 1], work.u[j, 2] = work.pull[j], 0.0, 0.0
     verdict, residual, iterations, steps = UNDECIDED, np.nan, 0, 0
     if work.pulled[0] > 0.0:
         verdict, residual = try_bonded(structure, work, pairs, options)
@@ -46,12 +45,7 @@ def solve_state(structure, state, options, work, forces, velocity, warm):
             verdict, residual, steps = run_interior(structure, work, pairs, options)
     if len(forces):
         forces[:] = 0.0
-        for p in range(pairs):
-            shift = structure.pair_start[work.pair[p]] - work.start[p]
-            for j in range(work.start[p], work.start[p + 1]):
-                work.z[j, 0] -= work.pull[j]
-                for r in range(3):
-                    forces[j + shift, r] = work.z[j, r] * work.force_scale[j]
+        store_forces(structure, work, pairs, forces)
     if len(velocity):
         velocity[:] = 0.0
         for j in range(len(work.free)):

@@ -324,23 +324,50 @@ def set_load(work, out):
                 out[j, r] = load[j, r]
 
 
+@njit(cache=True)
+def load_forces(structure, work, pairs, forces, out):
+    """Write contact forces in N, shape (points, 3), as the scaled ones of the pairs in `work`, cohesion included."""
+    for p in range(pairs):
+        shift = structure.pair_start[work.pair[p]] - work.start[p]
+        for j in range(work.start[p], work.start[p + 1]):
+            for r in range(3):
+                out[j, r] = forces[j + shift, r] / work.force_scale[j]
+            out[j, 0] += work.pull[j]
+
+
+@njit(cache=True)
+def store_forces(structure, work, pairs, forces):
+    """Write `work.z` as contact forces in N, shape (points, 3); those of other points stay. Inverse of the above."""
+    for p in range(pairs):
+        shift = structure.pair_start[work.pair[p]] - work.start[p]
+        for j in range(work.start[p], work.start[p + 1]):
+            forces[j + shift, 0] = (work.z[j, 0] - work.pull[j]) * work.force_scale[j]
+            for r in range(1, 3):
+                forces[j + shift, r] = work.z[j, r] * work.force_scale[j]
+
+
+@njit(inline="always", fastmath=FAST)
+def add_wrench(structure, work, p, forces, out):
+    """Add `G forces` of the points of one pair to `out`."""
+    basis = work.basis
+    a0, a1, a2, a3, a4, a5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for j in range(work.start[p], work.start[p + 1]):
+        f0, f1, f2 = forces[j, 0], forces[j, 1], forces[j, 2]
+        a0 += basis[j, 0, 0] * f0 + basis[j, 0, 1] * f1 + basis[j, 0, 2] * f2
+        a1 += basis[j, 1, 0] * f0 + basis[j, 1, 1] * f1 + basis[j, 1, 2] * f2
+        a2 += basis[j, 2, 0] * f0 + basis[j, 2, 1] * f1 + basis[j, 2, 2] * f2
+        a3 += basis[j, 3, 0] * f0 + basis[j, 3, 1] * f1 + basis[j, 3, 2] * f2
+        a4 += basis[j, 4, 0] * f0 + basis[j, 4, 1] * f1 + basis[j, 4, 2] * f2
+        a5 += basis[j, 5, 0] * f0 + basis[j, 5, 1] * f1 + basis[j, 5, 2] * f2
+    ta, tb, a, b = structure.transfer_a, structure.transfer_b, work.slot_a[p], work.slot_b[p]
+    add_pair_wrench(ta, tb, work.pair[p], a, b, a0, a1, a2, a3, a4, a5, out)
+
+
 @njit(fastmath=FAST, cache=True)
 def add_wrenches(structure, work, pairs, forces, out):
     """Add `G forces` to `out`."""
-    basis, start = work.basis, work.start
-    pair, slot_a, slot_b = work.pair, work.slot_a, work.slot_b
-    transfer_a, transfer_b = structure.transfer_a, structure.transfer_b
     for p in range(pairs):
-        a0, a1, a2, a3, a4, a5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for j in range(start[p], start[p + 1]):
-            f0, f1, f2 = forces[j, 0], forces[j, 1], forces[j, 2]
-            a0 += basis[j, 0, 0] * f0 + basis[j, 0, 1] * f1 + basis[j, 0, 2] * f2
-            a1 += basis[j, 1, 0] * f0 + basis[j, 1, 1] * f1 + basis[j, 1, 2] * f2
-            a2 += basis[j, 2, 0] * f0 + basis[j, 2, 1] * f1 + basis[j, 2, 2] * f2
-            a3 += basis[j, 3, 0] * f0 + basis[j, 3, 1] * f1 + basis[j, 3, 2] * f2
-            a4 += basis[j, 4, 0] * f0 + basis[j, 4, 1] * f1 + basis[j, 4, 2] * f2
-            a5 += basis[j, 5, 0] * f0 + basis[j, 5, 1] * f1 + basis[j, 5, 2] * f2
-        add_pair_wrench(transfer_a, transfer_b, pair[p], slot_a[p], slot_b[p], a0, a1, a2, a3, a4, a5, out)
+        add_wrench(structure, work, p, forces, out)
 
 
 @njit(fastmath=FAST, cache=True)

@@ -13,7 +13,7 @@ import numpy as np
 from falsework.stability.cpu.admm import factor_admm, run_admm
 from falsework.stability.cpu.cones import project_joint
 from falsework.stability.cpu.interior_point import run_interior
-from falsework.stability.cpu.layout import add_pair_wrench, make_scratch, restrict
+from falsework.stability.cpu.layout import add_wrench, load_forces, make_scratch, restrict, store_forces
 from falsework.stability.cpu.neighbourhood import hold_far_parts
 from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED, check_primal
 from falsework.utils.kernels import njit
@@ -30,25 +30,14 @@ def _keep_border(structure, state, near, work, pairs, forces):
         Number of pairs left, at the front of the scratch, and whether one of them leads to a part that cannot move,
         without which a weight that nothing bore before has nowhere to go.
     """
-    parts, first = structure.pair_parts, structure.pair_start
-    ta, tb, basis, pair, start = structure.transfer_a, structure.transfer_b, work.basis, work.pair, work.start
+    parts, basis, pair, start = structure.pair_parts, work.basis, work.pair, work.start
     scale, friction, pull, stick, tears = work.force_scale, work.friction, work.pull, work.stick, work.tears
     kept, points, grounded = 0, 0, False
+    load_forces(structure, work, pairs, forces, work.z)
     for p in range(pairs):
         q, begin, end, a, b = pair[p], start[p], start[p + 1], work.slot_a[p], work.slot_b[p]
         if (a < 0 and state[parts[q, 0]] == 1) or (b < 0 and state[parts[q, 1]] == 1):
-            a0, a1, a2, a3, a4, a5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            for j in range(begin, end):
-                c = first[q] + j - begin
-                f0 = forces[c, 0] / scale[j] + pull[j]
-                f1, f2 = forces[c, 1] / scale[j], forces[c, 2] / scale[j]
-                a0 += basis[j, 0, 0] * f0 + basis[j, 0, 1] * f1 + basis[j, 0, 2] * f2
-                a1 += basis[j, 1, 0] * f0 + basis[j, 1, 1] * f1 + basis[j, 1, 2] * f2
-                a2 += basis[j, 2, 0] * f0 + basis[j, 2, 1] * f1 + basis[j, 2, 2] * f2
-                a3 += basis[j, 3, 0] * f0 + basis[j, 3, 1] * f1 + basis[j, 3, 2] * f2
-                a4 += basis[j, 4, 0] * f0 + basis[j, 4, 1] * f1 + basis[j, 4, 2] * f2
-                a5 += basis[j, 5, 0] * f0 + basis[j, 5, 1] * f1 + basis[j, 5, 2] * f2
-            add_pair_wrench(ta, tb, q, a, b, a0, a1, a2, a3, a4, a5, work.load)
+            add_wrench(structure, work, p, work.z, work.load)
             continue
         grounded = grounded or a < 0 or b < 0
         pair[kept], start[kept], work.slot_a[kept], work.slot_b[kept] = q, points, a, b
@@ -66,25 +55,14 @@ def _keep_border(structure, state, near, work, pairs, forces):
 
 @njit(cache=True)
 def _accept_forces(structure, state, options, work, forces):
-    """Return the residual of contact forces in N in a state; they are moved into their cones, and the others cleared.
-
-    `work.z` then holds them as `solve_state` leaves them.
-    """
+    """Return the residual of contact forces in N in a state; moves them into their cones, and clears the others."""
     pairs, _ = restrict(structure, state, work)
-    z, pull, mu, stick, cone = work.z, work.pull, work.friction, work.stick, structure.cone
-    for p in range(pairs):
-        shift = structure.pair_start[work.pair[p]] - work.start[p]
-        for j in range(work.start[p], work.start[p + 1]):
-            c, scale = j + shift, work.force_scale[j]
-            f0, f1, f2 = forces[c, 0] / scale + pull[j], forces[c, 1] / scale, forces[c, 2] / scale
-            z[j, 0], z[j, 1], z[j, 2] = project_joint(cone, f0, f1, f2, mu[j], stick[j])
+    z, mu, stick, cone = work.z, work.friction, work.stick, structure.cone
+    load_forces(structure, work, pairs, forces, z)
+    for j in range(work.start[pairs]):
+        z[j, 0], z[j, 1], z[j, 2] = project_joint(cone, z[j, 0], z[j, 1], z[j, 2], mu[j], stick[j])
     forces[:] = 0.0
-    for p in range(pairs):
-        shift = structure.pair_start[work.pair[p]] - work.start[p]
-        for j in range(work.start[p], work.start[p + 1]):
-            scale = work.force_scale[j]
-            forces[j + shift, 0] = (z[j, 0] - pull[j]) * scale
-            forces[j + shift, 1], forces[j + shift, 2] = z[j, 1] * scale, z[j, 2] * scale
+    store_forces(structure, work, pairs, forces)
     return check_primal(structure, work, pairs, z, options, work.residual)
 
 
@@ -115,12 +93,7 @@ def repair_state(structure, state, parent, rings, options, work, near, forces):
         pairs, grounded = _keep_border(structure, state, near, work, pairs, forces)
         if not grounded:
             continue
-        for p in range(pairs):
-            shift = structure.pair_start[work.pair[p]] - work.start[p]
-            for j in range(work.start[p], work.start[p + 1]):
-                for r in range(3):
-                    work.u[j, r] = forces[j + shift, r] / work.force_scale[j]
-                work.u[j, 0] += work.pull[j]
+        load_forces(structure, work, pairs, forces, work.u)
         if not factor_admm(structure, work, pairs, options.rho):
             break
         verdict, _, iterations = run_admm(structure, work, pairs, options)
@@ -130,12 +103,7 @@ def repair_state(structure, state, parent, rings, options, work, near, forces):
             taken += steps
         if verdict != STABLE:
             continue
-        for p in range(pairs):
-            shift = structure.pair_start[work.pair[p]] - work.start[p]
-            for j in range(work.start[p], work.start[p + 1]):
-                work.z[j, 0] -= work.pull[j]
-                for r in range(3):
-                    forces[j + shift, r] = work.z[j, r] * work.force_scale[j]
+        store_forces(structure, work, pairs, forces)
         residual = _accept_forces(structure, state, options, work, forces)
         if residual < bound:
             return STABLE, residual, spent, taken
