@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED
+from falsework.robots.interleaving.reordering import reorder
 from falsework.robots.model.cell import Cell
 from falsework.robots.motion.expected_times import BalanceGuide
 from falsework.robots.planning.action_ranking import ActionRanking, ExecutionHeuristic, FailedActions
@@ -29,7 +30,6 @@ from falsework.robots.planning.hybrid_result import HybridProgress, HybridResult
 from falsework.robots.planning.initial_keyframe import first_keyframe, task_in_cell
 from falsework.robots.planning.keyframe_graph import KeyframeGraph
 from falsework.robots.planning.keyframes import Edge, Node, PathSegment, route_along
-from falsework.robots.planning.reordering import reorder
 from falsework.robots.planning.shorter_motions import shorten_motions
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.robots.planning.trajectory_assembly import make_robot_plan
@@ -366,7 +366,9 @@ class _Search:
     def _plan(self, root: Node, chain: list[Edge], why: Explanation | None = None) -> RobotPlan:
         if self.settings.together:
             chain = shorten_motions(chain, self.cell.speed, self.settings.seed)
-            chain = reorder(self.graph, self.oracle, root, chain, self._timed(root, chain))
+            self._timed(root, chain)
+            legal, stop = self.solvability.legal, self.deadline_passed
+            chain = reorder(self.graph, self.oracle, root, chain, self.timed, legal=legal, stop=stop)
             chain = shorten_motions(chain, self.cell.speed, self.settings.seed, done=self.timed)
         statistics = self._statistics()
         if why is not None:

@@ -193,7 +193,7 @@ class KeyframeGraph:
         # Where a part may be held again, a grasp with which it cannot leave later is better than none.
         for lasting in (True, False) if self.support and not node.was_released(part) else (True,):
             # One grasp with each robot before another with the first: which robot holds a part matters more than how.
-            turns = [self._hold_with(node, part, robot, lasting) for robot in free]
+            turns = [self.holds(node, part, robot, lasting) for robot in free]
             while turns:
                 for ways in list(turns):
                     edge = next(ways, None)
@@ -210,7 +210,8 @@ class KeyframeGraph:
         far = float(np.linalg.norm(self.cell.robots[robot].base[:2, 3] - center[:2]))
         return far + self.haste * self.spread * node.clock.late(robot)
 
-    def _hold_with(self, node: Node, part: int, robot: int, lasting: bool) -> Iterator[Edge]:
+    def holds(self, node: Node, part: int, robot: int, lasting: bool = True) -> Iterator[Edge]:
+        """Yield edges on which a robot that holds nothing holds a part, with which it can leave later if `lasting`."""
         grips = self.grips(robot, part, node.state)
         if node.changed:
             grips = [grip for grip in grips if (part, grip.configuration.tobytes()) not in node.changed]

@@ -37,7 +37,7 @@ def fixed_precedences(rows: Itineraries) -> list[Precedence]:
     found = []
     for robot in range(len(rows.rows)):
         found += [Precedence(a, rows.nodes[a].seconds, b, "arm") for a, b in pairwise(rows.of_robot(robot))]
-    for one, other in zip(rows.events, rows.events[rows.slack + 1 :], strict=False):
+    for one, other in pairwise(rows.events):
         offset = rows.nodes[one.node].seconds if one.at_end else 0.0
         found.append(Precedence(one.node, offset, other.node, "state"))
     for robot in range(len(rows.rows)):
@@ -52,13 +52,13 @@ def _parts_in_the_way(rows: Itineraries, robot: int) -> list[Precedence]:
         if stretch.node is None:
             continue
         step, present = rows.nodes[stretch.node].step, rows.present(stretch.node)
-        first, last = max(stretch.after + 1 - rows.slack, 0), min(stretch.before + rows.slack, len(rows.events))
+        first, last = stretch.after + 1, min(stretch.before, len(rows.events))
         others = range(first, step) if apart else range(step + 1, last)
         for event in others:
             part, mover = rows.moved(event), rows.events[event].node
             if part is None or present[part] or rows.nodes[mover].robot == robot:
                 continue
-            place = rows.standing(part)
+            place = rows.bodies.standing(part)
             hit = np.flatnonzero(conflicts(stretch.swept, (place, place), _margin(rows, stretch))[:, 0])
             if len(hit) and apart:
                 found.append(Precedence(mover, 0.0, stretch.node, "part"))
@@ -96,7 +96,7 @@ def conflict_table(rows: Itineraries, one: int, other: int) -> NDArray[np.bool_]
     table = np.zeros(size, dtype=bool)
     for a in rows.rows[one]:
         for b in rows.rows[other]:
-            if a.after >= b.before + rows.slack or b.after >= a.before + rows.slack or _proven(a, b):
+            if a.after >= b.before or b.after >= a.before or _proven(a, b):
                 continue
             margin = min(_margin(rows, a), _margin(rows, b))
             table[a.first : a.first + a.cells, b.first : b.first + b.cells] = rows.conflicts(a, b, margin)

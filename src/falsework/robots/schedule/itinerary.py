@@ -4,25 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED
-from falsework.robots.kernels.collision import Bodies, Chain
-from falsework.robots.kernels.coordination import SPLIT, Swept, conflicts, still, sweep
-from falsework.robots.kernels.kernel_arrays import make_bodies, make_chain
-from falsework.robots.kinematics.forward import tool_pose
-from falsework.robots.motion.collision_world import CollisionWorld, Scene
+from falsework.robots.kernels.coordination import Swept, conflicts
+from falsework.robots.motion.collision_world import CollisionWorld
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.timeline import nodes_of
+from falsework.robots.schedule.swept_bodies import Load, SweptBodies
 from falsework.search.problem.task import Direction
 
 Array = NDArray[np.float64]
 
-CELL = 0.05
-"""Longest duration of a cell, seconds."""
 _SAME = 1e-5
 """Joint values that differ by no more are equal, rad or m."""
 
@@ -53,22 +48,18 @@ class Stretch:
 class Itineraries:
     """Itineraries of all arms of a plan."""
 
-    def __init__(
-        self, plan: RobotPlan, world: CollisionWorld, *, slack: int = 0, like: Itineraries | None = None
-    ) -> None:
+    def __init__(self, plan: RobotPlan, world: CollisionWorld, *, like: Itineraries | None = None) -> None:
         """Divide motions into cells and compute swept bodies.
 
         Args:
             plan: the robot plan.
             world: the cell and the parts.
-            slack: events whose indices differ by at most this may be reordered.
             like: itineraries of a plan that has some of the motions, whose cells are used again.
         """
-        self.plan, self.world, self.slack = plan, world, slack
+        self.plan, self.world = plan, world
         self.nodes, self.events = nodes_of(plan)
-        self._standing: dict[int, Swept] = {} if like is None else like._standing
-        self._cells: dict[Trajectory, tuple[Swept, Swept]] = {} if like is None else like._cells
-        self._bodies: dict[tuple[int, int | None, bytes], tuple[Chain, Bodies]] = {} if like is None else like._bodies
+        self.bodies = SweptBodies(world) if like is None else like.bodies
+        self._cells: dict[Trajectory, tuple[tuple[Swept, Swept], Array]] = {} if like is None else like._cells
         self._resting: dict[tuple[int, bytes, tuple[int, bytes] | None], Swept] = {} if like is None else like._resting
         self._conflicts: dict[tuple[int, int, float], NDArray[np.bool_]] = {} if like is None else like._conflicts
         self._configurations = [
@@ -122,11 +113,11 @@ class Itineraries:
             part = self._load(following) if self.nodes[following].trajectory is not None else None
         key = (robot, cell.tobytes(), None if part is None else (part[0], part[1].tobytes()))
         if key not in self._resting:
-            self._resting[key] = self._swept(robot, cell, np.zeros_like(cell), part)
+            self._resting[key] = self.bodies.resting(robot, values, part)
         found = self._resting[key]
         return Stretch(None, first, 1, after, before, np.zeros(1), (found, found), False, frozenset(frames))
 
-    def _load(self, index: int) -> tuple[int, Array] | None:
+    def _load(self, index: int) -> Load | None:
         """Return the part that a motion carries, and the configuration in which the part is in place."""
         node, trajectory = self.nodes[index], self._trajectory(index)
         if trajectory.part is None:
@@ -136,31 +127,11 @@ class Itineraries:
 
     def _motion(self, index: int, first: int, after: int, before: int) -> Stretch:
         node, trajectory = self.nodes[index], self._trajectory(index)
-        count = max(int(np.ceil(node.seconds / CELL)), 1)
-        part = self._load(index)
         if trajectory not in self._cells:
-            coarse = self._swept(node.robot, *reach_of(trajectory, count), part)
-            self._cells[trajectory] = (coarse, self._swept(node.robot, *reach_of(trajectory, SPLIT * count), part))
-        ends = node.seconds * np.arange(1, count + 1) / count
-        line, swept = trajectory.kind == "line", self._cells[trajectory]
-        return Stretch(index, first, count, after, before, ends, swept, line, frozenset({node.step}))
-
-    def _swept(self, robot: int, values: Array, spread: Array, part: tuple[int, Array] | None) -> Swept:
-        key = (robot, None if part is None else part[0], b"" if part is None else part[1].tobytes())
-        if key not in self._bodies:
-            entry = self.world.cell.robots[robot]
-            carried = None
-            if part is not None:
-                number, grip = part
-                scene = self._nowhere.with_attached(robot, number, tool_pose(entry, grip))
-                carried = self.world.carried(robot, scene)
-            bodies, _, _ = make_bodies(entry, carried, self.world.parts.names)
-            self._bodies[key] = (make_chain(entry.model, entry.base), bodies)
-        return sweep(values, spread, *self._bodies[key])
-
-    @cached_property
-    def _nowhere(self) -> Scene:
-        return Scene.at_home(self.world.cell, self.world.parts)
+            self._cells[trajectory] = self.bodies.moving(node.robot, trajectory, self._load(index))
+        swept, ends = self._cells[trajectory]
+        line = trajectory.kind == "line"
+        return Stretch(index, first, len(ends), after, before, ends, swept, line, frozenset({node.step}))
 
     def present(self, node: int) -> NDArray[np.bool_]:
         """Return the parts that were in place when a motion was planned, shape (parts,)."""
@@ -183,31 +154,3 @@ class Itineraries:
         if key not in self._conflicts:
             self._conflicts[key] = conflicts(one.swept, other.swept, margin)
         return self._conflicts[key]
-
-    def standing(self, part: int) -> Swept:
-        """Return the body of a part in place."""
-        if part not in self._standing:
-            self._standing[part] = still(self.world.parts.pieces[part])
-        return self._standing[part]
-
-
-def reach_of(trajectory: Trajectory, cells: int) -> tuple[Array, Array]:
-    """Return joint values in the middle of each cell of a trajectory, and the largest deviations from them.
-
-    The bound is exact: a cubic lies within the control points of its Bézier form. Both shapes are (cells, joints).
-    """
-    seconds = trajectory.seconds
-    bounds = seconds * np.arange(cells + 1) / cells
-    middle = trajectory.sample((bounds[:-1] + bounds[1:]) / 2)
-    cuts = np.union1d(bounds, trajectory.times)
-    cuts = cuts[np.concatenate([[True], np.diff(cuts) > 1e-12])]
-    positions, rates = trajectory.sample(cuts), trajectory.rates(cuts)
-    third = np.diff(cuts)[:, None] / 3
-    control = np.stack(
-        [positions[:-1], positions[:-1] + third * rates[:-1], positions[1:] - third * rates[1:], positions[1:]]
-    )
-    owner = np.clip(np.searchsorted(bounds, (cuts[:-1] + cuts[1:]) / 2, side="right") - 1, 0, cells - 1)
-    far = np.abs(control - middle[owner]).max(axis=0)
-    spread = np.zeros_like(middle)
-    np.maximum.at(spread, owner, far)
-    return middle, spread

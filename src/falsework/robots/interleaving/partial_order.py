@@ -1,0 +1,165 @@
+"""Beginning of an order of steps, with the times at which all that was begun can be executed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+from falsework.assembly.state import HELD
+from falsework.robots.interleaving.work import Body, Leg, Unit, Work
+from falsework.robots.planning.keyframes import Edge, Node
+
+_Value = TypeVar("_Value")
+
+_MEAN = 0.2
+"""Weight of the mean end of all robots beside that of the last: what is free early can do more."""
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """Step of a unit with the variants of its motions."""
+
+    unit: Unit
+    place: int
+    """Index of the step in its unit."""
+    legs: tuple[Leg, ...]
+
+    @property
+    def edge(self) -> Edge:
+        """The edge that it carries out, its free motion as chosen."""
+        edge = self.unit.edges[self.place]
+        free = next((leg.segment for leg in self.legs if leg.segment.kind == "free"), None)
+        segments = tuple(segment if segment.kind == "line" else free for segment in edge.segments)
+        return Edge(edge.action, edge.robot, tuple(s for s in segments if s is not None), edge.node)
+
+
+@dataclass(frozen=True, eq=False)
+class Partial:
+    """Beginning of an order: the keyframe that it leads to, and when it gets there."""
+
+    steps: tuple[Step, ...]
+    node: Node
+    jobs: frozenset[int]
+    """Jobs that were begun."""
+    begun: tuple[tuple[Unit, int] | None, ...]
+    """Of each robot the unit that it is at, with the index of its next step."""
+    last: tuple[Unit | None, ...]
+    """Last unit of each robot."""
+    ahead: tuple[float, ...]
+    """Seconds of motion that are left for each robot."""
+    free: tuple[float, ...]
+    """Time at which each robot is done so far, seconds."""
+    event: float
+    """Time at which the structure reaches the state, seconds."""
+    past: tuple[tuple[tuple[Body, float, float], ...], ...]
+    """What each robot does after the time at which another is done, with begin and end."""
+    rests: tuple[Body, ...]
+    """Where each robot is."""
+    left: tuple[tuple[int, float], ...]
+    """Parts that leave their place after the time at which some robot is done, with that moment."""
+
+    def score(self, hold: float) -> float:
+        """Return a lower bound on the makespan, apart from waits for other robots, and a share of the mean end.
+
+        Args:
+            hold: duration of a hold, which a robot that holds nothing can do before the next change of the state.
+        """
+        return bound(self.free, self.ahead, self.event, [0.0 if entry else hold for entry in self.begun])
+
+    @property
+    def end(self) -> float:
+        """Time at which the last robot is done so far."""
+        return max(self.free)
+
+
+def bound(free: Sequence[float], ahead: Sequence[float], event: float, before: Sequence[float]) -> float:
+    """Return `Partial.score`; `before` are the seconds that each robot needs before it changes the state."""
+    ends = [
+        max(done + first, event) + left - first if left else done
+        for done, left, first in zip(free, ahead, before, strict=True)
+    ]
+    return max(ends) + _MEAN * sum(ends) / len(ends)
+
+
+def beginning(work: Work, root: Node, units: Sequence[Unit]) -> Partial:
+    """Return the order without steps."""
+    robots = len(root.configurations)
+    ahead = tuple(sum(sum(unit.seconds) for unit in units if unit.robot == robot) for robot in range(robots))
+    nothing, never = (None,) * robots, (0.0,) * robots
+    return Partial(
+        (), root, frozenset(), nothing, nothing, ahead, never, 0.0, ((),) * robots, tuple(work.rests(root)), ()
+    )
+
+
+def extended(work: Work, partial: Partial, step: Step, owner: Unit) -> Partial:
+    """Return an order with one more step, whose motions begin as early as all before it allow.
+
+    Args:
+        work: the motions.
+        partial: the order before.
+        step: the step.
+        owner: the unit with the same job whose duration is part of what is left.
+    """
+    unit, robot, edge = step.unit, step.unit.robot, step.unit.edges[step.place]
+    parts = len(partial.node.state)
+    removes = edge.action >= parts
+    opens = not removes and partial.node.state[edge.action] == HELD
+    time, event, rest = partial.free[robot], partial.event, partial.rests[robot]
+    mine = list(partial.past[robot])
+
+    def until(moment: float) -> float:
+        if moment > time:
+            mine.append((rest, time, moment))
+        return max(moment, time)
+
+    at_start = opens or (removes and not step.legs)
+    if at_start:
+        time = event = until(event)
+    for k, leg in enumerate(step.legs):
+        begin = max(time, event) if k == 0 and removes else time
+        for other, past in enumerate(partial.past):
+            if other != robot:
+                for body, since, end in past:
+                    wait = work.wait(leg, body) if end > begin else -1.0
+                    if wait >= 0:
+                        begin = max(begin, end if body.rest else since + wait)
+        for part, moment in partial.left:
+            if moment > begin and work.blocked(leg, part):
+                begin = moment
+        time = until(begin)
+        if k == 0 and removes:
+            event = time
+        mine.append((leg.body, time, time + leg.seconds))
+        time, rest = time + leg.seconds, leg.rest
+    if not removes and not opens:
+        time = event = until(event)
+    ahead = list(partial.ahead)
+    if step.place == 0:
+        ahead[owner.robot] -= sum(owner.seconds)
+        ahead[robot] += sum(unit.seconds)
+    ahead[robot] = max(ahead[robot] - unit.seconds[step.place], 0.0)
+    if ahead[robot] < 1e-9:
+        ahead[robot] = 0.0
+    free = _with(partial.free, robot, time)
+    first = [min(free[:k] + free[k + 1 :], default=time) for k in range(len(free))]
+    past = _with(partial.past, robot, tuple(mine))
+    left = (*partial.left, (edge.action - parts, event)) if removes else partial.left
+    following = (unit, step.place + 1) if step.place + 1 < len(unit.edges) else None
+    return Partial(
+        (*partial.steps, step),
+        partial.node.after(edge.action, robot, edge.segments[-1].path[-1]),
+        partial.jobs | {unit.job},
+        _with(partial.begun, robot, following),
+        _with(partial.last, robot, unit),
+        tuple(ahead),
+        free,
+        event,
+        tuple(tuple(entry for entry in entries if entry[2] > first[k]) for k, entries in enumerate(past)),
+        _with(partial.rests, robot, rest),
+        tuple(entry for entry in left if entry[1] > min(free)),
+    )
+
+
+def _with(values: tuple[_Value, ...], place: int, value: _Value) -> tuple[_Value, ...]:
+    return (*values[:place], value, *values[place + 1 :])

@@ -1,0 +1,110 @@
+"""Steps of a plan in another order and by other robots, so that robots that move at the same time wait less.
+
+The search for an order proves motions by cells; those of the result are proven once more in their new order as the planner
+proves them, or planned again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import States
+from falsework.robots.interleaving.search import OrderSearch
+from falsework.robots.interleaving.work import Work
+from falsework.robots.kernels.rrt_connect import INTERVALS, edges_free
+from falsework.robots.kinematics.forward import tool_pose
+from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, Contact
+from falsework.robots.motion.path_planner import plan_free, resolution_of
+from falsework.robots.planning.keyframe_graph import KeyframeGraph
+from falsework.robots.planning.keyframes import Edge, Node, PathSegment
+from falsework.robots.plans.robot_plan import Trajectory
+from falsework.stability.oracle import Stability
+
+Array = NDArray[np.float64]
+
+_TRIES = 4
+"""Orders whose motions may fail before the plan stays unchanged."""
+_NODES = 1000
+
+
+def reorder(
+    graph: KeyframeGraph,
+    oracle: Stability,
+    root: Node,
+    chain: Sequence[Edge],
+    timed: dict[PathSegment, Trajectory | None],
+    *,
+    legal: Callable[[States], Sequence[int]],
+    stop: Callable[[], bool],
+) -> list[Edge]:
+    """Return the edges of a plan in an order, and with the robots, that allow a shorter schedule.
+
+    Args:
+        graph: keyframes of the structure in the cell.
+        oracle: decides stability.
+        root: the first keyframe.
+        chain: the edges.
+        timed: their trajectories.
+        legal: actions that the rules of the task allow in a state, releases aside.
+        stop: tells when to end with the order found so far.
+    """
+    search = OrderSearch(Work(graph, dict(timed)), oracle, root, chain, legal=legal, stop=stop)
+    for _ in range(_TRIES):
+        search.run()
+        if not search.changed:
+            break
+        found = _follow(graph, root, [step.edge for step in search.best[-1].steps])
+        if not isinstance(found, int):
+            return found
+        search.refuse(found)
+    return list(chain)
+
+
+def _follow(graph: KeyframeGraph, root: Node, edges: Sequence[Edge]) -> list[Edge] | int:
+    """Return edges proven in their new order, or the index of the first that fails there."""
+    node, found = root, []
+    for k, edge in enumerate(edges):
+        segments = []
+        for segment, view in zip(edge.segments, _views(graph, node, edge), strict=True):
+            path = _proven(segment, view, k)
+            if path is None:
+                return k
+            same = path is segment.path
+            segments.append(segment if same else replace(segment, path=path, view=view))
+        node = node.after(edge.action, edge.robot, segments[-1].path[-1])
+        found.append(replace(edge, segments=tuple(segments), node=node))
+    return found
+
+
+def _views(graph: KeyframeGraph, node: Node, edge: Edge) -> list[CollisionQuery]:
+    """Return for each segment of an edge the collision queries of its scene, with the pairs that may touch."""
+    parts, margins, robot = len(node.state), graph.cell.margins, edge.robot
+    scene, part = node.scene, edge.action % parts
+    contacts = [Contact(gripper=frozenset({part}))]
+    if edge.action >= parts:
+        here = node.configurations[robot]
+        tool = tool_pose(graph.cell.robots[robot], here)
+        scene = scene.with_configuration(robot, here).with_attached(robot, part, tool)
+        around = frozenset(np.flatnonzero(scene.present).tolist())
+        contacts = [Contact(carried=around, carried_floor=True), Contact(carried_floor=True)]
+    found = []
+    for segment in edge.segments:
+        line = segment.kind == "line"
+        contact = contacts.pop(0) if line else NO_CONTACT
+        found.append(graph.cache.view(scene, robot, contact, margins.line if line else margins.free))
+    return found
+
+
+def _proven(segment: PathSegment, view: CollisionQuery, seed: int) -> Array | None:
+    """Return the path of a segment if it is free, a new path if it may be replanned, or None."""
+    path = np.ascontiguousarray(segment.path)
+    arrays = (view.chain, view.bodies, view.obstacles, view.rules, view.work)
+    if edges_free(path, resolution_of(view), *arrays, np.empty((2, INTERVALS), np.int64)) == len(path) - 1:
+        return segment.path
+    if segment.kind == "line":
+        return None
+    return plan_free(view, path[0], path[-1], seed=seed, nodes=_NODES).path

@@ -1,0 +1,344 @@
+"""Search for an order of the steps of a plan in which the makespan is least, and for the arms that take the parts.
+
+First the sequences of the arms are merged by a beam search, each as it is. Then short windows of the order are searched
+again, where an arm may take its own parts in another order or parts of other arms; all that comes after a window stays.
+Every state is proven stable, every motion is proven free of what is at rest, and waits are those of a schedule in which
+of two motions in conflict the earlier in the order goes first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import HELD, REMOVED, States
+from falsework.robots.interleaving.partial_order import Partial, Step, beginning, bound, extended
+from falsework.robots.interleaving.work import Leg, Unit, Work
+from falsework.robots.kinematics.forward import tool_pose
+from falsework.robots.model.cell import CellRobot
+from falsework.robots.planning.keyframes import Edge, Node, state_after
+from falsework.stability.oracle import Stability
+
+Array = NDArray[np.float64]
+
+_MERGE_WIDTH = 24
+"""Beam width of the merge."""
+_WIDTH = 24
+"""Beam width in a window."""
+_LENGTHS = (10, 14, 8, 12, 18)
+"""Steps of a window, in turn until none of them leads to a better order: in long ones the beam is too narrow."""
+_OWN = 4
+"""Next parts of its own that an arm chooses from."""
+_OTHERS = 2
+"""Next parts of each other arm that an arm chooses from."""
+_SAME = 2
+"""Partial orders of the same steps that are kept."""
+_ENDS = 4
+"""Orders of a window that are continued to the end of the plan."""
+_VARIANTS = 2
+"""Motions on one way that are planned, each in another scene."""
+_REPLACEMENTS = 2
+"""Replacements per part of the plan that are planned in all."""
+_REPLAYS = 3
+"""Better orders of a window whose replay may fail."""
+_SAME_WAY = 1 - 1e-6
+"""Cosine above which a line and an exit direction count as the same."""
+_STANDSTILL = 1e-7
+"""Distance below which two configurations count as the same, rad or m."""
+_TOTAL = 0.01
+"""Weight of the total time in the comparison of complete orders, which decides between those with equal makespan."""
+
+
+class OrderSearch:
+    """Search for an order of the steps of one plan."""
+
+    def __init__(
+        self,
+        work: Work,
+        oracle: Stability,
+        root: Node,
+        chain: Sequence[Edge],
+        *,
+        legal: Callable[[States], Sequence[int]],
+        stop: Callable[[], bool],
+    ) -> None:
+        """Prepare the search.
+
+        Args:
+            work: motions of the cell.
+            oracle: decides stability.
+            root: the first keyframe.
+            chain: the edges of the plan.
+            legal: actions that the rules of the task allow in a state, releases aside.
+            stop: tells when to end with the order found so far.
+        """
+        self.work, self.graph, self.oracle = work, work.graph, oracle
+        self.root, self.legal, self.stop = root, legal, stop
+        self.parts = len(root.state)
+        self.units = work.units(root, chain)
+        """Of each job the unit that does it in the best order."""
+        self._replacements: dict[tuple[int, int], Unit | None] = {(unit.job, unit.robot): unit for unit in self.units}
+        self._approaches: dict[tuple[Unit | None, Unit], list[Leg]] = {}
+        self._refused: set[tuple[Unit, int, bytes]] = set()
+        self._stable: dict[bytes, bool] = {}
+        self._ways: dict[Edge, Array] = {}
+        holds = [unit.seconds[0] for unit in self.units if unit.movable]
+        self._hold = sum(holds) / max(len(holds), 1)
+        self.best = self._as_planned(chain)
+        """Beginnings of the best order, from that without steps to the complete one."""
+        self._planned = list(self.units), self.best
+
+    def _as_planned(self, chain: Sequence[Edge]) -> list[Partial]:
+        place_of = {edge: (unit, k) for unit in self.units for k, edge in enumerate(unit.edges)}
+        last: dict[int, Unit] = {}
+        steps = []
+        for edge in chain:
+            unit, place = place_of[edge]
+            steps.append(Step(unit, place, tuple(variants[0] for variants in unit.legs[place])))
+            if place == 0 and unit.approaches and unit.legs[0] and unit.legs[0][0][0].segment.kind == "free":
+                self._approaches[last.get(unit.robot), unit] = unit.legs[0][0]
+            last[unit.robot] = unit
+        return self._beginnings(steps)
+
+    def _beginnings(self, steps: Sequence[Step]) -> list[Partial]:
+        found = [beginning(self.work, self.root, self.units)]
+        for step in steps:
+            found.append(self._extended(found[-1], step))
+        return found
+
+    def _extended(self, partial: Partial, step: Step) -> Partial:
+        return extended(self.work, partial, step, self.units[step.unit.job])
+
+    def run(self) -> None:
+        """Find a better order."""
+        length = len(self.best) - 1
+        self._improve(0, length, _MERGE_WIDTH, own=1, others=0)
+        since = turn = 0
+        while since < len(_LENGTHS):
+            size, better = _LENGTHS[turn % len(_LENGTHS)], False
+            for first in range(0, length, size // 2):
+                if self.stop():
+                    return
+                better |= self._improve(first, min(first + size, length), _WIDTH, own=_OWN, others=_OTHERS)
+            since, turn = 0 if better else since + 1, turn + 1
+
+    def refuse(self, index: int) -> None:
+        """Exclude a step of the best order in the state in which it is there, and go back to the order of the plan."""
+        step, before = self.best[-1].steps[index], self.best[index].node
+        self._refused.add((step.unit, step.place, before.state.tobytes()))
+        self.units, self.best = list(self._planned[0]), self._planned[1]
+
+    @property
+    def changed(self) -> bool:
+        """Whether the best order is not that of the plan."""
+        return self.best is not self._planned[1]
+
+    def _improve(self, first: int, last: int, width: int, *, own: int, others: int) -> bool:
+        """Search the steps from `first` to before `last` of the best order again; return whether that was better."""
+        for _ in range(_REPLAYS):
+            found = min(self._completed(first, last, width, own, others), key=_cost, default=self.best[-1])
+            if _cost(found) >= _cost(self.best[-1]) - 1e-6:
+                return False
+            if self._stays_up(found):
+                for step in found.steps:
+                    self.units[step.unit.job] = step.unit
+                self.best = self._beginnings(found.steps)
+                return True
+        return False
+
+    def _stays_up(self, order: Partial) -> bool:
+        """Return whether the replay of an order in assembly succeeds; note the state in which it fails."""
+        replayer = self.oracle.replayer
+        if replayer is None:
+            return True
+        states = [self.root.state]
+        for step in order.steps:
+            states.append(state_after(states[-1], step.edge.action))
+        row = replayer.replay(np.array(states[::-1], dtype=np.uint8)).falls_at
+        if row is None:
+            return True
+        self._stable[states[::-1][row].tobytes()] = False
+        return False
+
+    def _completed(self, first: int, last: int, width: int, own: int, others: int) -> Iterator[Partial]:
+        """Yield complete orders with other steps in a window."""
+        old = self.best
+        for partial in self._beam(first, last, width, own, others)[:_ENDS]:
+            if partial is old[last]:
+                continue
+            for step in old[-1].steps[last:]:
+                legs = self._legs(partial, step.unit, step.place)
+                if legs is None:
+                    break
+                partial = self._extended(partial, Step(step.unit, step.place, legs))
+            else:
+                yield partial
+
+    def _beam(self, first: int, last: int, width: int, own: int, others: int) -> list[Partial]:
+        """Return orders of the steps of a window after those before it, best first."""
+        window = self.best[-1].steps[first:last]
+        beam = [self.best[first]]
+        for level in range(first + 1, last + 1):
+            made = [
+                (self._expected(partial, *step), row, step)
+                for row, partial in enumerate(beam)
+                for step in self._steps(partial, window, own, others)
+            ]
+            made.sort(key=lambda entry: (entry[0], entry[1], entry[2][0], entry[2][1].job))
+            found: list[tuple[float, int, Partial]] = []
+            worst = np.inf
+            for least, row, (robot, unit, place) in made:
+                if least > worst:
+                    break
+                partial = self._after(beam[row], robot, unit, place)
+                if partial is None:
+                    continue
+                found.append((partial.score(self._hold), len(found), partial))
+                if len(found) >= width:
+                    worst = sorted(score for score, _, _ in found)[width - 1]
+            kept: dict[object, int] = {}
+            beam = []
+            for _, _, partial in sorted(found, key=lambda entry: entry[:2]):
+                key = (partial.jobs, partial.node.held)
+                kept[key] = kept.get(key, 0) + 1
+                if kept[key] <= _SAME and len(beam) < width:
+                    beam.append(partial)
+            beam.append(self.best[level])
+        return sorted(beam, key=lambda partial: partial.score(self._hold))
+
+    def _steps(
+        self, partial: Partial, window: Sequence[Step], own: int, others: int
+    ) -> Iterator[tuple[int, Unit, int]]:
+        """Yield steps of a window that may come next: robots, units as in the best order, and places in them."""
+        inside = {(step.unit.job, step.place) for step in window}
+        waiting = [step.unit for step in window if step.place == 0 and step.unit.job not in partial.jobs]
+        for robot, begun in enumerate(partial.begun):
+            if begun is not None:
+                if (begun[0].job, begun[1]) in inside:
+                    yield robot, *begun
+                continue
+            room = 0 if partial.node.held[robot] is not None else others
+            seen = dict.fromkeys(range(len(partial.begun)), 0)
+            barred: set[int] = set()
+            for unit in waiting:
+                limit = own if unit.robot == robot else room
+                if unit.robot in barred or seen[unit.robot] >= limit:
+                    continue
+                if not unit.movable:
+                    barred.add(unit.robot)
+                    if unit.robot != robot or seen[robot]:
+                        continue
+                whole = (unit.job, 1) in inside
+                if unit.robot == robot or whole:
+                    yield robot, unit, 0
+                seen[unit.robot] += 1
+
+    def _expected(self, partial: Partial, robot: int, unit: Unit, place: int) -> float:
+        """Return the score after a step if nothing waits for other robots and replacements take as long."""
+        edge, seconds = unit.edges[place], unit.seconds
+        free, ahead = list(partial.free), list(partial.ahead)
+        if edge.action >= self.parts:
+            event = max(partial.event, free[robot])
+            free[robot] = event + seconds[place]
+        else:
+            event = free[robot] = max(partial.event, free[robot] + seconds[place])
+        if place == 0:
+            ahead[unit.robot] -= sum(seconds)
+            ahead[robot] += sum(seconds)
+        ahead[robot] -= seconds[place]
+        before = [0.0 if entry else self._hold for entry in partial.begun]
+        before[robot] = 0.0 if place + 1 < len(unit.edges) else self._hold
+        return bound(free, [max(left, 0.0) if left > 1e-9 else 0.0 for left in ahead], event, before)
+
+    def _after(self, partial: Partial, robot: int, unit: Unit, place: int) -> Partial | None:
+        """Return an order with one more step; None where it is not possible or not stable."""
+        node = partial.node
+        after = state_after(node.state, unit.edges[place].action)
+        if self._stable.get(after.tobytes()) is False:
+            return None
+        if unit.robot != robot:
+            other = self._replacement(partial, unit, robot)
+            if other is None:
+                return None
+            unit = other
+        legs = self._legs(partial, unit, place)
+        if legs is None:
+            return None
+        key = after.tobytes()
+        if key not in self._stable:
+            self._stable[key] = bool(self.oracle.stable(after[None], parents=node.state[None])[0])
+        return self._extended(partial, Step(unit, place, legs)) if self._stable[key] else None
+
+    def _replacement(self, partial: Partial, unit: Unit, robot: int) -> Unit | None:
+        """Return the unit of another robot that does a job."""
+        key = (unit.job, robot)
+        if key not in self._replacements:
+            if len(self._replacements) >= (1 + _REPLACEMENTS) * len(self.units) or unit.part not in self.legal(partial.node.state):
+                return None
+            found = self.work.replacement(unit.job, partial.node, unit.part, robot, partial.rests)
+            self._replacements[key] = found
+            if found is not None and found.legs[0][0][0].segment.kind == "free":
+                self._approaches[partial.last[robot], found] = found.legs[0][0]
+        return self._replacements[key]
+
+    def _legs(self, partial: Partial, unit: Unit, place: int) -> tuple[Leg, ...] | None:
+        """Return motions of a step that are free at the end of an order; None if there are none."""
+        node, edge = partial.node, unit.edges[place]
+        if (unit, place, node.state.tobytes()) in self._refused or not self._allowed(node, edge):
+            return None
+        groups = list(unit.legs[place])
+        if place == 0 and unit.approaches:
+            goal = edge.segments[0].path[-1]
+            lines = [variants for variants in groups if variants[0].segment.kind == "line"]
+            groups = lines
+            if np.abs(goal - node.configurations[unit.robot]).max() > _STANDSTILL:
+                groups = [self._approaches.setdefault((partial.last[unit.robot], unit), []), *lines]
+        found = []
+        for variants in groups:
+            leg = next((leg for leg in variants if self._is_free(partial, unit, leg)), None)
+            if leg is None:
+                if len(variants) >= _VARIANTS or (variants and variants[0].segment.kind == "line"):
+                    return None
+                leg = self.work.replan(node, unit, place, partial.rests)
+                if leg is None:
+                    self._refused.add((unit, place, node.state.tobytes()))
+                    return None
+                variants.append(leg)
+            found.append(leg)
+        return tuple(found)
+
+    def _allowed(self, node: Node, edge: Edge) -> bool:
+        """Return whether the rules allow an action, and nothing blocks the line on which a part is withdrawn."""
+        action = edge.action
+        if action < self.parts and node.state[action] == HELD:
+            return True
+        if action not in self.legal(node.state):
+            return False
+        if action < self.parts:
+            return True
+        if edge not in self._ways:
+            self._ways[edge] = way_out(self.graph.cell.robots[edge.robot], edge)
+        free = self.graph.exits.free(action - self.parts, node.state)
+        return bool(len(free) and (free @ self._ways[edge]).max() >= _SAME_WAY)
+
+    def _is_free(self, partial: Partial, unit: Unit, leg: Leg) -> bool:
+        """Return whether a motion keeps clear of other robots at rest and of parts that it was not planned around."""
+        if any(robot != unit.robot and self.work.wait(leg, rest) >= 0 for robot, rest in enumerate(partial.rests)):
+            return False
+        if leg.segment.kind == "line" and leg.segment.part is not None:
+            return True  # its neighbours touch it: the exit direction is known to be free
+        new = np.flatnonzero((partial.node.state != REMOVED) & ~leg.present).tolist()
+        return not any(part != unit.part and self.work.blocked(leg, part) for part in new)
+
+
+def way_out(robot: CellRobot, edge: Edge) -> Array:
+    """Return the direction in which a robot withdraws a part."""
+    path = edge.segments[0].path
+    ends = tool_pose(robot, path[[0, -1]])[:, :3, 3]
+    return (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+
+
+def _cost(order: Partial) -> float:
+    return order.end + _TOTAL * sum(order.free)

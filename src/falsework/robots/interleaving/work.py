@@ -1,0 +1,230 @@
+"""Work of the robots of a plan: the steps with each part, their motions, and what these motions collide with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import HELD
+from falsework.robots.kernels.coordination import Swept, conflicts
+from falsework.robots.kinematics.forward import tool_pose
+from falsework.robots.motion.collision_world import NO_CONTACT
+from falsework.robots.planning.keyframe_graph import KeyframeGraph
+from falsework.robots.planning.keyframes import Edge, Node, PathSegment
+from falsework.robots.planning.trajectory_assembly import timed_leg
+from falsework.robots.plans.robot_plan import Trajectory
+from falsework.robots.schedule.swept_bodies import Load, SweptBodies
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """Swept bodies of an arm in a motion or at rest."""
+
+    swept: tuple[Swept, Swept]
+    """In cells and in finer cells."""
+    ends: Array
+    """Seconds into the motion at which each cell ends."""
+    margin: float
+    """Distance that it keeps, metres."""
+    rest: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Leg:
+    """Motion of an arm, and its rest after it."""
+
+    segment: PathSegment
+    body: Body
+    seconds: float
+    rest: Body
+    present: NDArray[np.bool_]
+    """Parts in place around which it was planned, shape (parts,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Unit:
+    """Steps of one arm with one part, usually a hold and a removal, as one arm carries them out without other steps."""
+
+    job: int
+    """Index of the unit among those of the plan; the same for the units of other arms that may replace it."""
+    robot: int
+    part: int
+    edges: tuple[Edge, ...]
+    legs: tuple[tuple[list[Leg], ...], ...]
+    """For each step its motions, each in one or more variants."""
+    movable: bool
+    """Whether it is a hold and a removal: others depend on the steps before and after them."""
+
+    @property
+    def seconds(self) -> tuple[float, ...]:
+        """Duration of each step without waits."""
+        return tuple(sum(variants[0].seconds for variants in step) for step in self.legs)
+
+    @property
+    def approaches(self) -> bool:
+        """Whether its first motion leads from the last configuration of the robot to the part."""
+        return self.edges[0].segments[0].kind == "free"
+
+
+class Work:
+    """Motions of the arms of a plan, and their conflicts, each computed once."""
+
+    def __init__(self, graph: KeyframeGraph, timed: dict[PathSegment, Trajectory | None]) -> None:
+        """Prepare for motions of a cell; some have trajectories."""
+        self.graph, self.timed = graph, timed
+        self.bodies = SweptBodies(graph.world)
+        self._rests: dict[tuple[int, bytes, tuple[int, bytes] | None], Body] = {}
+        self._waits: dict[tuple[Leg, Body], float] = {}
+        self._blocked: dict[tuple[Body, int], bool] = {}
+
+    def units(self, root: Node, chain: Sequence[Edge]) -> list[Unit]:
+        """Return the units of a plan in the order of their first steps."""
+        parts, node, rests = len(root.state), root, self.rests(root)
+        found: list[list[tuple[Edge, tuple[list[Leg], ...]]]] = []
+        begun: dict[int, list[tuple[Edge, tuple[list[Leg], ...]]]] = {}
+        for edge in chain:
+            robot = edge.robot
+            if (edge.action < parts and node.state[edge.action] != HELD) or robot not in begun:
+                begun[robot] = []
+                found.append(begun[robot])
+            legs = self.legs(node, edge, rests)
+            begun[robot].append((edge, legs))
+            if legs:
+                rests[robot] = legs[-1][0].rest
+            node = edge.node
+        return [self._unit(job, steps, parts) for job, steps in enumerate(found)]
+
+    def _unit(self, job: int, steps: Sequence[tuple[Edge, tuple[list[Leg], ...]]], parts: int) -> Unit:
+        edges, legs = zip(*steps, strict=True)
+        movable = len(edges) == 2 and edges[0].action < parts <= edges[1].action
+        return Unit(job, edges[0].robot, edges[0].action % parts, edges, legs, movable)
+
+    def replacement(self, job: int, node: Node, part: int, robot: int, rests: Sequence[Body]) -> Unit | None:
+        """Return the unit of another arm that takes a part at a keyframe; None if it cannot.
+
+        Args:
+            job: index of the unit that it replaces.
+            node: the keyframe.
+            part: the part.
+            robot: the arm, which holds nothing.
+            rests: bodies of all arms there.
+        """
+        hold = next(self.graph.holds(node, part, robot), None)
+        removal = None if hold is None else next(self.graph.edges(hold.node, len(node.state) + part), None)
+        if hold is None or removal is None:
+            return None
+        rests, steps = list(rests), []
+        for before, edge in ((node, hold), (hold.node, removal)):
+            legs = self.legs(before, edge, rests)
+            if not legs:
+                return None
+            rests[robot] = legs[-1][0].rest
+            steps.append((edge, legs))
+        return self._unit(job, steps, len(node.state))
+
+    def legs(self, node: Node, edge: Edge, rests: Sequence[Body]) -> tuple[list[Leg], ...]:
+        """Return the motions of an edge out of a keyframe, proven in its scene, as lists of one variant each."""
+        found, grip = [], node.configurations[edge.robot]
+        for k, segment in enumerate(edge.segments):
+            leg = self.leg(edge.robot, segment, grip, node, rests, on_way=k + 1 < len(edge.segments))
+            if leg is not None:
+                found.append([leg])
+        return tuple(found)
+
+    def leg(
+        self, robot: int, segment: PathSegment, grip: Array, node: Node, rests: Sequence[Body], *, on_way: bool
+    ) -> Leg | None:
+        """Return a motion that was planned at a keyframe; None for one of zero length.
+
+        Args:
+            robot: the arm.
+            segment: its path.
+            grip: configuration in which the part that it carries, if any, was in place.
+            node: the keyframe.
+            rests: bodies of all arms there, which the motion is known to keep clear of.
+            on_way: whether the arm carries the part beyond its end.
+        """
+        cell = self.graph.cell
+        if segment not in self.timed:
+            self.timed[segment] = timed_leg(cell.robots[robot].model, segment, cell.speed)
+        trajectory = self.timed[segment]
+        if trajectory is None:
+            return None
+        load: Load | None = None if segment.part is None else (segment.part, grip)
+        swept, ends = self.bodies.moving(robot, trajectory, load)
+        present = node.present.copy()
+        if segment.part is not None:
+            present[segment.part] = False
+        margin = cell.margins.line if segment.kind == "line" else cell.margins.free
+        rest = self.rest(robot, segment.path[-1], load if on_way else None)
+        leg = Leg(segment, Body(swept, ends, margin, False), trajectory.seconds, rest, present)
+        self.prove(leg, robot, rests)
+        return leg
+
+    def prove(self, leg: Leg, robot: int, rests: Sequence[Body]) -> None:
+        """Note that a motion of an arm keeps clear of the other arms at rest."""
+        self._waits.update({(leg, rest): -1.0 for other, rest in enumerate(rests) if other != robot})
+
+    def rest(self, robot: int, values: Array, load: Load | None = None) -> Body:
+        """Return the body of an arm at rest."""
+        key = (robot, np.round(values, 9).tobytes(), None if load is None else (load[0], load[1].tobytes()))
+        if key not in self._rests:
+            swept = self.bodies.resting(robot, values, load)
+            self._rests[key] = Body((swept, swept), np.zeros(1), self.graph.cell.margins.free, True)
+        return self._rests[key]
+
+    def rests(self, node: Node) -> list[Body]:
+        """Return the bodies of all arms at a keyframe."""
+        return [self.rest(robot, values) for robot, values in enumerate(node.configurations)]
+
+    def wait(self, leg: Leg, other: Body) -> float:
+        """Return how long after the begin of what another arm did before a motion may begin; -1 if at any time.
+
+        Neither the motion nor the rest after it is then in conflict with it. What is in conflict with a rest may begin
+        when that ends.
+        """
+        found = self._waits.get((leg, other))
+        if found is None:
+            found = -1.0
+            for mine in (leg.body, leg.rest):
+                hit = conflicts(mine.swept, other.swept, min(mine.margin, other.margin)).any(axis=0)
+                found = max(found, float(other.ends[hit].max(initial=-1.0)))
+            self._waits[leg, other] = found
+        return found
+
+    def blocked(self, leg: Leg, part: int) -> bool:
+        """Return whether a motion is in conflict with a part in place that was absent where it was planned."""
+        if leg.present[part]:
+            return False
+        key = (leg.body, part)
+        if key not in self._blocked:
+            place = self.bodies.standing(part)
+            self._blocked[key] = bool(conflicts(leg.body.swept, (place, place), leg.body.margin).any())
+        return self._blocked[key]
+
+    def replan(self, node: Node, unit: Unit, place: int, rests: Sequence[Body]) -> Leg | None:
+        """Return another free motion of a step: to the part from where the arm is, or from the part to the same place.
+
+        Args:
+            node: the keyframe before the step.
+            unit: the unit.
+            place: index of the step in it.
+            rests: bodies of all arms there.
+        """
+        robot, edge = unit.robot, unit.edges[place]
+        old, scene, here = next(s for s in edge.segments if s.kind == "free"), node.scene, node.configurations[robot]
+        start, goal = here, old.path[-1]
+        if old.part is not None:
+            tool = tool_pose(self.graph.cell.robots[robot], here)
+            scene, start = scene.with_configuration(robot, here).with_attached(robot, old.part, tool), old.path[0]
+        motion = self.graph.cache.motion(scene, robot, start, goal)
+        if motion.path is None:
+            return None
+        view = self.graph.cache.view(scene, robot, NO_CONTACT, self.graph.cell.margins.free)
+        segment = PathSegment("free", motion.path, part=old.part, view=view)
+        return self.leg(robot, segment, here, node, rests, on_way=old.part is None and len(edge.segments) > 1)

@@ -1,0 +1,89 @@
+"""Swept bodies of the arms of a cell, in motions and at rest, with what they carry, and of parts in place."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.robots.kernels.collision import Bodies, Chain
+from falsework.robots.kernels.coordination import SPLIT, Swept, still, sweep
+from falsework.robots.kernels.kernel_arrays import make_bodies, make_chain
+from falsework.robots.kinematics.forward import tool_pose
+from falsework.robots.motion.collision_world import CollisionWorld, Scene
+from falsework.robots.plans.robot_plan import Trajectory
+
+Array = NDArray[np.float64]
+Load = tuple[int, Array]
+"""A part that an arm carries, and the configuration in which the part is in place."""
+
+CELL = 0.05
+"""Longest duration of a cell, seconds."""
+
+
+class SweptBodies:
+    """Swept bodies in one collision world, with the kinematics and bodies that they need."""
+
+    def __init__(self, world: CollisionWorld) -> None:
+        """Create an empty cache."""
+        self.world = world
+        self._bodies: dict[tuple[int, int | None, bytes], tuple[Chain, Bodies]] = {}
+        self._standing: dict[int, Swept] = {}
+
+    def moving(self, robot: int, trajectory: Trajectory, load: Load | None) -> tuple[tuple[Swept, Swept], Array]:
+        """Return the bodies of a motion in cells and in finer cells, and the seconds at which each cell ends."""
+        count = max(int(np.ceil(trajectory.seconds / CELL)), 1)
+        coarse = self._swept(robot, *reach_of(trajectory, count), load)
+        fine = self._swept(robot, *reach_of(trajectory, SPLIT * count), load)
+        return (coarse, fine), trajectory.seconds * np.arange(1, count + 1) / count
+
+    def resting(self, robot: int, values: Array, load: Load | None) -> Swept:
+        """Return the bodies of an arm at rest as a single cell; its configuration has shape (joints,)."""
+        cell = np.asarray(values, dtype=np.float64)[None]
+        return self._swept(robot, cell, np.zeros_like(cell), load)
+
+    def standing(self, part: int) -> Swept:
+        """Return the body of a part in place."""
+        if part not in self._standing:
+            self._standing[part] = still(self.world.parts.pieces[part])
+        return self._standing[part]
+
+    def _swept(self, robot: int, values: Array, spread: Array, load: Load | None) -> Swept:
+        key = (robot, None if load is None else load[0], b"" if load is None else load[1].tobytes())
+        if key not in self._bodies:
+            entry = self.world.cell.robots[robot]
+            carried = None
+            if load is not None:
+                number, grip = load
+                scene = self._nowhere.with_attached(robot, number, tool_pose(entry, grip))
+                carried = self.world.carried(robot, scene)
+            bodies, _, _ = make_bodies(entry, carried, self.world.parts.names)
+            self._bodies[key] = (make_chain(entry.model, entry.base), bodies)
+        return sweep(values, spread, *self._bodies[key])
+
+    @cached_property
+    def _nowhere(self) -> Scene:
+        return Scene.at_home(self.world.cell, self.world.parts)
+
+
+def reach_of(trajectory: Trajectory, cells: int) -> tuple[Array, Array]:
+    """Return joint values in the middle of each cell of a trajectory, and the largest deviations from them.
+
+    The bound is exact: a cubic lies within the control points of its Bézier form. Both shapes are (cells, joints).
+    """
+    seconds = trajectory.seconds
+    bounds = seconds * np.arange(cells + 1) / cells
+    middle = trajectory.sample((bounds[:-1] + bounds[1:]) / 2)
+    cuts = np.union1d(bounds, trajectory.times)
+    cuts = cuts[np.concatenate([[True], np.diff(cuts) > 1e-12])]
+    positions, rates = trajectory.sample(cuts), trajectory.rates(cuts)
+    third = np.diff(cuts)[:, None] / 3
+    control = np.stack(
+        [positions[:-1], positions[:-1] + third * rates[:-1], positions[1:] - third * rates[1:], positions[1:]]
+    )
+    owner = np.clip(np.searchsorted(bounds, (cuts[:-1] + cuts[1:]) / 2, side="right") - 1, 0, cells - 1)
+    far = np.abs(control - middle[owner]).max(axis=0)
+    spread = np.zeros_like(middle)
+    np.maximum.at(spread, owner, far)
+    return middle, spread
