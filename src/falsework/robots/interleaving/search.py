@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 _MERGE_WIDTH = 24
 """Beam width of the merge."""
-_WIDTH = 24
+_WIDTH = 12
 """Beam width in a window."""
 _LENGTHS = (10, 14, 8, 12, 18)
 """Steps of a window, in turn until none of them leads to a better order: in long ones the beam is too narrow."""
@@ -275,7 +275,9 @@ class OrderSearch:
         """Return the unit of another robot that does a job."""
         key = (unit.job, robot)
         if key not in self._replacements:
-            if len(self._replacements) >= (1 + _REPLACEMENTS) * len(self.units) or unit.part not in self.legal(partial.node.state):
+            if len(self._replacements) >= (1 + _REPLACEMENTS) * len(self.units) or unit.part not in self.legal(
+                partial.node.state
+            ):
                 return None
             found = self.work.replacement(unit.job, partial.node, unit.part, robot, partial.rests)
             self._replacements[key] = found

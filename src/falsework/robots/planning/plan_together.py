@@ -27,19 +27,11 @@ from falsework.search.problem.guide import Guide
 from falsework.search.problem.task import Task
 from falsework.stability.oracle import Stability
 
-_HASTE = 1.0
-"""Weight of time in the choice of actions."""
 _APPROACHES = (0.4, 1.0, 1.8)
 _WITHDRAWALS = (0.4, 1.0, 2.0, 4.0)
 """As in `KeyframeSettings`, short ones first: an arm comes to rest at both ends of a line."""
-_SEARCHES = 5
-"""Searches in haste, the first from the start and the others from its keyframes on."""
-_DEAD_ENDS = 8
-"""Dead ends of each."""
-_ENOUGH = 1.15
-"""Makespan of a plan that is short enough, as a multiple of the motion of one robot if all had the same share of it."""
-_DEADLINE_SHARE = 0.4
-"""Share of the deadline that the searches in haste have."""
+_SHARE = 0.7
+"""Share of the deadline after which the search with short lines is given up."""
 _LEAST_SECONDS = 1e-3
 """Least time that is left to the search for one robot at a time."""
 
@@ -74,13 +66,8 @@ def plan_together(
     """
     import_ortools()
     clock, oracle = Deadline(settings.deadline), oracle or Stability(assembly)
-    hasty = replace(
-        settings,
-        attempts=min(settings.attempts, _SEARCHES),
-        dead_ends=min(settings.dead_ends, _DEAD_ENDS),
-        keyframes=replace(settings.keyframes, haste=_HASTE, approaches=_APPROACHES, withdrawals=_WITHDRAWALS),
-    )
-    graph = KeyframeGraph(assembly, cell, settings=hasty.keyframes, seed=settings.seed)
+    short = replace(settings, keyframes=replace(settings.keyframes, approaches=_APPROACHES, withdrawals=_WITHDRAWALS))
+    graph = KeyframeGraph(assembly, cell, settings=short.keyframes, seed=settings.seed)
 
     def search(limits: HybridSettings, graph: KeyframeGraph, seconds: float) -> HybridResult:
         # Even where a long motion has used the time up, a search ends by itself, with what it has.
@@ -99,12 +86,7 @@ def plan_together(
         )
 
     limit = np.inf if settings.deadline is None else settings.deadline
-    result, kind = search(hasty, graph, _DEADLINE_SHARE * limit), "together"
-    if _worth_another(result) and clock.seconds < _DEADLINE_SHARE * limit:
-        yielding = replace(hasty, keyframes=replace(hasty.keyframes, yielding=True))
-        other = search(yielding, graph, _DEADLINE_SHARE * limit)
-        if other.plan is not None and (result.plan is None or other.plan.makespan < result.plan.makespan):
-            result = other
+    result, kind = search(short, graph, _SHARE * limit), "together"
     if result.explanation is not None and result.explanation.outcome != "proved_impossible":
         graph = KeyframeGraph(assembly, cell, settings=settings.keyframes, seed=settings.seed, parts=graph.parts)
         result, kind = search(settings, graph, limit), "sequential"
@@ -118,11 +100,3 @@ def plan_together(
     plan, partial = scheduled(result.plan), scheduled(result.partial)
     statistics = {**result.statistics, "search": kind, "seconds": round(clock.seconds, 3)}
     return replace(result, plan=plan, partial=partial, statistics=statistics)
-
-
-def _worth_another(result: HybridResult) -> bool:
-    """Return whether robots wait and hold for long in a plan, or a search without one came near to its end."""
-    if result.plan is not None:
-        return result.plan.makespan * len(result.plan.robots) > _ENOUGH * result.plan.seconds
-    why = result.explanation
-    return why is not None and why.outcome != "proved_impossible" and 2 * why.reached >= why.steps
