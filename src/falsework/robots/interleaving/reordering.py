@@ -1,7 +1,7 @@
 """Steps of a plan in another order and by other robots, so that robots that move at the same time wait less.
 
-The search for an order proves motions by cells; those of the result are proven once more in their new order as the planner
-proves them, or planned again.
+The search for an order proves motions by cells; those of the result are proven once more in their new order as the
+planner proves them, or planned again.
 """
 
 from __future__ import annotations

@@ -9,6 +9,7 @@ of two motions in conflict the earlier in the order goes first.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,8 +42,8 @@ _VARIANTS = 2
 """Motions on one way that are planned, each in another scene."""
 _REPLACEMENTS = 2
 """Replacements per part of the plan that are planned in all."""
-_REPLAYS = 3
-"""Better orders of a window whose replay may fail."""
+_FALLS = 4
+"""Better orders of a window of which a state or the replay may turn out to be unstable."""
 _SAME_WAY = 1 - 1e-6
 """Cosine above which a line and an exit direction count as the same."""
 _STANDSTILL = 1e-7
@@ -137,30 +138,29 @@ class OrderSearch:
 
     def _improve(self, first: int, last: int, width: int, *, own: int, others: int) -> bool:
         """Search the steps from `first` to before `last` of the best order again; return whether that was better."""
-        for _ in range(_REPLAYS):
+        for _ in range(_FALLS):
             found = min(self._completed(first, last, width, own, others), key=_cost, default=self.best[-1])
             if _cost(found) >= _cost(self.best[-1]) - 1e-6:
                 return False
-            if self._stays_up(found):
+            if self._stands(found):
                 for step in found.steps:
                     self.units[step.unit.job] = step.unit
                 self.best = self._beginnings(found.steps)
                 return True
         return False
 
-    def _stays_up(self, order: Partial) -> bool:
-        """Return whether the replay of an order in assembly succeeds; note the state in which it fails."""
-        replayer = self.oracle.replayer
-        if replayer is None:
-            return True
+    def _stands(self, order: Partial) -> bool:
+        """Return whether the states and the replay in assembly order of an order are stable; note which one is not."""
         states = [self.root.state]
         for step in order.steps:
             states.append(state_after(states[-1], step.edge.action))
-        row = replayer.replay(np.array(states[::-1], dtype=np.uint8)).falls_at
-        if row is None:
-            return True
-        self._stable[states[::-1][row].tobytes()] = False
-        return False
+        if not all(self._is_stable(after, before) for before, after in pairwise(states)):
+            return False
+        replayer = self.oracle.replayer
+        row = None if replayer is None else replayer.replay(np.array(states[::-1], dtype=np.uint8)).falls_at
+        if row is not None:
+            self._stable[states[::-1][row].tobytes()] = False
+        return row is None
 
     def _completed(self, first: int, last: int, width: int, own: int, others: int) -> Iterator[Partial]:
         """Yield complete orders with other steps in a window."""
@@ -266,10 +266,16 @@ class OrderSearch:
         legs = self._legs(partial, unit, place)
         if legs is None:
             return None
-        key = after.tobytes()
+        # Holds rarely make a state unstable, so they are checked in better orders only.
+        if unit.edges[place].action >= self.parts and not self._is_stable(after, node.state):
+            return None
+        return self._extended(partial, Step(unit, place, legs))
+
+    def _is_stable(self, state: States, before: States) -> bool:
+        key = state.tobytes()
         if key not in self._stable:
-            self._stable[key] = bool(self.oracle.stable(after[None], parents=node.state[None])[0])
-        return self._extended(partial, Step(unit, place, legs)) if self._stable[key] else None
+            self._stable[key] = bool(self.oracle.stable(state[None], parents=before[None])[0])
+        return self._stable[key]
 
     def _replacement(self, partial: Partial, unit: Unit, robot: int) -> Unit | None:
         """Return the unit of another robot that does a job."""
