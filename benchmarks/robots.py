@@ -16,7 +16,8 @@ The first five plan a published structure in the built-in cell of that name: `se
 memory to a proven plan with timed motions, compilation not counted. The last line of each has median and worst.
 `--together`: each seed is planned twice, one robot at a time and with robots that move at the same time;
 `makespan_share` is the makespan of the second over the first plan, `extra_seconds` its additional planning time, and
-`delayed` random runs of its schedule are simulated, `checked_runs` of them by Pinocchio and Coal.
+`delayed` random runs of its schedule are simulated, `checked_runs` of them by Pinocchio and Coal. `--plans` writes the
+plans, so that `falsework robots check` can check them elsewhere.
 `--support`: each seed is planned twice, without and with parts that are released and held again.
 `--midway`: each seed is planned, then planned again from three of its keyframes at which a part is held, as after a
 disruption: `fresh` from structure and cell alone, `kept` with the keyframe graph and the verdicts of the first plan.
@@ -250,7 +251,7 @@ def together(name: str, arguments: Arguments) -> None:
             **fields,
             seeds=(seed,),
         )
-    if not shares:
+    if len(shares) < 2:
         return
     report(
         "robots together",
