@@ -186,7 +186,7 @@ class PlanRobots(Command):
                     output.say(_schedule_text(saved))
                 if result.statistics.get("search") == "sequential":
                     output.say(
-                        "no plan made for robots that move together was found; this is the plan of one at a time"
+                        "no plan with short approaches was found; this one has the approaches of one arm at a time"
                     )
                 return Exit.DONE
             output.note(f"the {len(saved)} steps that were found are in {self.out}")

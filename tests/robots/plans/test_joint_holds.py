@@ -112,11 +112,3 @@ def test_a_way_around_is_found_from_midway(column: Assembly, graph: KeyframeGrap
     assert solvability.reroute(held(column))
     assert not solvability.solvable(state, 1)
     assert not solvability.stays(held(column, 1, 2))
-
-
-def test_states_that_are_dead_ends_are_avoided(column: Assembly, graph: KeyframeGraph) -> None:
-    task = Task.create(column.boundary, 2, clearance=column.clearance, identity=column.identity)
-    solvability = SolvabilityCheck(column, task, Stability(column), joint=graph.joint)
-    states = solvability.prepare().routes[0].states
-    assert solvability.avoid([states[1].tobytes()], states[0])
-    assert not solvability.solvable(states[0], int(np.flatnonzero(states[0] != states[1])[0]))

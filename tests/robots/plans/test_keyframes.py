@@ -12,7 +12,6 @@ from falsework.assembly.state import complete_state
 from falsework.robots.grasping.exit_directions import ExitDirections
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Cell
-from falsework.robots.motion.expected_times import NO_TIME, expected_seconds, straight_seconds
 from falsework.robots.planning.keyframe_graph import KeyframeGraph, KeyframeSettings
 
 
@@ -123,44 +122,3 @@ def test_too_heavy_and_out_of_reach_are_reasons(column: Assembly, cell_of: Calla
     far = KeyframeGraph(column, cell_of(1, 4.0))
     assert far.grips(0, 1, state) == []
     assert [reason.what for reason, _ in far.reasons.of(1)] == ["out of reach"]
-
-
-def test_straight_motions_take_the_time_of_a_path_with_two_points(cell: Cell) -> None:
-    model, here = cell.robots[0].model, cell.homes[0]
-    goals = here + np.array([[0.01, 0.0, 0.0, 0.2, 0.0, 0.0], [1.0, -0.5, 0.0, 0.0, 0.0, 2.0]])
-    expected = [expected_seconds(model, np.array([here, goal]), 0.5) for goal in goals]
-    np.testing.assert_allclose(straight_seconds(model, here, goals, 0.5), expected)
-
-
-def test_arms_that_leave_are_in_the_way_until_they_have_left(
-    graph: KeyframeGraph, column: Assembly, cell: Cell
-) -> None:
-    state = complete_state(column.boundary)
-    grips = graph._grips
-    mine, theirs = graph.grips(0, 1, state)[0].configuration, graph.grips(1, 1, state)[0].configuration
-    clock = NO_TIME.held(1, 2.0, 2, 0.0).left_place(1, 1.0, 2, graph.parts.center[1], theirs)
-    values = np.array([mine, cell.homes[0]])
-    there, home = grips.clear_at(0, values, clock)
-    assert 2.0 < there < 3.0  # both grasp the same part
-    assert home == 0.0
-    assert grips.clear_at(1, theirs[None], clock) == 0.0  # not in its own way
-    assert clock.clear_near(0, graph.parts.center[1]) == there
-    assert clock.clear_near(0, graph.parts.center[1] + 1.0) == clock.clear_near(1, graph.parts.center[1]) == 0.0
-
-
-def test_robots_in_haste_put_parts_down_where_they_are_soon(column: Assembly, cell: Cell) -> None:
-    for haste in (0.0, 1.0):
-        graph = KeyframeGraph(column, cell, settings=KeyframeSettings(haste=haste, approaches=(0.4,)))
-        root = graph.start(complete_state(column.boundary), cell.homes, (None, None))
-        hold = next(graph.edges(root, 1))
-        ends = tool_pose(cell.robots[hold.robot], hold.segments[-1].path[[0, -1]])[:, :3, 3]
-        assert np.linalg.norm(ends[1] - ends[0]) == pytest.approx(0.4 * cell.margins.approach)
-        carry = next(graph.edges(hold.node, column.part_count + 1))
-        way, places = carry.segments[-1].path, graph._grips.places(carry.robot)
-        costs = graph._grips.cost_of_places(carry.robot, way[0], places, hold.node.configurations, haste)
-        model = cell.robots[carry.robot].model
-        if haste:
-            seconds = straight_seconds(model, way[0], places, cell.speed)
-            assert (costs <= seconds).all()  # away from the other robot
-        else:
-            np.testing.assert_allclose(costs, np.abs(places - way[0]).max(axis=1))

@@ -49,8 +49,7 @@ def wide(cell_of: Callable[..., Cell]) -> Cell:
 @pytest.fixture(scope="module")
 def planned(row: Assembly, wide: Cell) -> RobotPlan:
     """A plan for them that lets both arms work, one after the other."""
-    settings = HybridSettings(together=True, keyframes=KeyframeSettings(haste=1.0))
-    plan = plan_robots(row, wide, settings=settings).plan
+    plan = plan_robots(row, wide, settings=HybridSettings(together=True)).plan
     assert plan is not None
     return replace(plan, schedule=None)
 
@@ -182,13 +181,13 @@ def test_damaged_schedules(scheduled: RobotPlan, tmp_path: Path, key: str, entry
     assert "\n" not in str(caught.value)
 
 
-def test_a_deadline_that_searches_in_haste_use_up_ends_without_a_plan(row: Assembly, wide: Cell) -> None:
+def test_a_deadline_that_the_first_search_uses_up_ends_without_a_plan(row: Assembly, wide: Cell) -> None:
     found = plan_together(row, wide, settings=HybridSettings(deadline=1e-3))
     assert found.plan is None
     assert found.statistics["search"] == "sequential"
 
 
-def test_the_plan_of_one_arm_at_a_time_is_scheduled_where_haste_finds_none(
+def test_longer_lines_are_tried_where_short_ones_lead_to_no_plan(
     row: Assembly, wide: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = plan_together(row, wide, settings=HybridSettings(deadline=120.0))
@@ -197,7 +196,7 @@ def test_the_plan_of_one_arm_at_a_time_is_scheduled_where_haste_finds_none(
     assert found.statistics["search"] == "together"
 
     def search(*given: Any, settings: HybridSettings, **more: Any) -> HybridResult:
-        if settings.keyframes.haste:
+        if settings.keyframes.approaches != KeyframeSettings().approaches:
             settings = replace(settings, deadline=1e-9)
         return plan_robots(*given, settings=settings, **more)
 
@@ -209,26 +208,6 @@ def test_the_plan_of_one_arm_at_a_time_is_scheduled_where_haste_finds_none(
     assert other.plan.schedule is not None
     assert other.statistics["search"] == other.plan.statistics["search"] == "sequential"
     assert other.plan.makespan <= alone.seconds
-
-
-@pytest.mark.parametrize(("enough", "kinds"), [(0.0, [False, True]), (10.0, [False])])
-def test_the_shorter_of_two_plans_is_returned_unless_the_first_is_short(
-    row: Assembly, wide: Cell, monkeypatch: pytest.MonkeyPatch, enough: float, kinds: list[bool]
-) -> None:
-    found: dict[bool, float] = {}
-
-    def search(*given: Any, settings: HybridSettings, **more: Any) -> HybridResult:
-        result = plan_robots(*given, settings=settings, **more)
-        assert result.plan is not None
-        found[settings.keyframes.yielding] = result.plan.makespan
-        return result
-
-    monkeypatch.setattr("falsework.robots.planning.plan_together.plan_robots", search)
-    monkeypatch.setattr("falsework.robots.planning.plan_together._ENOUGH", enough)
-    plan = plan_together(row, wide).plan
-    assert plan is not None
-    assert list(found) == kinds
-    assert plan.makespan == min(found.values())
 
 
 def test_approaches_go_as_near_as_another_arm_lets_them(row: Assembly, wide: Cell) -> None:

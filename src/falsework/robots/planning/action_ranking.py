@@ -17,11 +17,6 @@ from falsework.search.problem.task import Direction
 
 Array = NDArray[np.float64]
 
-_LOOKED_AT = 12
-"""Best actions of a keyframe for which it is checked whether the part can leave immediately."""
-_ASKED = 6
-"""Searches for solvability at one keyframe; after these, unknown counts as unsolvable."""
-
 
 class ExecutionHeuristic:
     """Score of the actions of a state: ease of execution by arms, plus an action heuristic.
@@ -93,33 +88,7 @@ class ActionRanking:
         scores += self.ease.guided(node.state[None], allowed)[0, actions]
         scores += rng.normal(size=len(actions)) * (0.1 if attempt == 0 else 0.4 * min(attempt, 4))
         ordered = [actions[k] for k in np.argsort(-scores, kind="stable")]
-        return releases + (self._passing_first(node, ordered) if self.graph.haste else ordered)
-
-    def _passing_first(self, node: Node, actions: list[int]) -> list[int]:
-        """Put the first part that can leave as soon as it is held before those for which an arm would have to wait."""
-        parts, looked = len(node.state), actions[:_LOOKED_AT]
-        asked, waiting = 0, []
-        for action in looked:
-            if action >= parts:
-                break
-            after = node.state.copy()
-            after[action] = HELD
-            leaves = action + parts in self.solvability.legal(after)
-            if leaves and not self.solvability.known(after, action + parts):
-                asked += 1
-                leaves = asked <= _ASKED and self.solvability.solvable(after, action + parts)
-            if leaves:
-                break
-            waiting.append(action)
-        return [a for a in looked if a not in waiting] + waiting + actions[_LOOKED_AT:]
-
-    def waits(self, edge: Edge) -> bool:
-        """Return whether an arm would hold a part that is unblocked but cannot be carried away yet."""
-        parts, state = len(edge.node.state), edge.node.state
-        removal = edge.action + parts
-        if not self.graph.haste or edge.action >= parts or removal not in self.solvability.legal(state):
-            return False
-        return self.solvability.known(state, removal) and not self.graph.leads_on(edge.node, removal)
+        return releases + ordered
 
     def _score(self, node: Node, action: int) -> float:
         # Known results cost nothing; a part with blocked exits is worse than an unknown result.
@@ -130,11 +99,8 @@ class ActionRanking:
         center = self.graph.parts.center[action]
         robots = self.graph.cell.robots
         free = [robot for robot, held in enumerate(node.held) if held is None]
-        haste = self.graph.haste
         score -= min(
-            float(np.linalg.norm(robots[robot].base[:2, 3] - center[:2])) / self.graph.spread
-            + haste * node.clock.late(robot)
-            for robot in free
+            float(np.linalg.norm(robots[robot].base[:2, 3] - center[:2])) / self.graph.spread for robot in free
         )
         for part in node.held:
             if part is not None:

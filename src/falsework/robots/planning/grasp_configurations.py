@@ -11,20 +11,15 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED, States
 from falsework.robots.grasping.grasp import Grasp, grasps
-from falsework.robots.kernels.coordination import Swept, first_clear, sweep
+from falsework.robots.kernels.coordination import Swept, sweep
 from falsework.robots.kernels.kernel_arrays import make_bodies, make_chain
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.motion.collision_world import Contact, Scene
-from falsework.robots.motion.expected_times import Clock, straight_seconds
 from falsework.robots.motion.motion_cache import MotionCache
 from falsework.robots.planning.failure_report import FailureLog
 
 Array = NDArray[np.float64]
-
-_APART = 0.6
-"""Time that a metre more between the tools of both robots at drop-offs is worth in haste, seconds. Of three and more
-robots others can go on meanwhile, and the way counts alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,28 +58,6 @@ class GraspConfigurations:
             self._places[robot] = np.concatenate(found) if found else np.zeros((0, entry.model.joints))
         return self._places[robot]
 
-    def cost_of_places(
-        self, robot: int, here: Array, places: Array, configurations: Sequence[Array], haste: float
-    ) -> Array:
-        """Return costs of motions to drop-off configurations, shape (n,): in haste expected seconds, else joint travel.
-
-        Args:
-            robot: index of the moving robot.
-            here: its configuration, shape (joints,).
-            places: shape (n, joints).
-            configurations: those of all robots.
-            haste: as in `KeyframeSettings`.
-        """
-        if not haste:
-            return np.abs(places - here).max(axis=1)
-        robots = self.cell.robots
-        cost = straight_seconds(robots[robot].model, here, places, self.cell.speed)
-        if len(robots) != 2:
-            return cost
-        other = tool_pose(robots[1 - robot], configurations[1 - robot])[:2, 3]
-        apart = np.linalg.norm(tool_pose(robots[robot], places)[:, :2, 3] - other, axis=1)
-        return cost - _APART * haste * apart
-
     def best(
         self,
         grips: list[GraspConfiguration],
@@ -92,7 +65,6 @@ class GraspConfigurations:
         scene: Scene,
         held: tuple[int | None, ...],
         count: int,
-        clock: Clock | None = None,
     ) -> list[GraspConfiguration]:
         """Return the grasps to try, best first: near the robot's configuration, and away from other arms.
 
@@ -102,7 +74,6 @@ class GraspConfigurations:
             scene: poses of everything.
             held: the part that each robot holds.
             count: largest number of returned grasps.
-            clock: times at the keyframe, if waits for arms that are in the way count.
         """
         if not grips:
             return []
@@ -110,26 +81,7 @@ class GraspConfigurations:
         here = scene.configurations[robot]
         values = np.array([grip.configuration for grip in grips])
         way = 0.1 * np.abs(values - here).max(axis=1)
-        if clock is not None:
-            waits = np.maximum(self.clear_at(robot, values, clock) - clock.of(robot), 0.0)
-            way = straight_seconds(self.cell.robots[robot].model, here, values, self.cell.speed) + waits
         return _spread([grips[row] for row in np.argsort(way - room, kind="stable")], count)
-
-    def clear_at(self, robot: int, values: Array, clock: Clock) -> Array:
-        """Return the time from which no other robot that leaves with a part is in the way, seconds, shape (n,).
-
-        Args:
-            robot: index of the robot.
-            values: configurations of it, shape (n, joints).
-            clock: times at the keyframe.
-        """
-        found = np.zeros(len(values))
-        for other in clock.left:
-            if other.robot != robot:
-                there = self.swept(other.robot, other.configuration[None])
-                blocked = first_clear(self.swept(robot, values), there, self.cell.margins.free) < 0
-                found[blocked] = np.maximum(found[blocked], other.clear)
-        return found
 
     def swept(self, robot: int, values: Array) -> Swept:
         """Return the bodies of a robot without load in configurations, shape (n, joints), each of them a cell."""

@@ -22,7 +22,6 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED
 from falsework.robots.interleaving.reordering import reorder
 from falsework.robots.model.cell import Cell
-from falsework.robots.motion.expected_times import BalanceGuide
 from falsework.robots.planning.action_ranking import ActionRanking, ExecutionHeuristic, FailedActions
 from falsework.robots.planning.early_approach import approach_early
 from falsework.robots.planning.failure_report import Explanation, explain, fall_in_words
@@ -34,7 +33,7 @@ from falsework.robots.planning.shorter_motions import shorten_motions
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.robots.planning.trajectory_assembly import make_robot_plan
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
-from falsework.search.problem.guide import Guide, MemoizedGuide, SupportGuide
+from falsework.search.problem.guide import Guide, MemoizedGuide
 from falsework.search.problem.result import Outcome, SearchResult
 from falsework.search.problem.task import Task
 from falsework.stability.oracle import Stability
@@ -49,10 +48,6 @@ _LAST_VERDICTS = 400
 """Verdicts for such checks where no action has succeeded yet, before the keyframe counts as a dead end."""
 _MAX_FALLEN_REPLAYS = 40
 """Plans with motions whose replay may fail before the search ends."""
-_STEPS_BACK = 8
-"""Steps by which a search in haste goes back after its dead ends, to go on from there; twice as many each time."""
-_TOO_OFTEN = 3
-"""Dead ends in one state of the structure after which a search in haste avoids that state."""
 _POSTPONED_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
 """Delays of missing parts that are tried in turn, as shares of the longest that stability alone allows."""
 
@@ -112,13 +107,9 @@ class _Search:
         self.settings, self.progress = settings, progress
         keyframes, present = settings.keyframes, None if task is None else task.start != REMOVED
         self.graph = graph or KeyframeGraph(assembly, cell, settings=keyframes, seed=settings.seed, present=present)
-        self.graph.haste, self.graph.yielding = keyframes.haste, keyframes.yielding
         self.task = task_in_cell(assembly, cell, task, self.graph.exits)
-        balanced = BalanceGuide(guide, cell, self.graph.parts) if keyframes.haste else guide
-        ease = ExecutionHeuristic(self.graph, None if balanced is None else MemoizedGuide(balanced))
+        ease = ExecutionHeuristic(self.graph, None if guide is None else MemoizedGuide(guide))
         score = None if guide is None else ease
-        if settings.keyframes.haste:
-            guide = BalanceGuide(guide or SupportGuide(assembly), cell, self.graph.parts)
         self.solvability = SolvabilityCheck(
             assembly, self.task, oracle, guide=guide, score=score, seed=settings.seed, joint=self.graph.joint
         )
@@ -127,7 +118,6 @@ class _Search:
         self.best: list[Edge] = []
         self.tried: Counter[tuple[str, int]] = Counter()
         self.dead: set[bytes] = set()
-        self.dead_states: Counter[bytes] = Counter()
         self.failures = FailedActions(self.graph, self.solvability)
         self.timed: dict[PathSegment, Trajectory | None] = {}
         self.counts: Counter[str] = Counter()
@@ -156,14 +146,9 @@ class _Search:
                 self.graph.support = self.task.support and self.attempt > 0
                 if self.graph.support and self.attempt == 1:  # what failed without releases may succeed with them
                     self.dead, self.failures = set(), FailedActions(self.graph, self.solvability)
-                prefix: list[Edge] = []
-                if turn and self.settings.keyframes.haste:
-                    prefix = self._before_dead_ends(turn)
-                    if not prefix:
-                        break
-                elif turn:
+                if turn:
                     self.solvability.perturb(self.attempt)
-                chain = self.depth_first_pass(root, np.random.default_rng([self.settings.seed, self.attempt]), prefix)
+                chain = self.depth_first_pass(root, np.random.default_rng([self.settings.seed, self.attempt]))
                 self.attempt += 1
                 if chain is not None:
                     return self.solved(root, chain)
@@ -177,28 +162,17 @@ class _Search:
                 limit = f"{self.attempt} searches failed{f'; {self.fallen}' if self.fallen else ''}"
         return self.failed(root, "not_found", limit)
 
-    def _before_dead_ends(self, turn: int) -> list[Edge]:
-        """Return the beginning of the longest partial plan, a shorter one from turn to turn; none of a short plan."""
-        if 2 * self._done(self.best) < self.task.steps:
-            return []
-        prefix = self.best[: max(len(self.best) - _STEPS_BACK * 2 ** (turn - 1), 0)]
-        if prefix:
-            often = [state for state, count in self.dead_states.items() if count >= _TOO_OFTEN]
-            self.solvability.avoid(often, prefix[-1].node.state)
-        return prefix
-
-    def depth_first_pass(self, root: Node, rng: np.random.Generator, prefix: Sequence[Edge] = ()) -> list[Edge] | None:
+    def depth_first_pass(self, root: Node, rng: np.random.Generator) -> list[Edge] | None:
         """Return the edges of a plan with a stable replay by one depth-first search; None after too many dead ends.
 
         Args:
             root: the first keyframe.
             rng: random generator that perturbs the order of actions.
-            prefix: edges from the root to the keyframe at which to go on; those before it are left at dead ends only.
         """
-        chain, nodes = list(prefix), [root, *(edge.node for edge in prefix)]
-        options = [self._options(node, rng) for node in nodes]
+        chain: list[Edge] = []
+        nodes, options = [root], [self._options(root, rng)]
         # Causes of the dead ends after each keyframe: indices of earlier edges.
-        causes: list[set[int]] = [set() for _ in nodes]
+        causes: list[set[int]] = [set()]
         dead_ends, allowed = 0, self.settings.dead_ends * (1 + self.attempt // 3)
         while nodes:
             if self.deadline_passed():
@@ -210,7 +184,6 @@ class _Search:
                 continue
             if edge is None:
                 self.dead.add(nodes[-1].key)
-                self.dead_states[nodes[-1].state.tobytes()] += 1
                 if self._done(chain) >= self._done(self.best):
                     self.tried.update(self.failures.kinds(nodes[-1]))
                 blamed = causes[-1] | self.failures.blamed(nodes[-1], chain)
@@ -230,8 +203,7 @@ class _Search:
             if self._done(chain) > self._done(self.best):
                 self.best = list(chain)
                 self.tried.clear()
-                if not self.graph.haste:
-                    dead_ends = 0  # beyond them: another search would have to come here first
+                dead_ends = 0  # beyond them: another search would have to come here first
             self._report(dead_ends)
             if np.array_equal(edge.node.state, self.task.target):
                 keep = self._keyframes_before_fall(root, chain)
@@ -270,7 +242,6 @@ class _Search:
     def _options(self, node: Node, rng: np.random.Generator) -> Iterator[Edge]:
         """Yield edges out of a keyframe in order of trial."""
         tried, verdicts, probes, worked = 0, 0, _SOLVABILITY_CHECKS * (1 + self.attempt), False
-        idle: list[Edge] = []
         for action in self.ranking.actions(node, self.attempt, rng):
             if (node, action) in self.failures or self.deadline_passed():
                 continue
@@ -290,9 +261,7 @@ class _Search:
             self.graph.reasons.recent.clear()
             for edge in self.graph.edges(node, action):
                 found += 1
-                if self.ranking.waits(edge):
-                    idle.append(edge)
-                elif edge.node.key not in self.dead:
+                if edge.node.key not in self.dead:
                     yield edge
                 if found == _EDGES_PER_ACTION:
                     break
@@ -304,7 +273,6 @@ class _Search:
             tried += 1
             if tried == _ACTIONS_PER_KEYFRAME:
                 break
-        yield from idle
         for part in self.failures.releases(node):
             if not self.deadline_passed() and self.solvability.solvable(node.state, part):
                 self.counts["releases"] += 1

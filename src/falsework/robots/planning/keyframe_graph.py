@@ -22,7 +22,6 @@ from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes, place_parts
 from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, CollisionWorld, Contact, Scene
-from falsework.robots.motion.expected_times import expected_seconds
 from falsework.robots.motion.motion_cache import MotionCache
 from falsework.robots.motion.path_planner import follow_line
 from falsework.robots.planning.failure_report import FailureLog
@@ -33,10 +32,6 @@ from falsework.robots.planning.withdrawal import Withdrawal
 
 Array = NDArray[np.float64]
 
-_BENT = 3
-"""Motions around something, of which the fastest is tried first in haste."""
-_CORNER = 0.1
-"""Time that a corner of a path costs, seconds."""
 _MAX_PLACES = 4
 """Number of free motions to a drop-off pose that are tried."""
 
@@ -55,11 +50,6 @@ class KeyframeSettings:
     """Lengths of the line on which a gripper approaches a part, in approach margins of the cell, tried in turn."""
     withdrawals: tuple[float, ...] = (1.0, 2.0, 4.0)
     """Lengths of the line on which a part is withdrawn, in approach margins, tried in turn until it is clear."""
-    haste: float = 0.0
-    """Weight of a second of waiting of robots that move at the same time, against the other terms of the action
-    score; 0: robots move one at a time."""
-    yielding: bool = False
-    """In haste, prefer grasps at which a robot is out of the way of those that are leaving with a part."""
 
 
 class KeyframeGraph:
@@ -86,8 +76,6 @@ class KeyframeGraph:
             present: parts that are ever in place, all by default, shape (parts,).
         """
         self.assembly, self.cell, self.settings, self.seed = assembly, cell, settings, seed
-        self.haste, self.yielding = settings.haste, settings.yielding
-        """As in the settings of the search that uses the graph."""
         self.support = False
         """Whether held parts may be released and held again; from the second turn of a search on, as most need none."""
         self.parts = parts or place_parts(assembly, cell.placement)
@@ -98,7 +86,6 @@ class KeyframeGraph:
         self.joint = JointHolds(self._grips)
         self._withdrawal = Withdrawal(self.cache, self.reasons, settings.withdrawals)
         self.exits = ExitDirections(assembly, self.parts.turn, present)
-        self._begun: dict[tuple[Node, int], Iterator[Edge]] = {}
 
     def start(self, state: States, configurations: tuple[Array, ...], held: tuple[int | None, ...]) -> Node:
         """Return an initial node."""
@@ -106,17 +93,6 @@ class KeyframeGraph:
 
     def edges(self, node: Node, action: int) -> Iterator[Edge]:
         """Yield edges that carry out an action, most promising first, each computed on demand."""
-        begun = self._begun.pop((node, action), None)
-        return begun or self._edges(node, action)
-
-    def leads_on(self, node: Node, action: int) -> bool:
-        """Return whether an action has an edge; the search for the edges of the last one goes on in `edges`."""
-        edges = self._edges(node, action)
-        first = next(edges, None)
-        self._begun = {} if first is None else {(node, action): itertools.chain([first], edges)}
-        return first is not None
-
-    def _edges(self, node: Node, action: int) -> Iterator[Edge]:
         parts = self.assembly.part_count
         if action < parts and node.state[action] == HELD:
             return self._release(node, action)
@@ -188,7 +164,7 @@ class KeyframeGraph:
     def _hold(self, node: Node, part: int) -> Iterator[Edge]:
         free = [robot for robot, held in enumerate(node.held) if held is None]
         center = self.parts.center[part]
-        free.sort(key=lambda robot: self._reluctance(node, robot, center))
+        free.sort(key=lambda robot: float(np.linalg.norm(self.cell.robots[robot].base[:2, 3] - center[:2])))
         found = False
         # Where a part may be held again, a grasp with which it cannot leave later is better than none.
         for lasting in (True, False) if self.support and not node.was_released(part) else (True,):
@@ -205,11 +181,6 @@ class KeyframeGraph:
             if found:
                 return
 
-    def _reluctance(self, node: Node, robot: int, center: Array) -> float:
-        """Rank free robots for a part: near ones first, and those first that are available early."""
-        far = float(np.linalg.norm(self.cell.robots[robot].base[:2, 3] - center[:2]))
-        return far + self.haste * self.spread * node.clock.late(robot)
-
     def holds(self, node: Node, part: int, robot: int, lasting: bool = True) -> Iterator[Edge]:
         """Yield edges on which a robot that holds nothing holds a part, with which it can leave later if `lasting`."""
         grips = self.grips(robot, part, node.state)
@@ -224,20 +195,10 @@ class KeyframeGraph:
         for row in np.flatnonzero(hits >= 0)[:1]:
             self.reasons.add("hold", part, robot, "a robot blocks every grasp", view.pair(int(hits[row])))
         open_grips = [grips[row] for row in np.flatnonzero(hits < 0)]
-        bent: list[Edge] = []
-        clock = node.clock if self.haste and self.yielding else None
-        for grip in self._grips.best(open_grips, robot, node.scene, node.held, self.settings.candidates, clock):
+        for grip in self._grips.best(open_grips, robot, node.scene, node.held, self.settings.candidates):
             edge = self._try_grip(node, part, grip, view, lasting)
-            if edge is None:
-                continue
-            if not self.haste or len(edge.segments[0].path) == 2:
+            if edge is not None:
                 yield edge
-                continue
-            bent.append(edge)
-            if len(bent) == _BENT:
-                yield from sorted(bent, key=lambda edge: self._free_seconds(robot, edge.segments[0].path))
-                bent = []
-        yield from sorted(bent, key=lambda edge: self._free_seconds(robot, edge.segments[0].path))
 
     def _try_grip(
         self, node: Node, part: int, grip: GraspConfiguration, view: CollisionQuery, lasting: bool
@@ -257,11 +218,7 @@ class KeyframeGraph:
         assert free.path is not None
         line = PathSegment("line", retreat[::-1].copy(), touches=part)
         segments = (PathSegment("free", free.path, view=clear), line)
-        clear_at = node.clock.clear_near(robot, self.parts.center[part])
-        if self.yielding:
-            clear_at = float(self._grips.clear_at(robot, grip.configuration[None], node.clock)[0])
-        clock = node.clock.held(robot, self._expected(robot, segments), self.cell.robot_count, clear_at)
-        return Edge(part, robot, segments, node.after(part, robot, grip.configuration, clock))
+        return Edge(part, robot, segments, node.after(part, robot, grip.configuration))
 
     def _retreat(
         self, action: str, part: int, robot: int, here: Array, way: Array, view: CollisionQuery, clear: CollisionQuery
@@ -303,10 +260,11 @@ class KeyframeGraph:
         if path is None:
             return
         line = PathSegment("line", path, touches=part)
-        yield self._leave(node, part, robot, (line,), path[-1])
+        yield Edge(part, robot, (line,), node.after(part, robot, path[-1]))
         home = self.cache.motion(node.scene, robot, path[-1], entry.home)
         if home.path is not None:
-            yield self._leave(node, part, robot, (line, PathSegment("free", home.path, view=clear)), entry.home)
+            segments = (line, PathSegment("free", home.path, view=clear))
+            yield Edge(part, robot, segments, node.after(part, robot, entry.home))
 
     # Removing
 
@@ -334,42 +292,20 @@ class KeyframeGraph:
         clear = places[hits < 0]
         if not len(clear):
             self.reasons.add("remove", part, robot, "every drop-off pose collides", view.pair(int(hits[0])), places[0])
-        way = self._grips.cost_of_places(robot, end, clear, node.configurations, self.haste)
-        best: tuple[float, Array, Array] | None = None
-        for row in np.argsort(way, kind="stable")[:_MAX_PLACES].tolist():
-            if best is not None and (not self.haste or way[row] >= best[0]):
-                break
-            goal = clear[row]
+        way = np.abs(clear - end).max(axis=1)
+        for goal in clear[np.argsort(way, kind="stable")[:_MAX_PLACES]]:
             free = self.cache.motion(scene, robot, end, goal)
             if free.path is None:
                 what = f"to {entry.name}'s drop-off: {free.reason}"
                 self.reasons.add("remove", part, robot, what, free.pair, free.at)
                 continue
-            detour = self._free_seconds(robot, free.path) - self._free_seconds(robot, free.path[[0, -1]])
-            cost = float(way[row]) + detour
-            if best is None or cost < best[0]:
-                best = cost, goal, free.path
-        if best is None:
-            return None
-        lines = tuple(PathSegment("line", path, part=part) for path in paths)
-        segments = (*lines, PathSegment("free", best[2], part=part, view=view))
-        return self._leave(node, self.assembly.part_count + part, robot, segments, best[1])
+            lines = tuple(PathSegment("line", path, part=part) for path in paths)
+            segments = (*lines, PathSegment("free", free.path, part=part, view=view))
+            action = self.assembly.part_count + part
+            return Edge(action, robot, segments, node.after(action, robot, goal))
+        return None
 
     # Helpers of all
-
-    def _leave(self, node: Node, action: int, robot: int, segments: tuple[PathSegment, ...], end: Array) -> Edge:
-        """Return the edge of an action by which a robot leaves the place of a part, with it or without it."""
-        place = self.parts.center[action % self.assembly.part_count], node.configurations[robot]
-        clock = node.clock.left_place(robot, self._expected(robot, segments), self.cell.robot_count, *place)
-        return Edge(action, robot, segments, node.after(action, robot, end, clock))
-
-    def _expected(self, robot: int, segments: tuple[PathSegment, ...]) -> float:
-        model = self.cell.robots[robot].model
-        return sum(expected_seconds(model, segment.path, self.cell.speed) for segment in segments)
-
-    def _free_seconds(self, robot: int, path: Array) -> float:
-        """Return the expected time of a free path, with that of its corners."""
-        return expected_seconds(self.cell.robots[robot].model, path, self.cell.speed) + _CORNER * (len(path) - 2)
 
     def _view(self, node: Node, robot: int, margin: float) -> CollisionQuery:
         part = node.held[robot]

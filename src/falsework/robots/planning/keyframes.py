@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States
 from falsework.robots.motion.collision_world import CollisionQuery, Scene
-from falsework.robots.motion.expected_times import NO_TIME, Clock
 from falsework.search.problem.result import Route
 
 Array = NDArray[np.float64]
@@ -26,8 +25,6 @@ class Node:
     configurations: tuple[Array, ...]
     held: tuple[int | None, ...]
     """The part that each robot holds."""
-    clock: Clock = NO_TIME
-    """Times at this keyframe if robots move at the same time; not part of the identity of nodes."""
     changed: frozenset[tuple[int, bytes]] = frozenset()
     """Parts held or released since a part was last removed; those released with the configuration that held them."""
 
@@ -56,14 +53,13 @@ class Node:
         """Return whether a part was released since a part was last removed."""
         return any(part == other and configuration for other, configuration in self.changed)
 
-    def after(self, action: int, robot: int, values: Array, clock: Clock = NO_TIME) -> Node:
+    def after(self, action: int, robot: int, values: Array) -> Node:
         """Return the keyframe after an action.
 
         Args:
             action: as of `state_after`.
             robot: the robot that carries it out.
             values: its configuration then, shape (joints,).
-            clock: times then.
         """
         part, state = action % len(self.state), state_after(self.state, action)
         configurations, held = list(self.configurations), list(self.held)
@@ -71,7 +67,7 @@ class Node:
         changed: frozenset[tuple[int, bytes]] = frozenset()
         if state[part] != REMOVED:
             changed = self.changed | {(part, b"" if state[part] == HELD else self.configurations[robot].tobytes())}
-        return Node(state, tuple(configurations), tuple(held), clock, changed)
+        return Node(state, tuple(configurations), tuple(held), changed)
 
 
 @dataclass(frozen=True, eq=False)

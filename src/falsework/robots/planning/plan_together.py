@@ -1,9 +1,7 @@
-"""Plans with motions for robots that move at the same time: a search for plans that allow it, else any plan.
+"""Plans with motions for robots that move at the same time.
 
-The search in haste takes parts from the sides of all robots in turn and is given up after a few dead ends. Where it
-nearly finds a plan, or robots wait for long, it searches again with grasps that keep clear of robots that are leaving,
-and the shorter plan counts. If both find nothing, the planner for one robot at a time searches, and its motions overlap
-as far as that is proven safe.
+The planner for one robot at a time searches, with straight lines as short as possible. Order and robots of its plan are
+then changed so that robots wait less, and its motions overlap as far as that is proven safe.
 """
 
 from __future__ import annotations
@@ -52,11 +50,11 @@ def plan_together(
     """Find a plan with motions and schedule them for robots that move at the same time.
 
     Where `plan_robots` finds a plan, there is one here too, unless the deadline passes first. The statistics have
-    `search`: `together`, or `sequential` where the search for plans that allow overlaps found none.
+    `search`: `together`, or `sequential` where only the lines of `plan_robots` led to a plan.
 
     Args:
         assembly, cell, task, configurations, held, oracle, guide, progress: as in `plan_robots`.
-        settings: limits of the search for one robot at a time; fewer searches and dead ends are allowed in haste.
+        settings: limits of the search.
         assembly_order: schedule the motions in the order of assembly.
 
     Raises:

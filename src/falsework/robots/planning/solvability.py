@@ -169,11 +169,6 @@ class SolvabilityCheck:
         self._prune()
         return row
 
-    def avoid(self, states: Sequence[bytes], start: States) -> bool:
-        """Forbid states, given as bytes; return whether there is a path to the target from a state, shape (parts,)."""
-        self._forbidden.update(states)
-        return self.reroute(start)
-
     def stays(self, state: States) -> bool:
         """Return whether a state is known to be solvable."""
         return state.tobytes() in self._solvable

@@ -1,0 +1,134 @@
+"""Reordering: other orders of the steps of a plan, and other arms, for robots that move at the same time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'falsework[schedule]'")
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import complete_state
+from falsework.robots.interleaving.reordering import reorder
+from falsework.robots.interleaving.search import OrderSearch
+from falsework.robots.interleaving.work import Work
+from falsework.robots.model.cell import Cell
+from falsework.robots.planning.initial_keyframe import task_in_cell
+from falsework.robots.planning.keyframe_graph import KeyframeGraph
+from falsework.robots.planning.keyframes import Edge, Node, PathSegment, route_along
+from falsework.robots.planning.solvability import SolvabilityCheck
+from falsework.robots.planning.trajectory_assembly import make_robot_plan
+from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
+from falsework.robots.schedule.build import schedule_plan
+from falsework.stability.oracle import Stability
+
+
+class Case:
+    """Cubes that one of two arms takes, from the left to the right."""
+
+    def __init__(self, assembly: Assembly, cell: Cell) -> None:
+        """Plan the motions."""
+        self.assembly, self.cell, self.oracle = assembly, cell, Stability(assembly)
+        self.graph = KeyframeGraph(assembly, cell)
+        self.task = task_in_cell(assembly, cell, None, self.graph.exits)
+        self.legal = SolvabilityCheck(assembly, self.task, self.oracle).legal
+        self.root = self.graph.start(complete_state(assembly.boundary), cell.homes, (None, None))
+        self.chain: list[Edge] = []
+        self.timed: dict[PathSegment, Trajectory | None] = {}
+        for part in np.flatnonzero(~assembly.boundary).tolist():
+            for action in (part, part + assembly.part_count):
+                edges = self.graph.holds(self.node, part, 0) if action == part else self.graph.edges(self.node, action)
+                self.chain.append(next(edges))
+
+    @property
+    def node(self) -> Node:
+        """The last keyframe."""
+        return self.chain[-1].node if self.chain else self.root
+
+    def search(self) -> OrderSearch:
+        """Return a search for a better order."""
+        work = Work(self.graph, dict(self.timed))
+        return OrderSearch(work, self.oracle, self.root, self.chain, legal=self.legal, stop=lambda: False)
+
+    def reordered(self, stop: bool = False) -> list[Edge]:
+        """Return the edges in a better order."""
+        return reorder(self.graph, self.oracle, self.root, self.chain, self.timed, legal=self.legal, stop=lambda: stop)
+
+    def plan(self, chain: list[Edge]) -> RobotPlan:
+        """Return the plan of some edges, with a schedule."""
+        route = route_along(self.root, chain)
+        plan = make_robot_plan(self.assembly, self.cell, self.task, self.oracle, route, self.root, chain, forces=False)
+        return schedule_plan(plan, self.assembly, self.cell)
+
+
+@pytest.fixture(scope="module")
+def case(make_boxes: Callable[..., Assembly], cell_of: Callable[..., Cell]) -> Case:
+    """Four cubes in a row between two arms."""
+    row = make_boxes((-0.45, -0.1, 0.0), (-0.2, -0.1, 0.0), (0.05, -0.1, 0.0), (0.3, -0.1, 0.0))
+    return Case(row, cell_of(2, 1.3))
+
+
+def test_another_arm_takes_some_parts(case: Case) -> None:
+    before, chain = case.plan(case.chain), case.reordered()
+    after = case.plan(chain)
+    assert {edge.robot for edge in case.chain} == {0}
+    assert {edge.robot for edge in chain} == {0, 1}
+    assert sorted(edge.action for edge in chain) == sorted(edge.action for edge in case.chain)
+    assert after.makespan < 0.8 * before.makespan
+
+
+def test_the_end_of_an_order_is_that_of_a_schedule(case: Case) -> None:
+    search = case.search()
+    planned = search.best[-1]
+    assert planned.end == pytest.approx(sum(sum(unit.seconds) for unit in search.units))  # one arm never waits
+    search.run()
+    assert search.changed
+    assert search.best[-1].end < planned.end
+    ends = [max(partial.free) for partial in search.best]
+    assert all(early <= late for early, late in pairwise(ends))
+    # Of two motions in conflict the solver may choose either to go first, so its schedule is no longer.
+    plan = case.plan([step.edge for step in search.best[-1].steps])
+    assert plan.makespan <= search.best[-1].end + 1e-3
+
+
+def test_the_same_plan_leads_to_the_same_order(case: Case) -> None:
+    one, other = case.reordered(), case.reordered()
+    assert [(edge.action, edge.robot) for edge in one] == [(edge.action, edge.robot) for edge in other]
+    for a, b in zip(one, other, strict=True):
+        np.testing.assert_array_equal(a.node.configurations, b.node.configurations)
+
+
+def test_without_time_the_plan_stays(case: Case) -> None:
+    search = case.search()
+    search.stop = lambda: True
+    search.run()
+    assert [edge.action for edge in case.reordered(stop=True)] == [step.edge.action for step in search.best[-1].steps]
+
+
+def test_steps_whose_motions_fail_are_not_taken_there_again(case: Case) -> None:
+    search = case.search()
+    search.run()
+    index = next(k for k, step in enumerate(search.best[-1].steps) if step.unit.robot == 1)
+    step, state = search.best[-1].steps[index], search.best[index].node.state
+    search.refuse(index)
+    assert not search.changed
+    search.run()
+    again = zip(search.best, search.best[-1].steps, strict=False)
+    assert not any(taken.unit is step.unit and (at.node.state == state).all() for at, taken in again)
+
+
+def test_parts_below_others_stay_until_these_have_left(
+    make_boxes: Callable[..., Assembly], cell_of: Callable[..., Cell]
+) -> None:
+    stacks = make_boxes((-0.3, -0.1, 0.2), (0.1, -0.1, 0.2), (-0.3, -0.1, 0.0), (0.1, -0.1, 0.0))
+    case = Case(stacks, cell_of(2, 1.3))
+    chain = case.reordered()
+    free = np.flatnonzero(~stacks.boundary)
+    states = np.array([edge.node.state for edge in chain])
+    assert case.oracle.stable(states).all()
+    for top, bottom in ((free[0], free[2]), (free[1], free[3])):
+        order = [edge.action for edge in chain]
+        assert order.index(top + stacks.part_count) < order.index(bottom + stacks.part_count)
