@@ -45,12 +45,12 @@ from falsework.errors import FalseworkError
 from falsework.robots.cells.cell_file import load_cell
 from falsework.robots.cells.validate import check_cell
 from falsework.robots.cells.warm_up import compile_kernels
+from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.model.cell import Cell, CellRobot
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.model.shapes import inverse_pose, pose
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
-from falsework.robots.planning.keyframe_graph import KeyframeGraph
 from falsework.robots.planning.plan_together import plan_together
 from falsework.robots.plans.check import check_robot_plan
 from falsework.robots.plans.check_schedule import check_schedule

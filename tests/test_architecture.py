@@ -39,7 +39,19 @@ SUBPACKAGES = {
     "stability": ("cpu", "contact", "gpu", "reference", "margins", "judges"),
     "search": ("problem", "beam", "margins", "plans", "support", "device"),
     "learn": ("config", "env", "networks", "data", "algorithms", "training"),
-    "robots": ("model", "kernels", "kinematics", "motion", "cells", "grasping", "plans", "schedule", "planning"),
+    "robots": (
+        "model",
+        "kernels",
+        "kinematics",
+        "motion",
+        "cells",
+        "grasping",
+        "plans",
+        "schedule",
+        "keyframes",
+        "interleaving",
+        "planning",
+    ),
     "viewer": ("pictures", "page"),
 }
 MOST_MODULES = 16

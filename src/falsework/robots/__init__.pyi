@@ -6,6 +6,10 @@ from falsework.robots.grasping.reachability import BaseProposal as BaseProposal
 from falsework.robots.grasping.reachability import ReachTable as ReachTable
 from falsework.robots.grasping.reachability import propose_bases as propose_bases
 from falsework.robots.grasping.reachability import reach_table as reach_table
+from falsework.robots.keyframes.failure_report import Explanation as Explanation
+from falsework.robots.keyframes.failure_report import LoggedFailure as LoggedFailure
+from falsework.robots.keyframes.keyframe_graph import KeyframeGraph as KeyframeGraph
+from falsework.robots.keyframes.keyframe_graph import KeyframeSettings as KeyframeSettings
 from falsework.robots.model.cell import Cell as Cell
 from falsework.robots.model.cell import CellRobot as CellRobot
 from falsework.robots.model.cell import Gripper as Gripper
@@ -14,14 +18,10 @@ from falsework.robots.model.cell import Obstacle as Obstacle
 from falsework.robots.model.cell import Placement as Placement
 from falsework.robots.model.cell import cell_identity as cell_identity
 from falsework.robots.model.robot_model import RobotModel as RobotModel
-from falsework.robots.planning.failure_report import Explanation as Explanation
-from falsework.robots.planning.failure_report import LoggedFailure as LoggedFailure
 from falsework.robots.planning.hybrid_planner import plan_robots as plan_robots
 from falsework.robots.planning.hybrid_result import HybridProgress as HybridProgress
 from falsework.robots.planning.hybrid_result import HybridResult as HybridResult
 from falsework.robots.planning.hybrid_result import HybridSettings as HybridSettings
-from falsework.robots.planning.keyframe_graph import KeyframeGraph as KeyframeGraph
-from falsework.robots.planning.keyframe_graph import KeyframeSettings as KeyframeSettings
 from falsework.robots.planning.plan_together import plan_together as plan_together
 from falsework.robots.plans.check import CheckReport as CheckReport
 from falsework.robots.plans.check import PlanProblem as PlanProblem

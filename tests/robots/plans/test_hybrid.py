@@ -12,12 +12,12 @@ from falsework.assembly import load_structure
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.errors import InputError, StateError
+from falsework.robots.keyframes.keyframe_graph import KeyframeGraph, KeyframeSettings
+from falsework.robots.keyframes.keyframes import Edge, Node
 from falsework.robots.model.cell import Cell, Obstacle, Placement
 from falsework.robots.model.shapes import block
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
-from falsework.robots.planning.keyframe_graph import KeyframeGraph, KeyframeSettings
-from falsework.robots.planning.keyframes import Edge, Node
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.search import Direction, Task
 from falsework.search.plans.plan_check import validate_plan

@@ -10,11 +10,11 @@ import pytest
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, complete_state
 from falsework.robots.kernels.coordination import first_clear
+from falsework.robots.keyframes.joint_holds import HoldingOracle
+from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.model.cell import Cell
 from falsework.robots.motion.collision_world import Contact, Scene
 from falsework.robots.planning.hybrid_planner import plan_robots
-from falsework.robots.planning.joint_holds import HoldingOracle
-from falsework.robots.planning.keyframe_graph import KeyframeGraph
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.search import Task
 from falsework.stability import Stability

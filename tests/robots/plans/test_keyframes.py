@@ -10,9 +10,9 @@ import pytest
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.robots.grasping.exit_directions import ExitDirections
+from falsework.robots.keyframes.keyframe_graph import KeyframeGraph, KeyframeSettings
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Cell
-from falsework.robots.planning.keyframe_graph import KeyframeGraph, KeyframeSettings
 
 
 @pytest.fixture(scope="module")

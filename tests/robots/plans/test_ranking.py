@@ -8,9 +8,9 @@ import pytest
 from falsework.assembly import load_structure
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
+from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.model.cell import Cell
 from falsework.robots.planning.action_ranking import ExecutionHeuristic
-from falsework.robots.planning.keyframe_graph import KeyframeGraph
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.search import Direction, Task
 from falsework.search.problem.guide import MemoizedGuide, SupportGuide

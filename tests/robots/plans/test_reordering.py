@@ -15,12 +15,12 @@ from falsework.assembly.state import complete_state
 from falsework.robots.interleaving.reordering import reorder
 from falsework.robots.interleaving.search import OrderSearch
 from falsework.robots.interleaving.work import Work
+from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
+from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment, route_along
+from falsework.robots.keyframes.trajectory_assembly import make_robot_plan
 from falsework.robots.model.cell import Cell
 from falsework.robots.planning.initial_keyframe import task_in_cell
-from falsework.robots.planning.keyframe_graph import KeyframeGraph
-from falsework.robots.planning.keyframes import Edge, Node, PathSegment, route_along
 from falsework.robots.planning.solvability import SolvabilityCheck
-from falsework.robots.planning.trajectory_assembly import make_robot_plan
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.schedule.build import schedule_plan
 from falsework.stability.oracle import Stability

@@ -16,11 +16,11 @@ pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'fal
 
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError, PlanError
+from falsework.robots.keyframes.keyframe_graph import KeyframeSettings
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
-from falsework.robots.planning.keyframe_graph import KeyframeSettings
 from falsework.robots.planning.plan_together import plan_together
 from falsework.robots.plans.check import check_robot_plan
 from falsework.robots.plans.check_schedule import check_schedule

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from falsework.assembly.state import HELD
 from falsework.robots.interleaving.work import Body, Leg, Unit, Work
-from falsework.robots.planning.keyframes import Edge, Node
+from falsework.robots.keyframes.keyframes import Edge, Node
 
 _Value = TypeVar("_Value")
 

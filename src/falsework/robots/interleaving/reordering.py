@@ -16,11 +16,11 @@ from falsework.assembly.state import States
 from falsework.robots.interleaving.search import OrderSearch
 from falsework.robots.interleaving.work import Work
 from falsework.robots.kernels.rrt_connect import INTERVALS, edges_free
+from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
+from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, Contact
 from falsework.robots.motion.path_planner import plan_free, resolution_of
-from falsework.robots.planning.keyframe_graph import KeyframeGraph
-from falsework.robots.planning.keyframes import Edge, Node, PathSegment
 from falsework.robots.plans.robot_plan import Trajectory
 from falsework.stability.oracle import Stability
 

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from falsework.assembly.state import HELD, REMOVED, States
 from falsework.robots.interleaving.partial_order import Partial, Step, beginning, bound, extended
 from falsework.robots.interleaving.work import Leg, Unit, Work
+from falsework.robots.keyframes.keyframes import Edge, Node, state_after
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import CellRobot
-from falsework.robots.planning.keyframes import Edge, Node, state_after
 from falsework.stability.oracle import Stability
 
 Array = NDArray[np.float64]

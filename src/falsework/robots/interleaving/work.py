@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD
 from falsework.robots.kernels.coordination import Swept, conflicts
+from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
+from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment
+from falsework.robots.keyframes.trajectory_assembly import timed_leg
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.motion.collision_world import NO_CONTACT
-from falsework.robots.planning.keyframe_graph import KeyframeGraph
-from falsework.robots.planning.keyframes import Edge, Node, PathSegment
-from falsework.robots.planning.trajectory_assembly import timed_leg
 from falsework.robots.plans.robot_plan import Trajectory
 from falsework.robots.schedule.swept_bodies import Load, SweptBodies
 

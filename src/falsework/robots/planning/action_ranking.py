@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, Mask, States
-from falsework.robots.planning.keyframe_graph import KeyframeGraph
-from falsework.robots.planning.keyframes import Edge, Node
+from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
+from falsework.robots.keyframes.keyframes import Edge, Node
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.task import Direction

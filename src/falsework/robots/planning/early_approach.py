@@ -12,10 +12,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.robots.keyframes.keyframes import Edge, PathSegment
+from falsework.robots.keyframes.trajectory_assembly import timed_leg
 from falsework.robots.model.cell import Cell
 from falsework.robots.motion.collision_world import CollisionWorld
-from falsework.robots.planning.keyframes import Edge, PathSegment
-from falsework.robots.planning.trajectory_assembly import timed_leg
 from falsework.robots.plans.robot_plan import RobotPlan, RobotStep
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph
 from falsework.robots.schedule.conflicts import choices, conflict_table, fixed_precedences

@@ -21,17 +21,17 @@ from numpy.typing import ArrayLike
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED
 from falsework.robots.interleaving.reordering import reorder
+from falsework.robots.keyframes.failure_report import Explanation, explain, fall_in_words
+from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
+from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment, route_along
+from falsework.robots.keyframes.trajectory_assembly import make_robot_plan
 from falsework.robots.model.cell import Cell
 from falsework.robots.planning.action_ranking import ActionRanking, ExecutionHeuristic, FailedActions
 from falsework.robots.planning.early_approach import approach_early
-from falsework.robots.planning.failure_report import Explanation, explain, fall_in_words
 from falsework.robots.planning.hybrid_result import HybridProgress, HybridResult, HybridSettings, Progress
 from falsework.robots.planning.initial_keyframe import first_keyframe, task_in_cell
-from falsework.robots.planning.keyframe_graph import KeyframeGraph
-from falsework.robots.planning.keyframes import Edge, Node, PathSegment, route_along
 from falsework.robots.planning.shorter_motions import shorten_motions
 from falsework.robots.planning.solvability import SolvabilityCheck
-from falsework.robots.planning.trajectory_assembly import make_robot_plan
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.search.problem.guide import Guide, MemoizedGuide
 from falsework.search.problem.result import Outcome, SearchResult

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from falsework.errors import InputError
-from falsework.robots.planning.failure_report import Explanation
-from falsework.robots.planning.keyframe_graph import KeyframeSettings
+from falsework.robots.keyframes.failure_report import Explanation
+from falsework.robots.keyframes.keyframe_graph import KeyframeSettings
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.search.problem.deadline import check_deadline
 

@@ -11,9 +11,9 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD
 from falsework.errors import InputError, StateError
 from falsework.robots.grasping.exit_directions import ExitDirections
+from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
+from falsework.robots.keyframes.keyframes import Node
 from falsework.robots.model.cell import Cell
-from falsework.robots.planning.keyframe_graph import KeyframeGraph
-from falsework.robots.planning.keyframes import Node
 from falsework.search.problem.task import STAGE, Task
 
 

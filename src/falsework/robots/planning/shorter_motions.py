@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.robots.kernels.rrt_connect import INTERVALS, edges_free
+from falsework.robots.keyframes.keyframes import Edge, PathSegment
 from falsework.robots.motion.collision_world import CollisionQuery
 from falsework.robots.motion.expected_times import expected_seconds
 from falsework.robots.motion.path_planner import plan_free, resolution_of
 from falsework.robots.motion.timing import time_path
-from falsework.robots.planning.keyframes import Edge, PathSegment
 
 Array = NDArray[np.float64]
 

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, Mask, States
-from falsework.robots.planning.joint_holds import HoldingOracle, JointHolds
-from falsework.robots.planning.keyframes import state_after
+from falsework.robots.keyframes.joint_holds import HoldingOracle, JointHolds
+from falsework.robots.keyframes.keyframes import state_after
 from falsework.search.beam.adaptive import AdaptiveBeam, AdaptiveSettings
 from falsework.search.planner import Planner
 from falsework.search.problem.guide import Guide, SupportGuide

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, REMOVED, Mask, States
 from falsework.robots.kernels.coordination import Swept, first_clear
-from falsework.robots.planning.grasp_configurations import GraspConfiguration, GraspConfigurations
+from falsework.robots.keyframes.grasp_configurations import GraspConfiguration, GraspConfigurations
 from falsework.stability.oracle import Stability
 from falsework.stability.verdict import Verdicts
 

@@ -13,11 +13,11 @@ from falsework.assembly.state import REMOVED, States
 from falsework.robots.grasping.grasp import Grasp, grasps
 from falsework.robots.kernels.coordination import Swept, sweep
 from falsework.robots.kernels.kernel_arrays import make_bodies, make_chain
+from falsework.robots.keyframes.failure_report import FailureLog
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.motion.collision_world import Contact, Scene
 from falsework.robots.motion.motion_cache import MotionCache
-from falsework.robots.planning.failure_report import FailureLog
 
 Array = NDArray[np.float64]
 

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.robots.kernels.speed_profile import thin
+from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment
 from falsework.robots.model.cell import Cell, cell_identity
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.motion.timing import time_path
-from falsework.robots.planning.keyframes import Edge, Node, PathSegment
 from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Trajectory, records_of
 from falsework.search.find import plan_of
 from falsework.search.problem.result import Route

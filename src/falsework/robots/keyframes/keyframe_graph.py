@@ -18,17 +18,17 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, States
 from falsework.robots.grasping.exit_directions import ExitDirections
+from falsework.robots.keyframes.failure_report import FailureLog
+from falsework.robots.keyframes.grasp_configurations import GraspConfiguration, GraspConfigurations
+from falsework.robots.keyframes.joint_holds import JointHolds
+from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment
+from falsework.robots.keyframes.withdrawal import Withdrawal
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes, place_parts
 from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, CollisionWorld, Contact, Scene
 from falsework.robots.motion.motion_cache import MotionCache
 from falsework.robots.motion.path_planner import follow_line
-from falsework.robots.planning.failure_report import FailureLog
-from falsework.robots.planning.grasp_configurations import GraspConfiguration, GraspConfigurations
-from falsework.robots.planning.joint_holds import JointHolds
-from falsework.robots.planning.keyframes import Edge, Node, PathSegment
-from falsework.robots.planning.withdrawal import Withdrawal
 
 Array = NDArray[np.float64]
 
