@@ -12,7 +12,7 @@ pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'fal
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
-from falsework.robots.interleaving.reordering import reorder
+from falsework.robots.interleaving.reordering import _views, reorder
 from falsework.robots.interleaving.search import OrderSearch
 from falsework.robots.interleaving.work import Work
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
@@ -99,6 +99,14 @@ def test_the_same_plan_leads_to_the_same_order(case: Case) -> None:
     assert [(edge.action, edge.robot) for edge in one] == [(edge.action, edge.robot) for edge in other]
     for a, b in zip(one, other, strict=True):
         np.testing.assert_array_equal(a.node.configurations, b.node.configurations)
+
+
+def test_motions_get_the_scene_of_their_new_place(case: Case) -> None:
+    node = case.root  # they are shortened in that scene afterwards
+    for edge in case.reordered():
+        for segment, view in zip(edge.segments, _views(case.graph, node, edge), strict=True):
+            assert segment.kind == "line" or segment.view is view
+        node = edge.node
 
 
 def test_without_time_the_plan_stays(case: Case) -> None:

@@ -6,7 +6,7 @@ planner proves them, or planned again.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -57,15 +57,18 @@ def reorder(
         search.run()
         if not search.changed:
             break
-        found = _follow(graph, root, [step.edge for step in search.best[-1].steps])
+        found = _follow(graph, root, [step.edge for step in search.best[-1].steps], timed)
         if not isinstance(found, int):
             return found
         search.refuse(found)
     return list(chain)
 
 
-def _follow(graph: KeyframeGraph, root: Node, edges: Sequence[Edge]) -> list[Edge] | int:
-    """Return edges proven in their new order, or the index of the first that fails there."""
+def _follow(graph: KeyframeGraph, root: Node, edges: Sequence[Edge], old: Container[PathSegment]) -> list[Edge] | int:
+    """Return edges proven in their new order, or the index of the first that fails there.
+
+    Segments that are not old may still be shortened, so they get the scene that they are proven in here.
+    """
     node, found = root, []
     for k, edge in enumerate(edges):
         segments = []
@@ -73,7 +76,7 @@ def _follow(graph: KeyframeGraph, root: Node, edges: Sequence[Edge]) -> list[Edg
             path = _proven(segment, view, k)
             if path is None:
                 return k
-            same = path is segment.path
+            same = path is segment.path and segment in old
             segments.append(segment if same else replace(segment, path=path, view=view))
         node = node.after(edge.action, edge.robot, segments[-1].path[-1])
         found.append(replace(edge, segments=tuple(segments), node=node))
