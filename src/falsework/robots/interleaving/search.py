@@ -335,8 +335,7 @@ class OrderSearch:
         """Return whether a motion keeps clear of other robots at rest and of parts that it was not planned around."""
         if any(robot != unit.robot and self.work.wait(leg, rest) >= 0 for robot, rest in enumerate(partial.rests)):
             return False
-        if leg.segment.kind == "line" and leg.segment.part is not None:
-            return True  # its neighbours touch it: the exit direction is known to be free
+        # A part is not withdrawn past one that had left before: free exits may be so narrow that it would jam.
         new = np.flatnonzero((partial.node.state != REMOVED) & ~leg.present).tolist()
         return not any(part != unit.part and self.work.blocked(leg, part) for part in new)
 
