@@ -401,7 +401,7 @@ TABLES = {
     ),
     "gpu-search": Table(
         "gpu_search",
-        (*STRUCTURE, ("width", "{width}"), ("GPUs", "{processes}")),
+        (*STRUCTURE, ("criterion", "{criterion}"), ("width", "{width}"), ("GPUs", "{processes}")),
         (("seconds", "{seconds}"), ("verdicts", "{asked}"), ("states found", "{states}")),
     ),
     "policies": Table(
