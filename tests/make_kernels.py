@@ -1,7 +1,6 @@
 """Portable code of the kernels that plans need, `src/falsework/kernels.zip`, built from their source.
 
-Run it after a change of a kernel in `geometry/`, `robots/`, `stability/` or `utils/`; a test fails until then, and
-numba compiles what the archive no longer fits.
+Run it after a change of a kernel; a test fails until then, and numba compiles what the archive no longer fits.
 
     python tests/make_kernels.py
 
@@ -45,6 +44,8 @@ from falsework.stability.problem import build_problem
 from falsework.utils import bits
 from falsework.utils.kernel_code import ARCHIVE, PACKAGE, digest
 from falsework.utils.kernels import Kernel, flatten
+from falsework.viewer.pictures import raster
+from falsework.viewer.pictures.render import Camera, ColoredSolid, render
 
 GROUPS = {
     "contact": (rest_range, replay_range),
@@ -62,6 +63,7 @@ GROUPS = {
         speed_profile.fastest,
         speed_profile.thin,
     ),
+    "pictures": (raster.average, raster.depth_buffer, raster.lay_over, raster.shade),
     "sets": (bits._intersect, table._ways_out),
 }
 MATHEMATICS = {"atan2"}
@@ -126,6 +128,9 @@ def record() -> dict[str, tuple[Any, ...]]:
         words = bits.pack(states > 0)
         bits.intersect(words, words)
         compile_kernels()
+        mesh, bounds = assembly.meshes[0], np.array([[-2.0, -2.0, -2.0], [2.0, 2.0, 2.0]])
+        solids = [ColoredSolid(mesh.vertices, mesh.faces, (1.0, 0.0, 0.0), opacity) for opacity in (1.0, 0.5)]
+        render(solids, Camera(width=64, height=48), bounds)
         ways = np.arange(states.shape[1] + 1, dtype=np.int32)
         table._ways_out(words, np.zeros((states.shape[1], 1), np.uint64), ways, np.zeros(states.shape, np.int32))
     finally:
