@@ -169,8 +169,8 @@ def make_panels(elimination, pairs):
         members += size + row_start[s + 1] - row_start[s]
         widest = max(widest, width)
     return Panels(
-        np.empty(entries),  # not filled, lest a few parts cost what all do
-        np.empty(entries),
+        np.empty(entries + LANES),  # not filled, lest a few parts cost what all do
+        np.empty(entries + LANES),
         np.zeros(count + 1, np.int64),
         np.zeros(count, np.int64),
         np.zeros(count, np.int64),
