@@ -19,6 +19,10 @@ LANES = 8
 class Operation:
     """Function that kernels call and that is written in intermediate code, without a value."""
 
+    def __call__(self, *arguments: Any) -> None:
+        """Refuse to run outside of a kernel."""
+        raise TypeError(f"{type(self).__name__} is part of kernels; call a kernel that uses it")
+
     @cached_property
     def _numba_type_(self) -> Any:
         from numba.core import types
@@ -45,16 +49,16 @@ class Product(Operation):
     """`out + sign left^T right`, or without the first term, written to the six rows of `out`.
 
     The operation takes `left`, `right` and `out`, each as an array, the place of its first entry and the distance of
-    its rows; then the number of rows of `left` and `right`, at least one, and that of columns of `right` and `out`,
-    which is even. `left` has six columns. Without the first term `out` may be `right`, if that has six rows.
+    its rows; then the rows of `left` and `right` in sixes, at least one, and the number of columns of `right` and
+    `out`, which is even. `left` has six columns. Without the first term `out` may be `right`, if that has six rows.
     """
 
     def __init__(self, sign: int, *, adds: bool = True) -> None:
         self.sign, self.adds = sign, adds
 
     def _define(self, answer: Callable[[Sequence[Any]], Any]) -> Callable[..., Any]:
-        def define(_, left, place, wide, right, place_right, wide_right, out, place_out, wide_out, depth, columns):
-            return answer((left, place, wide, right, place_right, wide_right, out, place_out, wide_out, depth, columns))
+        def define(_, left, place, wide, right, place_right, wide_right, out, place_out, wide_out, sixes, columns):
+            return answer((left, place, wide, right, place_right, wide_right, out, place_out, wide_out, sixes, columns))
 
         return define
 
@@ -70,7 +74,7 @@ class Product(Operation):
         return context.get_dummy_value()
 
     def _strip(
-        self, code: _Writer, kinds: Sequence[Any], given: Sequence[Any], depth: Any
+        self, code: _Writer, kinds: Sequence[Any], given: Sequence[Any], sixes: Any
     ) -> Callable[[int, Any], None]:
         """Return a function that writes the product for so many columns from one on."""
         left, right, out = (code.address(kinds[k], given[k], given[k + 1]) for k in (0, 3, 6))
@@ -80,9 +84,9 @@ class Product(Operation):
             places = [code.after(out, column, code.times(r, wide_out)) for r in range(ROWS)]
             first = [code.load(place, width) if self.adds else code.zeros(width) for place in places]
 
-            def term(block: Any, sums: Sequence[Any]) -> Sequence[Any]:
-                start = code.after(left, code.times(code.times(ROWS, block), wide))
-                other = code.after(right, column, code.times(code.times(ROWS, block), wide_right))
+            def term(six: Any, sums: Sequence[Any]) -> Sequence[Any]:
+                start = code.after(left, code.times(code.times(ROWS, six), wide))
+                other = code.after(right, column, code.times(code.times(ROWS, six), wide_right))
                 for _ in range(ROWS):
                     others = code.load(other, width)
                     factors = [code.spread(code.after(start, code.word(r)), width) for r in range(ROWS)]
@@ -90,14 +94,14 @@ class Product(Operation):
                     start, other = code.after(start, wide), code.after(other, wide_right)
                 return sums
 
-            for place, total in zip(places, code.loop(depth, first, term), strict=True):
+            for place, total in zip(places, code.loop(sixes, first, term), strict=True):
                 code.store(total, place)
 
         return strip
 
 
 class SquareProduct(Product):
-    """The same for six rows of `left` and `right` and eight columns of `right` and `out`; both numbers are left out."""
+    """The same for six rows of `left` and eight columns of `right`, without the last two arguments."""
 
     def _define(self, answer: Callable[[Sequence[Any]], Any]) -> Callable[..., Any]:
         def define(_, left, place, wide, right, place_right, wide_right, out, place_out, wide_out):

@@ -1,8 +1,8 @@
 """Block `L U` factors in dense panels, supernode by supernode, and solves with them.
 
 Left-looking (Ng and Peyton, 1993): a supernode takes up the updates of those that were eliminated before, then it is
-factored itself, with 6 x 6 pivots. Updates are products of block rows that lie in a row in memory, which the compiler
-keeps in vector registers. Where the matrix is symmetric, only one half is computed.
+factored itself, with 6 x 6 pivots. Updates are products of block rows, which lie in a row in memory. Where the
+matrix is symmetric, only one half is computed.
 """
 
 from __future__ import annotations
