@@ -328,6 +328,20 @@ TABLES = {
         benchmark="scaling plan fit",
         where=lambda record: len(record["parts"]) > 2,
     ),
+    "free-edges": Table(
+        "free_edges",
+        (("case", "{case}"), ("contact history", "{history}"), ("robots", "{robots}")),
+        (
+            ("parts near the edge", "{parts}"),
+            ("edge closes", "{closes}"),
+            ("every order tried", "{exhaustive}"),
+            ("steps reached", "{levels} of {steps}"),
+            ("most states at a level", "{widest}"),
+            ("verdicts", "{verdicts}"),
+            ("undecided", "{undecided}"),
+            ("CPU time, s", "{cpu_seconds}"),
+        ),
+    ),
     "gpu-stability": Table(
         "gpu_stability",
         (*STRUCTURE, ("states", "{states} {drawn_from}")),
