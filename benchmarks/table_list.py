@@ -306,7 +306,7 @@ TABLES = {
     ),
     "planning": Table(
         "scaling",
-        (("criterion", "{criterion}"), ("parts", "{parts}")),
+        (("criterion", "{criterion}"), ("robots", "{robots}"), ("parts", "{parts}")),
         (
             ("plan found", "{found}"),
             ("steps reached", "{reached} of {steps}"),
@@ -321,7 +321,7 @@ TABLES = {
     ),
     "planning-exponents": Table(
         "scaling",
-        (("criterion", "{criterion}"), ("parts, median and range", "{parts}")),
+        (("criterion", "{criterion}"), ("robots", "{robots}"), ("parts, median and range", "{parts}")),
         tuple(
             (name, f"{{exponent.{name}}}") for name in ("contacts_s", "search_s", "proofs_s", "plan_s", "memory_gib")
         ),
