@@ -29,7 +29,7 @@ NEAREST = 2e-4
 _STEP = 0.01
 """Largest joint step between two samples of a motion, rad or m; ranges are halved between samples too."""
 _ACCURACY = 1e-5
-"""Bound on the error of a distance, metres; Coal's GJK stops at a relative gap of 1e-6."""
+"""Bound on the error of a distance, metres; the tolerance of Coal's GJK is 1e-6."""
 
 
 @dataclass(frozen=True, eq=False)
