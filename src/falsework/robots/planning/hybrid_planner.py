@@ -28,7 +28,7 @@ from falsework.robots.planning.failure_report import Explanation, explain, fall_
 from falsework.robots.planning.hybrid_result import HybridProgress, HybridResult, HybridSettings, Progress
 from falsework.robots.planning.initial_keyframe import first_keyframe, task_in_cell
 from falsework.robots.planning.keyframe_graph import KeyframeGraph
-from falsework.robots.planning.keyframes import Edge, Node, PathSegment, route_along
+from falsework.robots.planning.keyframes import DeadEnds, Edge, Node, PathSegment, route_along
 from falsework.robots.planning.reordering import reorder
 from falsework.robots.planning.shorter_motions import shorten_motions
 from falsework.robots.planning.solvability import SolvabilityCheck
@@ -126,8 +126,7 @@ class _Search:
         self.abstract: SearchResult | None = None
         self.best: list[Edge] = []
         self.tried: Counter[tuple[str, int]] = Counter()
-        self.dead: set[bytes] = set()
-        self.dead_states: Counter[bytes] = Counter()
+        self.dead = self.graph.dead = DeadEnds()
         self.failures = FailedActions(self.graph, self.solvability)
         self.timed: dict[PathSegment, Trajectory | None] = {}
         self.counts: Counter[str] = Counter()
@@ -155,7 +154,9 @@ class _Search:
             for turn in range(self.settings.attempts if share == shares[-1] else 1):
                 self.graph.support = self.task.support and self.attempt > 0
                 if self.graph.support and self.attempt == 1:  # what failed without releases may succeed with them
-                    self.dead, self.failures = set(), FailedActions(self.graph, self.solvability)
+                    self.dead.clear()
+                    self.graph.joint.forget()
+                    self.failures = FailedActions(self.graph, self.solvability)
                 prefix: list[Edge] = []
                 if turn and self.settings.keyframes.haste:
                     prefix = self._before_dead_ends(turn)
@@ -183,7 +184,7 @@ class _Search:
             return []
         prefix = self.best[: max(len(self.best) - _STEPS_BACK * 2 ** (turn - 1), 0)]
         if prefix:
-            often = [state for state, count in self.dead_states.items() if count >= _TOO_OFTEN]
+            often = [state for state, count in self.dead.states.items() if count >= _TOO_OFTEN]
             self.solvability.avoid(often, prefix[-1].node.state)
         return prefix
 
@@ -209,8 +210,7 @@ class _Search:
                 options[-1] = self._options(nodes[-1], rng)
                 continue
             if edge is None:
-                self.dead.add(nodes[-1].key)
-                self.dead_states[nodes[-1].state.tobytes()] += 1
+                self.dead.add(nodes[-1])
                 if self._done(chain) >= self._done(self.best):
                     self.tried.update(self.failures.kinds(nodes[-1]))
                 blamed = causes[-1] | self.failures.blamed(nodes[-1], chain)
@@ -292,7 +292,7 @@ class _Search:
                 found += 1
                 if self.ranking.waits(edge):
                     idle.append(edge)
-                elif edge.node.key not in self.dead:
+                elif edge.node not in self.dead:
                     yield edge
                 if found == _EDGES_PER_ACTION:
                     break
@@ -308,7 +308,7 @@ class _Search:
         for part in self.failures.releases(node):
             if not self.deadline_passed() and self.solvability.solvable(node.state, part):
                 self.counts["releases"] += 1
-                yield from (edge for edge in self.graph.edges(node, part) if edge.node.key not in self.dead)
+                yield from (edge for edge in self.graph.edges(node, part) if edge.node not in self.dead)
 
     def _done(self, chain: Sequence[Edge]) -> int:
         """Return the steps of disassembly that a chain has done; a release takes one back."""

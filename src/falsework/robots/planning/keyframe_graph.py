@@ -28,7 +28,7 @@ from falsework.robots.motion.path_planner import follow_line
 from falsework.robots.planning.failure_report import FailureLog
 from falsework.robots.planning.grasp_configurations import GraspConfiguration, GraspConfigurations
 from falsework.robots.planning.joint_holds import JointHolds
-from falsework.robots.planning.keyframes import Edge, Node, PathSegment
+from falsework.robots.planning.keyframes import DeadEnds, Edge, Node, PathSegment
 from falsework.robots.planning.withdrawal import Withdrawal
 
 Array = NDArray[np.float64]
@@ -95,7 +95,10 @@ class KeyframeGraph:
         self.reasons = FailureLog()
         self.cache = MotionCache(self.world, nodes=settings.nodes, seed=seed)
         self._grips = GraspConfigurations(assembly, self.cache, self.reasons, limit=settings.grasps)
-        self.joint = JointHolds(self._grips)
+        self.joint = JointHolds(self._grips, self._lasts)
+        self.dead = DeadEnds()
+        """Dead ends of the search that uses the graph."""
+        self._lasting: dict[tuple[int, int, bytes, bytes], bool] = {}
         self._withdrawal = Withdrawal(self.cache, self.reasons, settings.withdrawals)
         self.exits = ExitDirections(assembly, self.parts.turn, present)
         self._begun: dict[tuple[Node, int], Iterator[Edge]] = {}
@@ -226,6 +229,8 @@ class KeyframeGraph:
         bent: list[Edge] = []
         clock = node.clock if self.haste and self.yielding else None
         for grip in self._grips.best(open_grips, robot, node.scene, node.held, self.settings.candidates, clock):
+            if not self.support and self.dead.repeated(node, part, robot):
+                return
             edge = self._try_grip(node, part, grip, view, lasting)
             if edge is None:
                 continue
@@ -278,6 +283,14 @@ class KeyframeGraph:
             self.reasons.add(action, part, robot, f"{what}: too near", clear.pair(hit), line.path[-1])
         return None
 
+    def _lasts(self, grip: GraspConfiguration, part: int, state: States) -> bool:
+        """Return whether a part can leave later with a grasp if no other arm is near, or need not."""
+        key = (grip.robot, part, grip.configuration.tobytes(), state.tobytes())
+        if key not in self._lasting:
+            alone = self.start(state, self.cell.homes, (None,) * self.cell.robot_count)
+            self._lasting[key] = self._can_leave_later(alone, part, grip)
+        return self.support or self._lasting[key]
+
     def _can_leave_later(self, node: Node, part: int, grip: GraspConfiguration) -> bool:
         later, ways = self.way_out(part, node.state)
         values = tuple(
@@ -311,6 +324,8 @@ class KeyframeGraph:
 
     def _remove(self, node: Node, part: int) -> Iterator[Edge]:
         robot = node.held.index(part)
+        if not self.support and self.dead.repeated(node, part + self.assembly.part_count, robot):
+            return
         here = node.configurations[robot]
         ways = self.exits.free(part, node.state)
         if not len(ways):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -15,6 +16,9 @@ from falsework.robots.motion.expected_times import NO_TIME, Clock
 from falsework.search.problem.result import Route
 
 Array = NDArray[np.float64]
+
+_MOST_REPEATS = 2
+"""Dead ends with the same arms at the same parts, after which other grasps of these arms are not tried."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +76,38 @@ class Node:
         if state[part] != REMOVED:
             changed = self.changed | {(part, b"" if state[part] == HELD else self.configurations[robot].tobytes())}
         return Node(state, tuple(configurations), tuple(held), clock, changed)
+
+
+@dataclass(eq=False)
+class DeadEnds:
+    """Dead ends of one search."""
+
+    keys: set[bytes] = field(default_factory=set)
+    """Keys of keyframes."""
+    states: Counter[bytes] = field(default_factory=Counter)
+    """Number of dead ends in each state."""
+    arms: Counter[tuple[bytes, tuple[int | None, ...]]] = field(default_factory=Counter)
+    """Number of dead ends in each state with the same arms at the held parts."""
+
+    def add(self, node: Node) -> None:
+        """Count a keyframe as a dead end."""
+        self.keys.add(node.key)
+        self.states[node.state.tobytes()] += 1
+        self.arms[node.state.tobytes(), node.held] += 1
+
+    def __contains__(self, node: Node) -> bool:
+        return node.key in self.keys
+
+    def repeated(self, node: Node, action: int, robot: int) -> bool:
+        """Return whether an action of a robot leads to arms at parts with which dead ends are frequent."""
+        after, held = state_after(node.state, action), list(node.held)
+        held[robot] = action if action < len(after) and after[action] == HELD else None
+        return self.arms[after.tobytes(), tuple(held)] >= _MOST_REPEATS
+
+    def clear(self) -> None:
+        """Try everything again; how often a state was a dead end stays known."""
+        self.keys.clear()
+        self.arms.clear()
 
 
 @dataclass(frozen=True, eq=False)
