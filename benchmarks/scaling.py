@@ -11,7 +11,7 @@ displacement of the state before (`next_s`, median). Besides, iterations from re
 Each size runs in a process of its own, so that memory is that size's alone. `exponent` is the slope of a straight line
 through the logarithms: 1 is linear in the number of parts.
 
-`--plans` measures a plan instead, by criterion, number of robots and seed, in processor time of all cores: the structure
+`--plans` measures plans instead, by criterion, robots and seed, in processor time of all cores: the structure
 with its contacts, the search (under `contact` with its replays), and the proofs of all states, forces kept in the plan.
 `search_s` ends with the last level; a search that uses more than `--limit` seconds ends without a plan, and does not
 count in the fit.
