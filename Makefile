@@ -6,7 +6,7 @@
 #   make package sdist and wheel, tried in an environment of their own
 #   make check   all of it, as CI does     make clean   remove what these made
 #   make results the tables, from benchmarks/results/*.jsonl
-#   make kernels the portable code of the kernels, after a change of one in stability/, geometry/ or utils/
+#   make kernels the portable code of the kernels, after a change of one
 
 PYTHON ?= python3
 VENV   ?= .venv

@@ -6,9 +6,10 @@
 
 Each command runs in a process of its own. `cache` is `empty` where no compiled code was kept before, `warm` where the
 same command has run once. `demo` is what `make demo` does after the installation: plan the built-in vault and check the
-plan. `seconds`, `processor_seconds` (of all threads and child processes) and `peak_gib` are median and range over the
-repeats. `before` has the same of the earlier commit, from a git worktree and in alternation with the present one; an
-earlier run from empty caches takes minutes, so there are fewer of those, and none of the plan that `demo` begins with.
+plan. Arms move where the structure bottle-12 is there. `seconds`, `processor_seconds` (of all threads and child
+processes) and `peak_gib` are median and range over the repeats. `before` has the same of the earlier commit, from a git
+worktree and in alternation with the present one; an earlier run from empty caches takes minutes, so there are fewer of
+those, and none of the plan that `demo` begins with.
 `ratio` is processor time over that before.
 """
 
@@ -27,6 +28,7 @@ from typing import Any
 
 import tyro
 from record import report, spread, write_to
+from states import find, real_structures
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 COMMANDS = {
@@ -34,6 +36,8 @@ COMMANDS = {
     "stability arch": ("stability arch",),
     "plan arch": ("plan arch --out arch.json",),
     "plan vault": ("plan vault --out vault.json",),
+    "picture arch": ("picture arch --out arch.png",),
+    "robots plan bottle-12": (f"robots plan {find('bottle-12')} --cell bottle-12 --out robot_plan.json",),
     "demo": ("plan vault --robots 2 --out vault.json", "check vault.json"),
 }
 ROWS = (
@@ -42,6 +46,8 @@ ROWS = (
     ("plan vault", "warm"),
     ("stability arch", "empty"),
     ("plan vault", "empty"),
+    ("picture arch", "empty"),
+    ("robots plan bottle-12", "empty"),
     ("demo", "empty"),
 )
 
@@ -142,6 +148,8 @@ def main(options: Options) -> None:
         places = {source: Path(tempfile.mkdtemp(dir=folder)) for source in sources}
         for command, cache in ROWS:
             if options.commands and command not in options.commands:
+                continue
+            if "bottle-12" in command and not real_structures(("bottle-12",)):
                 continue
             repeats = dict.fromkeys(sources, options.repeats)
             if cache == "empty":

@@ -2,6 +2,7 @@
 
     python benchmarks/gpu_search.py
     python benchmarks/gpu_search.py --cases vault-62:64 dome:256 --device cpu
+    python benchmarks/gpu_search.py --criteria equilibrium contact
     torchrun --nproc-per-node 4 benchmarks/gpu_search.py --cases vault-62:4096
 
 A case is a structure, by the name of a real one (FALSEWORK_DATA, else the folder `shared` beside the repository), of a
@@ -36,7 +37,7 @@ from falsework.search import BeamSearch, BeamSettings, StateGraph, Task
 from falsework.search.device.beam import DeviceBeam
 from falsework.search.device.oracle import tensor_oracle
 from falsework.stability import Stability
-from falsework.stability.settings import EQUILIBRIUM
+from falsework.stability.settings import Criterion, StabilitySettings
 from falsework.utils.cores import core_count
 from falsework.utils.distributed import ProcessGroup, init_distributed
 
@@ -47,6 +48,8 @@ class Options:
 
     cases: tuple[str, ...] = ("vault-62:64", "dome-72:64", "vault-62:1024")
     """Structures and widths, `structure:width`."""
+    criteria: tuple[Criterion, ...] = ("contact",)
+    """Stability criteria."""
     robots: int = 2
     """Parts that may be held at once."""
     device: str = "auto"
@@ -101,12 +104,15 @@ def disagreements(states: np.ndarray, count: int, oracle: Stability) -> int:
     return int((~oracle.stable(states[rows])).sum())
 
 
-def measure(case: str, seed: int, options: Options, shards: ProcessGroup, device: torch.device) -> dict[str, Any]:
+def measure(
+    case: str, criterion: Criterion, seed: int, options: Options, shards: ProcessGroup, device: torch.device
+) -> dict[str, Any]:
     """Measure one case on the device."""
     name, _, width = case.rpartition(":")
     assembly: Assembly = load_structure(find(name))
     task = Task.create(assembly.boundary, options.robots)
-    oracle = Stability(assembly, EQUILIBRIUM)
+    settings = StabilitySettings(criterion)
+    oracle = Stability(assembly, settings)
     on_device = tensor_oracle(oracle, device)
 
     def search(width: int) -> DeviceBeam:
@@ -127,6 +133,7 @@ def measure(case: str, seed: int, options: Options, shards: ProcessGroup, device
     measured = spread(timed or seconds)
     row: dict[str, Any] = {
         "structure": name,
+        "criterion": criterion,
         "robots": options.robots,
         "width": int(width),
         "processes": shards.size,
@@ -149,13 +156,13 @@ def measure(case: str, seed: int, options: Options, shards: ProcessGroup, device
         row["phases"] = time_phases(search(int(width)))
     if shards.is_main_process and options.checked:
         row["checked"] = min(options.checked, len(states))
-        row["disagree"] = disagreements(states, options.checked, Stability(assembly, EQUILIBRIUM))
+        row["disagree"] = disagreements(states, options.checked, Stability(assembly, settings))
     if shards.is_main_process and options.graph:
         graph = StateGraph.build(task, states)
         row["graph_edges"], row["graph_solvable"] = len(graph.source), int(graph.solvable.sum())
     if shards.is_main_process and int(width) <= options.host:
-        BeamSearch(task, Stability(assembly, EQUILIBRIUM), BeamSettings(width=4)).run()  # compiles
-        host = BeamSearch(task, Stability(assembly, EQUILIBRIUM), BeamSettings(width=int(width)))
+        BeamSearch(task, Stability(assembly, settings), BeamSettings(width=4)).run()  # compiles
+        host = BeamSearch(task, Stability(assembly, settings), BeamSettings(width=int(width)))
         begin = time.perf_counter()
         found = host.run()
         row["host"] = {
@@ -172,8 +179,8 @@ def main(options: Options) -> None:
     """Run the benchmark."""
     write_to(options.out)
     with init_distributed(options.device) as (shards, device):
-        for case, seed in product(options.cases, options.seeds):
-            row = measure(case, seed, options, shards, device)
+        for case, criterion, seed in product(options.cases, options.criteria, options.seeds):
+            row = measure(case, criterion, seed, options, shards, device)
             if shards.is_main_process:
                 report("gpu_search", **row, device=device, seeds=(seed,))
 

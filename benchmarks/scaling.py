@@ -11,7 +11,7 @@ displacement of the state before (`next_s`, median). Besides, iterations from re
 Each size runs in a process of its own, so that memory is that size's alone. `exponent` is the slope of a straight line
 through the logarithms: 1 is linear in the number of parts.
 
-`--plans` measures a plan with two robots instead, by criterion and seed, in processor time of all cores: the structure
+`--plans` measures plans instead, by criterion, robots and seed, in processor time of all cores: the structure
 with its contacts, the search (under `contact` with its replays), and the proofs of all states, forces kept in the plan.
 `search_s` ends with the last level; a search that uses more than `--limit` seconds ends without a plan, and does not
 count in the fit.
@@ -25,6 +25,7 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,8 @@ class Options:
     """Measure plans instead of verdicts."""
     criteria: tuple[Criterion, ...] = ("contact", "equilibrium")
     """Criteria of the plans."""
+    robots: tuple[int, ...] = (2,)
+    """Numbers of robots of the plans."""
     seeds: int = 1
     """Seeds of the searches for a plan, from 0 on."""
     limit: float = 300.0
@@ -119,7 +122,7 @@ def measure(parts: int, repeats: int) -> dict[str, float | int | str]:
     }
 
 
-def measure_plan(parts: int, criterion: Criterion, seed: int, limit: float) -> dict[str, Any]:
+def measure_plan(parts: int, criterion: Criterion, robots: int, seed: int, limit: float) -> dict[str, Any]:
     """Return the times of one plan, or of a search that found none."""
     settings = StabilitySettings(criterion=criterion)
     small = load_structure("vault:parts=62")
@@ -134,7 +137,7 @@ def measure_plan(parts: int, criterion: Criterion, seed: int, limit: float) -> d
 
     planning = find_plans(
         assembly,
-        robots=2,
+        robots=robots,
         oracle=Stability(assembly, settings),
         settings=PlannerSettings(seed=seed),
         progress=reached,
@@ -143,6 +146,7 @@ def measure_plan(parts: int, criterion: Criterion, seed: int, limit: float) -> d
     return {
         "parts": assembly.part_count,
         "criterion": criterion,
+        "robots": robots,
         "found": bool(planning.plans),
         "reached": planning.result.reached,
         "steps": planning.result.steps,
@@ -169,26 +173,26 @@ def exponents(results: list[dict[str, Any]], names: tuple[str, ...]) -> dict[str
 
 
 def report_plans(options: Options) -> None:
-    """Measure plans of all sizes under each criterion."""
-    for criterion in options.criteria:
+    """Measure plans of all sizes under each criterion, with each number of robots."""
+    for criterion, robots in product(options.criteria, options.robots):
         found = []
         for parts in options.parts:
             for seed in range(options.seeds):
-                wanted = "--parts", parts, "--criteria", criterion, "--seeds", seed + 1, "--limit", options.limit
-                result = apart("--plans", *wanted)
-                report("scaling plan", **result, robots=2, limit=options.limit, seeds=[seed], time="processor")
+                wanted = "--parts", parts, "--criteria", criterion, "--robots", robots
+                result = apart("--plans", *wanted, "--seeds", seed + 1, "--limit", options.limit)
+                report("scaling plan", **result, limit=options.limit, seeds=[seed], time="processor")
                 found += [result] if result["found"] else []
         sizes = sorted({result["parts"] for result in found})
         if len(sizes) > 2:
             exponent = exponents(found, PLAN_MEASURED)
             seeds = range(options.seeds)
-            report("scaling plan fit", parts=sizes, criterion=criterion, exponent=exponent, seeds=seeds, robots=2)
+            report("scaling plan fit", parts=sizes, criterion=criterion, exponent=exponent, seeds=seeds, robots=robots)
 
 
 def main(options: Options) -> None:
     """Run the benchmark."""
     if options.alone and options.plans:
-        found = measure_plan(options.parts[0], options.criteria[0], options.seeds - 1, options.limit)
+        found = measure_plan(options.parts[0], options.criteria[0], options.robots[0], options.seeds - 1, options.limit)
         print(json.dumps(found), flush=True)
         return
     if options.alone:

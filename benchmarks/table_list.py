@@ -306,7 +306,7 @@ TABLES = {
     ),
     "planning": Table(
         "scaling",
-        (("criterion", "{criterion}"), ("parts", "{parts}")),
+        (("criterion", "{criterion}"), ("robots", "{robots}"), ("parts", "{parts}")),
         (
             ("plan found", "{found}"),
             ("steps reached", "{reached} of {steps}"),
@@ -321,12 +321,26 @@ TABLES = {
     ),
     "planning-exponents": Table(
         "scaling",
-        (("criterion", "{criterion}"), ("parts, median and range", "{parts}")),
+        (("criterion", "{criterion}"), ("robots", "{robots}"), ("parts, median and range", "{parts}")),
         tuple(
             (name, f"{{exponent.{name}}}") for name in ("contacts_s", "search_s", "proofs_s", "plan_s", "memory_gib")
         ),
         benchmark="scaling plan fit",
         where=lambda record: len(record["parts"]) > 2,
+    ),
+    "free-edges": Table(
+        "free_edges",
+        (("case", "{case}"), ("contact history", "{history}"), ("robots", "{robots}")),
+        (
+            ("parts near the edge", "{parts}"),
+            ("edge closes", "{closes}"),
+            ("every order tried", "{exhaustive}"),
+            ("steps reached", "{levels} of {steps}"),
+            ("most states at a level", "{widest}"),
+            ("verdicts", "{verdicts}"),
+            ("undecided", "{undecided}"),
+            ("CPU time, s", "{cpu_seconds}"),
+        ),
     ),
     "gpu-stability": Table(
         "gpu_stability",
@@ -401,7 +415,7 @@ TABLES = {
     ),
     "gpu-search": Table(
         "gpu_search",
-        (*STRUCTURE, ("width", "{width}"), ("GPUs", "{processes}")),
+        (*STRUCTURE, ("criterion", "{criterion}"), ("width", "{width}"), ("GPUs", "{processes}")),
         (("seconds", "{seconds}"), ("verdicts", "{asked}"), ("states found", "{states}")),
     ),
     "policies": Table(
@@ -663,6 +677,24 @@ TABLES = {
             ("passed the independent check", "{check}"),
         ),
         benchmark="robots together seed",
+    ),
+    "robots-delays": Table(
+        "robots",
+        (("cell", "{cell}"), ("order", "{direction}")),
+        (
+            ("motions and grips", "{motions}"),
+            ("pairs of motions and rests that can coincide", "{overlaps}"),
+            ("motions among parts that stand only by delay", "{early}"),
+            ("found to collide or out of order", "{problems}"),
+            ("proof, CPU s", "{proof_cpu_seconds}"),
+            ("random runs", "{delayed}"),
+            ("of them out of order, stuck, outside the proof", "{out_of_order}, {stuck}, {outside}"),
+            ("makespan of runs, s", "{delayed_makespan}"),
+            ("without delays", "{makespan}"),
+            ("waits left out", "{removed}"),
+            ("that then allow a collision", "{unsafe}"),
+        ),
+        benchmark="robots delays",
     ),
     "robots-support": Table(
         "robots",

@@ -1,7 +1,6 @@
-"""Portable code of the kernels that every plan needs, `src/falsework/kernels.zip`, built from their source.
+"""Portable code of the kernels that plans need, `src/falsework/kernels.zip`, built from their source.
 
-Run it after a change of a kernel in `stability/` or `utils/`; a test fails until then, and numba compiles what the
-archive no longer fits.
+Run it after a change of a kernel; a test fails until then, and numba compiles what the archive no longer fits.
 
     python tests/make_kernels.py
 
@@ -28,6 +27,9 @@ from numba.core import codegen
 from falsework.assembly import load_structure
 from falsework.assembly.state import complete_state
 from falsework.geometry.clearance import table
+from falsework.robots.cells.warm_up import compile_kernels
+from falsework.robots.kernels import collision, coordination, numeric_ik, rrt_connect, speed_profile
+from falsework.robots.kinematics import forward
 from falsework.stability import Stability, StabilitySettings
 from falsework.stability.contact.kernel import rest_range
 from falsework.stability.contact.replay import Replayer
@@ -42,13 +44,30 @@ from falsework.stability.problem import build_problem
 from falsework.utils import bits
 from falsework.utils.kernel_code import ARCHIVE, PACKAGE, digest
 from falsework.utils.kernels import Kernel, flatten
+from falsework.viewer.pictures import raster
+from falsework.viewer.pictures.render import Camera, ColoredSolid, render
 
 GROUPS = {
     "contact": (rest_range, replay_range),
     "equilibrium": (fall_range, repair_range, solve_range),
     "margins": (rest_under,),
+    "motion": (
+        collision._distance,
+        coordination._conflicts,
+        coordination._first_clear,
+        coordination._place,
+        forward.place_many,
+        numeric_ik.reach_poses,
+        rrt_connect._run,
+        speed_profile.evaluate,
+        speed_profile.fastest,
+        speed_profile.thin,
+    ),
+    "pictures": (raster.average, raster.depth_buffer, raster.lay_over, raster.shade),
     "sets": (bits._intersect, table._ways_out),
 }
+MATHEMATICS = {"atan2"}
+"""Functions of the C library that kernels call by name; of sine and cosine LLVM knows itself."""
 
 # An array owns a block: references, three words that numba's code does not touch here, and at the fourth its data.
 MEMORY = """
@@ -89,6 +108,8 @@ def record() -> dict[str, tuple[Any, ...]]:
 
     def note(self: Kernel, *arguments: Any) -> int:
         recorded.setdefault(f"{self.__module__}.{self.__name__}", arguments)
+        if self.__module__.startswith("falsework.robots"):
+            return self.py_func(*arguments)  # motions are planned from what the kernels before have found
         return 1  # states are left for the next kernel
 
     real, Kernel.__call__ = Kernel.__call__, note
@@ -106,6 +127,10 @@ def record() -> dict[str, tuple[Any, ...]]:
         prober.ask(states[0], prober.own())
         words = bits.pack(states > 0)
         bits.intersect(words, words)
+        compile_kernels()
+        mesh, bounds = assembly.meshes[0], np.array([[-2.0, -2.0, -2.0], [2.0, 2.0, 2.0]])
+        solids = [ColoredSolid(mesh.vertices, mesh.faces, (1.0, 0.0, 0.0), opacity) for opacity in (1.0, 0.5)]
+        render(solids, Camera(width=64, height=48), bounds)
         ways = np.arange(states.shape[1] + 1, dtype=np.int32)
         table._ways_out(words, np.zeros((states.shape[1], 1), np.uint64), ways, np.zeros(states.shape, np.int32))
     finally:
@@ -182,7 +207,8 @@ def simplify(texts: list[str], entries: list[str]) -> bytes:
         passes.add_refprune_pass()
         passes.run(module, builder)
     outside = {function.name for function in module.functions if function.is_declaration}
-    unknown = {name for name in outside if not name.startswith("llvm.")} - {"falsework_allocate", "falsework_free"}
+    unknown = {name for name in outside if not name.startswith("llvm.")} - MATHEMATICS
+    unknown -= {"falsework_allocate", "falsework_free"}
     if unknown:
         sys.exit(f"portable code would need {', '.join(sorted(unknown))}; write the kernel without it")
     return module.as_bitcode()

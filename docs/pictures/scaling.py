@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -39,12 +40,13 @@ def cost_against_parts(path: Path) -> None:
 
 
 def planning_against_parts(path: Path) -> None:
-    """Draw processor seconds to a plan over parts, on logarithmic axes, and lines through three sizes or more."""
+    """Draw processor seconds to a plan with two robots over parts, logarithmically, and lines through three sizes."""
     records = _records()
     figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
-    plans = [record for record in records if record["benchmark"] == "scaling plan"]
-    newest = {plan["criterion"]: plan["commit"] for plan in plans}
-    plans = [plan for plan in plans if plan["commit"] == newest[plan["criterion"]]]
+    plans = [record for record in records if record["benchmark"] == "scaling plan" and record["robots"] == 2]
+    runs = Counter((plan["criterion"], plan["commit"]) for plan in plans)
+    chosen = {criterion: commit for (criterion, commit), sizes in runs.items() if sizes > 3}  # the newest of these
+    plans = [plan for plan in plans if plan["commit"] == chosen[plan["criterion"]]]
     for criterion, colour in zip(("contact", "equilibrium"), ROBOTS, strict=False):
         mine = [plan for plan in plans if plan["criterion"] == criterion]
         found = [plan for plan in mine if plan["found"]]

@@ -257,18 +257,3 @@ def test_cell_check_refuses_wrong_input(arguments: list[str], message: str, caps
     """Exit code 2 and one line."""
     assert main(["cell", "check", *arguments]) == 2
     assert message in capsys.readouterr().err
-
-
-def test_compiled_code_is_announced_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A message where there is something to wait for, silence where there is not."""
-    from falsework.robots.cells import warm_up as compiling
-
-    said: list[str] = []
-    monkeypatch.setattr(compiling, "is_compiled", lambda: False)
-    compiling.compile_kernels(said.append)
-    assert len(said) == 1
-    assert "seconds" in said[0]
-    monkeypatch.undo()
-    assert compiling.is_compiled()
-    compiling.compile_kernels(said.append)
-    assert len(said) == 1

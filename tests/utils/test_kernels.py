@@ -53,7 +53,7 @@ def test_portable_code_is_made_of_the_present_sources() -> None:
         for group, content in kernel_code._index().items()
         if kernel_code.digest(content["sources"]) != content["digest"]
     ]
-    assert sorted(kernel_code._index()) == ["contact", "equilibrium", "margins", "sets"]
+    assert sorted(kernel_code._index()) == ["contact", "equilibrium", "margins", "motion", "pictures", "sets"]
     assert not stale, "run `make kernels`"
 
 

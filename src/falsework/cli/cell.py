@@ -44,7 +44,6 @@ class CheckCell(Command):
         """Load, test and print."""
         from falsework.robots.cells.cell_file import load_cell
         from falsework.robots.cells.validate import check_cell
-        from falsework.robots.cells.warm_up import compile_kernels
         from falsework.robots.grasping.reachability import Reachability, propose_bases, reach_table
         from falsework.robots.model.part_shapes import place_parts
 
@@ -52,7 +51,6 @@ class CheckCell(Command):
             from falsework.robots.grasping.reachability_plot import check_picture
 
             check_picture(self.picture)
-        compile_kernels(output.note)
         cell = load_cell(self.cell)
         assembly = self.structure.load()
         parts = place_parts(assembly, cell.placement)

@@ -15,6 +15,7 @@ from falsework.cli.command import UNSET, Command, LoadOptions, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.planning import writable
 from falsework.cli.robot_arguments import parse_holding, parse_joints
+from falsework.cli.robot_reports import check_record, runs_record, runs_text, schedule_text, times_record
 from falsework.errors import InputError
 
 if TYPE_CHECKING:
@@ -25,9 +26,6 @@ if TYPE_CHECKING:
     from falsework.robots.plans.robot_plan import RobotPlan
     from falsework.search.problem.guide import Guide
     from falsework.search.problem.task import Task
-
-_NO_GAIN = 0.05
-"""A schedule that saves no more than this is none, seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,7 +169,7 @@ class PlanRobots(Command):
                     "steps": len(saved),
                     "motion_seconds": round(saved.seconds, 3),
                     **result.statistics,
-                    **_times(saved),
+                    **times_record(saved),
                 }
             )
             if result.found:
@@ -183,7 +181,7 @@ class PlanRobots(Command):
                 if replay is not None:
                     output.say(f"the replay succeeds; parts move by at most {replay.moved * 1e3:.3g} mm")
                 if saved.schedule is not None:
-                    output.say(_schedule_text(saved))
+                    output.say(schedule_text(saved))
                 if result.statistics.get("search") == "sequential":
                     output.say(
                         "no plan with short approaches was found; this one has the approaches of one arm at a time"
@@ -209,54 +207,21 @@ class PlanRobots(Command):
         return plan
 
 
-def _times(plan: RobotPlan) -> dict[str, Any]:
-    """Return the duration of a plan, and how each arm spends it."""
-    from falsework.robots.plans.timeline import arm_shares
-
-    if plan.schedule is None:
-        return {"makespan": round(plan.seconds, 3), "sequential": round(plan.seconds, 3), "lower_bound": None}
-    return {
-        "makespan": round(plan.schedule.makespan, 3),
-        "sequential": round(plan.schedule.sequential, 3),
-        "lower_bound": round(plan.schedule.lower_bound, 3),
-        "arms": [
-            {
-                "robot": share.robot,
-                "moves": round(share.moves, 4),
-                "holds": round(share.holds, 4),
-                "waits": round(share.waits, 4),
-            }
-            for share in arm_shares(plan, plan.schedule)
-        ],
-    }
-
-
-def _schedule_text(plan: RobotPlan) -> str:
-    graph = plan.schedule
-    assert graph is not None
-    if graph.makespan > graph.sequential - _NO_GAIN:
-        return f"no two motions can take place at the same time: the plan stays sequential, {graph.sequential:.0f} s"
-    share = graph.makespan / graph.sequential
-    return (
-        f"with robots moving at the same time it takes {graph.makespan:.0f} s, {share:.0%} of its motions one after "
-        f"the other; no order of these motions takes less than {graph.lower_bound:.0f} s"
-    )
-
-
 @dataclass(frozen=True, kw_only=True)
 class CheckRobots(Command):
     """Verify all motions of a robot plan by independent libraries, and the stability of every state.
 
     Pinocchio computes the kinematics and Coal the collisions of the meshes of parts and links, every 0.01 rad; built-in
     arms have no meshes, so their convex pieces are checked. Limits of position, velocity and acceleration and the
-    continuity of motions are checked too. A plan with a schedule is checked as a whole as well, every 0.01 s: all that
-    moves at a time against all else, and the order of the states. The exact solver checks the stability of the states.
-    Exit code 1 if anything is wrong.
+    continuity of motions are checked too. A plan with a schedule is checked as a whole as well: every 0.01 s all that
+    moves against all else; and for any delays the order of the states, and all positions of two arms that can coincide,
+    between samples too. The exact solver checks the stability of the states. Exit code 1 if anything is wrong.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework robots check robot_plan.json",
         "falsework robots check robot_plan.json --cell cell.toml --steps",
+        "falsework robots check robot_plan.json --delays 1000 --json",
     )
 
     plan: Annotated[Positional[Path], arg(metavar="ROBOT_PLAN")]
@@ -268,6 +233,11 @@ class CheckRobots(Command):
     reading: LoadOptions
     resolution: float = 0.01
     """Largest joint step between two samples, rad."""
+    delays: Annotated[int | None, arg(metavar="RUNS", help_behavior_hint=UNSET)] = None
+    """Simulate the schedule this often with random delays too: deadlocks, order of the states, makespans, and whether
+    every run keeps to the checked positions."""
+    longest_delay: Annotated[float, arg(metavar="SHARE")] = 1.0
+    """Largest share by which a motion takes longer in these runs; each has its own."""
     motions_only: bool = False
     """Skip the stability of the states."""
     steps: bool = False
@@ -278,12 +248,16 @@ class CheckRobots(Command):
         from falsework.robots.cells.cell_file import load_cell
         from falsework.robots.plans.check import check_robot_plan
         from falsework.robots.plans.robot_plan_file import load_robot_plan
+        from falsework.robots.schedule.simulation import simulate
         from falsework.search.plans.plan_check import validate_plan
         from falsework.search.plans.plan_source import structure_of_plan
 
+        if self.delays is None and self.longest_delay != 1.0:
+            raise InputError("--longest-delay is for delayed runs; give their number too, such as --delays 1000")
         plan = load_robot_plan(self.plan)
         assembly = structure_of_plan(plan.plan, self.plan, self.structure, **self.reading.given())
         cell = load_cell(self.cell or self._cell_of(plan))
+        runs = None if self.delays is None else simulate(plan, runs=self.delays, most=self.longest_delay)
         with output.bar("checking motions") as show:
             report = check_robot_plan(
                 plan,
@@ -293,32 +267,14 @@ class CheckRobots(Command):
                 progress=lambda done, total: show(done, total, f"step {done}"),
             )
         stable = None if self.motions_only else validate_plan(plan.plan, assembly)
+        good = report.good and (stable is None or stable.good) and (runs is None or runs.good)
         output.record(
             {
                 "robot_plan": str(self.plan),
-                "good": report.good and (stable is None or stable.good),
-                "samples": report.samples,
-                "timed_samples": report.timed_samples,
-                "trajectories": report.trajectories,
-                "largest_step": report.largest_step,
-                "largest_join": report.largest_join,
-                "velocity_share": report.velocity_share,
-                "acceleration_share": report.acceleration_share,
-                "tolerance": report.tolerance,
-                "links": report.links,
+                "good": good,
                 "stable": None if stable is None else stable.good,
-                "problems": [
-                    {
-                        "step": problem.step,
-                        "robot": problem.robot,
-                        "what": problem.what,
-                        "pair": problem.pair,
-                        "seconds": problem.seconds,
-                        "configuration": problem.configuration,
-                    }
-                    for problem in report.problems
-                ],
-                "seconds": report.seconds,
+                **check_record(report),
+                "delayed_runs": None if runs is None else runs_record(runs, self.longest_delay),
             }
         )
         if self.steps:
@@ -328,7 +284,9 @@ class CheckRobots(Command):
             output.note(f"falsework: {problem}")
         if stable is not None and not stable.good:
             output.note(f"falsework: {self.plan}: {stable.reason}")
-        if not report.good or (stable is not None and not stable.good):
+        if runs is not None and not runs.good:
+            output.note(f"falsework: {self.plan}: {runs_text(runs, self.longest_delay)}")
+        if not good:
             return Exit.NO
         states = "" if stable is None else f", all {stable.states} states are stable"
         links = ", ".join(f"{robot} as {shapes}" for robot, shapes in report.links.items())
@@ -337,6 +295,13 @@ class CheckRobots(Command):
             f"{self.plan}: no collision in {report.samples} configurations of {report.trajectories} motions{timed} "
             f"(links of {links}), all within limits{states}"
         )
+        if report.delays is not None:
+            output.say(
+                f"whatever the delays, states keep their order and arms keep apart: {report.delays.overlaps} pairs of "
+                "motions and rests can coincide, and are free of collisions between samples too"
+            )
+        if runs is not None:
+            output.say(runs_text(runs, self.longest_delay))
         return Exit.DONE
 
     def _cell_of(self, plan: RobotPlan) -> str:

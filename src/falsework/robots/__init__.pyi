@@ -24,10 +24,11 @@ from falsework.robots.planning.hybrid_result import HybridResult as HybridResult
 from falsework.robots.planning.hybrid_result import HybridSettings as HybridSettings
 from falsework.robots.planning.plan_together import plan_together as plan_together
 from falsework.robots.plans.check import CheckReport as CheckReport
-from falsework.robots.plans.check import PlanProblem as PlanProblem
 from falsework.robots.plans.check import check_robot_plan as check_robot_plan
+from falsework.robots.plans.check_delays import DelayReport as DelayReport
 from falsework.robots.plans.export import export_plan as export_plan
 from falsework.robots.plans.export import joint_trajectory as joint_trajectory
+from falsework.robots.plans.plan_problem import PlanProblem as PlanProblem
 from falsework.robots.plans.robot_plan import Keyframe as Keyframe
 from falsework.robots.plans.robot_plan import RobotPlan as RobotPlan
 from falsework.robots.plans.robot_plan import RobotRecord as RobotRecord

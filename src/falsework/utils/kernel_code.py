@@ -87,9 +87,11 @@ def _library(group: str) -> Any:
 
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
+    mathematics = ctypes.CDLL("ucrtbase" if sys.platform == "win32" else None)
     for symbol, function in (
         ("falsework_allocate", ctypes.pythonapi.PyMem_RawMalloc),
         ("falsework_free", ctypes.pythonapi.PyMem_RawFree),
+        *((name, getattr(mathematics, name)) for name in ("atan2", "cos", "sin")),
     ):
         llvm.add_symbol(symbol, ctypes.cast(function, ctypes.c_void_p).value)
     machine = target_machine(llvm)

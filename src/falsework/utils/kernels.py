@@ -1,7 +1,7 @@
 """Kernels: functions that run as machine code, without the interpreter's lock.
 
-A kernel is written for numba. Those that every plan needs come with the package as portable code (`kernel_code.py`),
-which takes LLVM a few seconds to compile; numba, which takes two minutes from the source, is then not even imported.
+A kernel is written for numba. Those that plans need come with the package as portable code (`kernel_code.py`), which
+takes LLVM a few seconds to compile; numba, which takes two minutes from the source, is then not even imported.
 It compiles all other kernels, and these too where their portable code does not fit: after a change of the source, for
 arguments of other types, or on a machine without 64-bit little-endian words.
 """
@@ -23,6 +23,8 @@ from falsework.utils.cache_folder import warn_of_no_cache
 Flat = tuple[str, bytes]
 _ARRAYS = [Struct(f"={5 + 2 * dimensions}q") for dimensions in range(5)]
 _INTEGER, _FLOAT = Struct("=q"), Struct("=d")
+_REMEMBERED = 128
+"""Tuples of a kernel whose words are kept: those of the arms of a cell, say, which take turns."""
 
 
 class Kernel:
@@ -34,7 +36,7 @@ class Kernel:
         self.__doc__ = function.__doc__
         self.__name__ = function.__name__
         self.__module__ = function.__module__
-        self._flat: dict[int, tuple[tuple[Any, ...], Flat]] = {}
+        self._flat: dict[tuple[int, int], tuple[tuple[Any, ...], Flat]] = {}
 
     def __call__(self, *arguments: Any) -> Any:
         """Run the kernel; what portable code returns is an integer, 0 for nothing."""
@@ -71,12 +73,15 @@ class Kernel:
         return kernel_code.load(self.__module__, self.__name__)
 
     def _flatten(self, place: int, argument: Any) -> Flat:
-        """Return kinds and words of an argument; those of a tuple, which seldom changes, from the last call."""
+        """Return kinds and words of an argument; those of a tuple, which seldom changes, from an earlier call."""
         if not isinstance(argument, tuple):
             return flatten(argument)
-        known = self._flat.get(place)
+        key = place, id(argument)
+        known = self._flat.get(key)
         if known is None or known[0] is not argument:
-            known = self._flat[place] = argument, flatten(argument)
+            if len(self._flat) >= _REMEMBERED:
+                self._flat.clear()
+            known = self._flat[key] = argument, flatten(argument)
         return known[1]
 
 

@@ -152,7 +152,7 @@ def test_a_policy_learns_an_arch_from_a_curriculum() -> None:
     policy = make_policy(assembly, PolicySettings(kind="mlp"), "cpu", 0)
     ppo = PPO(environment, policy, Curriculum(states, environment.rules), replace(PAPER, batch=512, rollouts=64))
     before = float(roll_out(environment, policy, states, keep="ends").success.float().mean())
-    for _ in range(80):
+    for _ in range(120):  # five seeds of five succeed on nineteen of twenty states by then, one falls back on the way
         report = ppo.block(1, (0.0, 1.0))
     after = float(roll_out(environment, policy, states, keep="ends").success.float().mean())
     assert after > max(0.9, before)

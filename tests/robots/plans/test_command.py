@@ -147,12 +147,32 @@ def test_motions_at_the_same_time(run: Callable, cell_file: Path, tmp_path: Path
     assert 0 < times["lower_bound"] <= times["makespan"] <= times["sequential"] + 1e-3
     assert {entry["robot"] for entry in times["arms"]} == {"arm", "other"}
     assert load_robot_plan(tmp_path / "plan.json").makespan == pytest.approx(times["makespan"], abs=1e-3)
-    code, records, _ = run("robots", "check", tmp_path / "plan.json", "--motions-only", "--json")
+    check = ("robots", "check", tmp_path / "plan.json", "--motions-only")
+    code, records, _ = run(*check, "--delays", "20", "--longest-delay", "0.5", "--json")
     assert code == 0
     assert records[-1]["timed_samples"] > 0
+    assert records[-1]["delays"]["overlaps"] > 0
+    runs = records[-1]["delayed_runs"]
+    assert runs["runs"] == 20
+    assert runs["out_of_order"] == runs["stuck"] == runs["outside"] == 0
+    assert times["makespan"] < runs["makespan"]["least"] <= runs["makespan"]["most"] < 1.5 * times["makespan"]
+    for given, message in (
+        (("--delays", "0"), "cannot simulate 0 runs"),
+        (("--delays", "-5"), "cannot simulate -5 runs"),
+        (("--delays", "5", "--longest-delay", "nan"), "delays of up to nan"),
+        (("--delays", "5", "--longest-delay=-0.1"), "delays of up to -0.1"),
+        (("--longest-delay", "0.5"), "give their number too"),
+    ):
+        code, _, error = run(*check, *given)
+        assert code == 2
+        assert message in error
+        assert error.count("\n") == 1
     code, records, _ = run(*wanted, "--out", tmp_path / "one.json", "--sequential", "--json")
     assert code == 0
     assert records[-1]["makespan"] == records[-1]["sequential"]
+    code, _, error = run("robots", "check", tmp_path / "one.json", "--delays", "5")
+    assert code == 2
+    assert error == "falsework: the robot plan has no schedule to simulate; plan again, or schedule it\n"
 
 
 def test_go_on_from_where_the_arms_are(run: Callable, cell_file: Path, tmp_path: Path) -> None:

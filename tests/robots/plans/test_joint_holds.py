@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, complete_state
 from falsework.robots.kernels.coordination import first_clear
-from falsework.robots.keyframes.joint_holds import HoldingOracle
+from falsework.robots.keyframes.joint_holds import HoldingOracle, JointHolds
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.model.cell import Cell
 from falsework.robots.motion.collision_world import Contact, Scene
@@ -39,7 +40,11 @@ def test_grips_that_go_together_are_those_of_the_collision_world(
     mine, theirs = graph.grips(0, 1, state)[::40], graph.grips(1, 2, state)[::40]
     assert mine
     assert theirs
-    clear = first_clear(graph.joint._swept(mine), graph.joint._swept(theirs), cell.margins.line)
+    swept = graph.joint._swept(mine), graph.joint._swept(theirs)
+    clear = first_clear(*swept, cell.margins.line)
+    table = graph.joint._clear(mine, theirs)
+    assert table.shape == (len(mine), len(theirs))
+    np.testing.assert_array_equal(np.where(table.any(axis=1), table.argmax(axis=1), -1), clear)
     values = np.array([grip.configuration for grip in theirs])
     for grip, found in zip(mine, clear.tolist(), strict=True):
         scene = Scene((grip.configuration, cell.homes[1]), state != REMOVED, (None, None))
@@ -50,7 +55,7 @@ def test_grips_that_go_together_are_those_of_the_collision_world(
 
 def test_parts_that_two_arms_can_hold_are_not_ruled_out(graph: KeyframeGraph, column: Assembly) -> None:
     state = held(column, 1)
-    assert not graph.joint.learn(2, 1, state)
+    assert not graph.joint.learn((2, 1), state)
     assert graph.joint.excluded == 0
     assert graph.joint.possible(held(column, 1, 2)[None]).all()
 
@@ -61,11 +66,46 @@ def test_what_one_arm_cannot_hold_alone_is_ruled_out_where_more_stands(
     joint = KeyframeGraph(column, cell_of(1)).joint
     fewer = held(column, 1, 2)
     fewer[0] = REMOVED
-    assert joint.learn(1, 2, fewer)
-    assert not joint.learn(2, 1, held(column, 1))  # follows from that
+    assert joint.learn((1, 2), fewer)
+    assert not joint.learn((2, 1), held(column, 1))  # follows from that
     assert joint.excluded == 1
     states = np.array([fewer, held(column, 1, 2), held(column, 1), held(column, 0, 2)])
     np.testing.assert_array_equal(joint.possible(states), [False, False, True, True])
+
+
+def test_three_parts_that_only_two_arms_reach(column: Assembly, cell: Cell) -> None:
+    joint = KeyframeGraph(column, cell).joint
+    state = held(column, 0, 1, 2)
+    assert not joint.learn((1, 2), state)
+    assert joint.learn((2, 0, 1), state)
+    np.testing.assert_array_equal(joint.possible(np.array([state, held(column, 1, 2)])), [False, True])
+    joint.forget()
+    assert joint.possible(state[None]).all()
+
+
+def test_grasps_with_which_a_part_cannot_leave_do_not_count(column: Assembly, cell: Cell) -> None:
+    grips = KeyframeGraph(column, cell)._grips
+    state = held(column, 1, 2)
+    assert not JointHolds(grips, lambda *_: True).learn((1, 2), state)
+    assert JointHolds(grips, lambda grip, part, _: part != 2).learn((1, 2), state)
+    only = JointHolds(grips, lambda grip, part, _: grip.robot == part - 1)
+    assert not only.learn((1, 2), state)
+    assert JointHolds(grips, lambda grip, *_: grip.robot == 0).learn((1, 2), state)
+
+
+def test_arms_with_which_dead_ends_repeat_are_not_tried_again(column: Assembly, cell: Cell) -> None:
+    graph = KeyframeGraph(column, cell)
+    root = graph.start(held(column), cell.homes, (None, None))
+    robot = next(graph.edges(root, 1)).robot
+    for edge in itertools.islice((edge for edge in graph.edges(root, 1) if edge.robot == robot), 2):
+        graph.dead.add(edge.node)
+        assert edge.node in graph.dead
+    assert graph.dead.repeated(root, 1, robot)
+    assert robot not in {edge.robot for edge in graph.edges(root, 1)}
+    graph.support = True
+    assert robot in {edge.robot for edge in graph.edges(root, 1)}
+    graph.dead.clear()
+    assert not graph.dead.repeated(root, 1, robot)
 
 
 def test_states_are_compared_where_rivals_meet(column: Assembly, cell_of: Callable[..., Cell]) -> None:
@@ -73,15 +113,15 @@ def test_states_are_compared_where_rivals_meet(column: Assembly, cell_of: Callab
     states = np.array([held(column, 1), held(column, 1, 2)])
     assert not joint.learn_from(states)  # nothing has failed yet
     fewer = held(column, 1)
-    joint.learn(0, 1, fewer)
+    joint.learn((0, 1), fewer)
     assert not joint.learn_from(states)
-    joint.learn(1, 2, fewer)
+    joint.learn((1, 2), fewer)
     assert not joint.possible(states[1:]).any()
 
 
 def test_the_oracle_leaves_open_what_no_arms_can_hold(column: Assembly, graph: KeyframeGraph) -> None:
     oracle = Stability(column)
-    graph.joint.exclude(1, 2, held(column))
+    graph.joint.exclude((1, 2), held(column))
     holding = HoldingOracle(oracle, graph.joint)
     states = np.array([held(column, 1), held(column, 1, 2)])
     np.testing.assert_array_equal(oracle.stable(states), [True, True])
@@ -92,7 +132,7 @@ def test_the_oracle_leaves_open_what_no_arms_can_hold(column: Assembly, graph: K
 def test_plans_keep_to_it(column: Assembly, cell: Cell, graph: KeyframeGraph) -> None:
     least = np.where(column.boundary, HELD, REMOVED).astype(np.uint8)
     least[[1, 2]] = HELD
-    graph.joint.exclude(1, 2, least)
+    graph.joint.exclude((1, 2), least)
     plan = plan_robots(column, cell, graph=graph).plan
     assert plan is not None
     assert not ((plan.plan.states[:, 1] == HELD) & (plan.plan.states[:, 2] == HELD)).any()
@@ -106,7 +146,7 @@ def test_a_way_around_is_found_from_midway(column: Assembly, graph: KeyframeGrap
     state = held(column, 2)
     least = np.where(column.boundary, HELD, REMOVED).astype(np.uint8)
     least[[1, 2]] = HELD
-    graph.joint.exclude(1, 2, least)
+    graph.joint.exclude((1, 2), least)
     assert solvability.reroute(state)
     assert solvability.stays(state)
     assert solvability.reroute(held(column))

@@ -32,6 +32,7 @@ from falsework.robots.plans.timeline import arm_shares, event_times, nodes_of
 from falsework.robots.schedule.build import schedule_plan
 from falsework.robots.schedule.simulation import simulate
 from falsework.search.problem.task import Direction
+from falsework.utils.kernels import Kernel
 
 
 @pytest.fixture(scope="module")
@@ -64,6 +65,20 @@ def graph_of(plan: RobotPlan) -> TemporalPlanGraph:
     """Its schedule."""
     assert plan.schedule is not None
     return plan.schedule
+
+
+def test_arguments_have_the_types_of_the_portable_code(
+    row: Assembly, wide: Cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Numba, which takes twenty seconds where LLVM takes two, compiles nothing for a plan and its schedule."""
+
+    def refuse(kernel: Kernel) -> None:
+        pytest.fail(f"numba is asked to compile {kernel.__name__}")
+
+    monkeypatch.setattr(Kernel, "dispatcher", property(refuse))
+    plan = plan_together(row, wide, settings=HybridSettings(seed=1)).plan
+    assert plan is not None
+    assert plan.schedule is not None
 
 
 def test_both_arms_work_and_the_makespan_shrinks(planned: RobotPlan, scheduled: RobotPlan) -> None:

@@ -45,8 +45,9 @@ def vault(
     The number of parts is that of the nearest well-proportioned grid of courses, at most 8 % off `parts`. Cells
     whose centres lie within `support` of a corner along both edges are one springer.
 
-    It stands with a quarter of the usual friction to spare, and two robots can build it at every size: row by
-    row round the free edges, one robot holding the tip of the row, then the next ring inwards.
+    It stands with a quarter of the usual friction to spare, and under `equilibrium` two robots can build it at every
+    size: row by row round the free edges, one robot holding the tip of the row, then the next ring inwards. Under
+    `contact` a free edge may slide before it is closed, at some sizes in every order that was tried.
     """
     if rise > span / 2:
         raise InputError(f"rise {rise:g} m is more than half of span {span:g} m; make the vault flatter")

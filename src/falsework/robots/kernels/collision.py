@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.robots.kernels.gjk import INNER, OUTER, gap
+from falsework.utils.kernels import njit
 
 Array = NDArray[np.float64]
 
@@ -111,7 +111,7 @@ def make_work(chain: Chain, bodies: Bodies, obstacles: Obstacles, rules: Rules) 
     )
 
 
-@nb.njit(**INNER)
+@njit(**INNER)
 def place_frames(values, chain, frames):
     """Compute forward kinematics: poses of all frames in the world, shape (joints + 1, 3, 4)."""
     for r in range(3):  # entry by entry: assigning rows would compile numba's error messages, for seconds
@@ -135,7 +135,7 @@ def place_frames(values, chain, frames):
             after[r, 3] = t + slide * z
 
 
-@nb.njit(**INNER)
+@njit(**INNER)
 def _place(body, bodies, work):
     """Write the world vertices of one body and their bounding box."""
     pose = work.frames[bodies.frame[body]]
@@ -151,7 +151,7 @@ def _place(body, bodies, work):
     work.placed[body] = True
 
 
-@nb.njit(inline="always", **INNER)
+@njit(inline="always", **INNER)
 def _outside(x, y, z, low, high, k):
     """Return the squared distance of a point from box k."""
     dx = max(low[k, 0] - x, x - high[k, 0], 0.0)
@@ -160,7 +160,7 @@ def _outside(x, y, z, low, high, k):
     return dx * dx + dy * dy + dz * dz
 
 
-@nb.njit(**INNER)
+@njit(**INNER)
 def first_hit(values, share, chain, bodies, obstacles, rules, work):
     """Return the first pair that is not proven to keep its distance, or CLEAR.
 
@@ -253,7 +253,13 @@ def first_hit(values, share, chain, bodies, obstacles, rules, work):
     return CLEAR
 
 
-@nb.njit(**OUTER)
-def distance_between(a, b):
+@njit(**OUTER)
+def _distance(a, b, axis, scratch, found):
+    found[0] = gap(a, 0, len(a), b, 0, len(b), 1e300, 0.0, axis, scratch)
+
+
+def distance_between(a: Array, b: Array) -> float:
     """Return a proven lower bound on the distance of two convex pieces, tight to 1e-6 of itself; 0 where they touch."""
-    return gap(a, 0, len(a), b, 0, len(b), 1e300, 0.0, np.zeros(3), np.empty((6, 3)))
+    found = np.empty(1)
+    _distance(a, b, np.zeros(3), np.empty((6, 3)), found)
+    return float(found[0])

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.robots.kernels.collision import Bodies, Chain, place_frames
 from falsework.robots.kernels.gjk import INNER, OUTER, gap
+from falsework.utils.kernels import njit
 
 Array = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ class Swept(NamedTuple):
     high: Array
 
 
-@nb.njit(**OUTER)
+@njit(**OUTER)
 def _place(values, spread, chain, bodies, first, vertices, center, swept, low, high):
     """Fill the arrays of `Swept` for bodies from `first` on."""
     frames = np.empty((len(chain.origin) + 1, 3, 4))
@@ -127,7 +127,7 @@ def still(pieces: tuple[Array, ...]) -> Swept:
     )
 
 
-@nb.njit(**INNER)
+@njit(**INNER)
 def _meet(one, i, other, j, margin, axis, scratch):
     """Return whether two cells are not proven to keep the margin."""
     for r in range(3):
@@ -160,7 +160,7 @@ def _meet(one, i, other, j, margin, axis, scratch):
     return False
 
 
-@nb.njit(**OUTER)
+@njit(**OUTER)
 def _conflicts(one, one_fine, other, other_fine, margin, axis, scratch, found):
     for i in range(len(one.low)):
         for j in range(len(other.low)):
@@ -191,7 +191,7 @@ def conflicts(one: tuple[Swept, Swept], other: tuple[Swept, Swept], margin: floa
     return found
 
 
-@nb.njit(**OUTER)
+@njit(**OUTER)
 def _first_clear(one, other, margin, axis, scratch, found):
     for i in range(len(one.low)):
         found[i] = -1

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba as nb
+from falsework.utils.kernels import njit
 
 FAST = {"contract", "reassoc", "nsz", "arcp", "nnan", "ninf"}
 """Rounding may differ in the last digits; the bounds are compared at 1e-9 and above."""
@@ -24,7 +24,7 @@ OUTER: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
 ITERATIONS = 40
 
 
-@nb.njit(inline="always", **INNER)
+@njit(inline="always", **INNER)
 def _farthest(vertices, start, stop, x, y, z):
     """Return the vertex farthest along a direction."""
     best = start
@@ -37,7 +37,7 @@ def _farthest(vertices, start, stop, x, y, z):
     return best
 
 
-@nb.njit(**INNER)
+@njit(**INNER)
 def _segment(s, i, j, out):
     """Return the closest point of segment i, j of a simplex to the origin, and a bit mask of its vertices."""
     ex, ey, ez = s[j, 0] - s[i, 0], s[j, 1] - s[i, 1], s[j, 2] - s[i, 2]
@@ -54,7 +54,7 @@ def _segment(s, i, j, out):
     return (1 << i) | (1 << j)
 
 
-@nb.njit(**INNER)
+@njit(**INNER)
 def _triangle(s, i, j, k, out):
     """Return the closest point of triangle i, j, k of a simplex to the origin, and a bit mask of its vertices."""
     ux, uy, uz = s[j, 0] - s[i, 0], s[j, 1] - s[i, 1], s[j, 2] - s[i, 2]
@@ -92,7 +92,7 @@ def _triangle(s, i, j, k, out):
     return kept
 
 
-@nb.njit(**INNER)
+@njit(**INNER)
 def _tetrahedron(s, out, spare):
     """Return the closest point of a tetrahedron to the origin, and a bit mask of its vertices; 15 if it is inside."""
     best, kept = 1e300, 15
@@ -119,7 +119,7 @@ def _tetrahedron(s, out, spare):
     return kept
 
 
-@nb.njit(**INNER)
+@njit(**INNER)
 def gap(a, a_start, a_stop, b, b_start, b_stop, enough, near, axis, scratch):
     """Return a proven lower bound on the distance between two convex pieces, metres; 0 where they may touch.
 

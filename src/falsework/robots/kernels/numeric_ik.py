@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 
 from falsework.robots.kernels.collision import place_frames
 from falsework.robots.kernels.gjk import INNER, OUTER
+from falsework.utils.kernels import njit
 
 TOLERANCE = 1e-9
 """Tolerance of a reached pose, metres and radians."""
 
 
-@nb.njit(**INNER)
+@njit(**INNER)
 def _reach_pose(q, target, chain, tail, steps, damping, longest, frames, columns, system, error):
     """Move joint values until the frame at the end of the chain reaches a pose; return whether it does.
 
@@ -101,7 +101,7 @@ def _reach_pose(q, target, chain, tail, steps, damping, longest, frames, columns
     return False
 
 
-@nb.njit(**OUTER)
+@njit(**OUTER)
 def reach_poses(guesses, targets, chain, tail, steps, damping, longest, follow, reached):
     """Solve for many poses, each from its guess, or along a line, each from the previous solution.
 

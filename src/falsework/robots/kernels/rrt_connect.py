@@ -9,17 +9,17 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 
 from falsework.robots.kernels.collision import CLEAR, first_hit
 from falsework.robots.kernels.gjk import INNER, OUTER
+from falsework.utils.kernels import njit
 
 INTERVALS = 4096
 """Largest number of open intervals of one edge; with more, the edge counts as blocked."""
 
 
-@nb.njit(**INNER)
+@njit(**INNER)
 def edge_free(a, b, resolution, chain, bodies, obstacles, rules, work, values, opened):
     """Return whether the straight edge between two configurations keeps its distances everywhere; ends included.
 
@@ -70,7 +70,7 @@ def edge_free(a, b, resolution, chain, bodies, obstacles, rules, work, values, o
     return True
 
 
-@nb.njit(**INNER)
+@njit(**INNER)
 def _edges_free(path, resolution, chain, bodies, obstacles, rules, work, opened):
     """Return the number of leading edges of a path that are free, shape (points, joints)."""
     values = np.empty(path.shape[1])
@@ -80,7 +80,7 @@ def _edges_free(path, resolution, chain, bodies, obstacles, rules, work, opened)
     return len(path) - 1
 
 
-@nb.njit(**INNER)
+@njit(**INNER)
 def _uniform(seed):
     """Return the next number in [0, 1) of a generator whose state is seed[0]: splitmix64."""
     seed[0] += np.uint64(0x9E3779B97F4A7C15)
@@ -91,7 +91,7 @@ def _uniform(seed):
     return float(z >> np.uint64(11)) / 9007199254740992.0
 
 
-@nb.njit(**INNER)
+@njit(**INNER)
 def _nearest(tree, size, target):
     best, found = 1e300, 0
     for i in range(size):
@@ -103,7 +103,7 @@ def _nearest(tree, size, target):
     return found, math.sqrt(best)
 
 
-@nb.njit(**INNER)
+@njit(**INNER)
 def _grow(
     trees, parents, sizes, low, high, stride, rounds, resolution, seed, chain, bodies, obstacles, rules, work, opened
 ):
@@ -170,7 +170,7 @@ def _grow(
     return 0, 0, 0
 
 
-@nb.njit(**INNER)
+@njit(**INNER)
 def _shorten(path, size, tries, resolution, seed, chain, bodies, obstacles, rules, work, opened):
     """Replace segments of a path by straight edges where those are free; return the number of points left.
 
@@ -232,7 +232,7 @@ _NO_LIMITS, _NO_INTEGERS, _NO_SEED = np.zeros(0), np.zeros(0, np.int64), np.zero
 _NOTHING_OPENED = np.zeros((2, 0), np.int64)
 
 
-@nb.njit(**OUTER)
+@njit(**OUTER)
 def _run(
     what,
     path,
@@ -253,15 +253,14 @@ def _run(
     work,
     opened,
 ):
-    """Dispatch to the kernels: one entry point for Python, so that each is compiled once."""
+    """Dispatch to the kernels: one entry point for Python, so that each is compiled once. `found` takes the result."""
     if what == CHECK:
         for i in range(len(path)):
             found[i] = first_hit(path[i], 0.0, chain, bodies, obstacles, rules, work)
-        return 0, 0, 0
-    if what == EDGES:
-        return _edges_free(path, resolution, chain, bodies, obstacles, rules, work, opened), 0, 0
-    if what == GROW:
-        return _grow(
+    elif what == EDGES:
+        found[0] = _edges_free(path, resolution, chain, bodies, obstacles, rules, work, opened)
+    elif what == GROW:
+        found[0], found[1], found[2] = _grow(
             trees,
             parents,
             sizes,
@@ -278,7 +277,8 @@ def _run(
             work,
             opened,
         )
-    return _shorten(path, sizes[0], count, resolution, seed, chain, bodies, obstacles, rules, work, opened), 0, 0
+    else:
+        found[0] = _shorten(path, sizes[0], count, resolution, seed, chain, bodies, obstacles, rules, work, opened)
 
 
 def check_many(configurations, chain, bodies, obstacles, rules, work, found) -> None:
@@ -292,7 +292,9 @@ def edges_free(path, resolution, chain, bodies, obstacles, rules, work, opened) 
     """Return the number of leading edges of a path that are free, shape (points, joints)."""
     arrays = (chain, bodies, obstacles, rules, work, opened)
     rest = (_NO_TREES, _NO_PARENTS, _NO_INTEGERS, _NO_LIMITS, _NO_LIMITS, resolution, _NO_SEED)
-    return _run(EDGES, path, _NO_INTEGERS, 0, 0.0, *rest, *arrays)[0]
+    found = np.zeros(1, np.int64)
+    _run(EDGES, path, found, 0, 0.0, *rest, *arrays)
+    return int(found[0])
 
 
 def grow(
@@ -301,11 +303,16 @@ def grow(
     """Grow two trees towards each other; see `_grow`."""
     arrays = (chain, bodies, obstacles, rules, work, opened)
     rest = (trees, parents, sizes, low, high, resolution, seed)
-    return _run(GROW, _NOTHING, _NO_INTEGERS, rounds, stride, *rest, *arrays)
+    found = np.zeros(3, np.int64)
+    _run(GROW, _NOTHING, found, rounds, stride, *rest, *arrays)
+    met, one, other = found.tolist()
+    return met, one, other
 
 
 def shorten(path, size, tries, resolution, seed, chain, bodies, obstacles, rules, work, opened) -> int:
     """Replace segments of a path by straight edges; see `_shorten`."""
     arrays = (chain, bodies, obstacles, rules, work, opened)
     rest = (_NO_TREES, _NO_PARENTS, np.array([size]), _NO_LIMITS, _NO_LIMITS, resolution, seed)
-    return _run(SHORTEN, path, _NO_INTEGERS, tries, 0.0, *rest, *arrays)[0]
+    found = np.zeros(1, np.int64)
+    _run(SHORTEN, path, found, tries, 0.0, *rest, *arrays)
+    return int(found[0])

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 
 from falsework.robots.kernels.gjk import INNER, OUTER
+from falsework.utils.kernels import njit
 
 _FLAT = 1e-12
 """Slope of a joint below which acceleration along the path does not move it."""
@@ -20,7 +20,7 @@ _STRIDES = (64, 32, 16, 8, 4, 2)
 """Numbers of samples to step ahead from one knot to the next, tried in turn before 1."""
 
 
-@nb.njit(**INNER)
+@njit(**INNER)
 def _rows(i, grid, piece, origin, slope, bend, push, top, rows):
     """Write the limits of interval i as rows (a, b, c) of `a u + b x <= c`; return their number.
 
@@ -43,7 +43,7 @@ def _rows(i, grid, piece, origin, slope, bend, push, top, rows):
     return count + 2
 
 
-@nb.njit(**INNER)
+@njit(**INNER)
 def _most(rows, count, most):
     """Return the largest x up to `most` for which some u satisfies all rows, by elimination of u."""
     for k in range(count):
@@ -61,7 +61,7 @@ def _most(rows, count, most):
     return most
 
 
-@nb.njit(**OUTER)
+@njit(**OUTER)
 def fastest(grid, piece, origin, slope, bend, speed, push, squares):
     """Write the largest squared speeds along a path, from rest to rest, into `squares`, shape (points,).
 
@@ -96,7 +96,7 @@ def fastest(grid, piece, origin, slope, bend, speed, push, squares):
         squares[i + 1] = min(max(reached, 0.0), squares[i + 1])
 
 
-@nb.njit(**OUTER)
+@njit(**OUTER)
 def evaluate(times, clock, grid, squares, piece, origin, start, slope, bend, positions, velocities, accelerations):
     """Write joint values and their derivatives by time at ascending times, shape (times, joints) each.
 
@@ -123,7 +123,7 @@ def evaluate(times, clock, grid, squares, piece, origin, start, slope, bend, pos
             accelerations[k, j] = bend[p, j] * rate * rate + tangent * push
 
 
-@nb.njit(**OUTER)
+@njit(**OUTER)
 def thin(times, positions, velocities, push, error, kept):
     """Write into `kept` the indices of knots whose cubics approximate all samples; return their number.
 
@@ -147,7 +147,7 @@ def thin(times, positions, velocities, push, error, kept):
     return count
 
 
-@nb.njit(**INNER)
+@njit(**INNER)
 def _close(times, positions, velocities, here, there, push, error):
     """Return whether the cubic between two samples keeps the limits and is near all samples between them."""
     span = times[there] - times[here]

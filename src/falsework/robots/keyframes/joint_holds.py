@@ -1,70 +1,84 @@
-"""Joint holds: pairs of parts that two arms cannot hold at the same time, learned from holds that fail."""
+"""Joint holds: two or three parts that arms cannot hold at the same time, learned from holds that fail."""
 
 from __future__ import annotations
 
+import itertools
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, REMOVED, Mask, States
-from falsework.robots.kernels.coordination import Swept, first_clear
+from falsework.robots.kernels.coordination import Swept, conflicts
 from falsework.robots.keyframes.grasp_configurations import GraspConfiguration, GraspConfigurations
 from falsework.stability.oracle import Stability
 from falsework.stability.verdict import Verdicts
 
 Array = NDArray[np.float64]
+Group = tuple[int, ...]
+"""Two or three parts, ascending."""
+Lasting = Callable[[GraspConfiguration, int, States], bool]
 
-_MOST_GRIPS = 120
-"""Grasp configurations of one arm that are compared with those of another, spread over all of them."""
+_MOST_GRIPS = 60
+"""Grasp configurations of one arm that are compared with those of others, spread over all of them."""
 
 
 class JointHolds:
-    """Pairs of parts of which one could not be held while an arm held the other.
+    """Groups of parts of which one could not be held while arms held the others.
 
-    If two arms collide with every pair of their grasps, they cannot hold the two parts at the same time, nor with more
-    parts present, since grasps only become fewer. That excludes states for all orders of actions (conflict-driven
-    learning: Dechter, Enhancement schemes for constraint processing, 1990).
+    If some arms collide with every choice of grasps, they cannot hold these parts at the same time, nor with more parts
+    present, since grasps only become fewer. That excludes states for all orders of actions (conflict-driven learning:
+    Dechter, Enhancement schemes for constraint processing, 1990).
     """
 
-    def __init__(self, grips: GraspConfigurations) -> None:
-        """Create an empty set; `grips` are the grasp configurations of the robots of a cell."""
-        self.grips, self.cell = grips, grips.cell
-        self.rivals: dict[int, set[int]] = defaultdict(set)
-        """Parts that could not be held at the same time as a part, by that part; symmetric."""
-        self.excluded = 0
-        """Number of excluded pairs, each with the parts present."""
-        self._excluded: dict[tuple[int, int], list[Mask]] = defaultdict(list)
-        self._possible: dict[tuple[int, int], list[Mask]] = defaultdict(list)
-
-    def learn(self, part: int, other: int, state: States) -> bool:
-        """Record two parts that could not be held at the same time, and compare their grasps.
+    def __init__(self, grips: GraspConfigurations, lasting: Lasting) -> None:
+        """Create an empty set.
 
         Args:
-            part, other: the parts.
+            grips: grasp configurations of the robots of a cell.
+            lasting: whether a part can leave later with a grasp, among the parts of a state; other grasps do not count.
+        """
+        self.grips, self.cell, self._lasting = grips, grips.cell, lasting
+        self.rivals: set[Group] = set()
+        """Groups that could not be held at the same time."""
+        self.excluded = 0
+        """Number of excluded groups, each with the parts present."""
+        self._excluded: dict[Group, list[Mask]] = defaultdict(list)
+        self._possible: dict[Group, list[Mask]] = defaultdict(list)
+
+    def forget(self) -> None:
+        """Allow everything again, since other grasps have become possible."""
+        self._excluded.clear()
+        self._possible.clear()
+
+    def learn(self, parts: Iterable[int], state: States) -> bool:
+        """Record two or three parts that could not be held at the same time, and compare their grasps.
+
+        Args:
+            parts: the parts.
             state: state in which one of them could not be held, shape (parts,).
 
         Returns:
             Whether that excludes further states.
         """
-        self.rivals[part].add(other)
-        self.rivals[other].add(part)
-        pair, present = _pair(part, other), state != REMOVED
-        if any((known <= present).all() for known in self._excluded[pair]):
+        group, present = tuple(sorted(parts)), state != REMOVED
+        self.rivals.add(group)
+        smaller = (group, *itertools.combinations(group, 2))
+        if any((known <= present).all() for some in smaller for known in self._excluded.get(some, ())):
             return False
-        if any((present <= known).all() for known in self._possible[pair]):
+        if any((present <= known).all() for known in self._possible[group]):
             return False
-        if self._together(part, other, state):
-            self._possible[pair].append(present)
+        if self._together(group, state):
+            self._possible[group].append(present)
             return False
-        self.exclude(part, other, state)
+        self.exclude(group, state)
         return True
 
-    def exclude(self, part: int, other: int, state: States) -> None:
-        """Exclude holding two parts together where all parts of a state are present, shape (parts,)."""
+    def exclude(self, parts: Iterable[int], state: States) -> None:
+        """Exclude holding some parts together where all parts of a state are present, shape (parts,)."""
         self.excluded += 1
-        self._excluded[_pair(part, other)].append(state != REMOVED)
+        self._excluded[tuple(sorted(parts))].append(state != REMOVED)
 
     def learn_from(self, states: States) -> bool:
         """Compare the grasps of all rivals that are held together in some states; return whether that excludes any.
@@ -75,33 +89,49 @@ class JointHolds:
         new = False
         for state in states:
             held = set(np.flatnonzero(state == HELD).tolist())
-            for part in sorted(held & self.rivals.keys()):
-                for other in sorted(held & self.rivals[part]):
-                    new |= part < other and self.learn(part, other, state)
+            for group in sorted(self.rivals):
+                new |= held.issuperset(group) and self.learn(group, state)
         return new
 
     def possible(self, states: States) -> Mask:
-        """Return which of the states, shape (batch, parts), hold no excluded pair; shape (batch,)."""
+        """Return which of the states, shape (batch, parts), hold no excluded group; shape (batch,)."""
         found: Mask = np.ones(len(states), dtype=bool)
-        for (one, other), least in self._excluded.items():
-            rows = np.flatnonzero((states[:, one] == HELD) & (states[:, other] == HELD))
+        for group, least in self._excluded.items():
+            rows = np.flatnonzero((states[:, group] == HELD).all(axis=1))
             for present in least if len(rows) else ():
                 found[rows] &= (states[rows][:, present] == REMOVED).any(axis=1)
         return found
 
-    def _together(self, part: int, other: int, state: States) -> bool:
-        """Return whether two arms have grasps of two parts that do not collide."""
+    def _together(self, group: Group, state: States) -> bool:
+        """Return whether arms have lasting grasps of some parts that do not collide."""
         robots = range(self.cell.robot_count)
-        for one in robots:
-            mine = _some(self.grips.of(one, part, state))
-            for two in robots if mine else ():
-                theirs = _some(self.grips.of(two, other, state)) if one != two else []
-                if theirs and (self._clear(mine, theirs) >= 0).any():
+        grips = {(robot, part): _some(self.grips.of(robot, part, state)) for robot in robots for part in group}
+        usable = {key: np.ones(len(found), dtype=bool) for key, found in grips.items()}
+        clear: dict[tuple[tuple[int, int], tuple[int, int]], Mask] = {}
+        for chosen in itertools.permutations(robots, len(group)):
+            keys = list(zip(chosen, group, strict=True))
+            if not all(grips[key] for key in keys):
+                continue
+            for pair in itertools.combinations(keys, 2):
+                if pair not in clear:
+                    clear[pair] = self._clear(*(grips[key] for key in pair))
+            while (rows := _compatible([usable[key] for key in keys], keys, clear)) is not None:
+                # Only grasps that do not collide are asked whether they last.
+                fleeting = [
+                    (key, row)
+                    for key, row in zip(keys, rows, strict=True)
+                    if not self._lasting(grips[key][row], key[1], state)
+                ]
+                if not fleeting:
                     return True
+                for key, row in fleeting:
+                    usable[key][row] = False
         return False
 
-    def _clear(self, mine: Sequence[GraspConfiguration], theirs: Sequence[GraspConfiguration]) -> NDArray[np.int64]:
-        return first_clear(self._swept(mine), self._swept(theirs), self.cell.margins.line)
+    def _clear(self, mine: Sequence[GraspConfiguration], theirs: Sequence[GraspConfiguration]) -> Mask:
+        """Return which grasps of two arms do not collide, shape (mine, theirs)."""
+        one, other = self._swept(mine), self._swept(theirs)
+        return ~conflicts((one, one), (other, other), self.cell.margins.line)
 
     def _swept(self, grips: Sequence[GraspConfiguration]) -> Swept:
         return self.grips.swept(grips[0].robot, np.array([grip.configuration for grip in grips]))
@@ -131,8 +161,21 @@ class HoldingOracle:
         return self.judge(states, parents=parents).stable
 
 
-def _pair(part: int, other: int) -> tuple[int, int]:
-    return min(part, other), max(part, other)
+def _compatible(
+    usable: Sequence[Mask],
+    keys: Sequence[tuple[int, int]],
+    clear: dict[tuple[tuple[int, int], tuple[int, int]], Mask],
+) -> list[int] | None:
+    """Return one grasp for each arm and part, of which no two collide; None if there are none."""
+    if not usable:
+        return []
+    for row in np.flatnonzero(usable[0]).tolist():
+        left = [mask & clear[keys[0], key][row] for mask, key in zip(usable[1:], keys[1:], strict=True)]
+        if all(mask.any() for mask in left):
+            rest = _compatible(left, keys[1:], clear)
+            if rest is not None:
+                return [row, *rest]
+    return None
 
 
 def _some(grips: Sequence[GraspConfiguration]) -> Sequence[GraspConfiguration]:

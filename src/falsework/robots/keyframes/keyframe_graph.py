@@ -21,7 +21,7 @@ from falsework.robots.grasping.exit_directions import ExitDirections
 from falsework.robots.keyframes.failure_report import FailureLog
 from falsework.robots.keyframes.grasp_configurations import GraspConfiguration, GraspConfigurations
 from falsework.robots.keyframes.joint_holds import JointHolds
-from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment
+from falsework.robots.keyframes.keyframes import DeadEnds, Edge, Node, PathSegment
 from falsework.robots.keyframes.withdrawal import Withdrawal
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Cell
@@ -83,7 +83,10 @@ class KeyframeGraph:
         self.reasons = FailureLog()
         self.cache = MotionCache(self.world, nodes=settings.nodes, seed=seed)
         self._grips = GraspConfigurations(assembly, self.cache, self.reasons, limit=settings.grasps)
-        self.joint = JointHolds(self._grips)
+        self.joint = JointHolds(self._grips, self._lasts)
+        self.dead = DeadEnds()
+        """Dead ends of the search that uses the graph."""
+        self._lasting: dict[tuple[int, int, bytes, bytes], bool] = {}
         self._withdrawal = Withdrawal(self.cache, self.reasons, settings.withdrawals)
         self.exits = ExitDirections(assembly, self.parts.turn, present)
 
@@ -196,6 +199,8 @@ class KeyframeGraph:
             self.reasons.add("hold", part, robot, "a robot blocks every grasp", view.pair(int(hits[row])))
         open_grips = [grips[row] for row in np.flatnonzero(hits < 0)]
         for grip in self._grips.best(open_grips, robot, node.scene, node.held, self.settings.candidates):
+            if not self.support and self.dead.repeated(node, part, robot):
+                return
             edge = self._try_grip(node, part, grip, view, lasting)
             if edge is not None:
                 yield edge
@@ -236,6 +241,14 @@ class KeyframeGraph:
             self.reasons.add(action, part, robot, f"{what}: too near", clear.pair(hit), line.path[-1])
         return None
 
+    def _lasts(self, grip: GraspConfiguration, part: int, state: States) -> bool:
+        """Return whether a part can leave later with a grasp if no other arm is near, or need not."""
+        key = (grip.robot, part, grip.configuration.tobytes(), state.tobytes())
+        if key not in self._lasting:
+            alone = self.start(state, self.cell.homes, (None,) * self.cell.robot_count)
+            self._lasting[key] = self._can_leave_later(alone, part, grip)
+        return self.support or self._lasting[key]
+
     def _can_leave_later(self, node: Node, part: int, grip: GraspConfiguration) -> bool:
         later, ways = self.way_out(part, node.state)
         values = tuple(
@@ -270,6 +283,8 @@ class KeyframeGraph:
 
     def _remove(self, node: Node, part: int) -> Iterator[Edge]:
         robot = node.held.index(part)
+        if not self.support and self.dead.repeated(node, part + self.assembly.part_count, robot):
+            return
         here = node.configurations[robot]
         ways = self.exits.free(part, node.state)
         if not len(ways):

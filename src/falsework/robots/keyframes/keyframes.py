@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +15,9 @@ from falsework.robots.motion.collision_world import CollisionQuery, Scene
 from falsework.search.problem.result import Route
 
 Array = NDArray[np.float64]
+
+_MOST_REPEATS = 2
+"""Dead ends with the same arms at the same parts, after which other grasps of these arms are not tried."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +72,35 @@ class Node:
         if state[part] != REMOVED:
             changed = self.changed | {(part, b"" if state[part] == HELD else self.configurations[robot].tobytes())}
         return Node(state, tuple(configurations), tuple(held), changed)
+
+
+@dataclass(eq=False)
+class DeadEnds:
+    """Dead ends of one search."""
+
+    keys: set[bytes] = field(default_factory=set)
+    """Keys of keyframes."""
+    arms: Counter[tuple[bytes, tuple[int | None, ...]]] = field(default_factory=Counter)
+    """Number of dead ends in each state with the same arms at the held parts."""
+
+    def add(self, node: Node) -> None:
+        """Count a keyframe as a dead end."""
+        self.keys.add(node.key)
+        self.arms[node.state.tobytes(), node.held] += 1
+
+    def __contains__(self, node: Node) -> bool:
+        return node.key in self.keys
+
+    def repeated(self, node: Node, action: int, robot: int) -> bool:
+        """Return whether an action of a robot leads to arms at parts with which dead ends are frequent."""
+        after, held = state_after(node.state, action), list(node.held)
+        held[robot] = action if action < len(after) and after[action] == HELD else None
+        return self.arms[after.tobytes(), tuple(held)] >= _MOST_REPEATS
+
+    def clear(self) -> None:
+        """Try everything again."""
+        self.keys.clear()
+        self.arms.clear()
 
 
 @dataclass(frozen=True, eq=False)

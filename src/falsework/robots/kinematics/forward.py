@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -11,6 +10,7 @@ from falsework.robots.kernels.gjk import OUTER
 from falsework.robots.kernels.kernel_arrays import make_chain, turns
 from falsework.robots.model.cell import CellRobot
 from falsework.robots.model.robot_model import RobotModel
+from falsework.utils.kernels import njit
 
 Array = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ def tool_pose(robot: CellRobot, configurations: ArrayLike) -> Array:
     return flange_pose(robot.model, configurations, robot.base) @ robot.gripper.tool
 
 
-@nb.njit(**OUTER)
+@njit(**OUTER)
 def place_many(values, chain, found):
     """Compute `place_frames` for a batch, shape (batch, joints + 1, 3, 4)."""
     for i in range(len(values)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Sequence
 
@@ -135,7 +136,7 @@ class FailedActions:
         Without any, it is blocked by the robots that could hold the part if they held no other.
 
         Returns:
-            Whether two parts turned out to be ones that no two arms can hold at the same time.
+            Whether two or three parts turned out to be ones that no arms can hold at the same time.
         """
         parts, names = self.graph.assembly.part_count, [robot.name for robot in self.graph.cell.robots]
         found = {node.held.index(action - parts)} if action >= parts else set()
@@ -148,8 +149,10 @@ class FailedActions:
         self._robots[node.key, action] = found
         if action >= parts or node.state[action] == HELD:
             return False
-        holds = [part for robot in found if (part := node.held[robot]) is not None]
-        return any(self.graph.joint.learn(part, action, node.state) for part in holds)
+        pairs = [(part, action) for robot in found if (part := node.held[robot]) is not None]
+        held = [part for part in node.held if part is not None]
+        triples = [(*both, action) for both in itertools.combinations(held, 2)]
+        return any(self.graph.joint.learn(parts, node.state) for parts in (*pairs, *triples))
 
     def of(self, node: Node) -> list[int]:
         """Return the actions that have failed at a keyframe."""

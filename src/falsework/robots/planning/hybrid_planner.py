@@ -23,7 +23,7 @@ from falsework.assembly.state import REMOVED
 from falsework.robots.interleaving.reordering import reorder
 from falsework.robots.keyframes.failure_report import Explanation, explain, fall_in_words
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
-from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment, route_along
+from falsework.robots.keyframes.keyframes import DeadEnds, Edge, Node, PathSegment, route_along
 from falsework.robots.keyframes.trajectory_assembly import make_robot_plan
 from falsework.robots.model.cell import Cell
 from falsework.robots.planning.action_ranking import ActionRanking, ExecutionHeuristic, FailedActions
@@ -117,7 +117,7 @@ class _Search:
         self.abstract: SearchResult | None = None
         self.best: list[Edge] = []
         self.tried: Counter[tuple[str, int]] = Counter()
-        self.dead: set[bytes] = set()
+        self.dead = self.graph.dead = DeadEnds()
         self.failures = FailedActions(self.graph, self.solvability)
         self.timed: dict[PathSegment, Trajectory | None] = {}
         self.counts: Counter[str] = Counter()
@@ -145,7 +145,9 @@ class _Search:
             for turn in range(self.settings.attempts if share == shares[-1] else 1):
                 self.graph.support = self.task.support and self.attempt > 0
                 if self.graph.support and self.attempt == 1:  # what failed without releases may succeed with them
-                    self.dead, self.failures = set(), FailedActions(self.graph, self.solvability)
+                    self.dead.clear()
+                    self.graph.joint.forget()
+                    self.failures = FailedActions(self.graph, self.solvability)
                 if turn:
                     self.solvability.perturb(self.attempt)
                 chain = self.depth_first_pass(root, np.random.default_rng([self.settings.seed, self.attempt]))
@@ -183,7 +185,7 @@ class _Search:
                 options[-1] = self._options(nodes[-1], rng)
                 continue
             if edge is None:
-                self.dead.add(nodes[-1].key)
+                self.dead.add(nodes[-1])
                 if self._done(chain) >= self._done(self.best):
                     self.tried.update(self.failures.kinds(nodes[-1]))
                 blamed = causes[-1] | self.failures.blamed(nodes[-1], chain)
@@ -261,7 +263,7 @@ class _Search:
             self.graph.reasons.recent.clear()
             for edge in self.graph.edges(node, action):
                 found += 1
-                if edge.node.key not in self.dead:
+                if edge.node not in self.dead:
                     yield edge
                 if found == _EDGES_PER_ACTION:
                     break
@@ -276,7 +278,7 @@ class _Search:
         for part in self.failures.releases(node):
             if not self.deadline_passed() and self.solvability.solvable(node.state, part):
                 self.counts["releases"] += 1
-                yield from (edge for edge in self.graph.edges(node, part) if edge.node.key not in self.dead)
+                yield from (edge for edge in self.graph.edges(node, part) if edge.node not in self.dead)
 
     def _done(self, chain: Sequence[Edge]) -> int:
         """Return the steps of disassembly that a chain has done; a release takes one back."""

@@ -15,8 +15,10 @@ from falsework.assembly.state import HELD, REMOVED
 from falsework.errors import InputError
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
+from falsework.robots.plans.check_delays import DelayReport, check_delays
 from falsework.robots.plans.check_schedule import check_schedule
 from falsework.robots.plans.pinocchio_checker import PinocchioCollisionChecker
+from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.search.problem.task import Direction
 
@@ -35,26 +37,6 @@ _LIMIT_EXCESS = 0.01
 """Share by which rounded knots may exceed a velocity or acceleration limit."""
 _MAX_PROBLEMS = 20
 """Number of problems after which the check stops."""
-
-
-@dataclass(frozen=True)
-class PlanProblem:
-    """Problem found by a check."""
-
-    step: int
-    """Step of the plan, from 0."""
-    robot: str
-    what: str
-    """Description of the problem."""
-    pair: tuple[str, str] | None = None
-    """Names of the colliding bodies, for a collision."""
-    seconds: float | None = None
-    """Time from the start of its trajectory."""
-    configuration: tuple[float, ...] | None = None
-
-    def __str__(self) -> str:
-        when = "" if self.seconds is None else f" after {self.seconds:.2f} s"
-        return f"step {self.step + 1}, {self.robot}{when}: {self.what}"
 
 
 @dataclass(frozen=True)
@@ -81,6 +63,8 @@ class CheckReport:
     """Duration of the check."""
     timed_samples: int = 0
     """Number of instants of the schedule at which everything that moves then was checked."""
+    delays: DelayReport | None = None
+    """Check of the schedule under any delays; None without a schedule, or where the check had stopped before."""
 
     @property
     def good(self) -> bool:
@@ -255,7 +239,8 @@ def check_robot_plan(
 
     Each step moves one robot. All that moves is checked against all that is fixed, with these
     exceptions and no others. A schedule is then checked as a whole: at every instant all moving bodies against all
-    others, parts carried by other robots included, and the order of the states.
+    others, parts carried by other robots included, and the order of the states; and all positions that any delays can
+    lead to, as `check_delays` describes.
 
     - neighbouring links, and the pairs that the robot description excludes;
     - a gripper and the last two links of its arm, and a part in a gripper and the last link and the gripper;
@@ -291,10 +276,11 @@ def check_robot_plan(
         if progress is not None:
             progress(index + 1, len(plan))
     checker.keyframe(len(plan))
-    timed = 0
+    timed, delays = 0, None
     if plan.schedule is not None and not checker.full():
         found, timed = check_schedule(plan, cell, checker.judge, step=step)
-        checker.problems += [PlanProblem(p.step, p.robot, p.what, pair=p.pair, seconds=p.seconds) for p in found]
+        delays = check_delays(plan, checker.judge, most=_MAX_PROBLEMS)
+        checker.problems += [*found, *delays.problems]
     return CheckReport(
         tuple(checker.problems),
         checker.samples,
@@ -307,4 +293,5 @@ def check_robot_plan(
         {robot.name: "convex pieces" if robot.model.meshes is None else "meshes" for robot in cell.robots},
         time.perf_counter() - began,
         timed,
+        delays,
     )

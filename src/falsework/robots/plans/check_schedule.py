@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -12,6 +11,7 @@ from falsework.assembly.state import REMOVED
 from falsework.errors import PlanError
 from falsework.robots.model.cell import Cell
 from falsework.robots.plans.pinocchio_checker import PinocchioCollisionChecker, PreparedQuery
+from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import ArmActivity, activities_at, event_times
 
@@ -23,18 +23,6 @@ _SHORTEST = 1e-9
 """Duration below which a time interval counts as an instant."""
 
 
-@dataclass(frozen=True)
-class ScheduleProblem:
-    """Problem at an instant of a schedule."""
-
-    step: int
-    robot: str
-    what: str
-    seconds: float
-    """Time from the start of the schedule."""
-    pair: tuple[str, str] | None = None
-
-
 def check_schedule(
     plan: RobotPlan,
     cell: Cell,
@@ -42,7 +30,7 @@ def check_schedule(
     *,
     step: float = 0.01,
     stretch: ArrayLike | None = None,
-) -> tuple[list[ScheduleProblem], int]:
+) -> tuple[list[PlanProblem], int]:
     """Check a schedule, nominal or delayed; return its problems and the number of checked instants.
 
     Args:
@@ -61,7 +49,9 @@ def check_schedule(
     factor = np.ones(len(graph.nodes)) if stretch is None else np.asarray(stretch, dtype=np.float64)
     events = event_times(plan, graph, stretch)
     problems = [
-        ScheduleProblem(k + 1, plan.robots[plan.steps[k + 1].robot].name, "it comes before the previous step", moment)
+        PlanProblem(
+            k + 1, plan.robots[plan.steps[k + 1].robot].name, "it comes before the previous step", seconds=moment
+        )
         for k, moment in enumerate(events[:-1].tolist())
         if events[k + 1] < moment - 1e-6
     ]
@@ -89,7 +79,7 @@ def check_schedule(
             if pair is not None:
                 row, names = pair
                 what, name = f"{names[0]} collides with {names[1]}", cell.robots[arm.robot].name
-                problems.append(ScheduleProblem(arm.step, name, what, float(moments[row]), names))
+                problems.append(PlanProblem(arm.step, name, what, pair=names, seconds=float(moments[row])))
     return problems, samples
 
 

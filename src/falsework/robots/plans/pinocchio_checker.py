@@ -110,13 +110,14 @@ class PinocchioCollisionChecker:
         for robot in cell.robots:
             self._add_chain(robot)
         self._links = [self._link_shapes(robot.model) for robot in cell.robots]
-        self._grippers = [[self._convex(piece) for piece in robot.gripper.pieces] for robot in cell.robots]
-        self._obstacles = [(o.name, self._convex(p)) for o in cell.obstacles for p in o.pieces]
+        self._grippers = [[self.convex(piece) for piece in robot.gripper.pieces] for robot in cell.robots]
+        self._obstacles = [(o.name, self.convex(p)) for o in cell.obstacles for p in o.pieces]
         self._parts = [self._surface(mesh, mesh.vertices) for mesh in parts.meshes]
         self._shrunken: dict[tuple[int, float], Any] = {}
         self._looseness: dict[int, list[tuple[float, frozenset[int]]]] = {}
         self.slack = tolerance
         """Largest distance by which a part had to be shrunk so far, metres."""
+        self._data, self._values = self.model.createData(), np.zeros(self.model.nq)
         self._floor = coal.Box(np.array([100.0, 100.0, 1.0]))
 
     def prepare(
@@ -200,11 +201,28 @@ class PinocchioCollisionChecker:
 
     def flange(self, robot: int, configuration: Array) -> Array:
         """Return the pose of a flange in the world, shape (4, 4)."""
-        values = np.zeros(self.model.nq)
-        values[self.slots[robot]] = configuration
-        data = self.model.createData()
-        self._pin.forwardKinematics(self.model, data, values)
-        return data.oMi[self._joints[robot][-1]].homogeneous @ self.cell.robots[robot].model.flange
+        frame = self.frames(robot, configuration, self._joints[robot][-1:])[0]
+        return frame @ self.cell.robots[robot].model.flange
+
+    def frames(self, robot: int, configuration: Array, joints: Sequence[int]) -> Array:
+        """Return the poses of Pinocchio's joints of an arm in the world, shape (joints, 4, 4)."""
+        self._values[self.slots[robot]] = configuration
+        self._pin.forwardKinematics(self.model, self._data, self._values)
+        return np.array([self._data.oMi[joint].homogeneous for joint in joints])
+
+    def arm(self, robot: int, load: tuple[int, Array] | None = None) -> list[CollisionBody]:
+        """Return the moving bodies of an arm, in full size.
+
+        Args:
+            robot: the arm.
+            load: the part that it carries, and the configuration in which the part is in place.
+        """
+        carried = [] if load is None else self._carried(robot, *load, False)
+        return [body for _, body in self._robot_bodies(robot)] + carried
+
+    def standing_part(self, part: int) -> CollisionBody:
+        """Return a part in place, in full size."""
+        return CollisionBody(f"part {self.parts.names[part]}", self._parts[part], WORLD, np.eye(4))
 
     def _add_chain(self, robot) -> None:
         pin, model = self._pin, robot.model
@@ -302,8 +320,7 @@ class PinocchioCollisionChecker:
             if other != robot:
                 found += [("robot", other, body) for _, body in self._robot_bodies(other)]
         for part in np.flatnonzero(present).tolist():
-            body = CollisionBody(f"part {self.parts.names[part]}", self._parts[part], WORLD, np.eye(4))
-            found.append(("part", part, body))
+            found.append(("part", part, self.standing_part(part)))
         found += [
             ("obstacle", k, CollisionBody(name, shape, WORLD, np.eye(4)))
             for k, (name, shape) in enumerate(self._obstacles)
@@ -325,10 +342,11 @@ class PinocchioCollisionChecker:
     def _link_shapes(self, model: RobotModel) -> list[list[Any]]:
         """Return the shapes of every link: the triangles of its meshes, or its convex pieces if there are no meshes."""
         if model.meshes is None:
-            return [[self._convex(piece) for piece in link] for link in model.pieces]
+            return [[self.convex(piece) for piece in link] for link in model.pieces]
         return [[self._triangles(mesh.vertices, mesh.faces) for mesh in link] for link in model.meshes]
 
-    def _convex(self, points: Array) -> Any:
+    def convex(self, points: Array) -> Any:
+        """Return the convex hull of points as a shape of Coal."""
         vertices = self._coal.StdVec_Vec3s()
         for point in points:
             vertices.append(np.array(point, dtype=float))
@@ -340,7 +358,7 @@ class PinocchioCollisionChecker:
         corners = vertices[mesh.faces]
         volume = np.einsum("ti,ti->t", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
         if hull.volume - volume <= 1e-6 * hull.volume:
-            return self._convex(vertices[hull.vertices])
+            return self.convex(vertices[hull.vertices])
         return self._triangles(vertices, mesh.faces)
 
     def _triangles(self, vertices: Array, faces: NDArray[np.int32]) -> Any:

@@ -91,6 +91,21 @@ class Trajectory:
         found = np.concatenate(times)
         return found, self.sample(found)
 
+    def travel(self, times: Array) -> Array:
+        """Return bounds on how far each joint travels between times, knots included, shape (times - 1, joints)."""
+        begin, end = times[:-1], times[1:]
+        knot = np.clip(np.searchsorted(self.times, (begin + end) / 2, side="right") - 1, 0, len(self.times) - 2)
+        span = np.diff(self.times)[:, None]
+        # Speed between two knots as a quadratic in Bernstein form, then its part between two times in the same form.
+        ends = span * self.velocities[:-1], span * self.velocities[1:]
+        middle = 3 * np.diff(self.positions, axis=0) - ends[0] - ends[1]
+        a, b = ((moment - self.times[knot])[:, None] / span[knot] for moment in (begin, end))
+
+        def polar(s: Array, t: Array) -> Array:
+            return (1 - s) * (1 - t) * ends[0][knot] + (s + t - 2 * s * t) * middle[knot] + s * t * ends[1][knot]
+
+        return (b - a) * np.max([np.abs(polar(s, t)) for s, t in ((a, a), (a, b), (b, b))], axis=0)
+
     def _reach(self) -> Array:
         """Return between knots duration times the largest speed of a joint, a bound on motion. Shape (knots - 1,)."""
         span = np.diff(self.times)

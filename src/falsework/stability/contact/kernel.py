@@ -23,6 +23,7 @@ from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED
 from falsework.stability.problem import Problem
 from falsework.stability.stiffness import MOVEMENT, TANGENTIAL_RATIO, normal_stiffness, structure_size
 from falsework.utils.kernels import njit
+from falsework.utils.products import LANES, ROWS
 
 NEAR_RINGS = 3
 """Distance from a changed part, in contacts, within which parts settle first; smaller where that is half of all."""
@@ -58,12 +59,13 @@ def build_contact_structure(
     """
     stiffness = normal_stiffness(assembly, gravity) / problem.force_scale**2
     scale = 1.0 / float(np.median(stiffness)) if len(stiffness) else 1.0
+    wider = ((0, 0), (0, 0), (0, LANES - ROWS))
     return ContactArrays(
         normal=stiffness * scale,
         tangential=ratio * stiffness * scale,
-        # Copies even where there is no pair: a read-only view is another type, for which numba would recompile all.
-        turned_a=np.array(problem.transfer_a.transpose(0, 2, 1), order="C"),
-        turned_b=np.array(problem.transfer_b.transpose(0, 2, 1), order="C"),
+        turned_a=np.array(np.pad(problem.transfer_a.transpose(0, 2, 1), wider), order="C"),
+        turned_b=np.array(np.pad(problem.transfer_b.transpose(0, 2, 1), wider), order="C"),
+        rows=np.array(np.pad(problem.basis.transpose(0, 2, 1), wider), order="C"),
         scale=scale,
         reach=assembly.mass.gyration,
         limit=MOVEMENT * structure_size(assembly),

@@ -54,8 +54,10 @@ class ContactArrays(NamedTuple):
     """Normal stiffness of each contact point in scaled variables, median 1, shape (points,)."""
     tangential: NDArray[np.float64]
     turned_a: NDArray[np.float64]
-    """Transposes of `Problem.transfer_a`, shape (pairs, 6, 6)."""
+    """Transposes of `Problem.transfer_a`, with rows of eight numbers, shape (pairs, 6, 8)."""
     turned_b: NDArray[np.float64]
+    rows: NDArray[np.float64]
+    """Transposes of `Problem.basis`, shape (points, 3, 8)."""
     scale: float
     """Metres (or radians) of displacement per scaled unit."""
     reach: NDArray[np.float64]
@@ -78,6 +80,8 @@ class ContactScratch(NamedTuple):
     trial: NDArray[np.float64]
     """Elastic trial forces of the springs, shape (points, 3)."""
     next_trial: NDArray[np.float64]
+    tangent: NDArray[np.float64]
+    """Tangent stiffness of the points of one pair, shape (points, 9)."""
     load: NDArray[np.float64]
     """Whitened external wrenches on the parts, shape (n, 6)."""
     displacement: NDArray[np.float64]
@@ -100,6 +104,7 @@ def make_contact_scratch(structure):
         np.zeros((points, 3)),
         np.zeros((points, 3)),
         np.zeros((points, 3)),
+        np.zeros((points, 9)),
         np.zeros((n, 6)),
         np.zeros((n, 6)),
         np.zeros((n, 6)),

@@ -79,7 +79,7 @@ class Panels(NamedTuple):
     used: NDArray[np.int64]
     """Scratch: first member of each supernode whose row it has not updated."""
     strip: NDArray[np.float64]
-    """Scratch: a block row, twice, shape (2 * 6 * widest,)."""
+    """Scratch: numbers at the members of a supernode, shape (widest,)."""
 
 
 def eliminate(problem: Problem) -> Elimination:
@@ -169,8 +169,9 @@ def make_panels(elimination, pairs):
         members += size + row_start[s + 1] - row_start[s]
         widest = max(widest, width)
     return Panels(
-        np.empty(entries),  # not filled, lest a few parts cost what all do
-        np.empty(entries),
+        # Not filled, lest a few parts cost what all do; blocks are added in rows of eight.
+        np.empty(entries + LANES),
+        np.empty(entries + LANES),
         np.zeros(count + 1, np.int64),
         np.zeros(count, np.int64),
         np.zeros(count, np.int64),
@@ -183,7 +184,7 @@ def make_panels(elimination, pairs):
         np.zeros(count, np.int64),
         np.zeros(count, np.int64),
         np.zeros(count, np.int64),
-        np.empty(12 * widest),
+        np.empty(widest),
     )
 
 

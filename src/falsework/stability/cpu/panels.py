@@ -1,8 +1,8 @@
 """Block `L U` factors in dense panels, supernode by supernode, and solves with them.
 
 Left-looking (Ng and Peyton, 1993): a supernode takes up the updates of those that were eliminated before, then it is
-factored itself, with 6 x 6 pivots. Updates are products of block rows that lie in a row in memory, which the compiler
-keeps in vector registers. Where the matrix is symmetric, only one half is computed.
+factored itself, with 6 x 6 pivots. Updates are products of block rows, which lie in a row in memory. Where the
+matrix is symmetric, only one half is computed.
 """
 
 from __future__ import annotations
@@ -10,6 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from falsework.utils.kernels import njit
+from falsework.utils.products import Product
+
+_subtract_product, _set_product = Product(-1), Product(1, adds=False)
 
 
 @njit(fastmath=True, cache=True)
@@ -39,55 +42,16 @@ def add_block(block, q, out, place, width):
 
 @njit(fastmath=True)
 def _subtract(left, place_left, width_left, right, place_right, width_right, depth, out, place, width_out, columns):
-    """Subtract `left^T right` from a block row: six columns of `left`, `columns` of `right`, `depth` rows of both.
-
-    Places in unsigned numbers, since numba would ask for each of the others whether it is negative.
-    """
-    for half in range(0, 6, 3):
-        c0 = np.uint64(place + half * width_out)
-        c1, c2 = c0 + np.uint64(width_out), c0 + np.uint64(2 * width_out)
-        for k in range(0, depth, 6):
-            p = np.uint64(place_left + k * width_left + half)
-            one, two, w = np.uint64(1), np.uint64(2), np.uint64(width_left)
-            a00, a10, a20 = left[p], left[p + one], left[p + two]
-            p += w
-            a01, a11, a21 = left[p], left[p + one], left[p + two]
-            p += w
-            a02, a12, a22 = left[p], left[p + one], left[p + two]
-            p += w
-            a03, a13, a23 = left[p], left[p + one], left[p + two]
-            p += w
-            a04, a14, a24 = left[p], left[p + one], left[p + two]
-            p += w
-            a05, a15, a25 = left[p], left[p + one], left[p + two]
-            w = np.uint64(width_right)
-            q0 = np.uint64(place_right + k * width_right)
-            q1 = q0 + w
-            q2 = q1 + w
-            q3 = q2 + w
-            q4 = q3 + w
-            q5 = q4 + w
-            for j in range(np.uint64(columns)):
-                b0, b1, b2 = right[q0 + j], right[q1 + j], right[q2 + j]
-                b3, b4, b5 = right[q3 + j], right[q4 + j], right[q5 + j]
-                out[c0 + j] -= a00 * b0 + a01 * b1 + a02 * b2 + a03 * b3 + a04 * b4 + a05 * b5
-                out[c1 + j] -= a10 * b0 + a11 * b1 + a12 * b2 + a13 * b3 + a14 * b4 + a15 * b5
-                out[c2 + j] -= a20 * b0 + a21 * b1 + a22 * b2 + a23 * b3 + a24 * b4 + a25 * b5
+    """Subtract `left^T right` from a block row: six columns of `left`, `columns` of `right`, `depth` rows of both."""
+    _subtract_product(
+        left, place_left, width_left, right, place_right, width_right, out, place, width_out, depth // 6, columns
+    )
 
 
 @njit(fastmath=True)
-def _scale(inverse, source, out, place, width, columns, strip):
+def _scale(inverse, source, out, place, width, columns):
     """Set a block row of `out` to the transposed inverse of its pivot times that of `source`, which may be the same."""
-    w = np.uint64(width)
-    p, q = np.uint64(place), np.uint64(0)
-    for _ in range(6):
-        for c in range(np.uint64(columns)):
-            strip[q + c] = -source[p + c]
-        for c in range(np.uint64(columns)):
-            out[p + c] = 0.0
-        p += w
-        q += np.uint64(columns)
-    _subtract(inverse, 0, 6, strip, 0, columns, 6, out, place, width, columns)
+    _set_product(inverse, 0, 6, source, place, width, out, place, width, 1, columns)
 
 
 @njit(fastmath=True)
@@ -153,18 +117,6 @@ def _invert_symmetric(block, place, width, work, inverse):
     return True
 
 
-@njit(fastmath=True)
-def _add_strip(strip, begin, columns, out, place, width, member, begin_member, places):
-    """Add a block row in scratch to the columns of its members in another panel."""
-    for m in range(columns):
-        p, q = place + 6 * places[member[begin_member + m]], begin + 6 * m
-        for _ in range(6):
-            for c in range(6):
-                out[p + c] += strip[q + c]
-            p += width
-            q += 6 * columns
-
-
 @njit(fastmath=True, cache=True)
 def factor_panels(supernode, panels, symmetric):
     """Replace a matrix by its factors.
@@ -177,7 +129,7 @@ def factor_panels(supernode, panels, symmetric):
     Returns:
         False if a pivot block is singular, or not positive definite where it has to be.
     """
-    upper, lower, strip, place = panels.upper, panels.lower, panels.strip, panels.place
+    upper, lower, place = panels.upper, panels.lower, panels.place
     panel, width, own, used = panels.panel, panels.width, panels.own, panels.used
     member_start, member, head, following = panels.member_start, panels.member, panels.head, panels.following
     work, inverse = np.empty((6, 6)), np.empty(36)
@@ -196,24 +148,20 @@ def factor_panels(supernode, panels, symmetric):
             last = first
             while last < members_b and supernode[member[begin_b + last]] == s:
                 last += 1
-            begin_place, end_place = place[member[begin_b + first]], place[member[begin_b + members_b - 1]]
-            whole = end_place - begin_place == members_b - 1 - first
             for i in range(first, last):
-                source, columns, row = panel[before] + 6 * i, 6 * (members_b - i), place[member[begin_b + i]]
-                if whole:
-                    at = base + 6 * row * (wide + 1)
-                    _subtract(lower, source, wide_b, upper, source, wide_b, depth, upper, at, wide, columns)
+                source, row = panel[before] + 6 * i, base + 6 * wide * place[member[begin_b + i]]
+                m = i
+                while m < members_b:  # members that follow one another here do so there in most cases
+                    at, end = place[member[begin_b + m]], m + 1
+                    while end < members_b and place[member[begin_b + end]] - at == end - m:
+                        end += 1
+                    beside, columns = source + 6 * (m - i), 6 * (end - m)
+                    _subtract(lower, source, wide_b, upper, beside, wide_b, depth, upper, row + 6 * at, wide, columns)
                     if not symmetric:
-                        _subtract(upper, source, wide_b, lower, source, wide_b, depth, lower, at, wide, columns)
-                    continue
-                at = base + 6 * row * wide
-                for e in range(12 * columns):
-                    strip[e] = 0.0
-                _subtract(lower, source, wide_b, upper, source, wide_b, depth, strip, 0, columns, columns)
-                _add_strip(strip, 0, members_b - i, upper, at, wide, member, begin_b + i, place)
-                if not symmetric:
-                    _subtract(upper, source, wide_b, lower, source, wide_b, depth, strip, 6 * columns, columns, columns)
-                    _add_strip(strip, 6 * columns, members_b - i, lower, at, wide, member, begin_b + i, place)
+                        _subtract(
+                            upper, source, wide_b, lower, beside, wide_b, depth, lower, row + 6 * at, wide, columns
+                        )
+                    m = end
             if last < members_b:
                 used[before] = last
                 above = supernode[member[begin_b + last]]
@@ -228,11 +176,11 @@ def factor_panels(supernode, panels, symmetric):
             if symmetric:
                 if not _invert_symmetric(upper, at, wide, work, inverse):
                     return False
-                _scale(inverse, upper, lower, at + 6, wide, columns - 6, strip)
+                _scale(inverse, upper, lower, at + 6, wide, columns - 6)
             else:
                 if not _invert(upper, at, wide, work, inverse):
                     return False
-                _scale(inverse, lower, lower, at + 6, wide, columns - 6, strip)
+                _scale(inverse, lower, lower, at + 6, wide, columns - 6)
             for r in range(6):
                 for c in range(6):
                     upper[at + r * wide + c] = inverse[6 * r + c]

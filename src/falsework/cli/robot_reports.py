@@ -1,0 +1,111 @@
+"""Records and sentences about robot plans and their checks."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from falsework.robots.plans.check import CheckReport
+    from falsework.robots.plans.robot_plan import RobotPlan
+    from falsework.robots.schedule.simulation import SimulationReport
+
+_NO_GAIN = 0.05
+"""A schedule that saves no more than this is none, seconds."""
+
+
+def times_record(plan: RobotPlan) -> dict[str, Any]:
+    """Return the duration of a plan, and how each arm spends it."""
+    from falsework.robots.plans.timeline import arm_shares
+
+    if plan.schedule is None:
+        return {"makespan": round(plan.seconds, 3), "sequential": round(plan.seconds, 3), "lower_bound": None}
+    return {
+        "makespan": round(plan.schedule.makespan, 3),
+        "sequential": round(plan.schedule.sequential, 3),
+        "lower_bound": round(plan.schedule.lower_bound, 3),
+        "arms": [
+            {
+                "robot": share.robot,
+                "moves": round(share.moves, 4),
+                "holds": round(share.holds, 4),
+                "waits": round(share.waits, 4),
+            }
+            for share in arm_shares(plan, plan.schedule)
+        ],
+    }
+
+
+def schedule_text(plan: RobotPlan) -> str:
+    """Return what a schedule saves, in one sentence."""
+    graph = plan.schedule
+    assert graph is not None
+    if graph.makespan > graph.sequential - _NO_GAIN:
+        return f"no two motions can take place at the same time: the plan stays sequential, {graph.sequential:.0f} s"
+    share = graph.makespan / graph.sequential
+    return (
+        f"with robots moving at the same time it takes {graph.makespan:.0f} s, {share:.0%} of its motions one after "
+        f"the other; no order of these motions takes less than {graph.lower_bound:.0f} s"
+    )
+
+
+def check_record(report: CheckReport) -> dict[str, Any]:
+    """Return the record of the motions of a plan."""
+    delays = report.delays
+    return {
+        "samples": report.samples,
+        "timed_samples": report.timed_samples,
+        "delays": None
+        if delays is None
+        else {
+            "overlaps": delays.overlaps,
+            "early": delays.early,
+            "ranges": delays.ranges,
+            "distances": delays.distances,
+            "seconds": delays.seconds,
+        },
+        "trajectories": report.trajectories,
+        "largest_step": report.largest_step,
+        "largest_join": report.largest_join,
+        "velocity_share": report.velocity_share,
+        "acceleration_share": report.acceleration_share,
+        "tolerance": report.tolerance,
+        "links": report.links,
+        "problems": [
+            {
+                "step": problem.step,
+                "robot": problem.robot,
+                "what": problem.what,
+                "pair": problem.pair,
+                "seconds": problem.seconds,
+                "configuration": problem.configuration,
+                "distance": problem.distance,
+            }
+            for problem in report.problems
+        ],
+        "seconds": report.seconds,
+    }
+
+
+def runs_record(runs: SimulationReport, longest_delay: float) -> dict[str, Any]:
+    """Return the record of delayed runs."""
+    least, median, most = runs.spread
+    return {
+        "runs": len(runs.makespans),
+        "longest_delay": longest_delay,
+        "out_of_order": runs.out_of_order,
+        "stuck": runs.stuck,
+        "outside": runs.outside,
+        "makespan": {"least": round(least, 3), "median": round(median, 3), "most": round(most, 3)},
+    }
+
+
+def runs_text(runs: SimulationReport, longest_delay: float) -> str:
+    """Return how delayed runs ended, in one sentence."""
+    what = f"{len(runs.makespans)} runs with motions up to {longest_delay:.0%} longer"
+    if not runs.good:
+        return (
+            f"of {what} {runs.out_of_order} reach states in another order, {runs.stuck} end in a deadlock, and "
+            f"{runs.outside} leave the checked positions"
+        )
+    least, median, most = runs.spread
+    return f"{what} take {least:.1f} to {most:.1f} s, median {median:.1f} s"

@@ -1,0 +1,209 @@
+"""Positions that the arms of a temporal plan graph can have at the same time, whatever the delays.
+
+The progress of an arm is a number: 2 i while it rests before motion i, 2 i + 1 when the motion begins, 2 i + 2 when it
+ends. A motion begins only when every arm has made some least progress, its own waits and the waits of what it waits for
+included. Two positions can therefore coincide if and only if each arm has made the progress that the motion begun last
+by the other needs: the least progress of all arms that reaches both positions is then itself an execution. So the
+positions of two motions that can coincide form a rectangle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import REMOVED
+from falsework.errors import PlanError
+from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
+from falsework.robots.plans.timeline import Event, nodes_of
+from falsework.search.problem.task import Direction
+
+Array = NDArray[np.float64]
+
+_INSTANT = 1e-6
+"""Times that differ by no more are equal, seconds; the rounding of files is finer."""
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """Motion of an arm, or its rest between two motions."""
+
+    robot: int
+    step: int
+    """Step of the plan that it belongs to, or that precedes the rest."""
+    begun: int | None
+    """Node of the graph begun last; None before the first."""
+    low: float
+    """Progress at its beginning."""
+    high: float
+    """Progress at its end."""
+    trajectory: Trajectory | None
+    """None: a rest."""
+    rest: Array
+    """Configuration at its end, shape (joints,)."""
+    load: tuple[int, Array] | None
+    """The part that it carries, and the configuration in which the part is in place."""
+
+
+@dataclass(frozen=True)
+class Overlap:
+    """Positions of two segments that can coincide: all pairs of two ranges of progress."""
+
+    one: Segment
+    other: Segment
+    one_range: tuple[float, float]
+    other_range: tuple[float, float]
+
+
+class ReachablePositions:
+    """Positions of all arms that can coincide under the schedule of a plan."""
+
+    def __init__(self, plan: RobotPlan) -> None:
+        """Compute the least progress of every arm when each motion begins.
+
+        Raises:
+            PlanError: the plan has no schedule.
+        """
+        graph = plan.schedule
+        if graph is None:
+            raise PlanError("the robot plan has no schedule whose delays could be checked; plan again, or schedule it")
+        self.plan, self.graph = plan, graph
+        self.events: tuple[Event, ...] = nodes_of(plan)[1]
+        self._own = [graph.of_robot(robot) for robot in range(graph.robots)]
+        self.begins = np.zeros(len(graph.nodes))
+        for nodes in self._own:
+            self.begins[nodes] = 2 * np.arange(len(nodes)) + 1.0
+        self.needed = np.zeros((len(graph.nodes), graph.robots))
+        """Least progress of each arm when a node begins, shape (nodes, robots)."""
+        self._before = np.zeros(len(graph.nodes))
+        """Progress of its own arm that each node waits for, shape (nodes,)."""
+        self._find_least_progress()
+        self.reached = np.array([self.begins[event.node] + event.at_end for event in self.events])
+        """Progress of the arm of each event when it happens, shape (events,)."""
+        self.segments = [list(self._segments_of(robot)) for robot in range(graph.robots)]
+
+    def _find_least_progress(self) -> None:
+        graph, found = self.graph, self.needed
+        waits: list[list[tuple[int, float]]] = [[] for _ in graph.nodes]
+        for edge in graph.edges:
+            seconds = graph.nodes[edge.before].seconds
+            done = edge.offset >= seconds - _INSTANT
+            share = 0.0 if edge.offset <= _INSTANT else 1.0 if done else edge.offset / seconds
+            waits[edge.after].append((edge.before, share))
+        for index in graph.order:
+            for before, share in waits[index]:
+                np.maximum(found[index], found[before], out=found[index])
+                robot = graph.nodes[before].robot
+                found[index, robot] = max(found[index, robot], self.begins[before] + share)
+            own = graph.nodes[index].robot
+            self._before[index] = found[index, own]
+            found[index, own] = max(found[index, own], self.begins[index])
+
+    def _segments_of(self, robot: int) -> Iterator[Segment]:
+        """Yield rests and motions of one arm in turn, a rest first and last."""
+        plan, graph, own = self.plan, self.graph, self._own[robot]
+        values, last = plan.keyframes[0].configurations[robot], None
+        for place, index in enumerate((*own, None)):
+            on_way = last is not None and index is not None and graph.nodes[last].step == graph.nodes[index].step
+            step = 0 if last is None else graph.nodes[last].step
+            load = self._load(index) if on_way and index is not None else None
+            yield Segment(robot, step, last, 2.0 * place, 2.0 * place, None, values, load)
+            if index is None:
+                return
+            last, number = index, graph.nodes[index].trajectory
+            if number is None:
+                continue
+            step = graph.nodes[index].step
+            trajectory = plan.steps[step].trajectories[number]
+            values, begin = trajectory.positions[-1], 2.0 * place + 1
+            yield Segment(robot, step, index, begin, begin + 1, trajectory, values, self._load(index))
+
+    def _load(self, index: int) -> tuple[int, Array] | None:
+        """Return the part that a motion carries, and the configuration in which the part is in place."""
+        node = self.graph.nodes[index]
+        if node.trajectory is None:
+            return None
+        part = self.plan.steps[node.step].trajectories[node.trajectory].part
+        if part is None:
+            return None
+        apart = self.plan.direction is Direction.DISASSEMBLY
+        return part, self.plan.keyframes[node.step + (0 if apart else 1)].configurations[node.robot]
+
+    def _needs(self, segments: list[Segment], robot: int) -> Array:
+        """Return the least progress of an arm in each segment of another, shape (segments,)."""
+        return np.array([0.0 if entry.begun is None else self.needed[entry.begun, robot] for entry in segments])
+
+    def overlaps(self, one: int, other: int) -> Iterator[Overlap]:
+        """Yield all pairs of segments of two arms of which positions can coincide."""
+        rows, columns = self.segments[one], self.segments[other]
+        of_one, of_other = self._needs(columns, one), self._needs(rows, other)
+        tops = np.array([entry.high for entry in rows])[:, None] >= of_one[None]
+        sides = np.array([entry.high for entry in columns])[None] >= of_other[:, None]
+        for i, j in np.argwhere(tops & sides).tolist():
+            a, b = rows[i], columns[j]
+            low, side = max(a.low, float(of_one[j])), max(b.low, float(of_other[i]))
+            # The end of a motion alone is the rest that follows, of which the load may be put down.
+            if (low < a.high or a.trajectory is None) and (side < b.high or b.trajectory is None):
+                yield Overlap(a, b, (low, a.high), (side, b.high))
+
+    def out_of_order(self) -> list[tuple[int, str]]:
+        """Return the nodes that a delay can bring before what they must follow, and what that is.
+
+        Motions of an arm must follow each other, and so must the states of the structure.
+        """
+        found = []
+        for nodes in self._own:
+            for before, after in pairwise(nodes):
+                end = self.begins[before] + (self.graph.nodes[before].seconds > 0)
+                if self._before[after] < end:
+                    found.append((after, "its motion does not wait for the motion before"))
+        for k, (before, after) in enumerate(pairwise(self.events)):
+            robot, same = self.graph.nodes[before.node].robot, before.node == after.node
+            if not same and self.needed[after.node, robot] < self.reached[k]:
+                found.append((after.node, "it does not wait for the state of the previous step"))
+        return found
+
+    def present(self, segment: Segment) -> list[tuple[float, float, NDArray[np.bool_]]]:
+        """Return ranges of progress of a motion, and all parts that can stand in the structure in each, (parts,).
+
+        The end of a range is included only as a limit: what happens when the motion ends belongs to the rest after it.
+        """
+        robot, count = segment.robot, len(self.events)
+        arms = [self.graph.nodes[event.node].robot for event in self.events]
+        must = np.zeros(self.graph.robots) if segment.begun is None else self.needed[segment.begun]
+        happened = np.array([must[arm] for arm in arms]) >= self.reached
+        first = count if happened.all() else int(np.argmin(happened))
+        # The progress of this arm without which an event cannot happen.
+        needs = np.array([self.needed[event.node, robot] for event in self.events])
+        own = np.array(arms) == robot
+        needs[own] = np.maximum(needs[own], self.reached[own])
+        cuts = np.unique(np.clip(needs[first:], segment.low, segment.high))
+        cuts = np.unique(np.concatenate([[segment.low], cuts, [segment.high]]))
+        states, found = self.plan.plan.states, []
+        for low, high in pairwise(cuts.tolist()):
+            last = first + int((needs[first:] <= low).sum())
+            found.append((low, high, (states[first : last + 1] != REMOVED).any(axis=0)))
+        return found
+
+    def contains(self, starts: Array, factor: Array) -> bool:
+        """Return whether an execution passes through reachable positions only.
+
+        Args:
+            starts: start time of each node, shape (nodes,).
+            factor: factor on the duration of each motion, shape (nodes,).
+        """
+        ends = starts + factor * self.graph.durations
+        for robot, own in enumerate(self._own):
+            if not own:
+                continue
+            place = np.searchsorted(starts[own], starts + _INSTANT, side="right") - 1
+            index = np.asarray(own)[np.maximum(place, 0)]
+            span = np.maximum(ends[index] - starts[index], _INSTANT)
+            made = self.begins[index] + np.clip((starts - starts[index] + _INSTANT) / span, 0.0, 1.0)
+            if (np.where(place < 0, 0.0, made) < self.needed[:, robot] - 1e-9).any():
+                return False
+        return True
