@@ -67,7 +67,8 @@ def reorder(
 def _follow(graph: KeyframeGraph, root: Node, edges: Sequence[Edge], old: Container[PathSegment]) -> list[Edge] | int:
     """Return edges proven in their new order, or the index of the first that fails there.
 
-    Segments that are not old may still be shortened, so they get the scene that they are proven in here.
+    Free motions that are not old may still be shortened, so they get the scene that they are proven in here. Lines get
+    none: a line is not checked against the parts that touch the withdrawn one, since it keeps to an exit direction.
     """
     node, found = root, []
     for k, edge in enumerate(edges):
@@ -77,7 +78,8 @@ def _follow(graph: KeyframeGraph, root: Node, edges: Sequence[Edge], old: Contai
             if path is None:
                 return k
             same = path is segment.path and segment in old
-            segments.append(segment if same else replace(segment, path=path, view=view))
+            scene = None if segment.kind == "line" else view
+            segments.append(segment if same else replace(segment, path=path, view=scene))
         node = node.after(edge.action, edge.robot, segments[-1].path[-1])
         found.append(replace(edge, segments=tuple(segments), node=node))
     return found
