@@ -54,7 +54,6 @@ GROUPS = {
     "motion": (
         collision._distance,
         coordination._conflicts,
-        coordination._first_clear,
         coordination._place,
         forward.place_many,
         numeric_ik.reach_poses,

@@ -10,7 +10,7 @@ import pytest
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, complete_state
-from falsework.robots.kernels.coordination import first_clear
+from falsework.robots.kernels.coordination import conflicts
 from falsework.robots.keyframes.joint_holds import HoldingOracle, JointHolds
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.model.cell import Cell
@@ -41,7 +41,8 @@ def test_grips_that_go_together_are_those_of_the_collision_world(
     assert mine
     assert theirs
     swept = graph.joint._swept(mine), graph.joint._swept(theirs)
-    clear = first_clear(*swept, cell.margins.line)
+    apart = ~conflicts(*((cells, cells) for cells in swept), cell.margins.line)
+    clear = np.where(apart.any(axis=1), apart.argmax(axis=1), -1)
     table = graph.joint._clear(mine, theirs)
     assert table.shape == (len(mine), len(theirs))
     np.testing.assert_array_equal(np.where(table.any(axis=1), table.argmax(axis=1), -1), clear)

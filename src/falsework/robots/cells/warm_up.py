@@ -32,4 +32,3 @@ def compile_kernels() -> None:
     speed_profile.thin(timed.times, timed.positions, timed.velocities, model.acceleration * 1.0, 0.0, kept)
     swept = coordination.sweep(model.home[None], np.zeros((1, model.joints)), view.chain, view.bodies)
     coordination.conflicts((swept, swept), (swept, swept), 0.0)
-    coordination.first_clear(swept, swept, 0.0)

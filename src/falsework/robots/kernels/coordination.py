@@ -189,29 +189,3 @@ def conflicts(one: tuple[Swept, Swept], other: tuple[Swept, Swept], margin: floa
     axis = np.zeros((len(one[0].radius), len(other[0].radius), 3))
     _conflicts(*one, *other, margin, axis, np.empty((6, 3)), found)
     return found
-
-
-@njit(**OUTER)
-def _first_clear(one, other, margin, axis, scratch, found):
-    for i in range(len(one.low)):
-        found[i] = -1
-        for j in range(len(other.low)):
-            if not _meet(one, i, other, j, margin, axis, scratch):
-                found[i] = j
-                break
-
-
-def first_clear(one: Swept, other: Swept, margin: float) -> NDArray[np.int64]:
-    """Return for each cell of one motion the first of another with a proven distance, -1 if there is none.
-
-    Args:
-        one, other: cells of two arms.
-        margin: the distance, metres.
-
-    Returns:
-        Shape (cells of one,).
-    """
-    found = np.empty(len(one.low), np.int64)
-    axis = np.zeros((len(one.radius), len(other.radius), 3))
-    _first_clear(one, other, margin, axis, np.empty((6, 3)), found)
-    return found
