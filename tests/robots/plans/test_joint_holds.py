@@ -40,8 +40,8 @@ def test_grips_that_go_together_are_those_of_the_collision_world(
     mine, theirs = graph.grips(0, 1, state)[::40], graph.grips(1, 2, state)[::40]
     assert mine
     assert theirs
-    swept = graph.joint._swept(mine), graph.joint._swept(theirs)
-    apart = ~conflicts(*((cells, cells) for cells in swept), cell.margins.line)
+    one, other = graph.joint._swept(mine), graph.joint._swept(theirs)
+    apart = ~conflicts((one, one), (other, other), cell.margins.line)
     clear = np.where(apart.any(axis=1), apart.argmax(axis=1), -1)
     table = graph.joint._clear(mine, theirs)
     assert table.shape == (len(mine), len(theirs))
