@@ -107,17 +107,26 @@ class Arms:
 
     def holders(self) -> NDArray[np.int64]:
         """Return robot that holds each part in each state, in the order of disassembly; shape (steps + 1, parts)."""
-        frames = self._plan.keyframes
-        who = np.full((len(frames), len(self._plan.plan.boundary)), NO_ROBOT, dtype=np.int64)
-        for row, frame in enumerate(frames):
+        apart = self.direction is Direction.DISASSEMBLY
+        plan = self._plan if apart else self._plan.reverse()
+        who = np.full(plan.plan.states.shape, NO_ROBOT, dtype=np.int64)
+        for row, frame in zip(plan.rows.tolist(), plan.keyframes, strict=True):
+            who[row] = NO_ROBOT  # of the keyframes around a hand-over the last one counts
             for robot, part in enumerate(frame.held):
                 if part is not None:
                     who[row, part] = robot
-        return who if self.direction is Direction.DISASSEMBLY else who[::-1]
+        return who
 
     def seconds(self, step: int) -> float:
-        """Return the duration of a step, counted from 0 in the order shown."""
-        return self._plan.steps[step].seconds
+        """Return the duration of a step and of the hand-overs before it, counted from 0 in the order shown."""
+        return sum(self._plan.steps[index].seconds for index in self._steps(step))
+
+    def _steps(self, step: int) -> range:
+        """Return the steps of the robots from one action of the plan to the next; the last action has the rest."""
+        rows = self._plan.rows
+        first = int(np.searchsorted(rows, step))
+        last = len(self._plan) if step + 1 == len(self._plan.plan) else int(np.searchsorted(rows, step + 1))
+        return range(first, last)
 
     def at_time(self, seconds: float) -> ArmPoses:
         """Return the poses at a time of the schedule, in the order shown."""
@@ -132,7 +141,7 @@ class Arms:
 
     def at(self, position: float) -> ArmPoses:
         """Return the poses at a position, in steps in the order shown, one motion after the other."""
-        steps = len(self._plan)
+        steps = len(self._plan.plan)
         position = min(max(position, 0.0), float(steps))
         step = min(int(position), steps - 1) if steps else 0
         if steps == 0 or position == int(position):
@@ -140,12 +149,18 @@ class Arms:
         return self._moving(step, position - step)
 
     def _still(self, state: int) -> ArmPoses:
-        return ArmPoses(self._poses(self._plan.keyframes[state].configurations))
+        last = state == len(self._plan.plan)
+        frame = len(self._plan) if last else self._steps(state).start
+        return ArmPoses(self._poses(self._plan.keyframes[frame].configurations))
 
-    def _moving(self, index: int, share: float) -> ArmPoses:
+    def _moving(self, number: int, share: float) -> ArmPoses:
+        steps, left = self._steps(number), share * self.seconds(number)
+        index = steps.start
+        while left > self._plan.steps[index].seconds and index + 1 < steps.stop:
+            left -= self._plan.steps[index].seconds
+            index += 1
         step = self._plan.steps[index]
         before, after = self._plan.keyframes[index], self._plan.keyframes[index + 1]
-        left = share * step.seconds
         done, current = [], None
         for trajectory in step.trajectories:
             if left <= trajectory.seconds:
@@ -158,11 +173,14 @@ class Arms:
             after.configurations[step.robot] if current is None else current.sample(np.array([left]))[0]
         )
         parts = len(self._plan.plan.boundary)
-        action = int(self._plan.plan.actions[index])
+        action = int(self._plan.plan.actions[number])
         part, moves = action % parts, action >= parts
         removing = moves and self.direction is Direction.DISASSEMBLY
         poses = self._poses(configurations)
-        if not moves:
+        if not moves or self._plan.rows[index] > number:
+            come = part if moves and not removing else None
+            return ArmPoses(poses, arrived=come, gone=part if removing else None)
+        if step.hands_over is not None:
             return ArmPoses(poses)
         carrying = current is not None and current.part is not None
         if carrying:

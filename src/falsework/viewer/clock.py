@@ -33,7 +33,8 @@ class Clock:
         """Return the clock of a plan; None without a schedule."""
         if plan.schedule is None:
             return None
-        events = np.maximum.accumulate(event_times(plan, plan.schedule))
+        changes = [step.hands_over is None for step in plan.steps]
+        events = np.maximum.accumulate(event_times(plan, plan.schedule))[changes]
         return cls(plan.schedule.starts(), events, plan.makespan)
 
     def position(self, seconds: float) -> float:

@@ -8,6 +8,7 @@ completely: edges are computed on demand and cached.
 from __future__ import annotations
 
 import itertools
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -101,6 +102,28 @@ class KeyframeGraph:
             return self._release(node, action)
         return self._remove(node, action - parts) if action >= parts else self._hold(node, action)
 
+    def take_over(self, node: Node, part: int) -> Iterator[Edge]:
+        """Yield edges on which another robot holds a held part as well, so that the robot that holds it can leave.
+
+        One from each side for each robot: which robot it is, and where it stands, matters more than how it holds.
+        """
+        left: dict[tuple[int, bytes], list[GraspConfiguration]] = defaultdict(list)
+        for robot in self._nearest_free(node, part):
+            for grip in self.grips(robot, part, node.state):
+                left[robot, (np.round(grip.grasp.approach, 1) + 0.0).tobytes()].append(grip)
+        for lasting in (True,) if node.was_released(part) else (True, False):
+            for (robot, side), grips in list(left.items()):
+                for edge in self.holds(node, part, robot, lasting, grips):
+                    if next(self._release(edge.node, part), None) is not None:
+                        del left[robot, side]
+                        yield edge
+                        break
+
+    def leave(self, node: Node) -> Iterator[Edge]:
+        """Yield edges on which the first of two robots that hold a part leaves it to the other."""
+        assert node.handed is not None
+        return self._release(node, node.handed)
+
     def keyframes(self, state: States) -> Iterator[Node]:
         """Yield every keyframe of a state: every assignment of robots to held parts, every grasp and joint branch.
 
@@ -165,10 +188,7 @@ class KeyframeGraph:
     # Holding
 
     def _hold(self, node: Node, part: int) -> Iterator[Edge]:
-        free = [robot for robot, held in enumerate(node.held) if held is None]
-        center = self.parts.center[part]
-        free.sort(key=lambda robot: float(np.linalg.norm(self.cell.robots[robot].base[:2, 3] - center[:2])))
-        found = False
+        free, found = self._nearest_free(node, part), False
         # Where a part may be held again, a grasp with which it cannot leave later is better than none.
         for lasting in (True, False) if self.support and not node.was_released(part) else (True,):
             # One grasp with each robot before another with the first: which robot holds a part matters more than how.
@@ -184,11 +204,32 @@ class KeyframeGraph:
             if found:
                 return
 
-    def holds(self, node: Node, part: int, robot: int, lasting: bool = True) -> Iterator[Edge]:
-        """Yield edges on which a robot that holds nothing holds a part, with which it can leave later if `lasting`."""
-        grips = self.grips(robot, part, node.state)
+    def _nearest_free(self, node: Node, part: int) -> list[int]:
+        """Return the robots that hold nothing, nearest to a part first."""
+        free = [robot for robot, held in enumerate(node.held) if held is None]
+        center = self.parts.center[part]
+        return sorted(free, key=lambda robot: float(np.linalg.norm(self.cell.robots[robot].base[:2, 3] - center[:2])))
+
+    def holds(
+        self,
+        node: Node,
+        part: int,
+        robot: int,
+        lasting: bool = True,
+        grips: list[GraspConfiguration] | None = None,
+    ) -> Iterator[Edge]:
+        """Yield edges on which a robot that holds nothing holds a part.
+
+        Args:
+            node: the keyframe.
+            part: the part.
+            robot: the robot.
+            lasting: only with grasps with which the part can leave later.
+            grips: the grasps to choose from, all by default.
+        """
+        grips = self.grips(robot, part, node.state) if grips is None else grips
         if node.changed:
-            grips = [grip for grip in grips if (part, grip.configuration.tobytes()) not in node.changed]
+            grips = [grip for grip in grips if node.is_new(part, robot, grip.configuration)]
         if not grips:
             return
         contact = Contact(gripper=frozenset({part}))
@@ -223,7 +264,7 @@ class KeyframeGraph:
         assert free.path is not None
         line = PathSegment("line", retreat[::-1].copy(), touches=part)
         segments = (PathSegment("free", free.path, view=clear), line)
-        return Edge(part, robot, segments, node.after(part, robot, grip.configuration))
+        return Edge(part, robot, segments, node.after(part, robot, grip.configuration), part in node.held)
 
     def _retreat(
         self, action: str, part: int, robot: int, here: Array, way: Array, view: CollisionQuery, clear: CollisionQuery
@@ -254,7 +295,7 @@ class KeyframeGraph:
         values = tuple(
             np.asarray(grip.configuration)
             if robot == grip.robot
-            else (node.configurations[robot] if held is not None and later[held] != REMOVED else entry.home)
+            else (node.configurations[robot] if held not in (None, part) and later[held] != REMOVED else entry.home)
             for robot, (entry, held) in enumerate(zip(self.cell.robots, node.held, strict=True))
         )
         scene = Scene(values, later != REMOVED, (None,) * len(values))
@@ -265,7 +306,7 @@ class KeyframeGraph:
 
     def _release(self, node: Node, part: int) -> Iterator[Edge]:
         """Yield the edge on which a robot lets go of a part and stays beside it, then the one on which it goes home."""
-        robot = node.held.index(part)
+        robot, hands_over = node.holder(part), node.handed == part
         here, entry = node.configurations[robot], self.cell.robots[robot]
         view = self._view(node, robot, self.cell.margins.line)
         clear = self.cache.view(node.scene, robot, NO_CONTACT, self.cell.margins.free)
@@ -273,11 +314,11 @@ class KeyframeGraph:
         if path is None:
             return
         line = PathSegment("line", path, touches=part)
-        yield Edge(part, robot, (line,), node.after(part, robot, path[-1]))
+        yield Edge(part, robot, (line,), node.after(part, robot, path[-1]), hands_over)
         home = self.cache.motion(node.scene, robot, path[-1], entry.home)
         if home.path is not None:
             segments = (line, PathSegment("free", home.path, view=clear))
-            yield Edge(part, robot, segments, node.after(part, robot, entry.home))
+            yield Edge(part, robot, segments, node.after(part, robot, entry.home), hands_over)
 
     # Removing
 

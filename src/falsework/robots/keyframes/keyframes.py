@@ -16,6 +16,8 @@ from falsework.search.problem.result import Route
 
 Array = NDArray[np.float64]
 
+_MOST_HAND_OVERS = 2
+"""Hand-overs of a part between two removals: to another robot, and back with another grasp."""
 _MOST_REPEATS = 2
 """Dead ends with the same arms at the same parts, after which other grasps of these arms are not tried."""
 
@@ -28,9 +30,10 @@ class Node:
     """Shape (parts,)."""
     configurations: tuple[Array, ...]
     held: tuple[int | None, ...]
-    """The part that each robot holds."""
+    """The part that each robot holds; in the middle of a hand-over two robots hold the same one."""
     changed: frozenset[tuple[int, bytes]] = frozenset()
-    """Parts held or released since a part was last removed; those released with the configuration that held them."""
+    """Parts held or released since a part was last removed; those released, or handed over, with the grip that they
+    had."""
 
     @cached_property
     def present(self) -> NDArray[np.bool_]:
@@ -53,24 +56,49 @@ class Node:
         """Return whether a part is held since before a part was last removed; others need not have been held."""
         return part in self.held and all(part != other for other, _ in self.changed)
 
+    def can_hand_over(self, part: int) -> bool:
+        """Return whether a part is held as since before a part was last removed, or was handed over once since then."""
+        times = sum(part == other for other, grip in self.changed if grip)
+        return part in self.held and (part, b"") not in self.changed and times < _MOST_HAND_OVERS
+
+    @property
+    def handed(self) -> int | None:
+        """The part that two robots hold."""
+        return next((part for part, count in Counter(self.held).items() if part is not None and count > 1), None)
+
+    def holder(self, part: int) -> int:
+        """Return the robot that holds a part; of two robots the one that held it first."""
+        robots = [robot for robot, held in enumerate(self.held) if held == part]
+        return next((k for k in robots if not self.is_new(part, k, self.configurations[k])), robots[0])
+
+    def is_new(self, part: int, robot: int, values: Array) -> bool:
+        """Return whether no robot released a part from this grip since a part was last removed."""
+        return (part, _grip(robot, values)) not in self.changed
+
     def was_released(self, part: int) -> bool:
-        """Return whether a part was released since a part was last removed."""
-        return any(part == other and configuration for other, configuration in self.changed)
+        """Return whether a part was released, or handed over, since a part was last removed."""
+        return any(part == other and grip for other, grip in self.changed)
 
     def after(self, action: int, robot: int, values: Array) -> Node:
-        """Return the keyframe after an action.
+        """Return the keyframe after an action, or after half of a hand-over of a part that another robot holds.
 
         Args:
-            action: as of `state_after`.
+            action: as of `state_after`; in a hand-over the part.
             robot: the robot that carries it out.
             values: its configuration then, shape (joints,).
         """
-        part, state = action % len(self.state), state_after(self.state, action)
         configurations, held = list(self.configurations), list(self.held)
-        configurations[robot], held[robot] = np.asarray(values), part if state[part] == HELD else None
+        configurations[robot] = np.asarray(values)
+        if any(held == action and other != robot for other, held in enumerate(self.held)):
+            giver = self.holder(action)
+            held[robot] = action if self.held[robot] is None else None
+            given = (action, _grip(giver, self.configurations[giver]))
+            return Node(self.state, tuple(configurations), tuple(held), self.changed | {given})
+        part, state = action % len(self.state), state_after(self.state, action)
+        held[robot] = part if state[part] == HELD else None
         changed: frozenset[tuple[int, bytes]] = frozenset()
         if state[part] != REMOVED:
-            changed = self.changed | {(part, b"" if state[part] == HELD else self.configurations[robot].tobytes())}
+            changed = self.changed | {(part, b"" if state[part] == HELD else _grip(robot, self.configurations[robot]))}
         return Node(state, tuple(configurations), tuple(held), changed)
 
 
@@ -126,6 +154,13 @@ class Edge:
     segments: tuple[PathSegment, ...]
     node: Node
     """Keyframe after the action."""
+    hands_over: bool = False
+    """Whether it is half of a hand-over, which changes no state: `action` is the part."""
+
+
+def _grip(robot: int, values: Array) -> bytes:
+    """Return the key of a grip: arms around a structure may have the same joint values."""
+    return bytes([robot]) + values.tobytes()
 
 
 def state_after(state: States, action: int) -> States:
@@ -136,6 +171,7 @@ def state_after(state: States, action: int) -> States:
 
 
 def route_along(root: Node, chain: Sequence[Edge]) -> Route:
-    """Return the states and actions of a chain of edges."""
+    """Return the states and actions of a chain of edges, hand-overs left out."""
+    chain = [edge for edge in chain if not edge.hands_over]
     states: States = np.array([root.state, *(edge.node.state for edge in chain)], dtype=np.uint8)
     return Route(states, np.array([edge.action for edge in chain], dtype=np.int64))

@@ -49,7 +49,7 @@ def make_robot_plan(
         oracle: stability oracle that proves the states.
         route: states and actions.
         root: the first keyframe.
-        chain: an edge for every action.
+        chain: an edge for every action, and two for each hand-over.
         forces: whether to keep the contact forces in the plan.
         timed: cache of trajectories; missing ones are added.
 
@@ -65,7 +65,8 @@ def make_robot_plan(
             if segment not in timed:
                 timed[segment] = timed_leg(model, segment, cell.speed)
         legs = (timed[segment] for segment in edge.segments)
-        steps.append(RobotStep(edge.robot, tuple(leg for leg in legs if leg is not None)))
+        handed = edge.action if edge.hands_over else None
+        steps.append(RobotStep(edge.robot, tuple(leg for leg in legs if leg is not None), handed))
     nodes = (root, *(edge.node for edge in chain))
     return RobotPlan(
         plan=abstract,

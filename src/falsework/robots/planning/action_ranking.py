@@ -163,13 +163,16 @@ class FailedActions:
         parts = len(node.state)
         return [("hold" if action < parts else "remove", action % parts) for action in self.of(node)]
 
-    def releases(self, node: Node) -> list[int]:
-        """Return held parts whose robots block actions that failed at a keyframe, first those that cannot leave."""
+    def repairs(self, node: Node) -> list[int]:
+        """Return held parts to release or hand over: their robots block actions that failed at a keyframe.
+
+        Parts that cannot leave come first.
+        """
         if not self.graph.support:
             return []
         robots = Counter(robot for action in self.of(node) for robot in self._robots[node.key, action])
         held, allowed = [node.held[robot] for robot, _ in robots.most_common()], self.solvability.releasable(node.state)
-        parts = [part for part in held if part is not None and allowed[part] and node.can_release(part)]
+        parts = [part for part in held if part is not None and allowed[part] and node.can_hand_over(part)]
         return sorted(parts, key=lambda part: (node, part + len(node.state)) not in self)
 
     def blamed(self, node: Node, chain: Sequence[Edge]) -> set[int]:

@@ -16,7 +16,7 @@ from falsework.robots.keyframes.keyframes import Edge, PathSegment
 from falsework.robots.keyframes.trajectory_assembly import timed_leg
 from falsework.robots.model.cell import Cell
 from falsework.robots.motion.collision_world import CollisionWorld
-from falsework.robots.plans.robot_plan import RobotPlan, RobotStep
+from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph
 from falsework.robots.schedule.conflicts import choices, conflict_table, fixed_precedences
 from falsework.robots.schedule.itinerary import Itineraries
@@ -55,7 +55,7 @@ def approach_early(plan: RobotPlan, chain: Sequence[Edge], cell: Cell, world: Co
         legs = [timed_leg(cell.robots[robot].model, half, cell.speed) for half in halves]
         moves = list(steps[step].trajectories)
         moves[number : number + 1] = [leg for leg in legs if leg is not None]
-        steps[step], cut = RobotStep(robot, tuple(moves)), True
+        steps[step], cut = replace(steps[step], trajectories=tuple(moves)), True
     if cut:
         other = replace(plan, steps=tuple(steps))
         again = Itineraries(other, world, like=rows)

@@ -239,10 +239,14 @@ class _Search:
         forbidden = self.solvability.forbid(route, row)
         if forbidden is None or self.counts["replays_fallen"] == _MAX_FALLEN_REPLAYS:
             return 0
-        return len(chain) - forbidden
+        first = len(route.actions) - forbidden
+        return int(np.searchsorted(np.cumsum([0, *(not edge.hands_over for edge in chain)]), first))
 
     def _options(self, node: Node, rng: np.random.Generator) -> Iterator[Edge]:
         """Yield edges out of a keyframe in order of trial."""
+        if node.handed is not None:
+            yield from (edge for edge in self.graph.leave(node) if edge.node not in self.dead)
+            return
         tried, verdicts, probes, worked = 0, 0, _SOLVABILITY_CHECKS * (1 + self.attempt), False
         for action in self.ranking.actions(node, self.attempt, rng):
             if (node, action) in self.failures or self.deadline_passed():
@@ -275,10 +279,15 @@ class _Search:
             tried += 1
             if tried == _ACTIONS_PER_KEYFRAME:
                 break
-        for part in self.failures.releases(node):
-            if not self.deadline_passed() and self.solvability.solvable(node.state, part):
+        for part in self.failures.repairs(node):
+            if self.deadline_passed():
+                return
+            if node.can_release(part) and self.solvability.solvable(node.state, part):
                 self.counts["releases"] += 1
                 yield from (edge for edge in self.graph.edges(node, part) if edge.node not in self.dead)
+            else:  # where the structure would not stand, another robot holds the part before this one leaves it
+                self.counts["hand_overs"] += 1
+                yield from (edge for edge in self.graph.take_over(node, part) if edge.node not in self.dead)
 
     def _done(self, chain: Sequence[Edge]) -> int:
         """Return the steps of disassembly that a chain has done; a release takes one back."""
@@ -338,7 +347,8 @@ class _Search:
             chain = shorten_motions(chain, self.cell.speed, self.settings.seed)
             self._timed(root, chain)
             legal, stop = self.solvability.legal, self.deadline_passed
-            chain = reorder(self.graph, self.oracle, root, chain, self.timed, legal=legal, stop=stop)
+            if not any(edge.hands_over for edge in chain):
+                chain = reorder(self.graph, self.oracle, root, chain, self.timed, legal=legal, stop=stop)
             chain = shorten_motions(chain, self.cell.speed, self.settings.seed, done=self.timed)
         statistics = self._statistics()
         if why is not None:
@@ -368,5 +378,5 @@ class _Search:
             "free_motions": self.graph.cache.motions,
             "free_motions_used_again": self.graph.cache.motions_kept,
             "verdicts": self.oracle.counters.asked,
-            **({"releases": self.counts["releases"]} if self.task.support else {}),
+            **({key: self.counts[key] for key in ("releases", "hand_overs")} if self.task.support else {}),
         }

@@ -92,9 +92,13 @@ class _Checker:
 
     def keyframe(self, index: int) -> None:
         """Check that the robots hold exactly the held parts of the state, and touch them."""
-        state, frame = self.plan.plan.states[index], self.plan.keyframes[index]
+        state, frame = self.plan.states[index], self.plan.keyframes[index]
         step = min(index, len(self.plan) - 1)
         held = [part for part in frame.held if part is not None]
+        if 0 < index < len(self.plan):
+            handed = self.plan.steps[index - 1].hands_over
+            if handed is not None and held.count(handed) == 2 and handed == self.plan.steps[index].hands_over:
+                held.remove(handed)  # between the two steps of a hand-over two robots hold the part
         wanted = np.flatnonzero((state == HELD) & ~self.boundary).tolist()
         if sorted(held) != wanted:
             self.say(step, 0, f"the robots hold parts {sorted(held)}, the state has {wanted} held")
@@ -112,11 +116,13 @@ class _Checker:
         step = self.plan.steps[index]
         robot = step.robot
         part, removes = self._action(index)
-        state = self.plan.plan.states[index]
+        state = self.plan.states[index]
         present = state != REMOVED
         if removes:
             present = present.copy()
             present[part] = False
+        if self.plan.fault(index):
+            self.say(index, robot, self.plan.fault(index))
         for other, (old, new) in enumerate(zip(before.held, after.held, strict=True)):
             if (old != new) != (other == robot):
                 self.say(index, other, "its held part does not change according to the action")
@@ -137,7 +143,7 @@ class _Checker:
 
     def start(self) -> None:
         """Check that the initial configurations are free of collisions."""
-        frame, present = self.plan.keyframes[0], self.plan.plan.states[0] != REMOVED
+        frame, present = self.plan.keyframes[0], self.plan.states[0] != REMOVED
         for robot, values in enumerate(frame.configurations):
             move = self.judge.prepare(robot, frame.configurations, present, touches=frame.held[robot])
             pair = move.hits(values)
@@ -147,7 +153,7 @@ class _Checker:
     def _action(self, index: int) -> tuple[int, bool]:
         """Return the part of an action, and whether it leaves or enters the structure in the gripper."""
         parts = len(self.boundary)
-        action = int(self.plan.plan.actions[index])
+        action = int(self.plan.actions[index])
         return action % parts, action >= parts
 
     def _grip(self, index: int, robot: int) -> Array:
@@ -240,7 +246,8 @@ def check_robot_plan(
     Each step moves one robot. All that moves is checked against all that is fixed, with these
     exceptions and no others. A schedule is then checked as a whole: at every instant all moving bodies against all
     others, parts carried by other robots included, and the order of the states; and all positions that any delays can
-    lead to, as `check_delays` describes.
+    lead to, as `check_delays` describes. In a hand-over the second robot must hold the part before the first leaves it;
+    that is part of the order, whatever the delays.
 
     - neighbouring links, and the pairs that the robot description excludes;
     - a gripper and the last two links of its arm, and a part in a gripper and the last link and the gripper;

@@ -68,9 +68,9 @@ class _DelayChecker:
 
     def structure(self, segment: Segment) -> None:
         """Check a motion against parts that it was not planned with."""
-        states, step = self.plan.plan.states, segment.step
+        states, step = self.plan.states, segment.step
         planned = states[step] != REMOVED
-        action = int(self.plan.plan.actions[step])
+        action = int(self.plan.actions[step])
         for low, high, present in self.reachable.present(segment):
             parts = np.flatnonzero(present & ~planned & (np.arange(len(planned)) != action - len(planned))).tolist()
             if not parts or len(self.problems) >= self.most:

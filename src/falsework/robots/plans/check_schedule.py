@@ -63,7 +63,7 @@ def check_schedule(
             continue
         middle = (begin + end) / 2
         state = int((events < middle).sum())
-        present = plan.plan.states[state] != REMOVED
+        present = plan.states[state] != REMOVED
         doing = list(activities_at(plan, starts, middle, factor))
         moments = _moments(doing, begin, end, step)
         values = np.concatenate([arm.at(moments) for arm in doing], axis=1)

@@ -123,7 +123,7 @@ def _ros(plan: RobotPlan, kind: Literal["json", "yaml"]) -> Iterator[Written]:
                     {"robot": plan.robots[robot].name, "start": round(start, 9), "joint_trajectory": message}
                 )
                 start += event.seconds
-        step = {"step": index + 1, "do": plan.plan.describe(index), "sequence": entries}
+        step = {"step": index + 1, "do": plan.does(index), "sequence": entries}
         everything.append(step)
         yield Written(f"step-{index + 1:03d}.{kind}", dump(step))
     yield Written(f"plan.{kind}", dump({"name": plan.plan.name, "seconds": round(start, 9), "steps": everything}))
@@ -131,7 +131,7 @@ def _ros(plan: RobotPlan, kind: Literal["json", "yaml"]) -> Iterator[Written]:
 
 def _part(plan: RobotPlan, index: int) -> str:
     parts = len(plan.plan.boundary)
-    return plan.plan.part_names[int(plan.plan.actions[index]) % parts]
+    return plan.plan.part_names[int(plan.actions[index]) % parts]
 
 
 def _duration(seconds: float) -> dict[str, int]:
@@ -187,7 +187,7 @@ def _csv(plan: RobotPlan, rate: float) -> Iterator[Written]:
             for moment, positions in zip(moments, trajectory.sample(moments), strict=True):
                 standing[robot] = positions
                 joints = [f"{value:.7f}" for values in standing for value in values]
-                about = [index + 1, plan.plan.describe(index), plan.robots[robot].name, carried]
+                about = [index + 1, plan.does(index), plan.robots[robot].name, carried]
                 rows.append([f"{start + moment:.6f}", *about, *joints])
             start += trajectory.seconds
         everything += rows

@@ -135,7 +135,7 @@ def write_bag(plan: RobotPlan, path: Path) -> int:
     parts = len(plan.plan.boundary)
     for index in np.argsort(starts, kind="stable").tolist():
         node, now = nodes[index], float(starts[index])
-        step, action = plan.steps[node.step], int(plan.plan.actions[node.step])
+        step, action = plan.steps[node.step], int(plan.actions[node.step])
         name, last = plan.robots[node.robot].name, len(step.trajectories) - 1
         if node.trajectory is None:
             continue
@@ -256,7 +256,7 @@ def _difference(bag: _Bag, plan: RobotPlan, step: int, operation: int, now: floa
 
 def _part(bag: _Bag, plan: RobotPlan, step: int, operation: int, frame: str, now: float) -> Any:
     """Return the part of a step as a collision object without shapes: those of the scene apply."""
-    name = plan.plan.part_names[int(plan.plan.actions[step]) % len(plan.plan.boundary)]
+    name = plan.plan.part_names[int(plan.actions[step]) % len(plan.plan.boundary)]
     lists = ("primitives", "primitive_poses", "meshes", "mesh_poses", "planes", "plane_poses")
     return bag.make(
         "moveit_msgs/msg/CollisionObject",

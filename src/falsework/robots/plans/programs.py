@@ -66,6 +66,7 @@ def events_of(plan: RobotPlan, step: int) -> Iterator[Trajectory | Grip]:
     """Yield the motions of a step and the gripper actions before or after them, in time."""
     grip, apart = plan.grip(step), plan.direction is Direction.DISASSEMBLY
     # Disassembly: hold = approach, close; release = open, retreat; remove = leave, carry, open. Assembly mirrors it.
+    # A hand-over is a hold by one robot, then a release by the other.
     first = not apart if grip is None else grip == "open"
     closes = not apart if grip is None else grip == "close"
     if first:
@@ -148,7 +149,7 @@ def rapid_modules(plan: RobotPlan) -> Iterator[tuple[str, str]]:
             if isinstance(command, Begin):
                 if body:
                     body.append("  ENDPROC")
-                body += [f"  PROC {name}_step{command.step + 1}()", f"    ! {_ascii(plan.plan.describe(command.step))}"]
+                body += [f"  PROC {name}_step{command.step + 1}()", f"    ! {_ascii(plan.does(command.step))}"]
                 run.append(f"    {name}_step{command.step + 1};")
             elif isinstance(command, Wait):
                 body.append(f"    WaitUntil GInput(gi_{names[command.robot]}_count)>={command.count};")
@@ -239,7 +240,7 @@ def ur_scripts(plan: RobotPlan, rate: float) -> Iterator[tuple[str, str]]:
             lines.append(f"  write_port_register({REGISTER}, {COUNT_FROM})")
         for command in commands_of(plan, robot):
             if isinstance(command, Begin):
-                lines.append(f"  # step {command.step + 1}: {_ascii(plan.plan.describe(command.step))}")
+                lines.append(f"  # step {command.step + 1}: {_ascii(plan.does(command.step))}")
             elif isinstance(command, Wait):
                 lines += _until(f"{names[command.robot]}_count() >= {command.count}")
             elif isinstance(command, Reach):

@@ -183,7 +183,7 @@ class ReachablePositions:
         needs[own] = np.maximum(needs[own], self.reached[own])
         cuts = np.unique(np.clip(needs[first:], segment.low, segment.high))
         cuts = np.unique(np.concatenate([[segment.low], cuts, [segment.high]]))
-        states, found = self.plan.plan.states, []
+        states, found = self.plan.states, []
         for low, high in pairwise(cuts.tolist()):
             last = first + int((needs[first:] <= low).sum())
             found.append((low, high, (states[first : last + 1] != REMOVED).any(axis=0)))

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import HELD
+from falsework.assembly.state import HELD, States
 from falsework.errors import PlanError
 from falsework.robots.model.cell import Cell, cell_identity
 from falsework.search.plans.plan import Plan
@@ -130,11 +131,16 @@ def _before(function, times: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class RobotStep:
-    """Action of the plan, executed by one robot."""
+    """Action of the plan, or half of a hand-over, executed by one robot.
+
+    A hand-over is two steps, between which two robots hold a part: one takes it over, then the other leaves it.
+    """
 
     robot: int
     trajectories: tuple[Trajectory, ...]
     """Trajectories in time order."""
+    hands_over: int | None = None
+    """Held part that the robot takes over from another one, or leaves to it; the state of the structure stays."""
 
     @property
     def seconds(self) -> float:
@@ -144,7 +150,10 @@ class RobotStep:
 
 @dataclass(frozen=True, eq=False)
 class Keyframe:
-    """Configurations of all robots between two steps, and the parts that they hold (paper, section 6)."""
+    """Configurations of all robots between two steps, and the parts that they hold (paper, section 6).
+
+    Between the two steps of a hand-over two robots hold the same part.
+    """
 
     configurations: tuple[Array, ...]
     """Joint values of every robot."""
@@ -173,9 +182,9 @@ class RobotPlan:
     plan: Plan
     """States, actions, proofs; its direction is that of the motions."""
     keyframes: tuple[Keyframe, ...]
-    """One keyframe for every state of the plan."""
+    """One keyframe before each step, and one after the last."""
     steps: tuple[RobotStep, ...]
-    """One step for every action of the plan."""
+    """One step for every action of the plan, and two for each hand-over."""
     robots: tuple[RobotRecord, ...]
     cell_name: str
     cell_identity: str
@@ -188,14 +197,33 @@ class RobotPlan:
     """Schedule of simultaneous motions; None: one after the other."""
 
     def __post_init__(self) -> None:
-        if len(self.keyframes) != len(self.plan) + 1 or len(self.steps) != len(self.plan):
+        actions = sum(step.hands_over is None for step in self.steps)
+        if len(self.keyframes) != len(self.steps) + 1 or actions != len(self.plan):
             raise PlanError(
-                f"{len(self.keyframes)} keyframes and {len(self.steps)} steps do not match a plan of "
-                f"{len(self.plan)} actions; plan again"
+                f"{len(self.keyframes)} keyframes and {len(self.steps)} steps, {len(self.steps) - actions} of them "
+                f"hand-overs, do not match a plan of {len(self.plan)} actions; plan again"
             )
 
     def __len__(self) -> int:
         return len(self.steps)
+
+    @cached_property
+    def rows(self) -> NDArray[np.int64]:
+        """Index of the state of the plan at each keyframe, shape (keyframes,)."""
+        return np.cumsum([0, *(step.hands_over is None for step in self.steps)])
+
+    @cached_property
+    def states(self) -> States:
+        """State at each keyframe, shape (keyframes, parts)."""
+        return self.plan.states[self.rows]
+
+    @cached_property
+    def actions(self) -> NDArray[np.int64]:
+        """Action of each step as in `Plan.actions`; half a hand-over has its part, like a hold. Shape (steps,)."""
+        given = [step.hands_over for step in self.steps]
+        rows = self.rows.tolist()
+        found = [int(self.plan.actions[row]) if part is None else part for row, part in zip(rows, given, strict=False)]
+        return np.array(found, dtype=np.int64)
 
     @property
     def seconds(self) -> float:
@@ -214,15 +242,53 @@ class RobotPlan:
 
     def grip(self, step: int) -> Literal["close", "open"] | None:
         """Return what the gripper of a step does at a part in place; None if the part leaves or comes."""
-        part, action = int(self.plan.actions[step]) % len(self.plan.boundary), int(self.plan.actions[step])
-        if action != part:
+        action = int(self.actions[step])
+        if action >= len(self.plan.boundary):
             return None
-        return "close" if self.plan.states[step + 1][part] == HELD else "open"
+        if self.steps[step].hands_over is not None:
+            return "close" if self.keyframes[step + 1].held[self.steps[step].robot] == action else "open"
+        return "close" if self.states[step + 1][action] == HELD else "open"
+
+    def does(self, step: int) -> str:
+        """Describe what a step does, such as `remove keystone` or `take keystone over from left`."""
+        entry = self.steps[step]
+        if entry.hands_over is None:
+            return self.plan.describe(int(self.rows[step]))
+        name, held = self.plan.part_names[entry.hands_over], self.keyframes[step].held
+        others = [k for k, part in enumerate(held) if part == entry.hands_over and k != entry.robot]
+        other = " and ".join(self.robots[k].name for k in others) or "no robot"
+        return f"take {name} over from {other}" if self.grip(step) == "close" else f"leave {name} to {other}"
+
+    def fault(self, step: int) -> str:
+        """Return why a step is not half of a hand-over, though it says so; empty if it is one, or does not say so."""
+        entry, part = self.steps[step], self.steps[step].hands_over
+        if part is None:
+            return ""
+        name, before, after = self.plan.part_names[part], self.keyframes[step].held, self.keyframes[step + 1].held
+        if self.states[step][part] != HELD or part not in before:
+            return f"{name} is handed over although it is not held"
+        mine, others = before[entry.robot], sum(held == part for held in before) - (before[entry.robot] == part)
+        if mine is not None and mine != part:
+            return f"{name} is handed over to a robot that holds {self.plan.part_names[mine]}"
+        if not others:
+            return f"{name} is left before another robot holds it"
+        others_stay = all(
+            k == entry.robot or old == new for k, (old, new) in enumerate(zip(before, after, strict=True))
+        )
+        if after[entry.robot] != (part if mine is None else None) or not others_stay:
+            return f"one robot must take {name} over or leave it, and no other held part change"
+        # The other half: left at once after it was taken over, and taken over just before it is left.
+        other = step + 1 if mine is None else step - 1
+        if not 0 <= other < len(self.steps) or self.steps[other].hands_over != part:
+            return f"{name} is held by two robots other than between the two steps of a hand-over"
+        if self.steps[other].robot == entry.robot or others > 1:
+            return f"{name} is not left by the robot that held it before"
+        return ""
 
     def describe(self, step: int) -> str:
         """Describe a step, such as `left: remove keystone (3.1 s)`."""
         entry = self.steps[step]
-        return f"{self.robots[entry.robot].name}: {self.plan.describe(step)} ({entry.seconds:.1f} s)"
+        return f"{self.robots[entry.robot].name}: {self.does(step)} ({entry.seconds:.1f} s)"
 
     def moves(self) -> Iterator[tuple[int, int, Trajectory]]:
         """Yield all trajectories in time order: step, robot, trajectory."""
@@ -233,7 +299,7 @@ class RobotPlan:
     def reverse(self) -> RobotPlan:
         """Return the plan in the other direction: assembly from disassembly, or back."""
         steps = tuple(
-            RobotStep(step.robot, tuple(trajectory.reverse() for trajectory in reversed(step.trajectories)))
+            replace(step, trajectories=tuple(trajectory.reverse() for trajectory in reversed(step.trajectories)))
             for step in reversed(self.steps)
         )
         schedule = None if self.schedule is None else self.schedule.reverse()

@@ -78,8 +78,9 @@ def robot_plan_to_dict(plan: RobotPlan) -> dict[str, Any]:
         ],
         "steps": [
             {
-                "do": plan.plan.describe(index),
+                "do": plan.does(index),
                 "robot": step.robot,
+                **({} if step.hands_over is None else {"hands_over": step.hands_over}),
                 "trajectories": [
                     {
                         "kind": trajectory.kind,
@@ -252,12 +253,13 @@ class _Reader(Reader):
         )
 
     def _step(self, data: Any, place: str, joints: list[int], parts: int) -> RobotStep:
-        self._keys(data, {"do", "robot", "trajectories"}, place)
+        self._keys(data, {"do", "robot", "trajectories"}, place, frozenset({"hands_over"}))
         robot = data["robot"]
         if type(robot) is not int or not 0 <= robot < len(joints):
             self._fail(f"{place}: robot is {robot!r}", f"it must be a number from 0 to {len(joints) - 1}")
         found = self._list(data["trajectories"], f"{place}: trajectories")
-        return RobotStep(robot, tuple(self._trajectory(entry, place, joints[robot], parts) for entry in found))
+        handed = self._part(data["hands_over"], parts, f"{place}: hands_over") if "hands_over" in data else None
+        return RobotStep(robot, tuple(self._trajectory(entry, place, joints[robot], parts) for entry in found), handed)
 
     def _trajectory(self, data: Any, place: str, joints: int, parts: int) -> Trajectory:
         self._keys(data, {"kind", "part", "touches", "times", "positions", "velocities"}, place)
@@ -277,9 +279,11 @@ class _Reader(Reader):
         )
 
     def _joins(self, plan: RobotPlan) -> None:
-        """Check that every trajectory begins at the robot's configuration, and leads to the next keyframe."""
+        """Check hand-overs, and that trajectories begin at the robot's configuration and lead to the next keyframe."""
         for index, (before, after) in enumerate(pairwise(plan.keyframes)):
-            step, place = plan.steps[index], f"step {index + 1} ({plan.plan.describe(index)})"
+            step, place = plan.steps[index], f"step {index + 1} ({plan.does(index)})"
+            if plan.fault(index):
+                self._fail(f"{place}: {plan.fault(index)}")
             values = before.configurations[step.robot]
             for trajectory in step.trajectories:
                 if np.abs(trajectory.positions[0] - values).max() > JOINS:

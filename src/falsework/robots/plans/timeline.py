@@ -35,7 +35,7 @@ def arm_shares(plan: RobotPlan, graph: TemporalPlanGraph) -> list[ArmShares]:
     for index, node in enumerate(graph.nodes):
         robot = node.robot
         last = index + 1 == len(graph.nodes) or graph.nodes[index + 1].step != node.step
-        removes = int(plan.plan.actions[node.step]) >= parts
+        removes = int(plan.actions[node.step]) >= parts
         holds[robot] += held[robot] * (starts[index] - free[robot])
         moves[robot] += node.seconds
         free[robot] = starts[index] + node.seconds
@@ -53,7 +53,7 @@ def arm_shares(plan: RobotPlan, graph: TemporalPlanGraph) -> list[ArmShares]:
 
 @dataclass(frozen=True)
 class Event:
-    """Instant at which the structure changes its state: the beginning or the end of a node."""
+    """Instant at which the structure changes its state, or a part its robot: the beginning or the end of a node."""
 
     node: int
     at_end: bool
@@ -81,7 +81,7 @@ def nodes_of(plan: RobotPlan) -> tuple[tuple[MotionNode, ...], tuple[Event, ...]
 
 
 def event_times(plan: RobotPlan, graph: TemporalPlanGraph, stretch: ArrayLike | None = None) -> Array:
-    """Return the time at which the structure reaches each state but the first, seconds, shape (steps,).
+    """Return the time of the event of each step, at which its state is reached, seconds, shape (steps,).
 
     Args:
         plan: the robot plan.

@@ -136,16 +136,16 @@ class Itineraries:
     def present(self, node: int) -> NDArray[np.bool_]:
         """Return the parts that were in place when a motion was planned, shape (parts,)."""
         entry = self.nodes[node]
-        state = self.plan.plan.states[entry.step] != REMOVED
-        action, parts = int(self.plan.plan.actions[entry.step]), len(state)
+        state = self.plan.states[entry.step] != REMOVED
+        action, parts = int(self.plan.actions[entry.step]), len(state)
         if action >= parts:
             state = state.copy()
             state[action - parts] = False
         return state
 
     def moved(self, event: int) -> int | None:
-        """Return the part that leaves its place, or reaches it, at an event; None for a hold."""
-        action, parts = int(self.plan.plan.actions[event]), len(self.plan.plan.boundary)
+        """Return the part that leaves its place, or reaches it, at an event; None for a hold or a hand-over."""
+        action, parts = int(self.plan.actions[event]), len(self.plan.plan.boundary)
         return action - parts if action >= parts else None
 
     def conflicts(self, one: Stretch, other: Stretch, margin: float) -> NDArray[np.bool_]:
