@@ -6,9 +6,9 @@
 
 `cost` times margins of states of a plan, or of the complete structure where it is large, one by one, and of several
 runs of states in one call on all cores; `--before` compares with another version of the sources, by its folder `src`,
-in one run. `truth` replays states just inside and just outside
-of their bounds, under the contact law with history and by discrete elements, which share no code with the solver.
-`plans` compares the weakest friction of the first plan found with that of the plan made for it.
+in one run. `truth` replays states just inside and just outside of their bounds, under the contact law with history and
+by discrete elements, which share no code with the solver. `plans` compares the weakest friction of the first plan found
+with that of the plan made for it.
 """
 
 from __future__ import annotations

@@ -181,7 +181,6 @@ TABLES = {
             ("states in one call", "{at_once.states}"),
             ("all margins of one of them, CPU ms", "{at_once.processor_ms}"),
             ("before", "{before_at_once.processor_ms}"),
-            ("all margins of one of them, ms on two cores", "{at_once.wall_ms}"),
         ),
         benchmark="margins cost",
     ),
