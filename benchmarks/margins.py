@@ -4,10 +4,11 @@
     python benchmarks/margins.py truth --cases 500
     python benchmarks/margins.py plans --structures arch,dome-37
 
-`cost` times margins of states of a plan, or of the complete structure where it is large; `--before` compares with
-another version of the sources, by its folder `src`, in one run. `truth` replays states just inside and just outside
-of their bounds, under the contact law with history and by discrete elements, which share no code with the solver.
-`plans` compares the weakest friction of the first plan found with that of the plan made for it.
+`cost` times margins of states of a plan, or of the complete structure where it is large, one by one, and of several
+runs of states in one call on all cores; `--before` compares with another version of the sources, by its folder `src`,
+in one run. `truth` replays states just inside and just outside of their bounds, under the contact law with history and
+by discrete elements, which share no code with the solver. `plans` compares the weakest friction of the first plan found
+with that of the plan made for it.
 """
 
 from __future__ import annotations
@@ -36,6 +37,8 @@ from falsework.stability.judges.discrete_elements import settle
 from falsework.stability.margins.conditions import Condition
 
 KINDS = ("friction", "tilt", "load_factor", "push", "held")
+TOGETHER = 8
+"""Consecutive states of a plan, at each of some places in it, whose margins are computed in one call."""
 LARGE = 150
 """Parts from which the complete structure is measured, without a search for a plan."""
 FARTHEST = 3.0
@@ -51,13 +54,22 @@ def cost(names: list[str], count: int, criterion: Criterion, before: Path | None
     """Time the margins of states spread over a plan, in CPU seconds, the least of some rounds."""
     for name in names:
         assembly = load_structure(find(name))
-        chosen = complete_state(assembly.boundary)[None]
+        chosen = together = complete_state(assembly.boundary)[None]
         if assembly.part_count <= LARGE:
             states = find_plans(assembly, robots=2).plans[0].states
             chosen = states[np.linspace(0, len(states) - 1, count).astype(int)]
             chosen = chosen[(chosen == INSTALLED).any(axis=1)]
+            places = np.linspace(0, max(len(states) - TOGETHER, 0), count - 1).astype(int)
+            together = np.concatenate([states[place : place + TOGETHER] for place in places])
         oracle = Stability(assembly, StabilitySettings(criterion=criterion))
         oracle.margins(chosen[-1])
+        begun, wall = time.process_time(), time.perf_counter()
+        oracle.margins(together, KINDS)
+        at_once = {
+            "states": len(together),
+            "processor_ms": 1e3 * (time.process_time() - begun) / len(together),
+            "wall_ms": 1e3 * (time.perf_counter() - wall) / len(together),
+        }
         seconds = {kind: [np.inf] * len(chosen) for kind in KINDS}
         old = dict.fromkeys(KINDS, np.inf)
         compared: dict[str, Any] = {}
@@ -76,8 +88,9 @@ def cost(names: list[str], count: int, criterion: Criterion, before: Path | None
                     capture_output=True,
                     text=True,
                 )
-                found = json.loads(done.stdout.splitlines()[-1])["processor_ms"]
-                old = {kind: min(old[kind], found[kind]["mean"]) for kind in KINDS}
+                found = json.loads(done.stdout.splitlines()[-1])
+                old = {kind: min(old[kind], found["processor_ms"][kind]["mean"]) for kind in KINDS}
+                compared["before_at_once"] = found["at_once"]
         if before is not None:
             compared["before_ms"], compared["rounds"] = old, rounds
             compared["ratio"] = {kind: old[kind] / (1e3 * float(np.mean(seconds[kind]))) for kind in KINDS}
@@ -94,6 +107,7 @@ def cost(names: list[str], count: int, criterion: Criterion, before: Path | None
                 for kind, values in seconds.items()
             },
             **compared,
+            at_once=at_once,
             all_processor_ms=spread([1e3 * sum(values) for values in zip(*seconds.values(), strict=True)]),
         )
 

@@ -21,8 +21,8 @@ from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.counters import Counters
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.gpu.solver import GpuSolver
-from falsework.stability.margins.conditions import Prober
 from falsework.stability.margins.margins import QUICK, MarginFinder
+from falsework.stability.margins.prober import Prober
 from falsework.stability.margins.state_margins import StateMargins
 from falsework.stability.problem import build_problem
 from falsework.stability.settings import StabilitySettings

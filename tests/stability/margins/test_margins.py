@@ -220,6 +220,22 @@ def test_large_loads_need_no_exact_solver(monkeypatch: pytest.MonkeyPatch) -> No
     assert len(asked) <= 2
 
 
+def test_iterations_that_end_undecided_are_continued(monkeypatch: pytest.MonkeyPatch) -> None:
+    arch = load_structure("arch:blocks=7")
+    state, prober = complete_state(arch.boundary), Stability(arch).prober
+    assert prober.ask(state, prober.own()).stands
+    monkeypatch.setattr(prober, "_contact_options", prober._contact_options._replace(steps=2))
+    continued = prober.ask(state, prober.own())
+    assert continued.stands
+    assert prober.certify(state, continued).stable[0]
+    assert prober.go_on(state, continued) is continued
+    monkeypatch.setattr(prober, "_further_options", prober._further_options._replace(warm_steps=0))
+    undecided = prober.ask(state, prober.own())
+    assert not undecided.stands
+    assert not undecided.moves_away
+    assert undecided.reached is not None
+
+
 @pytest.mark.parametrize("settings", CRITERIA, ids=lambda settings: settings.criterion)
 def test_a_deadline_leaves_what_has_been_proven(settings: StabilitySettings) -> None:
     dome = load_structure("dome")

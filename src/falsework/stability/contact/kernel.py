@@ -11,7 +11,9 @@ from falsework.stability.contact.law import contact_force
 from falsework.stability.contact.newton import (
     MOVES_AWAY,
     RESTS,
+    VERDICT_PACE,
     ContactArrays,
+    Pace,
     come_to_rest,
     find_rest,
     make_contact_scratch,
@@ -44,6 +46,8 @@ class ContactOptions(NamedTuple):
     """First time step from rest."""
     warm_first_step: float
     """The same from the displacement of a parent."""
+    pace: Pace = VERDICT_PACE
+    """Rules by which the time step grows."""
 
 
 def build_contact_structure(
@@ -185,7 +189,15 @@ def settle_near(
             contact.offset[j, 2] = -contact.tangential[j] * d2
     read_displacement(structure, contact_structure, work, displacement, contact.displacement)
     result, _, spent = find_rest(
-        structure, contact_structure, work, contact, pairs, options.near_steps, tolerance, options.first_step
+        structure,
+        contact_structure,
+        work,
+        contact,
+        pairs,
+        options.near_steps,
+        tolerance,
+        options.first_step,
+        VERDICT_PACE,
     )
     if result != MOVES_AWAY:
         write_displacement(structure, contact_structure, work, contact.displacement, displacement)
@@ -224,7 +236,7 @@ def solve_contact_state(structure, contact_structure, state, options, work, cont
     else:
         contact.displacement[:] = 0.0
     result, residual, spent = come_to_rest(
-        structure, contact_structure, work, contact, pairs, steps, tolerance, first_step, count > 0
+        structure, contact_structure, work, contact, pairs, steps, tolerance, first_step, count > 0, options.pace
     )
     displacement[:] = 0.0
     write_displacement(structure, contact_structure, work, contact.displacement, displacement)

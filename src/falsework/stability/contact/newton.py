@@ -29,9 +29,8 @@ WARM_FIRST_STEP = 1e4
 """The same from the displacement of a parent, which is closer to the solution."""
 _GROWTH = 4.0
 """Least growth of the time step after a full step; it grows by the decrease of the residual where that is more."""
-_PATIENCE, _SLOW_GROWTH = 60, 1.2
-"""After so many iterations the least growth is this one: contacts that alternate between sliding and sticking need
-shorter steps."""
+_PATIENCE = 60
+"""Iterations after which the least growth is `Pace.late_growth`."""
 _SHORTEST = 0.1
 """Smallest share of a step that is taken before the time step is reduced instead ..."""
 _CUT = 0.1
@@ -45,6 +44,21 @@ _ROUNDS = 12
 """Times that a rest position is sought again with other points broken."""
 _FAR = 10.0
 """Multiple of the displacement limit at which iterations end: on the way to rest they may overshoot."""
+
+
+class Pace(NamedTuple):
+    """Rules by which the time step grows and steps are accepted."""
+
+    late_growth: float
+    """Least growth of the time step after a full step, after `_PATIENCE` iterations."""
+    growth_after_rise: float
+    """Largest of the least growth where a full step raised the residual."""
+    memory: float
+    """Share of the last but one residual up to which a step may raise the residual."""
+
+
+VERDICT_PACE = Pace(late_growth=1.2, growth_after_rise=_GROWTH, memory=0.0)
+"""Pace of verdicts and replays: contacts that alternate between sliding and sticking need shorter steps."""
 
 
 class ContactArrays(NamedTuple):
@@ -223,7 +237,7 @@ def _at_rest(structure, contact_structure, work, displacement):
 
 
 @njit(fastmath=FAST, cache=True)
-def find_rest(structure, contact_structure, work, contact, pairs, steps, tolerance, first_step):
+def find_rest(structure, contact_structure, work, contact, pairs, steps, tolerance, first_step, pace):
     """Iterate from `contact.displacement` until the parts come to rest, move away, or the steps are used up.
 
     Args:
@@ -231,6 +245,7 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
         steps: limit on iterations.
         tolerance: largest residual of a state at rest, as `largest_residual`.
         first_step: first time step.
+        pace: `Pace`.
 
     Returns:
         `RESTS`, `MOVES_AWAY` or `OPEN`; residual; iterations. Displacement and spring forces are in `contact`.
@@ -240,7 +255,7 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
     residual, next_residual = contact.residual, contact.next_residual
     size = evaluate(structure, work, contact, pairs, now, contact.trial, residual)
     worst = largest_residual(structure, work, residual)
-    time = first_step
+    time, before = first_step, 0.0
     for iteration in range(steps):
         if worst <= tolerance:
             return _at_rest(structure, contact_structure, work, now), worst, iteration
@@ -255,7 +270,7 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
                 for r in range(6):
                     step[j, r] = residual[j, r]
         solve_panels(panels, step)
-        length = 1.0
+        length, limit = 1.0, max(size, pace.memory * before)
         while True:
             for j in range(len(free)):
                 if free[j]:
@@ -268,7 +283,7 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
                     for r in range(6):
                         defect = next_residual[j, r] - length * step[j, r] / time
                         implicit += defect * defect
-            if min(np.sqrt(implicit), next_size) <= size:
+            if min(np.sqrt(implicit), next_size) <= limit:
                 break
             length *= 0.5
             if length < _SHORTEST:
@@ -277,11 +292,13 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
             time *= _CUT
             continue
         if length == 1.0:
-            least = _GROWTH if iteration < _PATIENCE else _SLOW_GROWTH
+            least = _GROWTH if iteration < _PATIENCE else pace.late_growth
+            if next_size > size:
+                least = min(least, pace.growth_after_rise)
             time = min(time * max(least, size / max(next_size, 1e-300)), _LONGEST_STEP)
         else:
             time *= 2.0 * length
-        size = next_size
+        before, size = size, next_size
         for j in range(len(free)):
             if free[j]:
                 for r in range(6):
@@ -298,7 +315,7 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
 
 
 @njit(cache=True)
-def come_to_rest(structure, contact_structure, work, contact, pairs, steps, tolerance, first_step, mends):
+def come_to_rest(structure, contact_structure, work, contact, pairs, steps, tolerance, first_step, mends, pace):
     """Find a rest position as `find_rest` does, at which no contact point exceeds its tensile strength.
 
     Points that exceed it are broken and bear nothing, and the search continues from there. With `mends`, those that
@@ -310,7 +327,7 @@ def come_to_rest(structure, contact_structure, work, contact, pairs, steps, tole
         # Tensile joints mostly keep everything in place: the elastic solution, in one or two Newton steps.
         begin = contact.displacement.copy()
         result, residual, spent = find_rest(
-            structure, contact_structure, work, contact, pairs, _BONDED_STEPS, tolerance, _LONGEST_STEP
+            structure, contact_structure, work, contact, pairs, _BONDED_STEPS, tolerance, _LONGEST_STEP, pace
         )
         if result == RESTS and not tear(work, contact, pairs, mends):
             return result, residual, spent
@@ -319,7 +336,7 @@ def come_to_rest(structure, contact_structure, work, contact, pairs, steps, tole
             for r in range(6):
                 contact.displacement[j, r] = begin[j, r]
     result, residual, taken = find_rest(
-        structure, contact_structure, work, contact, pairs, steps, tolerance, first_step
+        structure, contact_structure, work, contact, pairs, steps, tolerance, first_step, pace
     )
     spent += taken
     rounds = 0
@@ -328,7 +345,7 @@ def come_to_rest(structure, contact_structure, work, contact, pairs, steps, tole
         if mends and rounds > _ROUNDS:
             return OPEN, residual, spent
         result, residual, taken = find_rest(
-            structure, contact_structure, work, contact, pairs, steps, tolerance, first_step
+            structure, contact_structure, work, contact, pairs, steps, tolerance, first_step, pace
         )
         spent += taken
     return result, residual, spent

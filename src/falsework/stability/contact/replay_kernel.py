@@ -15,6 +15,7 @@ from falsework.stability.contact.newton import (
     MOVES_AWAY,
     OPEN,
     RESTS,
+    VERDICT_PACE,
     come_to_rest,
     evaluate,
     find_rest,
@@ -178,6 +179,7 @@ def settle_step(
                 options.near_steps,
                 options.tolerance,
                 options.first_step,
+                VERDICT_PACE,
             )
             spent += taken
         pairs, _ = _load_history(
@@ -194,6 +196,7 @@ def settle_step(
                 options.tolerance,
                 options.warm_first_step,
                 work.start[pairs] < 0,
+                VERDICT_PACE,
             )
             spent += taken
         if result != RESTS:
@@ -208,6 +211,7 @@ def settle_step(
                 options.tolerance,
                 options.first_step,
                 work.start[pairs] < 0,
+                VERDICT_PACE,
             )
             spent += taken
         _keep_history(structure, contact_structure, work, contact, pairs, displacement, springs, torn)

@@ -17,7 +17,7 @@ _BESIDE = 0.4
 """Distance of the next probe below the value down to which a velocity proves failure, as a share of `SHARE`."""
 GROWTH = 4.0
 """Ratio of successive probes while only one end of a bracket is known."""
-WIDTH = 0.006
+WIDTH = 0.009
 """The same as `SHARE` for families in which failing probes are costly."""
 STRIDES = (1.0 + 2.0 * WIDTH, 1.06, 1.4)
 """Ratios of successive probes, starting from the bound of a nearby state, before `GROWTH` applies."""

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import States
-from falsework.stability.margins.conditions import Answer, Condition, Prober
+from falsework.stability.margins.conditions import Answer, Condition
 from falsework.stability.margins.margins import DIRECTIONS, LARGEST_PUSH, LARGEST_SHARE, MarginFinder
+from falsework.stability.margins.prober import Prober
 
 _WITHIN = (1.0, 1.0025, 1.005)
 """Factors by which a state may miss a claimed bound: numbers are rounded, and are exact to 1 %."""

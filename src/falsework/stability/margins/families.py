@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import States
 from falsework.stability.margins.brackets import Bracket, Probe, checked, largest, least, stride, weakest
-from falsework.stability.margins.conditions import Answer, Condition, OutOfTime, Prober
+from falsework.stability.margins.conditions import Answer, Condition, OutOfTime
+from falsework.stability.margins.prober import Prober
 from falsework.stability.margins.weakest import Weakest
 
 Array = NDArray[np.float64]
-_BEYOND = (1.0, 1.01, 1.03)
-"""Factors on a multiple that is left undecided, at which a rest position is looked for."""
 Near = dict[str, tuple[int, float]]
 """Bounds of a nearby state: the number of the weakest load, and its bound."""
 
@@ -123,13 +122,6 @@ class LoadFamily:
         """
         answer = self._prober.ask(self._state, self._under(value))
         answer = replace(answer, moves_away=not answer.stands and (answer.moves_away or failed.moves_away))
-        if not answer.stands and not answer.moves_away:
-            for factor in _BEYOND:
-                again = self._prober.ask(
-                    self._state, self._under(factor * value), self._start, quick=factor < _BEYOND[-1]
-                )
-                if again.stands:
-                    return factor * value, again
         return value, answer
 
     def settled(self, bracket: Bracket) -> Bracket:

@@ -70,11 +70,21 @@ def rest_under(
                 tolerance,
                 options.warm_first_step,
                 mends,
+                options.pace,
             )
         if not warm or (result[k] != RESTS and options.steps > 0):
             contact.displacement[:] = 0.0
             result[k], residual[k], taken = come_to_rest(
-                structure, contact_structure, work, contact, pairs, options.steps, tolerance, options.first_step, mends
+                structure,
+                contact_structure,
+                work,
+                contact,
+                pairs,
+                options.steps,
+                tolerance,
+                options.first_step,
+                mends,
+                options.pace,
             )
             iterations[k] += taken
         displacement[k] = 0.0

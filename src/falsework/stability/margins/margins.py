@@ -15,8 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 from falsework.assembly.state import INSTALLED, REMOVED, States, as_states
 from falsework.errors import InputError
 from falsework.stability.margins.brackets import OUTSIDE, Bracket, largest, stride, weakest
-from falsework.stability.margins.conditions import Answer, Condition, OutOfTime, Prober
+from falsework.stability.margins.conditions import Answer, Condition, OutOfTime
 from falsework.stability.margins.families import FLOOR, SMOOTH, Near, friction_bracket, load_bracket, weakest_load
+from falsework.stability.margins.prober import Prober
 from falsework.stability.margins.pushes import Pushes
 from falsework.stability.margins.state_margins import Bound, StateMargins, triple
 from falsework.stability.margins.supports import held_loads, settlements
@@ -127,12 +128,8 @@ class MarginFinder:
         if kind == "friction":
             return StateMargins(True, friction=self._friction(state, start, near))
         if kind == "horizontal" or (kind == "tilt" and "horizontal" not in kinds):
-            tilt, horizontal = self._sideways(state, start, near)
-            return StateMargins(
-                True,
-                tilt=tilt if "tilt" in kinds else None,
-                horizontal=horizontal if kind == "horizontal" else None,
-            )
+            tilt, horizontal = self._sideways(state, start, kinds, near)
+            return StateMargins(True, tilt=tilt, horizontal=horizontal)
         if kind == "load_factor":
             return StateMargins(
                 True,
@@ -175,8 +172,10 @@ class MarginFinder:
         bracket = friction_bracket(self.prober, state, start, near)
         return self._bound(state, bracket, self._rough(start.condition), always=True)
 
-    def _sideways(self, state: States, start: Answer, near: Near) -> tuple[Bound, Bound]:
-        """Return the largest tilt and the largest horizontal acceleration in the worst direction."""
+    def _sideways(
+        self, state: States, start: Answer, kinds: Sequence[str], near: Near
+    ) -> tuple[Bound | None, Bound | None]:
+        """Return the largest tilt and the largest horizontal acceleration in the worst direction, where requested."""
         order = sorted(range(DIRECTIONS), key=lambda row: (row % 9 != 0) + (row % 3 != 0))
         loads = self.weights[None, :, None] * np.pad(self.directions, ((0, 0), (0, 3)))[:, None, :]
         guess = max(self._assembly.friction, 0.1)
@@ -193,11 +192,16 @@ class MarginFinder:
             sample=DIRECTIONS // 3,
         )
         if found is None:
-            return self._unbounded(state, start), self._unbounded(state, start)
+            none = self._unbounded(state, start)
+            return none if "tilt" in kinds else None, none if "horizontal" in kinds else None
         row, bracket = found
         direction = triple(self.directions[row])
-        horizontal = self._bound(state, bracket, self._times(start.condition, loads[row]), direction=direction)
-        if self._assembly.loads is None and self._assembly.joints is None:
+        tilt = horizontal = None
+        if "horizontal" in kinds:
+            horizontal = self._bound(state, bracket, self._times(start.condition, loads[row]), direction=direction)
+        if "tilt" in kinds and (self._assembly.loads is not None or self._assembly.joints is not None):
+            tilt = self._tilt(state, start, order)
+        elif "tilt" in kinds:
             # Weight with a horizontal acceleration `a g` is the weight on ground tilted by atan(a), times a factor;
             # forces, displacements and velocities that prove one prove the other after scaling by that factor.
             tilted = Bracket(
@@ -208,8 +212,8 @@ class MarginFinder:
                 bracket.monotone,
                 bracket.finished,
             )
-            return self._bound(state, tilted, self._tilts(start.condition, row), direction=direction), horizontal
-        return self._tilt(state, start, order), horizontal
+            tilt = self._bound(state, tilted, self._tilts(start.condition, row), direction=direction)
+        return tilt, horizontal
 
     def tilt_load(self, row: int, angle: float) -> Array:
         """Return the wrenches that a tilt adds to the weights, N, shape (parts, 6)."""
@@ -369,7 +373,10 @@ class MarginFinder:
             # Close to the bound neither side may be provable; try at the largest distance that a bracket may span.
             share = 1.0 - OUTSIDE if always else 1.0 + OUTSIDE
             condition = beyond(share * bracket.inside)
-            again = self.prober.ask(state, condition)
+            if fails.reached is None:
+                again = self.prober.ask(state, condition)
+            else:
+                again = self.prober.go_on(state, replace(fails, condition=condition))
             second = proof if again.stands else self.prober.certify(state, again)
             if _fails(second):
                 fails, outside, proof = again, share * bracket.inside, second

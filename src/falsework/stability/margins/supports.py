@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from falsework.assembly.state import HELD, States
 from falsework.stability.certificate import forces_of_displacement, residual_of_forces
 from falsework.stability.margins.brackets import largest
-from falsework.stability.margins.conditions import Answer, OutOfTime, Prober
+from falsework.stability.margins.conditions import Answer, OutOfTime
+from falsework.stability.margins.prober import Prober
 from falsework.stability.margins.state_margins import HeldLoad, triple
 from falsework.stability.stiffness import MOVEMENT, structure_size
 

@@ -1,0 +1,377 @@
+"""Stability of single states of one structure under modified friction and additional loads."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.stability.certificate import (
+    forces_of_displacement,
+    residual_bound_of_velocity,
+    resistance_to_velocity,
+    verify_certificates,
+)
+from falsework.stability.contact.kernel import ContactOptions
+from falsework.stability.contact.newton import MOVES_AWAY, OPEN, RESTS, Pace
+from falsework.stability.contact.solver import ContactSolver
+from falsework.stability.cpu.kernel import solve_range
+from falsework.stability.cpu.layout import KernelArrays, strength_arrays
+from falsework.stability.cpu.solver import CpuSolver, kernel_options
+from falsework.stability.cpu.termination import STABLE, UNSTABLE, Options
+from falsework.stability.margins.conditions import Answer, Condition, OutOfTime
+from falsework.stability.margins.kernel import rest_under
+from falsework.stability.reference.clarabel import ExactSolver
+from falsework.stability.strength import strength_of
+from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+    from falsework.assembly.state import States
+    from falsework.stability.problem import Problem
+    from falsework.stability.settings import StabilitySettings
+
+Array = NDArray[np.float64]
+
+_WARM_STEPS = 40
+"""Newton iterations from the displacement under a nearby load before a state is loaded from rest."""
+_QUICK_STEPS = 100
+"""The same during the search for a bound, when no state is loaded from rest."""
+_PACE = Pace(late_growth=4.0, growth_after_rise=2.0, memory=1.0)
+"""Rules by which time steps grow: where iterations alternate between two residuals, these mostly end that."""
+_FURTHER_STEPS = 200
+"""Iterations by which those at the outer end of a bracket are continued, until parts are seen to move away."""
+_ABOVE = 2.0
+"""Multiple of the tolerance that the proof of a velocity must exceed to cut off a load: so it also proves a tilt, which
+is the same load made smaller. The bound moves by less than a thousandth."""
+_LARGE = 20.0
+"""Load, in weights of the part, from which it is balanced by itself where one solution does not suffice ..."""
+_MANY, _RARELY = 4000, 20
+"""... in at most so many iterations, with a test after every so many."""
+
+
+class Prober:
+    """Solver of single states under conditions; it may be used from several threads."""
+
+    def __init__(
+        self,
+        assembly: Assembly,
+        problem: Problem,
+        settings: StabilitySettings,
+        solver: CpuSolver | ContactSolver | None = None,
+    ) -> None:
+        """Lay out the structure, or share the layout of a solver for it.
+
+        Args:
+            assembly: the structure.
+            problem: its scaled equilibrium problem.
+            settings: criterion, cone and tolerances.
+            solver: CPU solver with the same settings; required under `contact`.
+        """
+        self.assembly, self.settings, self.problem = assembly, settings, problem
+        self.contact = settings.criterion == "contact"
+        solver = solver or CpuSolver(problem, settings)
+        self._structure = solver.structure
+        self._options = kernel_options(self.settings)
+        self._contact = solver.contact_structure if isinstance(solver, ContactSolver) else None
+        if isinstance(solver, ContactSolver):
+            self._contact_options = solver.contact_options._replace(warm_steps=_WARM_STEPS)
+            self._quick_options = self._contact_options._replace(warm_steps=_QUICK_STEPS, steps=0, pace=_PACE)
+            self._further_options = self._quick_options._replace(warm_steps=_FURTHER_STEPS)
+        self._no_motion = np.zeros((0, 3))
+        self._end = np.inf
+
+    def until(self, end: float) -> Prober:
+        """Return a prober that raises `OutOfTime` from a time on, as `time.perf_counter` counts it."""
+        prober = copy(self)
+        prober._end = end
+        return prober
+
+    @property
+    def limited(self) -> bool:
+        """Whether the time of this prober ends."""
+        return self._end < np.inf
+
+    def own(self) -> Condition:
+        """Return the condition of the unmodified structure."""
+        return Condition(self.assembly.friction, np.zeros((self.problem.parts, 6)))
+
+    def ask(
+        self,
+        state: States,
+        condition: Condition,
+        near: Answer | None = None,
+        *,
+        moved: Array | None = None,
+        quick: bool = False,
+    ) -> Answer:
+        """Check the stability of a state under a condition.
+
+        Args:
+            state: shape (parts,).
+            condition: friction and loads.
+            near: the answer under a nearby condition, for a warm start.
+            moved: under `contact`, prescribed displacements of fixed parts, shape (parts, 6), m and rad.
+            quick: under `contact`, only iterate from the nearby answer; if that fails, a rest position may still exist.
+
+        Raises:
+            OutOfTime: the time of this prober is over.
+        """
+        if time.perf_counter() > self._end:
+            raise OutOfTime
+        if self.contact:
+            known = near is not None and near.displacement is not None
+            options = self._quick_options if quick and known else self._contact_options
+            (answer,) = self._ask_contact(state, [condition], [near if known else None], [-1], moved, options)
+            if answer.reached is not None and not answer.quick:
+                # What the rules of verdicts leave undecided, the other ones often decide.
+                return self.go_on(state, answer)
+            return answer
+        answer = self.balance(state, condition, near)
+        if not answer.stands and answer.velocity is None and (size := self._size(state, condition.extra)) > _LARGE:
+            answer = self._balance_apart(state, condition, size)
+        if answer.stands or answer.velocity is not None:
+            return answer
+        exact = self._exact(state, condition)
+        forces = exact.forces[0] if exact.stable[0] and exact.forces is not None else None
+        velocity = exact.velocity[0] if exact.unstable[0] and exact.velocity is not None else None
+        return Answer(condition, forces is not None, forces=forces, velocity=velocity)
+
+    def balance(self, state: States, condition: Condition, near: Answer | None = None) -> Answer:
+        """Check whether a state is in equilibrium, whatever the criterion; arguments as for `ask`."""
+        return self._balance(state, condition, self._whitened([condition.extra])[0], self._options, near)
+
+    def _size(self, state: States, extra: Array) -> float:
+        """Return the largest additional force on a part that can move, in weights of the part; 0 where joints pull."""
+        strength, moved = self.problem.strength, state == 1
+        if strength.pull.any() or strength.stick.any():
+            return 0.0
+        weights = self.settings.gravity * self.assembly.mass.mass
+        return float((np.linalg.norm(extra[moved, :3], axis=1) / weights[moved]).max(initial=0.0))
+
+    def _balance_apart(self, state: States, condition: Condition, size: float) -> Answer:
+        """Balance a large load by itself, and then the weights with what that leaves.
+
+        Beside a load of many weights, the weights are below the precision of one solution. The cones of dry contacts
+        are closed under addition, so both forces together balance both. First-order iterations stay close to the
+        smallest forces, which matters for the force bound: an interior point is far from them.
+
+        Args:
+            state: shape (parts,).
+            condition: friction and loads.
+            size: the load in weights of a part.
+        """
+        alone, options = condition.extra / size, self._options
+        options = options._replace(
+            force_bound=options.force_bound / size, iterations=_MANY, check_every=_RARELY, interior_steps=0
+        )
+        found = self._balance(state, condition, self._whitened([alone - self.problem.gravity_wrench])[0], options)
+        if found.forces is not None:
+            left = self.contact_wrench(state, found.forces) + alone
+            rest = self.balance(state, Condition(condition.friction, size * np.where((state == 1)[:, None], left, 0.0)))
+            if rest.forces is not None:
+                forces = size * found.forces + rest.forces
+                within = forces[:, 0].sum() <= self._options.force_bound * self.problem.weight
+                return Answer(condition, bool(within), forces=forces if within else None)
+        if found.velocity is not None:
+            changed, velocity = condition.of(self.assembly), found.velocity
+            least = residual_bound_of_velocity(changed, state[None], velocity[None], self.settings.claim)[0]
+            return Answer(condition, False, velocity=velocity if least > self.settings.tolerance else None)
+        return Answer(condition, False)
+
+    def _balance(
+        self, state: States, condition: Condition, load: Array, options: Options, near: Answer | None = None
+    ) -> Answer:
+        """Check whether a state is in equilibrium under whitened wrenches on its parts, shape (parts, 6)."""
+        load.setflags(write=False)  # as the kernels are compiled for
+        structure = self._under(condition.friction)._replace(gravity=load)
+        warm = near is not None and near.forces is not None
+        forces, velocity = np.zeros((1, self.problem.points, 3)), np.zeros((1, self.problem.parts, 6))
+        if warm and near is not None and near.forces is not None:
+            forces[0] = near.forces
+        verdict, residual = np.zeros(1, np.int8), np.zeros(1)
+        steps = np.zeros(1, np.int32), np.zeros(1, np.int32)
+        batch = np.array(state[None])
+        solve_range(structure, batch, options, forces, velocity, warm, verdict, residual, *steps)
+        stands, fails = bool(verdict[0] == STABLE), bool(verdict[0] == UNSTABLE)
+        return Answer(condition, stands, forces=forces[0] if stands else None, velocity=velocity[0] if fails else None)
+
+    def ask_each(self, state: States, conditions: Sequence[Condition], near: Sequence[Answer | int]) -> list[Answer]:
+        """Check a state quickly under conditions with the same friction, until it fails under one; under `contact`.
+
+        Args:
+            state: shape (parts,).
+            conditions: friction and loads.
+            near: for each the stable answer under a nearby condition, or the index of an earlier one of these.
+        """
+        if time.perf_counter() > self._end:
+            raise OutOfTime
+        known = [answer if isinstance(answer, Answer) else None for answer in near]
+        after = [answer if isinstance(answer, int) else -1 for answer in near]
+        return self._ask_contact(state, conditions, known, after, None, self._quick_options)
+
+    def _ask_contact(
+        self,
+        state: States,
+        conditions: Sequence[Condition],
+        near: Sequence[Answer | None],
+        after: Sequence[int],
+        moved: Array | None,
+        options: ContactOptions,
+    ) -> list[Answer]:
+        count = len(conditions)
+        structure = self._under(conditions[0].friction)
+        displacement = np.zeros((count, self.problem.parts, 6))
+        for row, answer in enumerate(near):
+            if answer is not None and answer.displacement is not None:
+                displacement[row] = answer.displacement
+        warm = near[0] is not None
+        result, residual, spent = np.zeros(count, np.int8), np.zeros(count), np.zeros(count, np.int32)
+        tried = rest_under(
+            structure,
+            self._contact,
+            np.array(state),
+            self._whitened([condition.extra for condition in conditions]),
+            self._no_motion if moved is None else self._offsets(moved),
+            options,
+            displacement,
+            warm,
+            np.array(after, np.int64),
+            result,
+            residual,
+            spent,
+        )
+        quick = options.steps == 0
+        return [
+            Answer(
+                condition,
+                bool(result[row] == RESTS),
+                moves_away=bool(result[row] == MOVES_AWAY),
+                quick=quick,
+                displacement=displacement[row] if result[row] == RESTS else None,
+                reached=displacement[row] if result[row] == OPEN else None,
+            )
+            for row, condition in enumerate(conditions[:tried])
+        ]
+
+    def go_on(self, state: States, answer: Answer) -> Answer:
+        """Continue the iterations of an answer from where they ended undecided, if they did; under `contact`."""
+        if answer.reached is None:
+            return answer
+        if time.perf_counter() > self._end:
+            raise OutOfTime
+        guess, options = replace(answer, displacement=answer.reached), self._further_options
+        (found,) = self._ask_contact(state, [answer.condition], [guess], [-1], None, options)
+        return replace(found, quick=answer.quick)
+
+    def contact_wrench(self, state: States, forces: Array) -> Array:
+        """Return the wrenches of contact forces, N, shape (points, 3), on all parts, N and Nm, shape (parts, 6)."""
+        problem = self.problem
+        active, net = problem.active(state[None])[0], np.zeros((problem.parts, 6))
+        for part, wrench in ((problem.part_a, problem.wrench_a), (problem.part_b, problem.wrench_b)):
+            np.add.at(net, part[active], np.einsum("pri,pi->pr", wrench[active], forces[active]))
+        return net
+
+    def forces(self, state: States, answer: Answer) -> Array:
+        """Return the contact forces of a stable answer, N, shape (points, 3)."""
+        if answer.displacement is None:
+            assert answer.forces is not None
+            return answer.forces
+        changed = answer.condition.of(self.assembly)
+        return forces_of_displacement(changed, state[None], answer.displacement[None], self.settings.claim)[0]
+
+    def cut(self, state: States, answer: Answer, direction: Array) -> float:
+        """Return the largest multiple of a load not ruled out by the velocity of an answer; infinity without a limit.
+
+        Args:
+            state: shape (parts,).
+            answer: answer under a condition with the same friction.
+            direction: the load, N and Nm, shape (parts, 6).
+        """
+        if answer.velocity is None:
+            return np.inf
+        velocity = np.where((state == 1)[:, None], answer.velocity, 0.0)
+        power = float((velocity * direction).sum())
+        if power <= 0.0:
+            return np.inf
+        assembly = replace(self.assembly, friction=answer.condition.friction)
+        claim = self.settings.claim
+        taken, momentum = resistance_to_velocity(assembly, state[None], velocity[None], claim)
+        present = float((velocity * self.problem.gravity_wrench).sum())
+        return (float(taken[0]) + _ABOVE * claim.tolerance * float(momentum[0]) - present) / power
+
+    def certify(self, state: States, answer: Answer) -> Verdicts:
+        """Return the verdict of an answer with a proof that the certificate checker accepts, else undecided.
+
+        Under `contact` a state that fails is unstable if a velocity proves it; else it slides if parts were seen to
+        move away, and comes with forces in equilibrium.
+        """
+        verdicts = Verdicts.blank(1, points=self.problem.points, parts=self.problem.parts, displaced=self.contact)
+        assert verdicts.forces is not None
+        assert verdicts.velocity is not None
+        changed, claim = answer.condition.of(self.assembly), self.settings.claim
+        verdicts.decided_by[:] = Solver.CPU
+        if answer.stands and answer.displacement is not None:
+            assert verdicts.displacement is not None
+            verdicts.displacement[0] = answer.displacement
+            verdicts.forces[:] = forces_of_displacement(changed, state[None], answer.displacement[None], claim)
+            verdicts.verdict[0] = Verdict.STABLE
+        elif answer.stands and answer.forces is not None:
+            verdicts.forces[0], verdicts.verdict[0] = answer.forces, Verdict.STABLE
+        elif self._certify_failure(state, answer, verdicts):
+            return verdicts
+        verdicts.proof[:] = proof_of(verdicts.verdict, self.settings.criterion)
+        if not verify_certificates(changed, state[None], verdicts, claim)[0]:
+            exact = self._exact(state, answer.condition)
+            if exact.unstable[0] or not self.contact:
+                verdicts.put(np.array([0]), exact)
+            else:
+                verdicts.verdict[0] = Verdict.UNDECIDED
+        return verdicts
+
+    def _exact(self, state: States, condition: Condition) -> Verdicts:
+        settings = replace(self.settings, criterion="equilibrium", cone=self.settings.friction_cone)
+        return ExactSolver(condition.of(self.assembly), settings).check(state)
+
+    def _certify_failure(self, state: States, answer: Answer, verdicts: Verdicts) -> bool:
+        """Write the proof of a state that is not stable; return whether it stays undecided although in equilibrium."""
+        assert verdicts.forces is not None
+        assert verdicts.velocity is not None
+        velocity = answer.velocity
+        if velocity is None:
+            balanced = self.balance(state, answer.condition)
+            velocity = balanced.velocity
+            if self.contact and balanced.forces is not None:
+                verdicts.forces[0] = balanced.forces
+                verdicts.verdict[0] = Verdict.SLIDES if answer.moves_away else Verdict.UNDECIDED
+                return not answer.moves_away
+        if velocity is not None:
+            verdicts.velocity[0], verdicts.verdict[0] = velocity, Verdict.UNSTABLE
+        return False
+
+    def _under(self, friction: float) -> KernelArrays:
+        """Return the structure with another coefficient of friction at contact points without one of their own."""
+        if friction == self.assembly.friction:
+            return self._structure
+        strength = strength_of(replace(self.assembly, friction=friction), self.settings.gravity)
+        return self._structure._replace(**strength_arrays(self.problem, strength))  # type: ignore[arg-type]
+
+    def _whitened(self, extra: Sequence[Array]) -> Array:
+        """Return the weights with additional wrenches for the kernels, shape (extra, parts, 6)."""
+        wrench = self.problem.gravity_wrench + np.array(extra)
+        return np.einsum("prc,lpc->lpr", self.problem.whitening, wrench, order="C")
+
+    def _offsets(self, moved: Array) -> Array:
+        """Return the scaled spring forces that displaced fixed parts cause at contact points, shape (points, 3)."""
+        problem, law = self.problem, self._contact
+        assert law is not None
+        relative = np.einsum("pri,pr->pi", problem.wrench_a, moved[problem.part_a])
+        relative += np.einsum("pri,pr->pi", problem.wrench_b, moved[problem.part_b])
+        stiffness = np.stack([law.normal, law.tangential, law.tangential], axis=1)
+        # Scaled springs act on relative displacements times `force_scale`, in units of `scale`.
+        return -stiffness * relative * (problem.force_scale / law.scale)[:, None]
