@@ -26,8 +26,10 @@ BUILT_IN = {
 """Pictures of the gallery, and the structures on them."""
 REAL = ("bottle-12", "tetris-14", "cube-17", "dog-35", "dome-37", "vault-62")
 """Published structures, one of each kind; see `real`."""
-PUBLIC = {"pavilion-vault-387": ("3",)}
+PUBLIC = {"armadillo-399": ("4",), "pavilion-vault-387": ("3",)}
 """Public structures, and the numbers of robots to try; a search takes minutes."""
+SHEETS = {"armadillo-399": ("--frames", "6", "--columns", "3", "--width", "420")}
+"""Contact sheets other than four pictures in a row."""
 
 
 def run(*words: str, answers: Sequence[int] = (0,)) -> int:
@@ -79,7 +81,7 @@ def gallery(path: Path) -> None:
 
 
 def real(path: Path) -> None:
-    """Four steps of a plan for a published or public structure, where its data is there; else the picture stays."""
+    """Steps of a plan for a published or public structure, where its data is there; else the picture stays."""
     name = path.stem.removeprefix("real-")
     named = os.environ.get("FALSEWORK_DATA")
     data = Path(named) if named else Path(__file__).parents[3] / "shared"
@@ -92,7 +94,8 @@ def real(path: Path) -> None:
         for robots in PUBLIC.get(name, ("2", "3")):
             if run("plan", str(structure), "--robots", robots, "--out", plan, answers=(0, 1)) == 0:
                 break
-        run("picture", plan, "--frames", "4", "--columns", "4", "--width", "300", "--out", str(path))
+        sheet = SHEETS.get(name, ("--frames", "4", "--columns", "4", "--width", "300"))
+        run("picture", plan, *sheet, "--out", str(path))
 
 
 def film(path: Path) -> None:
