@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from falsework.assembly.state import HELD
-from falsework.robots.interleaving.work import Body, Leg, Unit, Work
+from falsework.robots.interleaving.work import ArmSweep, Leg, Unit, Work
 from falsework.robots.keyframes.keyframes import Edge, Node
 
 _Value = TypeVar("_Value")
@@ -17,7 +17,7 @@ _MEAN = 0.2
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class UnitStep:
     """Step of a unit with the variants of its motions."""
 
     unit: Unit
@@ -38,7 +38,7 @@ class Step:
 class Partial:
     """Beginning of an order: the keyframe that it leads to, and when it gets there."""
 
-    steps: tuple[Step, ...]
+    steps: tuple[UnitStep, ...]
     node: Node
     jobs: frozenset[int]
     """Jobs that were begun."""
@@ -52,9 +52,9 @@ class Partial:
     """Time at which each robot is done so far, seconds."""
     event: float
     """Time at which the structure reaches the state, seconds."""
-    past: tuple[tuple[tuple[Body, float, float], ...], ...]
+    past: tuple[tuple[tuple[ArmSweep, float, float], ...], ...]
     """What each robot does after the time at which another is done, with begin and end."""
-    rests: tuple[Body, ...]
+    rests: tuple[ArmSweep, ...]
     """Where each robot is."""
     left: tuple[tuple[int, float], ...]
     """Parts that leave their place after the time at which some robot is done, with that moment."""
@@ -92,7 +92,7 @@ def beginning(work: Work, root: Node, units: Sequence[Unit]) -> Partial:
     )
 
 
-def extended(work: Work, partial: Partial, step: Step, owner: Unit) -> Partial:
+def extended(work: Work, partial: Partial, step: UnitStep, owner: Unit) -> Partial:
     """Return an order with one more step, whose motions begin as early as all before it allow.
 
     Args:
