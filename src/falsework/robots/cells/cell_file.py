@@ -31,12 +31,11 @@ def builtin_cells() -> tuple[str, ...]:
     return tuple(sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml")))
 
 
-def load_cell(name: str | Path, *, check: bool = True) -> Cell:
+def load_cell(name: str | Path) -> Cell:
     """Read a cell.
 
     Args:
         name: a TOML file, or the name of a built-in cell such as `dome-37`.
-        check: whether to reject an invalid cell, as `check_cell` does.
 
     Raises:
         CellError: no such cell, a key that is missing, unknown or wrong, or an invalid arrangement of robots.
@@ -51,8 +50,7 @@ def load_cell(name: str | Path, *, check: bool = True) -> Cell:
     else:
         known = ", ".join(builtin_cells())
         raise CellError(f"unknown cell {name}; give a TOML file, or one of the built-in cells {known}")
-    if check:
-        check_cell(cell)
+    check_cell(cell)
     return cell
 
 
