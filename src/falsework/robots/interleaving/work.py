@@ -1,4 +1,4 @@
-"""Work of the robots of a plan: the steps with each part, their motions, and what these motions collide with."""
+"""Units of work of the robots of a plan: the steps with each part, their motions, and conflicts between motions."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class ArmSweep:
     ends: Array
     """Seconds into the motion at which each cell ends."""
     margin: float
-    """Distance that it keeps, metres."""
+    """Clearance that the planner keeps from it, metres."""
     rest: bool
 
 
@@ -48,7 +48,7 @@ class Leg:
 
 @dataclass(frozen=True, eq=False)
 class Unit:
-    """Steps of one arm with one part, usually a hold and a removal, as one arm carries them out without other steps."""
+    """Consecutive steps of one arm with one part, usually a hold and a removal."""
 
     job: int
     """Index of the unit among those of the plan; the same for the units of other arms that may replace it."""
