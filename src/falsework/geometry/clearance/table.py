@@ -74,7 +74,7 @@ class ClearanceTable:
     def _ways_out(self, states: NDArray[np.uint8]) -> NDArray[np.int32]:
         parts = len(self.start) - 1
         if states.ndim != 2 or states.shape[1] != parts:
-            raise InputError(f"states have shape {states.shape}; expected (batch, {parts}), one value for each part")
+            raise InputError(f"states have shape {states.shape}; expected (batch, {parts}), one value a part")
         found = np.empty(states.shape, dtype=np.int32)
         _ways_out(pack(states > 0), self.blockers, self.start, found)
         return found
