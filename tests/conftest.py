@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import gc
 import os
+import signal
 import subprocess
 import sys
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -90,6 +93,35 @@ def beam_on_ridge() -> Assembly:
     ]
     with pytest.warns(ContactWarning):
         return Assembly.from_meshes(meshes, boundary=[0, 1], name="beam-on-ridge")
+
+
+@pytest.fixture
+def start_command() -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Start the command line as a shell does, in the foreground or not; it is killed after the test or a minute."""
+    if os.name == "nt":
+        pytest.skip("signals are sent differently on Windows")
+    started: list[tuple[subprocess.Popen[str], threading.Timer]] = []
+
+    def start(*arguments: str, foreground: bool = True, seconds: float = 60.0) -> subprocess.Popen[str]:
+        # Set in both cases: a process inherits whether interrupts are ignored, and so do the tests themselves.
+        handler = signal.default_int_handler if foreground else signal.SIG_IGN
+        process = subprocess.Popen(
+            [sys.executable, "-m", "falsework", *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            preexec_fn=partial(signal.signal, signal.SIGINT, handler),
+        )
+        limit = threading.Timer(seconds, process.kill)
+        limit.start()
+        started.append((process, limit))
+        return process
+
+    yield start
+    for process, limit in started:
+        limit.cancel()
+        process.kill()
+        process.communicate()
 
 
 @pytest.fixture(scope="session")

@@ -128,6 +128,16 @@ def test_links_lead_somewhere() -> None:
                 assert (page.parent / link).exists(), f"{name_of(page)}: {link}"
 
 
+def test_a_decision_is_one_page() -> None:
+    """As CONTRIBUTING says; what is no word, such as the lines of tables, does not count."""
+    said = re.search(r"at most (\d+) words", (REPOSITORY / "CONTRIBUTING.md").read_text(encoding="utf-8"))
+    assert said is not None
+    pages = sorted((REPOSITORY / "docs" / "decisions").glob("0*.md"))
+    words = {page.name: len(re.findall(r"\S*\w\S*", page.read_text(encoding="utf-8"))) for page in pages}
+    assert len(words) > 20
+    assert {name: count for name, count in words.items() if count > int(said[1])} == {}
+
+
 def test_extras_that_are_named_exist() -> None:
     extras = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     for page in PAGES:

@@ -1,4 +1,4 @@
-"""The wheel and the sdist contain everything that the package needs, and the version is stated once."""
+"""The wheel and the sdist contain everything that the package needs, and versions and targets agree between files."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ import re
 import subprocess
 import sys
 import tarfile
+import tomllib
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -90,3 +92,40 @@ def test_other_files_name_the_same_version(name: str, pattern: str) -> None:
     found = re.search(pattern, (REPOSITORY / name).read_text(encoding="utf-8"), re.MULTILINE)
     assert found is not None
     assert found[1] == __version__
+
+
+def configuration(name: str) -> Any:
+    """A configuration in YAML, which is part of the repository but not of the sdist."""
+    if not (REPOSITORY / name).is_file():
+        pytest.skip(f"no {name} here")
+    return pytest.importorskip("yaml").safe_load((REPOSITORY / name).read_text(encoding="utf-8"))
+
+
+def project() -> Any:
+    return tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))
+
+
+def test_the_workflow_runs_targets_of_the_makefile_within_a_time_limit() -> None:
+    jobs = configuration(".github/workflows/ci.yml")["jobs"]
+    targets = set(re.findall(r"^(\w+):", (REPOSITORY / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    assert set(jobs) <= targets
+    for name, job in jobs.items():
+        assert [step["run"] for step in job["steps"] if "run" in step] == [f"make {name}"]
+        assert job["timeout-minutes"] > 0
+
+
+def test_the_workflow_tests_every_python_of_the_classifiers() -> None:
+    matrix = configuration(".github/workflows/ci.yml")["jobs"]["test"]["strategy"]["matrix"]["python-version"]
+    classifiers = " ".join(project()["project"]["classifiers"])
+    assert matrix == re.findall(r"Python :: (3\.\d+)", classifiers)
+    assert project()["project"]["requires-python"] == f">={matrix[0]}"
+
+
+@pytest.mark.parametrize(("hook", "package"), [("ruff-pre-commit", "ruff"), ("codespell", "codespell")])
+def test_the_hooks_before_a_commit_have_the_versions_of_the_group(hook: str, package: str) -> None:
+    repositories = configuration(".pre-commit-config.yaml")["repos"]
+    found = next(entry["rev"] for entry in repositories if entry["repo"].endswith(f"/{hook}"))
+    pinned = next(text for text in project()["dependency-groups"]["lint"] if text.startswith(package))
+    least = re.fullmatch(rf"{package}>=(\d+\.\d+),<\d+\.\d+", pinned)
+    assert least is not None
+    assert found.startswith(f"v{least[1]}.")

@@ -186,7 +186,7 @@ class DepthFirstSearch:
             elif undecided:
                 limit = f"{undecided} states could be proved neither stable nor unstable"
             elif sliding:
-                limit = f"no plan was found in which every state stands: {sliding} states slide"
+                limit = f"no plan was found in which every state is stable: {sliding} states slide"
             elif self.done and not interrupted:
                 limit = self.task.doubt
         return SearchResult(

@@ -94,6 +94,28 @@ def test_wrong_usage_is_one_line(arguments: list[str], hint: str, capsys: pytest
     assert "│" not in captured.err
 
 
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        ("plan", "missing from falsework plan: STRUCTURE; for help, run: falsework plan --help"),
+        ("sheet plan.json", "missing from falsework sheet: --out FILE; for help, run: falsework sheet --help"),
+        (
+            "plan arch --robot 2",
+            "unrecognized options: --robot, 2; perhaps you meant: --robots NUMBER, --robust; "
+            "for help, run falsework plan --help",
+        ),
+        ("plan arch --friction x", "--friction is 'x'; give a number; for help, see falsework plan --help"),
+        ("robots-needed arch --props 1.5", "--props is '1.5'; give a whole number"),
+        ("plan arch --robots", "--robots has no value; give one"),
+    ],
+)
+def test_wrong_usage_names_options_without_their_help(
+    arguments: str, line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert entry.main(arguments.split()) == 2
+    assert capsys.readouterr().err.startswith(f"falsework: {line}")
+
+
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert entry.main(["--version"]) == 0
     assert capsys.readouterr().out == f"falsework {__version__}\n"

@@ -58,6 +58,7 @@ def test_a_glb_is_a_structure_again(tmp_path: Path) -> None:
     [
         (("--out", "out.json"), "cannot show a plan"),
         (("--out", "folder"), "cannot show a plan"),
+        (("--out", "plan.obj"), "no export format ends in .obj"),
         (("--out", "out.glb", "--step-seconds", "0"), "0 seconds"),
         (("--out", "no/out.glb"), "no folder"),
         (("--out", "out.glb", "--friction", "0.9"), "another structure"),

@@ -419,7 +419,7 @@ def test_where_every_replay_falls_nothing_is_proved(policy: bool, end: States) -
     assert answer.outcome is Outcome.NOT_FOUND
     assert answer.decided_by is Stage.NONE
     assert answer.plans == answer.replays == ()
-    assert "when it is replayed" in answer.reason
+    assert "whose replay in the order of assembly succeeds" in answer.reason
     # One step, which has nothing but ends.
     last = find_plans(ARCH, oracle=Stability(ARCH), forces=False).plans[0].states[-2]
     answer = Replanner(ARCH, make() if policy else None, falling(lambda _: True)).replan(last)

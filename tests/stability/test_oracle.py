@@ -357,8 +357,8 @@ def test_a_proof_that_is_rejected_goes_to_the_exact_solver(
 @pytest.mark.parametrize(
     ("state", "message"),
     [
-        ([1, 1], "one value a part"),
-        ([[[1] * 11]], "one value a part"),
+        ([1, 1], "one value for each part"),
+        ([[[1] * 11]], "one value for each part"),
         ([3, *[1] * 8, 2, 2], "part 0"),
         ([-1, *[1] * 8, 2, 2], "part 0"),
         ([0.5, *[1] * 8, 2, 2], "part 0"),
@@ -376,7 +376,7 @@ def test_bad_states_are_named(arch: Assembly, method: str, state: Any, message: 
 
 
 def test_bad_states_do_not_reach_the_exact_solver(arch: Assembly) -> None:
-    with pytest.raises(StateError, match="one value a part"):
+    with pytest.raises(StateError, match="one value for each part"):
         ExactSolver(arch, StabilitySettings(criterion="equilibrium")).check([1, 1])
 
 

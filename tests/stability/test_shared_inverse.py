@@ -175,7 +175,7 @@ def test_an_empty_batch(scenes: Any) -> None:
 @pytest.mark.usefixtures("torch")
 def test_bad_input_is_named(scenes: Any) -> None:
     tower = scenes.tower(1)
-    with pytest.raises(StateError, match="one value a part"):
+    with pytest.raises(StateError, match="one value for each part"):
         SharedInverse(tower).check([1])
     with pytest.raises(InputError, match="octagon"):
         SharedInverse(tower, StabilitySettings(criterion="equilibrium", cone="quadratic"))

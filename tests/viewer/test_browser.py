@@ -5,10 +5,10 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
-import sys
 import time
 import urllib.request
 from collections.abc import Callable, Iterator
@@ -326,18 +326,35 @@ def test_only_this_machine_is_served_unless_told_otherwise(arch: Any) -> None:
         check_host(" ")
 
 
-def test_the_command_serves_until_interrupted(tmp_path: Path) -> None:
+def test_the_command_serves_until_interrupted(start_command: Callable[..., subprocess.Popen[str]]) -> None:
     """Standard output is for machines; the page answers on this machine; Ctrl-C is a good end."""
-    command = [sys.executable, "-m", "falsework", "view", "arch:blocks=3", "--json", "--port", "8198"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as process:
-        assert process.stdout is not None
-        about = json.loads(process.stdout.readline())
-        assert about["kind"] == "structure"
-        with urllib.request.urlopen(about["address"], timeout=PATIENCE) as answer:
-            assert answer.status == 200
-        time.sleep(0.5)  # until it waits
-        process.send_signal(signal.SIGINT)
-        rest, error = process.communicate(timeout=PATIENCE)
+    process = start_command("view", "arch:blocks=3", "--json", "--port", "8198")
+    assert process.stdout is not None
+    about = json.loads(process.stdout.readline())
+    assert about["kind"] == "structure"
+    with urllib.request.urlopen(about["address"], timeout=PATIENCE) as answer:
+        assert answer.status == 200
+    time.sleep(0.5)  # until it waits
+    process.send_signal(signal.SIGINT)
+    rest, error = process.communicate()
     assert process.returncode == 0, error
     assert rest == ""
     assert error == ""
+
+
+def test_in_the_background_the_command_says_how_to_end_it(start_command: Callable[..., subprocess.Popen[str]]) -> None:
+    """Interrupts are meant for commands in the foreground: one that was started without them serves on."""
+    process = start_command("view", "arch:blocks=3", "--port", "8199", foreground=False)
+    assert process.stdout is not None
+    said = process.stdout.readline()
+    assert "Ctrl-C" not in said
+    assert f"kill {process.pid} ends it" in said
+    process.send_signal(signal.SIGINT)
+    time.sleep(0.5)
+    address = re.search(r"http://\S+(?=;)", said)
+    assert address is not None
+    with urllib.request.urlopen(address[0], timeout=PATIENCE) as answer:
+        assert answer.status == 200
+    process.terminate()
+    process.communicate()
+    assert process.returncode == -signal.SIGTERM

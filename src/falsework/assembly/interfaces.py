@@ -13,7 +13,7 @@ from falsework.assembly.model import ContactWarning
 from falsework.errors import AssemblyError
 from falsework.geometry.contact.interfaces import Contacts, ContactSettings
 from falsework.geometry.contact.patches import frames_of
-from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
 from falsework.geometry.mesh.polygon import newell_normal
 
 Array = NDArray[np.float64]
@@ -237,7 +237,7 @@ def _face_normal(mesh: TriangleMesh, point: Array, along: Array) -> Array:
     from trimesh.triangles import closest_point
 
     corners = mesh.triangles
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = triangle_normals(corners)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     gap = np.linalg.norm(closest_point(corners, np.broadcast_to(point, (len(corners), 3))) - point, axis=1)
     near = np.where(np.abs(normals @ along) > 0.5, gap, np.inf)

@@ -53,7 +53,7 @@ def as_states(states: ArrayLike, boundary: Mask) -> States:
     if array.ndim == 1:
         array = array[None]
     if array.ndim != 2 or array.shape[1] != parts:
-        raise StateError(f"states have shape {array.shape}; expected (batch, {parts}), one value a part")
+        raise StateError(f"states have shape {array.shape}; expected (batch, {parts}), one value for each part")
     bad = (array != REMOVED) & (array != INSTALLED) & (array != HELD)
     if bad.any():
         row, part = np.argwhere(bad)[0]

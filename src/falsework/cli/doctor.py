@@ -11,6 +11,7 @@ from tyro.conf import Positional, arg
 
 from falsework.cli.command import UNSET, Command
 from falsework.cli.exit_code import Exit
+from falsework.cli.output import counted
 
 if TYPE_CHECKING:
     from falsework.assembly.doctor import Diagnosis
@@ -70,7 +71,7 @@ def _lines(found: Diagnosis) -> list[str]:
     if found.parts:
         fixed = sum(report.boundary for report in found.parts)
         sizes = [report.size for report in found.parts]
-        text = f"{len(found.parts)} parts ({fixed} boundary), {min(sizes):.3g} to {max(sizes):.3g} m long"
+        text = f"{counted(len(found.parts), 'part')} ({fixed} boundary), {min(sizes):.3g} to {max(sizes):.3g} m long"
         if volumes:
             text += f", {min(volumes):.3g} to {max(volumes):.3g} m3, {sum(volumes):.3g} m3 in all"
         lines += [text, f"{found.contacts} contacts"]

@@ -7,6 +7,7 @@ import contextlib
 import importlib
 import io
 import os
+import re
 import sys
 import textwrap
 import traceback
@@ -95,6 +96,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if debug:
             traceback.print_exc()
         return _fail(_explain(error), Exit.WRONG_INPUT)
+
+
+_OPTION_INDENT, _HELP_INDENT = 5, 9
+"""Columns by which tyro indents options and their help texts inside the box of a message."""
+_PLAIN_WORDS = (
+    (r"error parsing (\S+): no type matching FLOAT .* from \[(.*?)\].*?(?=;|$)", r"\1 is \2; give a number"),
+    (r"error parsing (\S+): invalid literal for int\(\) with base 10: ('.*?')", r"\1 is \2; give a whole number"),
+    (r"missing value for argument '(\S+)'\. Expected 1 values", r"\1 has no value; give one"),
+)
+"""Messages of tyro that name types of Python, and what they say to a user."""
 
 
 class _UsageError(Exception):
@@ -195,16 +206,20 @@ def _help_text(kind: type[Command]) -> str:
 
 
 def _one_line(box: str) -> str:
-    """Turn the boxed error message of tyro into one line."""
+    """Turn the boxed error message of tyro into one line: options without their help texts, values in plain words."""
     sections: list[list[str]] = [[]]
     for line in box.splitlines()[1:-1]:
         text = line.strip("│| \t")
         if text and not text.strip("─-"):
             sections.append([])
-        elif text:
-            sections[-1].append(text)
-    texts = [" ".join(section).rstrip(".") for section in sections if section and section[0] != "Argument helptext:"]
-    return "; ".join(texts).replace("For full helptext,", "for help,")
+        elif text and not line.strip("│").startswith(" " * _HELP_INDENT):
+            option = line.strip("│").startswith(" " * _OPTION_INDENT) and len(sections[-1]) > 1
+            sections[-1].append(f", {text}" if option else f" {text}")
+    texts = ["".join(section).strip().rstrip(".") for section in sections if section[:1] != [" Argument helptext:"]]
+    line = "; ".join(text[0].lower() + text[1:] for text in texts if text).replace("for full helptext,", "for help,")
+    for pattern, words in _PLAIN_WORDS:
+        line = re.sub(pattern, words, line)
+    return line
 
 
 def _explain(error: Exception) -> str:

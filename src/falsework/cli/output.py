@@ -18,6 +18,11 @@ LOG_EVERY = 30.0
 """Seconds between two lines of progress where the error stream is no terminal."""
 
 
+def counted(number: int, noun: str) -> str:
+    """Return a number and what it counts, such as `1 step` or `2 steps`."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
 class Output:
     """Printer of text or, with `--json`, of JSON."""
 

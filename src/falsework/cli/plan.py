@@ -11,6 +11,7 @@ from tyro.conf import arg
 
 from falsework.cli.command import CONE_HINT, UNSET, Command, StructureOptions
 from falsework.cli.exit_code import Exit
+from falsework.cli.output import counted
 from falsework.cli.planning import SupportOptions, refuse_unstable, writable
 from falsework.errors import InputError
 
@@ -242,7 +243,7 @@ class MakePlan(Command):
             output.record({**record, "verdicts": asked, "seconds": seconds})
         path, first = plans[0]
         output.say(
-            f"{path}: {len(first)} steps with {first.robots} robots, every state proven stable "
+            f"{path}: {counted(len(first), 'step')} with {counted(first.robots, 'robot')}, every state proven stable "
             f"(criterion {first.claim.criterion}, {seconds:.1f} s, {asked} verdicts)"
         )
         if first.replay is not None:

@@ -13,6 +13,7 @@ from tyro.conf import arg
 from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET, JudgingCommand, StructureOptions
 from falsework.cli.exit_code import Exit
+from falsework.cli.output import counted
 from falsework.cli.planning import writable
 from falsework.errors import InputError
 
@@ -166,9 +167,9 @@ class MakeReplan(JudgingCommand):
     def _tell(self, answer: ReplanResult, paths: list[Path], output: Output) -> None:
         plan = answer.plans[0]
         output.say(
-            f"{paths[0]}: {len(plan)} steps of {answer.direction.value} with {plan.robots} robots, every state proven "
-            f"stable (criterion {plan.claim.criterion}, decided by {answer.decided_by.value}, {answer.seconds:.2f} s, "
-            f"{answer.verdicts} verdicts)"
+            f"{paths[0]}: {counted(len(plan), 'step')} of {answer.direction.value} with "
+            f"{counted(plan.robots, 'robot')}, every state proven stable (criterion {plan.claim.criterion}, decided by "
+            f"{answer.decided_by.value}, {answer.seconds:.2f} s, {answer.verdicts} verdicts)"
         )
         output.say(_first_steps(plan))
         for need in plan.needs:

@@ -43,8 +43,8 @@ def schedule_text(plan: RobotPlan) -> str:
         return f"no two motions can take place at the same time: the plan stays sequential, {graph.sequential:.0f} s"
     share = graph.makespan / graph.sequential
     return (
-        f"with robots moving at the same time it takes {graph.makespan:.0f} s, {share:.0%} of its motions one after "
-        f"the other; no order of these motions takes less than {graph.lower_bound:.0f} s"
+        f"with robots moving at the same time: {graph.makespan:.0f} s, {share:.0%} of the time of one robot at a time; "
+        f"no schedule of these motions takes less than {graph.lower_bound:.0f} s"
     )
 
 

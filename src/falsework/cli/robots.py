@@ -13,6 +13,7 @@ from tyro.conf import Positional, arg
 from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET, Command, LoadOptions, StructureOptions
 from falsework.cli.exit_code import Exit
+from falsework.cli.output import counted
 from falsework.cli.planning import writable
 from falsework.cli.robot_arguments import parse_holding, parse_joints
 from falsework.cli.robot_reports import check_record, runs_record, runs_text, schedule_text, times_record
@@ -175,7 +176,8 @@ class PlanRobots(Command):
             if result.found:
                 replay = saved.plan.replay
                 output.say(
-                    f"{self.out}: {len(saved)} steps for {len(saved.robots)} robots, {saved.seconds:.0f} s of motion, "
+                    f"{self.out}: {counted(len(saved), 'step')} for {counted(len(saved.robots), 'robot')}, "
+                    f"{saved.seconds:.0f} s of motion, "
                     f"every state proven stable (criterion {self.criterion}, {result.statistics['seconds']:.1f} s)"
                 )
                 if replay is not None:
@@ -187,7 +189,7 @@ class PlanRobots(Command):
                         "no plan with short approaches was found; this one has the approaches of one arm at a time"
                     )
                 return Exit.DONE
-            output.note(f"the {len(saved)} steps that were found are in {self.out}")
+            output.note(f"{self.out} has the first {counted(len(saved), 'step')}")
         else:
             why = result.explanation.to_dict() if result.explanation else {}
             output.record({"robot_plan": None, "found": False, "failure": why, **result.statistics})

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
@@ -68,6 +70,9 @@ class View(JudgingCommand):
         if warning is not None:
             output.note(f"falsework: warning: {warning}")
         output.record({"address": page.address, "kind": subject.kind, "parts": subject.assembly.part_count})
-        output.say(f"{subject.kind} of {subject.assembly.name} at {page.address}; Ctrl-C ends it")
+        # A shell makes commands ignore Ctrl-C that it starts in the background of a script.
+        ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+        end = f"kill {os.getpid()}" if ignored else "Ctrl-C"
+        output.say(f"{subject.kind} of {subject.assembly.name} at {page.address}; {end} ends it")
         serve(page)
         return Exit.DONE

@@ -34,8 +34,17 @@ _MOVING = ("glb", "gltf", "usd")
 
 
 def format_of(path: Path | str) -> Format:
-    """Return the format that the name of a file stands for; a name without a known ending is a folder."""
-    return _BY_SUFFIX.get(Path(path).suffix.lower(), "folder")
+    """Return the format that the name of a file stands for; a name without an ending is a folder.
+
+    Raises:
+        InputError: an ending that stands for no format.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix[1:2].isalpha() and suffix not in _BY_SUFFIX and not Path(path).is_dir():
+        raise InputError(
+            f"no export format ends in {suffix}; write {', '.join(_BY_SUFFIX)}, or choose the format folder"
+        )
+    return _BY_SUFFIX.get(suffix, "folder")
 
 
 def read_exportable(

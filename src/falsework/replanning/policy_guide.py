@@ -14,7 +14,7 @@ from falsework.search.problem.task import Direction, Task
 from falsework.utils.optional_packages import check_torch
 
 if TYPE_CHECKING:
-    import torch
+    pass
 
 _FLOOR = -30.0
 """Least log probability that a legal action counts with: a search may need actions that the policy considers
@@ -34,7 +34,6 @@ class PolicyGuide:
     def __init__(
         self,
         policy: Any,
-        device: torch.device | str | None = None,
         *,
         task: Task | None = None,
     ) -> None:
@@ -42,7 +41,6 @@ class PolicyGuide:
 
         Args:
             policy: called with states, and with targets if it is goal-conditioned.
-            device: where the network is moved; where it is if not given.
             task: gives a goal-conditioned policy its target, and the search from the target its rules.
 
         Raises:
@@ -52,7 +50,7 @@ class PolicyGuide:
         import torch
 
         self._torch = torch
-        self.policy = policy if device is None else policy.to(device)
+        self.policy = policy
         self.policy.eval()
         weights = next(iter(policy.parameters()), None)
         self.device = torch.device("cpu") if weights is None else weights.device

@@ -279,8 +279,8 @@ class ReplanSession:
             return "every reachable state was examined"
         if self.replayer is not None and self.replayer.fallen is not None:
             return (
-                f"no plan was found that stands when it is replayed in the order of assembly: the best of "
-                f"{self.task.steps} steps falls after step {self.replayer.fell_after}"
+                f"no plan was found whose replay in the order of assembly succeeds: in the best of {self.task.steps} "
+                f"steps the structure collapses after step {self.replayer.fell_after}"
             )
         if self.clock.passed:
             return f"the deadline of {self.request.deadline} s passed; more time may find a plan"

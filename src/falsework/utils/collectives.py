@@ -23,7 +23,7 @@ def average_gradients(parameters: Iterable[torch.nn.Parameter], shards: ProcessG
     held = list(parameters)
     pieces = [torch.zeros_like(one) if one.grad is None else one.grad for one in held]
     flat = torch.cat([piece.reshape(-1) for piece in pieces])
-    dist.all_reduce(flat, group=shards.group)
+    dist.all_reduce(flat)
     flat /= shards.size
     for one, mean in zip(held, flat.split([one.numel() for one in held]), strict=True):
         one.grad = mean.view_as(one)
@@ -36,7 +36,7 @@ def same_weights(module: torch.nn.Module, shards: ProcessGroup) -> None:
     import torch.distributed as dist
 
     for tensor in module.state_dict().values():
-        dist.broadcast(tensor, src=0, group=shards.group)
+        dist.broadcast(tensor, src=0)
 
 
 def decided(value: float, shards: ProcessGroup, device: torch.device) -> float:
@@ -47,7 +47,7 @@ def decided(value: float, shards: ProcessGroup, device: torch.device) -> float:
     import torch.distributed as dist
 
     box = torch.tensor([value], dtype=torch.float64, device=device)
-    dist.broadcast(box, src=0, group=shards.group)
+    dist.broadcast(box, src=0)
     return float(box[0])
 
 
@@ -59,7 +59,7 @@ def summed(values: list[float], shards: ProcessGroup, device: torch.device) -> l
     import torch.distributed as dist
 
     box = torch.tensor(values, dtype=torch.float64, device=device)
-    dist.all_reduce(box, group=shards.group)
+    dist.all_reduce(box)
     return box.tolist()
 
 

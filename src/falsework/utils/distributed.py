@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from falsework.errors import InputError
 from falsework.utils.tensors import choose_device, import_torch
@@ -26,18 +26,16 @@ class ProcessGroup:
 
     rank: int = 0
     size: int = 1
-    group: Any = None
-    """Process group of `torch.distributed`; the default one if None."""
 
     @classmethod
-    def of_group(cls, group: Any = None) -> ProcessGroup:
-        """Return the processes of a group of `torch.distributed`, or this process alone where that is not set up."""
+    def of_group(cls) -> ProcessGroup:
+        """Return the default process group of `torch.distributed`, or this process alone where that is not set up."""
         import_torch()
         import torch.distributed as dist
 
         if not (dist.is_available() and dist.is_initialized()):
             return cls()
-        return cls(dist.get_rank(group), dist.get_world_size(group), group)
+        return cls(dist.get_rank(), dist.get_world_size())
 
     @property
     def is_main_process(self) -> bool:
@@ -58,7 +56,7 @@ class ProcessGroup:
         if self.size > 1:
             import torch.distributed as dist
 
-            dist.all_reduce(tensor, group=self.group)
+            dist.all_reduce(tensor)
         return tensor
 
     def gather(self, tensor: torch.Tensor) -> torch.Tensor:
@@ -69,7 +67,7 @@ class ProcessGroup:
         import torch.distributed as dist
 
         whole = torch.empty((self.size, *tensor.shape), dtype=tensor.dtype, device=tensor.device)
-        dist.all_gather(list(whole.unbind()), tensor.contiguous(), group=self.group)
+        dist.all_gather(list(whole.unbind()), tensor.contiguous())
         return whole.flatten(0, 1)
 
     def gather_blocks(self, tensor: torch.Tensor, count: int) -> torch.Tensor:

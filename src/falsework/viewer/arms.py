@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.mesh.mesh import triangle_normals
 from falsework.robots.plans.timeline import activities_at
 from falsework.search.problem.task import Direction
 from falsework.viewer.appearance import Appearance
@@ -282,7 +283,7 @@ def _links(number: int, robot: CellRobot, size: float) -> list[Link]:
             points = np.asarray(piece, dtype=float)
             hull = ConvexHull(points)
             corners = points[hull.simplices]
-            normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+            normal = triangle_normals(corners)
             inwards = (normal * hull.equations[:, :3]).sum(axis=1) < 0
             turned = np.where(inwards[:, None], hull.simplices[:, ::-1], hull.simplices)
             vertices.append(points * size)

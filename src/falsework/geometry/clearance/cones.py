@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
 from falsework.utils.kernels import njit
 
 Array = NDArray[np.float64]
@@ -106,7 +106,7 @@ class Pieces:
             depth: metres.
         """
         corners = mesh.triangles
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals = triangle_normals(corners)
         length = np.linalg.norm(normals, axis=1)
         solid = np.flatnonzero(length > 0)
         normals = normals[solid] / length[solid, None]

@@ -13,7 +13,7 @@ from falsework.geometry.clearance.cones import Cones, Pieces, cones_between
 from falsework.geometry.clearance.directions import sphere_directions
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.collision import Body, shrink
-from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
 from falsework.utils.bits import intersect, pack
 
 Array = NDArray[np.float64]
@@ -243,7 +243,7 @@ class _Shape:
     @cached_property
     def _normals(self) -> Array:
         corners = self.vertices[self._mesh.faces]
-        return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        return triangle_normals(corners)
 
     def wall(self, move: Array) -> Body:
         """Return the surface that the silhouette of the part sweeps."""

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -39,7 +39,7 @@ class Surface:
         faces = np.concatenate([mesh.faces + start for mesh, start in zip(meshes, first, strict=False)])
         part = np.repeat(np.arange(len(meshes), dtype=np.int32), [len(mesh.faces) for mesh in meshes])
         corners = points[faces]
-        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        cross = triangle_normals(corners)
         length = np.linalg.norm(cross, axis=1)
         solid = length > 0.0
         return Surface(points, faces[solid].astype(np.int64), part[solid], cross[solid] / length[solid, None])

@@ -14,7 +14,7 @@ from falsework.errors import InputError
 from falsework.geometry.contact.creases import expand
 from falsework.geometry.contact.grouping import COPLANAR, curved_groups, planes, segment_mean, segment_sum
 from falsework.geometry.contact.joints import JointReport, check_joints, find_joints
-from falsework.geometry.contact.narrow_phase import Narrow, Reach, merged, narrow_places
+from falsework.geometry.contact.narrow_phase import ContactTolerances, Narrow, merged, narrow_places
 from falsework.geometry.contact.overlap import Overlaps, find_overlaps
 from falsework.geometry.contact.patches import Patches, face_patches, frames_of
 from falsework.geometry.mesh.mesh import TriangleMesh
@@ -181,7 +181,7 @@ def exact_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings) ->
     group = planes(patches, COPLANAR, tolerance)
     group = curved_groups(patches, group, settings.curvature, tolerance)
     contacts, slivers = _contacts(patches, group, tolerance)
-    places = narrow_places(meshes, Reach(gap, overlap, settings.angle), slivers)
+    places = narrow_places(meshes, ContactTolerances(gap, overlap, settings.angle), slivers)
     if not len(places.parts):
         return contacts
     places = merged(places, COPLANAR, tolerance)

@@ -72,7 +72,7 @@ class JointReport:
 
 
 @dataclass(frozen=True, eq=False)
-class Joints:
+class JointSurfaces:
     """Middle surfaces of joints."""
 
     patches: Patches
@@ -82,9 +82,11 @@ class Joints:
     """Largest overlap that is allowed to the joint of two parts, zero for pairs without one, shape (parts, parts),
     metres."""
 
-    def take(self, chosen: NDArray[np.bool_]) -> Joints:
+    def take(self, chosen: NDArray[np.bool_]) -> JointSurfaces:
         """Return the chosen patches alone, shape (patches,)."""
-        return Joints(self.patches.take(chosen), np.unique(self.group[chosen], return_inverse=True)[1], self.bound)
+        return JointSurfaces(
+            self.patches.take(chosen), np.unique(self.group[chosen], return_inverse=True)[1], self.bound
+        )
 
     def near(self, touching: NDArray[np.integer], tolerance: float) -> NDArray[np.bool_]:
         """Return whether two parts are so near to each other that a gap between them is an inaccuracy.
@@ -110,7 +112,9 @@ class Joints:
         return least <= np.maximum(allowed[:, None], allowed)
 
 
-def find_joints(meshes: Sequence[TriangleMesh], among: NDArray[np.bool_], angle: float, narrowest: float) -> Joints:
+def find_joints(
+    meshes: Sequence[TriangleMesh], among: NDArray[np.bool_], angle: float, narrowest: float
+) -> JointSurfaces:
     """Intersect surfaces of parts that face each other, within bounds that depend on the parts alone.
 
     Two faces belong to one joint if their outward normals differ from opposite by at most 30 degrees and their
@@ -138,7 +142,7 @@ def find_joints(meshes: Sequence[TriangleMesh], among: NDArray[np.bool_], angle:
     side = planes(patches, _ANGLE, OVERLAP * smaller)
     wide = _widths(patches, side) > np.maximum(_depths(patches, side), narrowest)
     patches, smaller = patches.take(wide[side]), smaller[wide[side]]
-    joint = Joints(patches, planes(patches, angle, GAP * smaller), np.zeros((len(meshes), len(meshes))))
+    joint = JointSurfaces(patches, planes(patches, angle, GAP * smaller), np.zeros((len(meshes), len(meshes))))
     np.maximum.at(joint.bound, tuple(patches.parts.T), OVERLAP * smaller)
     return joint
 

@@ -51,7 +51,7 @@ class Narrow:
 
 
 @dataclass(frozen=True)
-class Reach:
+class ContactTolerances:
     """Tolerances of contact, metres and degrees; as `face_patches`."""
 
     gap: float
@@ -69,7 +69,7 @@ class Reach:
         return float(np.sin(np.radians(self.angle)))
 
 
-def narrow_places(meshes: Sequence[TriangleMesh], reach: Reach, slivers: Narrow) -> Narrow:
+def narrow_places(meshes: Sequence[TriangleMesh], limits: ContactTolerances, slivers: Narrow) -> Narrow:
     """Find edges on faces, corners on faces, and edges across edges.
 
     An edge on a face is a line with the normal of the face; so is a strip of two faces that is too narrow for an
@@ -79,32 +79,32 @@ def narrow_places(meshes: Sequence[TriangleMesh], reach: Reach, slivers: Narrow)
 
     Args:
         meshes: closed meshes that face outwards.
-        reach: tolerances.
+        limits: tolerances of the model.
         slivers: strips of opposed faces that are narrower than the tolerance.
 
     Returns:
-        Pieces of lines, which may hang together, and points, of which some may be found twice.
+        Pieces of lines, which may adjoin, and points, some of which may occur twice.
     """
     surface = Surface.of(meshes)
     every = Creases.of(surface, 0.1)
     # Both faces have to rise by more than the angle, so that less of a turn than twice the angle is no edge.
-    sharp = every.take(every.turn > np.radians(2 * reach.angle))
-    rims = every.take(every.turn > np.radians(reach.angle))
-    found = [slivers.take(_inside_a_rim(slivers, every, reach))]
+    sharp = every.take(every.turn > np.radians(2 * limits.angle))
+    rims = every.take(every.turn > np.radians(limits.angle))
+    found = [slivers.take(_inside_a_rim(slivers, every, limits))]
     corners = surface.corners
-    half = reach.tolerance / 2
+    half = limits.tolerance / 2
     vertices, first = np.unique(surface.faces.ravel(), return_index=True)
     of_face = _groups(sharp.face, np.arange(len(sharp.face)), len(corners))
     tips = _groups(first // 3, vertices, len(corners))
     for i, j in _near_faces(corners, surface.part, half):
         row, edge = _members(of_face, i)
-        found.append(_edges_on_faces(surface, sharp, rims, edge, j[row], reach))
+        found.append(_edges_on_faces(surface, sharp, rims, edge, j[row], limits))
         row, vertex = _members(tips, i)
-        found.append(_corners_on_faces(surface, rims, vertex, j[row], surface.part[i[row]], reach))
+        found.append(_corners_on_faces(surface, rims, vertex, j[row], surface.part[i[row]], limits))
         once = i < j
         row, one = _members(of_face, i[once])
         again, two = _members(of_face, j[once][row])
-        found.append(_crossings(sharp, one[again], two, reach))
+        found.append(_crossings(sharp, one[again], two, limits))
     return Narrow.join(found)
 
 
@@ -172,35 +172,37 @@ def merged(found: Narrow, coplanar: float, tolerance: float) -> Narrow:
     return Narrow.join(out)
 
 
-def _edges_on_faces(surface: Surface, sharp: Creases, rims: Creases, edge: Index, face: Index, reach: Reach) -> Narrow:
+def _edges_on_faces(
+    surface: Surface, sharp: Creases, rims: Creases, edge: Index, face: Index, limits: ContactTolerances
+) -> Narrow:
     """Return pieces of edges that lie on faces, away from their rims."""
     normal = surface.normals[face]
-    keep = (np.einsum("eki,ei->ek", sharp.into[edge], normal) > reach.sine).all(axis=1)
-    keep &= np.abs(np.einsum("ei,ei->e", sharp.along[edge], normal)) <= reach.sine
+    keep = (np.einsum("eki,ei->ek", sharp.into[edge], normal) > limits.sine).all(axis=1)
+    keep &= np.abs(np.einsum("ei,ei->e", sharp.along[edge], normal)) <= limits.sine
     edge, face, normal = edge[keep], face[keep], normal[keep]
     tail, arm = sharp.tail[edge], sharp.along[edge] * sharp.length[edge, None]
     corners = surface.corners[face] if len(face) else np.zeros((0, 3, 3))
     start, stop = np.zeros(len(edge)), np.ones(len(edge))
     low = np.einsum("ei,ei->e", tail - corners[:, 0], normal)
     climb = np.einsum("ei,ei->e", arm, normal)
-    _clip(start, stop, low + reach.overlap, climb)
-    _clip(start, stop, reach.gap - low, -climb)
+    _clip(start, stop, low + limits.overlap, climb)
+    _clip(start, stop, limits.gap - low, -climb)
     for side in range(3):
         inwards = np.cross(normal, corners[:, (side + 1) % 3] - corners[:, side])
         inwards /= np.maximum(np.linalg.norm(inwards, axis=1), 1e-300)[:, None]
         level = np.einsum("ei,ei->e", tail - corners[:, side], inwards)
-        _clip(start, stop, level + 1e-6 * reach.tolerance, np.einsum("ei,ei->e", arm, inwards))
+        _clip(start, stop, level + 1e-6 * limits.tolerance, np.einsum("ei,ei->e", arm, inwards))
     extent = (stop - start) * sharp.length[edge]
-    keep = extent > 1e-3 * reach.tolerance
+    keep = extent > 1e-3 * limits.tolerance
     edge, face, normal, tail, arm = edge[keep], face[keep], normal[keep], tail[keep], arm[keep]
     times = np.stack([start[keep], stop[keep]], axis=1)
     ends = tail[:, None] + times[:, :, None] * arm[:, None]
     height = np.einsum("eki,ei->ek", ends - surface.corners[face][:, :1], normal)
-    covered = _along_edges(ends, surface.part[face], rims, reach)
+    covered = _along_edges(ends, surface.part[face], rims, limits)
     extent = extent[keep] - covered
     ends = ends - height[:, :, None] / 2 * normal[:, None]
     parts, normals = _ordered(sharp.part[edge], surface.part[face], -normal)
-    return Narrow(parts, normals, ends, extent).take(extent > 1e-3 * reach.tolerance)
+    return Narrow(parts, normals, ends, extent).take(extent > 1e-3 * limits.tolerance)
 
 
 def _clip(start: Array, stop: Array, level: Array, climb: Array) -> None:
@@ -214,14 +216,14 @@ def _clip(start: Array, stop: Array, level: Array, climb: Array) -> None:
     np.maximum(start, stop, out=stop)
 
 
-def _along_edges(ends: Array, part: NDArray[np.int32], edges: Creases, reach: Reach) -> Array:
+def _along_edges(ends: Array, part: NDArray[np.int32], edges: Creases, limits: ContactTolerances) -> Array:
     """Return the length of segments over which an edge of a part runs beside them, shape (segments,), metres."""
     covered = np.zeros(len(ends))
     for rows, near in _with_edges(part, edges):
         origin, along = ends[rows, 0], ends[rows, 1] - ends[rows, 0]
         length = np.linalg.norm(along, axis=1)
         along /= np.maximum(length, 1e-300)[:, None]
-        parallel = np.linalg.norm(np.cross(along, edges.along[near]), axis=1) <= reach.sine
+        parallel = np.linalg.norm(np.cross(along, edges.along[near]), axis=1) <= limits.sine
         rows, near = rows[parallel], near[parallel]
         origin, along, length = origin[parallel], along[parallel], length[parallel]
         arms = edges.tail[near] - origin
@@ -231,7 +233,7 @@ def _along_edges(ends: Array, part: NDArray[np.int32], edges: Creases, reach: Re
         high = np.minimum(np.maximum(first, second), length)
         middle = origin + ((low + high) / 2)[:, None] * along
         away = np.linalg.norm(np.cross(middle - edges.tail[near], edges.along[near]), axis=1)
-        beside = (away <= _BESIDE * reach.tolerance) & (high > low)
+        beside = (away <= _BESIDE * limits.tolerance) & (high > low)
         covered += np.bincount(rows[beside], (high - low)[beside], len(ends))
     return covered
 
@@ -250,14 +252,14 @@ def _with_edges(part: NDArray[np.int32], edges: Creases) -> Iterator[tuple[Index
         begin = end
 
 
-def _inside_a_rim(slivers: Narrow, edges: Creases, reach: Reach) -> NDArray[np.bool_]:
+def _inside_a_rim(slivers: Narrow, edges: Creases, limits: ContactTolerances) -> NDArray[np.bool_]:
     """Return whether each strip belongs to a narrow face inside a wide one of the other part, shape (slivers,)."""
     inside = np.zeros(len(slivers.extent), dtype=bool)
     point = slivers.extent == 0
     for side in (0, 1):
         part = slivers.parts[:, side]
-        along = slivers.extent - _along_edges(slivers.ends, part, edges, reach) > reach.tolerance
-        inside |= np.where(point, _from_edges(slivers.ends[:, 0], part, edges) > _BESIDE * reach.tolerance, along)
+        along = slivers.extent - _along_edges(slivers.ends, part, edges, limits) > limits.tolerance
+        inside |= np.where(point, _from_edges(slivers.ends[:, 0], part, edges) > _BESIDE * limits.tolerance, along)
     return inside
 
 
@@ -272,39 +274,39 @@ def _from_edges(points: Array, part: NDArray[np.int32], edges: Creases) -> Array
 
 
 def _corners_on_faces(
-    surface: Surface, rims: Creases, vertex: Index, face: Index, part: NDArray[np.int32], reach: Reach
+    surface: Surface, rims: Creases, vertex: Index, face: Index, part: NDArray[np.int32], limits: ContactTolerances
 ) -> Narrow:
     """Return corners that stand on faces, away from their rims."""
     normal, point = surface.normals[face], surface.points[vertex]
     # Most corners lie in the face by an edge or a face of their own: two edges show that of most of them.
     first = surface.hanging[vertex]
-    keep = (np.einsum("eki,ei->ek", first, normal) > reach.sine).all(axis=1)
+    keep = (np.einsum("eki,ei->ek", first, normal) > limits.sine).all(axis=1)
     vertex, face, part, normal, point = vertex[keep], face[keep], part[keep], normal[keep], point[keep]
     height = np.einsum("ei,ei->e", point - surface.points[surface.faces[face, 0]], normal)
-    inside = (height <= reach.gap) & (height >= -reach.overlap)
+    inside = (height <= limits.gap) & (height >= -limits.overlap)
     corners = surface.points[surface.faces[face]]
     for side in range(3):
         inwards = np.cross(normal, corners[:, (side + 1) % 3] - corners[:, side])
         inwards /= np.maximum(np.linalg.norm(inwards, axis=1), 1e-300)[:, None]
-        inside &= np.einsum("ei,ei->e", point - corners[:, side], inwards) >= -1e-6 * reach.tolerance
+        inside &= np.einsum("ei,ei->e", point - corners[:, side], inwards) >= -1e-6 * limits.tolerance
     keep = np.flatnonzero(inside)
-    keep = keep[rises(surface, vertex[keep], normal[keep], reach.sine)]
-    keep = keep[_from_edges(point[keep], surface.part[face[keep]], rims) > _BESIDE * reach.tolerance]
+    keep = keep[rises(surface, vertex[keep], normal[keep], limits.sine)]
+    keep = keep[_from_edges(point[keep], surface.part[face[keep]], rims) > _BESIDE * limits.tolerance]
     middle = point[keep] - height[keep, None] / 2 * normal[keep]
     parts, normals = _ordered(part[keep], surface.part[face[keep]], -normal[keep])
     return Narrow(parts, normals, np.stack([middle, middle], axis=1), np.zeros(len(keep)))
 
 
-def _crossings(sharp: Creases, one: Index, two: Index, reach: Reach) -> Narrow:
+def _crossings(sharp: Creases, one: Index, two: Index, limits: ContactTolerances) -> Narrow:
     """Return edges that cross edges, away from their ends."""
     normal = np.cross(sharp.along[one], sharp.along[two])
     sine = np.linalg.norm(normal, axis=1)
     normal /= np.maximum(sine, 1e-300)[:, None]
     below = np.einsum("eki,ei->ek", sharp.into[one], normal)
     above = np.einsum("eki,ei->ek", sharp.into[two], normal)
-    upwards = (below < -reach.sine).all(axis=1) & (above > reach.sine).all(axis=1)
-    down = (below > reach.sine).all(axis=1) & (above < -reach.sine).all(axis=1)
-    keep = (sine > reach.sine) & (upwards | down)
+    upwards = (below < -limits.sine).all(axis=1) & (above > limits.sine).all(axis=1)
+    down = (below > limits.sine).all(axis=1) & (above < -limits.sine).all(axis=1)
+    keep = (sine > limits.sine) & (upwards | down)
     one, two, sine = one[keep], two[keep], sine[keep]
     normal = normal[keep] * np.where(upwards[keep], 1.0, -1.0)[:, None]
     d, e = sharp.along[one], sharp.along[two]
@@ -314,9 +316,9 @@ def _crossings(sharp: Creases, one: Index, two: Index, reach: Reach) -> Narrow:
     at_one = (onto - cosine * past) / sine**2
     at_two = (cosine * onto - past) / sine**2
     height = np.einsum("ei,ei->e", arm, normal)
-    keep = (height <= reach.gap) & (height >= -reach.overlap)
+    keep = (height <= limits.gap) & (height >= -limits.overlap)
     for at, edge in ((at_one, one), (at_two, two)):
-        margin = np.where(sharp.ends[edge], reach.tolerance, -1e-6 * reach.tolerance)
+        margin = np.where(sharp.ends[edge], limits.tolerance, -1e-6 * limits.tolerance)
         keep &= (at >= margin[:, 0]) & (at <= sharp.length[edge] - margin[:, 1])
     point = sharp.tail[one] + at_one[:, None] * d + height[:, None] / 2 * normal
     parts, normals = _ordered(sharp.part[one], sharp.part[two], normal)

@@ -11,7 +11,7 @@ import shapely
 from numpy.typing import NDArray
 
 from falsework.geometry.mesh.boxes import iterate_box_pairs
-from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
 
 Array = NDArray[np.float64]
 
@@ -84,7 +84,7 @@ class Faces:
         """Collect the faces of all parts."""
         corners = np.concatenate([mesh.triangles for mesh in meshes])
         part = np.repeat(np.arange(len(meshes), dtype=np.int32), [len(mesh.faces) for mesh in meshes])
-        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        cross = triangle_normals(corners)
         length = np.linalg.norm(cross, axis=1)
         solid = length > 0.0  # a face without area has no normal and carries no force
         return Faces(corners[solid], part[solid], cross[solid] / length[solid, None])

@@ -8,7 +8,7 @@ import fcl
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ def shrink(mesh: TriangleMesh, distance: float) -> Array:
 def outwards(mesh: TriangleMesh) -> Array:
     """Return for each vertex the vector that moves all planes of its faces outwards by one, shape (vertices, 3)."""
     corners = mesh.triangles
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = triangle_normals(corners)
     length = np.linalg.norm(normals, axis=1)
     solid = length > 0
     normals = normals[solid] / length[solid, None]

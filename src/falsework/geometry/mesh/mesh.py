@@ -66,7 +66,7 @@ class TriangleMesh:
     def thickness(self) -> float:
         """Twice the volume by the surface, metres: the thickness of a plate, a third of the edge of a cube."""
         corners = self.triangles
-        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        cross = triangle_normals(corners)
         return 4.0 * self.volume / float(np.linalg.norm(cross, axis=1).sum())
 
 
@@ -87,6 +87,15 @@ class MassProperties:
     def gyration(self) -> NDArray[np.float64]:
         """Largest radius of gyration of each part, about an axis through its centre of mass: shape (parts,), metres."""
         return np.sqrt(np.linalg.eigvalsh(self.inertia)[:, -1] / self.mass)
+
+
+def triangle_normals(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return normals of triangles by the right-hand rule, twice as long as the areas, shape (triangles, 3).
+
+    Args:
+        corners: shape (triangles, 3, 3).
+    """
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 def mass_properties(meshes: Sequence[TriangleMesh], density: NDArray[np.float64]) -> MassProperties:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.mesh.mesh import triangle_normals
 from falsework.geometry.mesh.shells import directed_edges
 
 Array = NDArray[np.float64]
@@ -27,7 +28,7 @@ def is_sheet(points: Array, faces: Faces) -> bool:
         return False
     normal = plane_normal(used)
     corners = points[faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cross = triangle_normals(corners)
     if (np.abs(cross @ normal) < _LEVEL * np.linalg.norm(cross, axis=1)).any():
         return False  # a plate that lacks a face has its sides
     return bool(np.ptp((used - used.mean(axis=0)) @ normal) <= 2 * _FLAT * np.linalg.norm(np.ptp(used, axis=0)))
@@ -59,7 +60,7 @@ def thickened(points: Array, faces: Faces, others: Sequence[Array]) -> tuple[Arr
         near = min(others, key=lambda vertices: KDTree(vertices).query(front)[0].sum())
         normal = normal * (1.0 if (near.mean(axis=0) - centre) @ normal > 0 else -1.0)
     corners = front[faces]
-    if np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(axis=0) @ normal < 0:
+    if triangle_normals(corners).sum(axis=0) @ normal < 0:
         faces = faces[:, ::-1]
     count = len(front)
     tail, head = _open_edges(faces)

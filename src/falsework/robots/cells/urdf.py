@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from falsework.errors import CellError, DependencyError, InputError
-from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
 from falsework.robots.kernels.collision import Rules, make_work
 from falsework.robots.kernels.kernel_arrays import make_bodies, make_chain, make_obstacles, self_pairs
 from falsework.robots.kernels.rrt_connect import check_many
@@ -232,7 +232,7 @@ def hull_mesh(points: Array) -> TriangleMesh:
     """Return the convex hull of points as triangles with outward normals."""
     found = ConvexHull(points)
     corners = points[found.simplices]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = triangle_normals(corners)
     inwards = np.einsum("ij,ij->i", normals, found.equations[:, :3]) < 0
     faces = np.where(inwards[:, None], found.simplices[:, ::-1], found.simplices)
     return TriangleMesh.from_arrays("", points, faces)

@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
 
 Array = NDArray[np.float64]
 
@@ -56,7 +56,7 @@ def faces_of(mesh: TriangleMesh, smallest: float = 0.0) -> list[Face]:
         smallest: least area of a face, m2.
     """
     corners = mesh.triangles
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cross = triangle_normals(corners)
     size = np.linalg.norm(cross, axis=1)
     normals = cross / np.maximum(size, 1e-300)[:, None]
     beside = _neighbours(mesh)

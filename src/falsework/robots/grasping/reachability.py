@@ -16,7 +16,7 @@ from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.shapes import move, pose
-from falsework.robots.motion.collision_world import CollisionWorld, Contact, Scene
+from falsework.robots.motion.collision_world import CollisionWorld, Scene, grasp_contact
 
 Array = NDArray[np.float64]
 
@@ -106,8 +106,7 @@ def reach_table(
             levels[row, robot] = Reachability.OUT_OF_REACH
             if not len(solutions):
                 continue
-            contact = Contact(gripper=frozenset({part}))
-            view = world.view(scene, robot, contact=contact, margin=cell.margins.line)
+            view = world.view(scene, robot, contact=grasp_contact(part), margin=cell.margins.line)
             hits = view.hits(solutions)
             levels[row, robot] = Reachability.REACHED if (hits < 0).any() else Reachability.IN_THE_WAY
             if (hits >= 0).all():

@@ -1,4 +1,4 @@
-"""Beginning of an order of steps, with the times at which all that was begun can be executed."""
+"""Prefix of an order of steps, with the earliest times at which its motions can be executed."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from falsework.assembly.state import HELD
-from falsework.robots.interleaving.work import Body, Leg, Unit, Work
+from falsework.robots.interleaving.work import ArmSweep, Leg, Unit, Work
 from falsework.robots.keyframes.keyframes import Edge, Node
 
 _Value = TypeVar("_Value")
 
 _MEAN = 0.2
-"""Weight of the mean end of all robots beside that of the last: what is free early can do more."""
+"""Weight of the mean end of all robots beside that of the last: a robot that is done early can take over more steps."""
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class UnitStep:
     """Step of a unit with the variants of its motions."""
 
     unit: Unit
@@ -27,7 +27,7 @@ class Step:
 
     @property
     def edge(self) -> Edge:
-        """The edge that it carries out, its free motion as chosen."""
+        """Edge of the keyframe graph that it executes, with the free motion that was chosen."""
         edge = self.unit.edges[self.place]
         free = next((leg.segment for leg in self.legs if leg.segment.kind == "free"), None)
         segments = tuple(segment if segment.kind == "line" else free for segment in edge.segments)
@@ -36,14 +36,14 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class Partial:
-    """Beginning of an order: the keyframe that it leads to, and when it gets there."""
+    """Prefix of an order: the keyframe that it leads to, and the time at which it is reached."""
 
-    steps: tuple[Step, ...]
+    steps: tuple[UnitStep, ...]
     node: Node
     jobs: frozenset[int]
     """Jobs that were begun."""
     begun: tuple[tuple[Unit, int] | None, ...]
-    """Of each robot the unit that it is at, with the index of its next step."""
+    """Unit that each robot has begun, with the index of its next step."""
     last: tuple[Unit | None, ...]
     """Last unit of each robot."""
     ahead: tuple[float, ...]
@@ -52,12 +52,12 @@ class Partial:
     """Time at which each robot is done so far, seconds."""
     event: float
     """Time at which the structure reaches the state, seconds."""
-    past: tuple[tuple[tuple[Body, float, float], ...], ...]
-    """What each robot does after the time at which another is done, with begin and end."""
-    rests: tuple[Body, ...]
-    """Where each robot is."""
+    past: tuple[tuple[tuple[ArmSweep, float, float], ...], ...]
+    """Motions and rests of each robot after the time at which another robot is done, with begin and end, seconds."""
+    rests: tuple[ArmSweep, ...]
+    """Swept bodies of each robot at rest."""
     left: tuple[tuple[int, float], ...]
-    """Parts that leave their place after the time at which some robot is done, with that moment."""
+    """Parts that are removed after the time at which some robot is done, each with the time of its removal, seconds."""
 
     def score(self, hold: float) -> float:
         """Return a lower bound on the makespan, apart from waits for other robots, and a share of the mean end.
@@ -92,7 +92,7 @@ def beginning(work: Work, root: Node, units: Sequence[Unit]) -> Partial:
     )
 
 
-def extended(work: Work, partial: Partial, step: Step, owner: Unit) -> Partial:
+def extended(work: Work, partial: Partial, step: UnitStep, owner: Unit) -> Partial:
     """Return an order with one more step, whose motions begin as early as all before it allow.
 
     Args:

@@ -19,7 +19,7 @@ from falsework.robots.kernels.rrt_connect import INTERVALS, edges_free
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment
 from falsework.robots.kinematics.forward import tool_pose
-from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, Contact
+from falsework.robots.motion.collision_world import LIFT, NO_CONTACT, CollisionQuery, grasp_contact, withdrawal_contact
 from falsework.robots.motion.path_planner import plan_free, resolution_of
 from falsework.robots.plans.robot_plan import Trajectory
 from falsework.stability.oracle import Stability
@@ -89,13 +89,12 @@ def _views(graph: KeyframeGraph, node: Node, edge: Edge) -> list[CollisionQuery]
     """Return for each segment of an edge the collision queries of its scene, with the pairs that may touch."""
     parts, margins, robot = len(node.state), graph.cell.margins, edge.robot
     scene, part = node.scene, edge.action % parts
-    contacts = [Contact(gripper=frozenset({part}))]
+    contacts = [grasp_contact(part)]
     if edge.action >= parts:
         here = node.configurations[robot]
         tool = tool_pose(graph.cell.robots[robot], here)
         scene = scene.with_configuration(robot, here).with_attached(robot, part, tool)
-        around = frozenset(np.flatnonzero(scene.present).tolist())
-        contacts = [Contact(carried=around, carried_floor=True), Contact(carried_floor=True)]
+        contacts = [withdrawal_contact(scene), LIFT]
     found = []
     for segment in edge.segments:
         line = segment.kind == "line"

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, REMOVED, States
-from falsework.robots.interleaving.partial_order import Partial, Step, beginning, bound, extended
+from falsework.robots.interleaving.partial_order import Partial, UnitStep, beginning, bound, extended
 from falsework.robots.interleaving.work import Leg, Unit, Work
 from falsework.robots.keyframes.keyframes import Edge, Node, state_after
 from falsework.robots.kinematics.forward import tool_pose
@@ -97,19 +97,19 @@ class OrderSearch:
         steps = []
         for edge in chain:
             unit, place = place_of[edge]
-            steps.append(Step(unit, place, tuple(variants[0] for variants in unit.legs[place])))
+            steps.append(UnitStep(unit, place, tuple(variants[0] for variants in unit.legs[place])))
             if place == 0 and unit.approaches and unit.legs[0] and unit.legs[0][0][0].segment.kind == "free":
                 self._approaches[last.get(unit.robot), unit] = unit.legs[0][0]
             last[unit.robot] = unit
         return self._beginnings(steps)
 
-    def _beginnings(self, steps: Sequence[Step]) -> list[Partial]:
+    def _beginnings(self, steps: Sequence[UnitStep]) -> list[Partial]:
         found = [beginning(self.work, self.root, self.units)]
         for step in steps:
             found.append(self._extended(found[-1], step))
         return found
 
-    def _extended(self, partial: Partial, step: Step) -> Partial:
+    def _extended(self, partial: Partial, step: UnitStep) -> Partial:
         return extended(self.work, partial, step, self.units[step.unit.job])
 
     def run(self) -> None:
@@ -172,7 +172,7 @@ class OrderSearch:
                 legs = self._legs(partial, step.unit, step.place)
                 if legs is None:
                     break
-                partial = self._extended(partial, Step(step.unit, step.place, legs))
+                partial = self._extended(partial, UnitStep(step.unit, step.place, legs))
             else:
                 yield partial
 
@@ -209,7 +209,7 @@ class OrderSearch:
         return sorted(beam, key=lambda partial: partial.score(self._hold))
 
     def _steps(
-        self, partial: Partial, window: Sequence[Step], own: int, others: int
+        self, partial: Partial, window: Sequence[UnitStep], own: int, others: int
     ) -> Iterator[tuple[int, Unit, int]]:
         """Yield steps of a window that may come next: robots, units as in the best order, and places in them."""
         inside = {(step.unit.job, step.place) for step in window}
@@ -269,7 +269,7 @@ class OrderSearch:
         # Holds rarely make a state unstable, so they are checked in better orders only.
         if unit.edges[place].action >= self.parts and not self._is_stable(after, node.state):
             return None
-        return self._extended(partial, Step(unit, place, legs))
+        return self._extended(partial, UnitStep(unit, place, legs))
 
     def _is_stable(self, state: States, before: States) -> bool:
         key = state.tobytes()

@@ -1,4 +1,4 @@
-"""Work of the robots of a plan: the steps with each part, their motions, and what these motions collide with."""
+"""Units of work of the robots of a plan: the steps with each part, their motions, and conflicts between motions."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class ArmSweep:
     """Swept bodies of an arm in a motion or at rest."""
 
     swept: tuple[Swept, Swept]
@@ -30,7 +30,7 @@ class Body:
     ends: Array
     """Seconds into the motion at which each cell ends."""
     margin: float
-    """Distance that it keeps, metres."""
+    """Clearance that the planner keeps from it, metres."""
     rest: bool
 
 
@@ -39,16 +39,16 @@ class Leg:
     """Motion of an arm, and its rest after it."""
 
     segment: PathSegment
-    body: Body
+    body: ArmSweep
     seconds: float
-    rest: Body
+    rest: ArmSweep
     present: NDArray[np.bool_]
     """Parts in place around which it was planned, shape (parts,)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Unit:
-    """Steps of one arm with one part, usually a hold and a removal, as one arm carries them out without other steps."""
+    """Consecutive steps of one arm with one part, usually a hold and a removal."""
 
     job: int
     """Index of the unit among those of the plan; the same for the units of other arms that may replace it."""
@@ -78,9 +78,9 @@ class Work:
         """Prepare for motions of a cell; some have trajectories."""
         self.graph, self.timed = graph, timed
         self.bodies = SweptBodies(graph.world)
-        self._rests: dict[tuple[int, bytes, tuple[int, bytes] | None], Body] = {}
-        self._waits: dict[tuple[Leg, Body], float] = {}
-        self._blocked: dict[tuple[Body, int], bool] = {}
+        self._rests: dict[tuple[int, bytes, tuple[int, bytes] | None], ArmSweep] = {}
+        self._waits: dict[tuple[Leg, ArmSweep], float] = {}
+        self._blocked: dict[tuple[ArmSweep, int], bool] = {}
 
     def units(self, root: Node, chain: Sequence[Edge]) -> list[Unit]:
         """Return the units of a plan in the order of their first steps."""
@@ -104,7 +104,7 @@ class Work:
         movable = len(edges) == 2 and edges[0].action < parts <= edges[1].action
         return Unit(job, edges[0].robot, edges[0].action % parts, edges, legs, movable)
 
-    def replacement(self, job: int, node: Node, part: int, robot: int, rests: Sequence[Body]) -> Unit | None:
+    def replacement(self, job: int, node: Node, part: int, robot: int, rests: Sequence[ArmSweep]) -> Unit | None:
         """Return the unit of another arm that takes a part at a keyframe; None if it cannot.
 
         Args:
@@ -127,7 +127,7 @@ class Work:
             steps.append((edge, legs))
         return self._unit(job, steps, len(node.state))
 
-    def legs(self, node: Node, edge: Edge, rests: Sequence[Body]) -> tuple[list[Leg], ...]:
+    def legs(self, node: Node, edge: Edge, rests: Sequence[ArmSweep]) -> tuple[list[Leg], ...]:
         """Return the motions of an edge out of a keyframe, proven in its scene, as lists of one variant each."""
         found, grip = [], node.configurations[edge.robot]
         for k, segment in enumerate(edge.segments):
@@ -137,7 +137,7 @@ class Work:
         return tuple(found)
 
     def leg(
-        self, robot: int, segment: PathSegment, grip: Array, node: Node, rests: Sequence[Body], *, on_way: bool
+        self, robot: int, segment: PathSegment, grip: Array, node: Node, rests: Sequence[ArmSweep], *, on_way: bool
     ) -> Leg | None:
         """Return a motion that was planned at a keyframe; None for one of zero length.
 
@@ -162,27 +162,27 @@ class Work:
             present[segment.part] = False
         margin = cell.margins.line if segment.kind == "line" else cell.margins.free
         rest = self.rest(robot, segment.path[-1], load if on_way else None)
-        leg = Leg(segment, Body(swept, ends, margin, False), trajectory.seconds, rest, present)
+        leg = Leg(segment, ArmSweep(swept, ends, margin, False), trajectory.seconds, rest, present)
         self.prove(leg, robot, rests)
         return leg
 
-    def prove(self, leg: Leg, robot: int, rests: Sequence[Body]) -> None:
+    def prove(self, leg: Leg, robot: int, rests: Sequence[ArmSweep]) -> None:
         """Note that a motion of an arm keeps clear of the other arms at rest."""
         self._waits.update({(leg, rest): -1.0 for other, rest in enumerate(rests) if other != robot})
 
-    def rest(self, robot: int, values: Array, load: Load | None = None) -> Body:
+    def rest(self, robot: int, values: Array, load: Load | None = None) -> ArmSweep:
         """Return the body of an arm at rest."""
         key = (robot, np.round(values, 9).tobytes(), None if load is None else (load[0], load[1].tobytes()))
         if key not in self._rests:
             swept = self.bodies.resting(robot, values, load)
-            self._rests[key] = Body((swept, swept), np.zeros(1), self.graph.cell.margins.free, True)
+            self._rests[key] = ArmSweep((swept, swept), np.zeros(1), self.graph.cell.margins.free, True)
         return self._rests[key]
 
-    def rests(self, node: Node) -> list[Body]:
+    def rests(self, node: Node) -> list[ArmSweep]:
         """Return the bodies of all arms at a keyframe."""
         return [self.rest(robot, values) for robot, values in enumerate(node.configurations)]
 
-    def wait(self, leg: Leg, other: Body) -> float:
+    def wait(self, leg: Leg, other: ArmSweep) -> float:
         """Return how long after the begin of what another arm did before a motion may begin; -1 if at any time.
 
         Neither the motion nor the rest after it is then in conflict with it. What is in conflict with a rest may begin
@@ -207,7 +207,7 @@ class Work:
             self._blocked[key] = bool(conflicts(leg.body.swept, (place, place), leg.body.margin).any())
         return self._blocked[key]
 
-    def replan(self, node: Node, unit: Unit, place: int, rests: Sequence[Body]) -> Leg | None:
+    def replan(self, node: Node, unit: Unit, place: int, rests: Sequence[ArmSweep]) -> Leg | None:
         """Return another free motion of a step: to the part from where the arm is, or from the part to the same place.
 
         Args:

@@ -16,6 +16,8 @@ from falsework.search.problem.result import Route
 Array = NDArray[np.float64]
 
 _DOING = {"insert": "inserting", "release": "releasing", "hold": "holding"}
+_SHOWN = 8
+"""Failures that an explanation lists."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +126,6 @@ def explain(
     unreachable: Sequence[int] = (),
     limit: str = "",
     abstract: bool = False,
-    shown: int = 8,
 ) -> Explanation:
     """Describe the failures of a search.
 
@@ -139,7 +140,6 @@ def explain(
         unreachable: parts that no robot can hold even when they are alone.
         limit: limit that ended the search.
         abstract: whether even a plan without motions is missing.
-        shown: number of failures to list.
     """
     hopeless = max(tried, key=lambda key: (tried[key], -key[1])) if tried else None
     focus = {(kind, part) for kind, part in tried} | {("hold", part) for part in unreachable}
@@ -160,7 +160,7 @@ def explain(
                 "count": count,
             }
         )
-        if len(details) == shown:
+        if len(details) == _SHOWN:
             break
     words = {
         "proved_impossible": "no plan exists",

@@ -16,7 +16,7 @@ from falsework.robots.kernels.kernel_arrays import make_bodies, make_chain
 from falsework.robots.keyframes.failure_report import FailureLog
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import inverse
-from falsework.robots.motion.collision_world import Contact, Scene
+from falsework.robots.motion.collision_world import Scene, grasp_contact
 from falsework.robots.motion.motion_cache import MotionCache
 
 Array = NDArray[np.float64]
@@ -128,7 +128,7 @@ class GraspConfigurations:
             return []
         # One robot among parts, all others at home.
         alone = Scene(self.cell.homes, present, (None,) * self.cell.robot_count)
-        view = self.cache.view(alone, robot, Contact(gripper=frozenset({part})), self.cell.margins.line)
+        view = self.cache.view(alone, robot, grasp_contact(part), self.cell.margins.line)
         values = np.concatenate(branches)
         which = np.repeat(np.arange(len(found)), [len(solutions) for solutions in branches]).tolist()
         hits = view.hits(values)

@@ -27,7 +27,7 @@ from falsework.robots.keyframes.withdrawal import Withdrawal
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes, place_parts
-from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, CollisionWorld, Contact, Scene
+from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, CollisionWorld, Scene, grasp_contact
 from falsework.robots.motion.motion_cache import MotionCache
 from falsework.robots.motion.path_planner import follow_line
 
@@ -232,8 +232,7 @@ class KeyframeGraph:
             grips = [grip for grip in grips if node.is_new(part, robot, grip.configuration)]
         if not grips:
             return
-        contact = Contact(gripper=frozenset({part}))
-        view = self.cache.view(node.scene, robot, contact, self.cell.margins.line)
+        view = self.cache.view(node.scene, robot, grasp_contact(part), self.cell.margins.line)
         values = np.array([grip.configuration for grip in grips])
         hits = view.hits(values)
         for row in np.flatnonzero(hits >= 0)[:1]:
@@ -365,5 +364,5 @@ class KeyframeGraph:
 
     def _view(self, node: Node, robot: int, margin: float) -> CollisionQuery:
         part = node.held[robot]
-        contact = NO_CONTACT if part is None else Contact(gripper=frozenset({part}))
+        contact = NO_CONTACT if part is None else grasp_contact(part)
         return self.cache.view(node.scene, robot, contact, margin)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from falsework.robots.keyframes.failure_report import FailureLog
 from falsework.robots.kinematics.forward import tool_pose
-from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, Contact, Scene
+from falsework.robots.motion.collision_world import LIFT, NO_CONTACT, CollisionQuery, Scene, withdrawal_contact
 from falsework.robots.motion.motion_cache import MotionCache
 from falsework.robots.motion.path_planner import follow_line
 
@@ -48,9 +48,7 @@ class Withdrawal:
         """
         tool = tool_pose(self.cell.robots[robot], here)
         scene = scene.with_configuration(robot, here).with_attached(robot, part, tool)
-        around = frozenset(np.flatnonzero(scene.present).tolist())
-        contact = Contact(carried=around, carried_floor=True)
-        line = self.cache.view(scene, robot, contact, self.cell.margins.line)
+        line = self.cache.view(scene, robot, withdrawal_contact(scene), self.cell.margins.line)
         free: CollisionQuery | None = None
         roomy: CollisionQuery | None = None
         for way in self._ordered(ways, tool):
@@ -86,7 +84,7 @@ class Withdrawal:
 
     def _lift(self, scene: Scene, robot: int, here: Array, free: CollisionQuery) -> Array | None:
         """Return the path on which a part that was withdrawn along the floor is lifted off it; None if blocked."""
-        view = self.cache.view(scene, robot, Contact(carried_floor=True), self.cell.margins.line)
+        view = self.cache.view(scene, robot, LIFT, self.cell.margins.line)
         up = follow_line(view, here, (0.0, 0.0, 1.0), 0.3 * self.cell.margins.approach)
         if up.path is None or free.collides(up.path[-1])[0]:
             return None

@@ -99,6 +99,18 @@ class Contact:
 
 
 NO_CONTACT = Contact()
+LIFT = Contact(carried_floor=True)
+"""For the line on which a part that was withdrawn along the floor is lifted off it."""
+
+
+def grasp_contact(part: int) -> Contact:
+    """Return the pairs that may touch on the lines on which a gripper approaches a part or retreats from it."""
+    return Contact(gripper=frozenset({part}))
+
+
+def withdrawal_contact(scene: Scene) -> Contact:
+    """Return the pairs that may touch on the line on which a part is withdrawn from the parts present in a scene."""
+    return Contact(carried=frozenset(np.flatnonzero(scene.present).tolist()), carried_floor=True)
 
 
 @dataclass(frozen=True, eq=False)

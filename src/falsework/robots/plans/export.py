@@ -85,8 +85,8 @@ def export_plan(plan: RobotPlan, folder: Path | str, form: str, *, rate: float =
 # ROS 2
 
 
-def joint_trajectory(plan: RobotPlan, robot: int, trajectory: Trajectory, start: float = 0.0) -> dict[str, Any]:
-    """Return a `trajectory_msgs/JointTrajectory` message as plain values; its times begin at `start` seconds."""
+def joint_trajectory(plan: RobotPlan, robot: int, trajectory: Trajectory) -> dict[str, Any]:
+    """Return a `trajectory_msgs/JointTrajectory` message as plain values."""
     record = plan.robots[robot]
     return {
         "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": record.name},
@@ -97,7 +97,7 @@ def joint_trajectory(plan: RobotPlan, robot: int, trajectory: Trajectory, start:
                 "velocities": rounded(velocities),
                 "accelerations": [],
                 "effort": [],
-                "time_from_start": _duration(start + moment),
+                "time_from_start": _duration(moment),
             }
             for moment, positions, velocities in zip(
                 trajectory.times.tolist(), trajectory.positions, trajectory.velocities, strict=True

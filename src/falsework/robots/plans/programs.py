@@ -46,7 +46,7 @@ class Grip:
 
 
 @dataclass(frozen=True)
-class Reach:
+class PublishCount:
     """Command to publish the count of this arm."""
 
     count: int
@@ -59,7 +59,7 @@ class Begin:
     step: int
 
 
-Command = Wait | Grip | Reach | Begin | Trajectory
+Command = Wait | Grip | PublishCount | Begin | Trajectory
 
 
 def events_of(plan: RobotPlan, step: int) -> Iterator[Trajectory | Grip]:
@@ -107,7 +107,7 @@ def commands_of(plan: RobotPlan, robot: int) -> Iterator[Command]:
             if isinstance(event, Grip) == (graph.nodes[node].trajectory is None):
                 break
         if node in awaited:
-            yield Reach(own[node])
+            yield PublishCount(own[node])
     yield from left
 
 
@@ -153,7 +153,7 @@ def rapid_modules(plan: RobotPlan) -> Iterator[tuple[str, str]]:
                 run.append(f"    {name}_step{command.step + 1};")
             elif isinstance(command, Wait):
                 body.append(f"    WaitUntil GInput(gi_{names[command.robot]}_count)>={command.count};")
-            elif isinstance(command, Reach):
+            elif isinstance(command, PublishCount):
                 body.append(f"    SetGO go_{name}_count, {command.count};")
             elif isinstance(command, Grip):
                 body.append(f"    {name}_gripper {'TRUE' if command.close else 'FALSE'};")
@@ -243,7 +243,7 @@ def ur_scripts(plan: RobotPlan, rate: float) -> Iterator[tuple[str, str]]:
                 lines.append(f"  # step {command.step + 1}: {_ascii(plan.does(command.step))}")
             elif isinstance(command, Wait):
                 lines += _until(f"{names[command.robot]}_count() >= {command.count}")
-            elif isinstance(command, Reach):
+            elif isinstance(command, PublishCount):
                 lines.append(f"  write_port_register({REGISTER}, {command.count})")
             elif isinstance(command, Grip):
                 lines.append(f"  gripper({'True' if command.close else 'False'})")

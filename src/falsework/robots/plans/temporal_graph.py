@@ -115,12 +115,6 @@ class TemporalPlanGraph:
                 found[edge.after] = max(found[edge.after], found[node] + factor[node] * edge.offset)
         return found
 
-    def finish(self, stretch: ArrayLike | None = None) -> float:
-        """Return the time at which the last motion ends, seconds; arguments as those of `starts`."""
-        factor = np.ones(len(self.nodes)) if stretch is None else np.asarray(stretch, dtype=np.float64)
-        ends = self.starts(stretch) + factor * self.durations
-        return float(ends.max(initial=0.0))
-
     @cached_property
     def durations(self) -> Array:
         """Nominal durations, seconds, shape (nodes,)."""
@@ -129,7 +123,7 @@ class TemporalPlanGraph:
     @cached_property
     def makespan(self) -> float:
         """Time at which the last motion ends without delays, seconds."""
-        return self.finish()
+        return float((self.starts() + self.durations).max(initial=0.0))
 
     @property
     def sequential(self) -> float:

@@ -34,7 +34,7 @@ are, and a stable state costs ten times the verdict of one that falls."""
 
 
 @dataclass(frozen=True, eq=False)
-class Choice:
+class Selection:
     """Outcome of a selection."""
 
     kept: Rows
@@ -83,7 +83,7 @@ class Selector:
         rank = np.arange(len(sample)) - np.repeat(begin, np.diff(np.append(begin, len(sample))))
         return np.concatenate([sample[order[np.argsort(rank, kind="stable")]], rows[room:]])
 
-    def all_judged(self, judge: CountingOracle, width: int) -> Choice:
+    def all_judged(self, judge: CountingOracle, width: int) -> Selection:
         """Ask for every candidate, then keep `width` stable ones; the way of the paper."""
         frontier = self.frontier
         stable = frontier.free.copy()
@@ -102,7 +102,7 @@ class Selector:
         *,
         commit: bool,
         in_turn: bool = False,
-    ) -> Choice:
+    ) -> Selection:
         """Ask only until `width` states are found stable; keep `lookahead` more that a fixed part leads to.
 
         States that leave more robots free come first, then the better scored.
@@ -202,6 +202,6 @@ class Selector:
             wanted -= int(stable.sum())
         return np.concatenate(kept), np.concatenate(rejected)
 
-    def _choice(self, kept: Rows, rejected: Rows) -> Choice:
+    def _choice(self, kept: Rows, rejected: Rows) -> Selection:
         best_first = kept[np.argsort(-self.score[kept], kind="stable")]
-        return Choice(best_first, rejected, exhaustive=len(kept) + len(rejected) == len(self.frontier))
+        return Selection(best_first, rejected, exhaustive=len(kept) + len(rejected) == len(self.frontier))

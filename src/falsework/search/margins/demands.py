@@ -105,12 +105,11 @@ class Demands:
             for key, value in self.to_dict().items()
         )
 
-    def variants(self, assembly: Assembly, seed: int = 0) -> list[tuple[str, Assembly]]:
+    def variants(self, assembly: Assembly) -> list[tuple[str, Assembly]]:
         """Return the structures in which states must be stable too, each with the margin that requires it.
 
         Args:
             assembly: the structure.
-            seed: of random placements.
 
         Raises:
             InputError: displaced parts that make no assembly.
@@ -128,7 +127,7 @@ class Demands:
             pulled = self.horizontal / np.cos(np.pi / _CORNERS) * outwards
             found += [("horizontal", _accelerated(assembly, vector)) for vector in pulled]
         if self.placement is not None:
-            random = np.random.default_rng(seed)
+            random = np.random.default_rng(0)
             for _ in range(_DRAWS):
                 moved = moved_assembly(assembly, self.placement, random)
                 if moved is None:

@@ -67,7 +67,7 @@ def beam_failure(
     if undecided:
         return Outcome.NOT_FOUND, f"{undecided} states could be proved neither stable nor unstable"
     if sliding:
-        return Outcome.NOT_FOUND, f"no plan was found in which every state stands: {sliding} states slide"
+        return Outcome.NOT_FOUND, f"no plan was found in which every state is stable: {sliding} states slide"
     if doubt:
         return Outcome.NOT_FOUND, doubt
     return Outcome.PROVED_IMPOSSIBLE, ""

@@ -81,16 +81,13 @@ def variations(settings: StabilitySettings, draws: int) -> list[tuple[str, Stabi
     return varied
 
 
-def replay_varied(
-    replayer: VariableReplayer, states: States, *, draws: int = DRAWS, threads: int | None = None
-) -> list[Variation]:
+def replay_varied(replayer: VariableReplayer, states: States, *, draws: int = DRAWS) -> list[Variation]:
     """Replay a plan under other settings: a plan that collapses under one of them is marginal.
 
     Args:
         replayer: replayer with the settings of the plan.
         states: in assembly order, shape (states, parts).
         draws: number of random initial friction states.
-        threads: number of threads; all cores by default.
     """
 
     def run(case: tuple[str, StabilitySettings, ReplaySettings]) -> Variation:
@@ -98,7 +95,7 @@ def replay_varied(
         result = replayer.vary(settings, replay).replay(states)
         return Variation(name, result.good, result.falls_at)
 
-    with ThreadPoolExecutor(threads or core_count()) as pool:
+    with ThreadPoolExecutor(core_count()) as pool:
         return list(pool.map(run, variations(replayer.settings, draws)))
 
 
@@ -109,10 +106,9 @@ class RobustReplayer:
     state after another, most plans cost one additional replay.
     """
 
-    def __init__(self, replayer: VariableReplayer, draws: int = DRAWS) -> None:
-        """Vary the settings of `replayer`, with `draws` random initial friction states."""
+    def __init__(self, replayer: VariableReplayer) -> None:
         self._replayer = replayer
-        self._cases = [replayer.vary(settings, replay) for _, settings, replay in variations(replayer.settings, draws)]
+        self._cases = [replayer.vary(settings, replay) for _, settings, replay in variations(replayer.settings, DRAWS)]
 
     @property
     def problem(self) -> Problem:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import INSTALLED, REMOVED, States
-from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
 
 Array = NDArray[np.float64]
 
@@ -67,7 +67,7 @@ class Pushes:
 def _faces(mesh: TriangleMesh) -> list[tuple[Array, Array, float]]:
     """Return outward normal, centre and area of the faces of a part, largest first."""
     corners = mesh.triangles
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cross = triangle_normals(corners)
     twice = np.linalg.norm(cross, axis=1)
     normals, middles = cross / np.maximum(twice, 1e-300)[:, None], corners.mean(axis=1)
     left, found = twice > 0, []

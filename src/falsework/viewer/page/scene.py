@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.mesh.mesh import triangle_normals
 from falsework.viewer.appearance import Appearance, bounds_of, diagonal
 from falsework.viewer.arms import ArmPoses, Arms, wxyz_of
 from falsework.viewer.arrows import KINDS, Arrows
@@ -312,7 +313,7 @@ def sharp_edges(vertices: NDArray[np.float32], faces: NDArray[np.uint32]) -> NDA
     points, same = np.unique(np.round(vertices, 5), axis=0, return_inverse=True)
     corners = same.reshape(-1)[faces.astype(np.int64)]
     triangles = points[corners].astype(float)
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals = triangle_normals(triangles)
     lengths = np.linalg.norm(normals, axis=1)
     corners, normals = corners[lengths > 0], normals[lengths > 0] / lengths[lengths > 0, None]
     pairs = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])

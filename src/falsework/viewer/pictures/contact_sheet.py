@@ -269,8 +269,8 @@ def import_pillow() -> Any:
     return PIL
 
 
-def _write(pen: Any, pillow: Any, position: tuple[float, float], text: str, size: int, anchor: str = "mm") -> None:
-    pen.text(position, text, fill=INK, font=pillow.ImageFont.load_default(size), anchor=anchor)
+def _write(pen: Any, pillow: Any, position: tuple[float, float], text: str, size: int) -> None:
+    pen.text(position, text, fill=INK, font=pillow.ImageFont.load_default(size), anchor="mm")
 
 
 def _write_legend(pen: Any, pillow: Any, width: int, middle: float, entries: Sequence[tuple[str, str]]) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
+from falsework.geometry.mesh.mesh import triangle_normals
 from falsework.utils.archive import write_whole
 from falsework.viewer.appearance import appearance_at
 from falsework.viewer.arrows import Arrows
@@ -171,7 +172,7 @@ def write_svg(path: Path | str, text: str) -> None:
 
 def _is_prism(triangles: Array, axis: int) -> bool:
     """Return whether every face of a mesh is parallel or square to an axis."""
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals = triangle_normals(triangles)
     lengths = np.linalg.norm(normals, axis=1)
     along = np.abs(normals[lengths > 0, axis]) / lengths[lengths > 0]
     return bool(((along < _FLAT) | (along > 1 - _FLAT)).all())

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.mesh.mesh import triangle_normals
 from falsework.viewer.pictures.raster import average, depth_buffer, lay_over, shade
 
 Image = NDArray[np.float64]
@@ -120,7 +121,7 @@ class _Surface:
             return cls(np.empty((0, 3, 3)), np.empty((0, 3)), np.empty(0, dtype=np.int64), np.ones((1, 4)))
         triangles = np.concatenate([np.asarray(solid.vertices, dtype=float)[solid.faces] for solid in solids])
         owner = np.repeat(np.arange(len(solids)), [len(solid.faces) for solid in solids])
-        normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+        normals = triangle_normals(triangles)
         lengths = np.linalg.norm(normals, axis=1)
         proper = lengths > 0
         colors = np.array([(*solid.color, solid.opacity) for solid in solids], dtype=float)
