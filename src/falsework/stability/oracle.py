@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from falsework.stability.reference.clarabel import ExactSolver
     from falsework.stability.reference.gurobi import GurobiSolver
 
-_GUESSES = 128 * 1024 * 1024
+_GUESSES = 256 * 1024 * 1024
 """Memory for contact forces or displacements that warm starts use, bytes."""
 _BATCH = 32 * 1024 * 1024
 """Memory for contact forces or displacements of one batch, bytes."""
@@ -62,8 +62,8 @@ class Stability:
         self._gpu = self._make_gpu()
         self._cache = VerdictCache(holds_keep_stable=not self._contact)
         self._guess_shape = (self.problem.parts, 6) if self._contact else (self.problem.points, 3)
-        self._guesses: OrderedDict[bytes, NDArray[np.float32]] = OrderedDict()
-        self._guesses_limit = _GUESSES // max(self._guess_bytes // 2, 1)
+        self._guesses: OrderedDict[bytes, NDArray[np.floating]] = OrderedDict()
+        self._guesses_limit = _GUESSES // max(self._guess_bytes, 1)
 
     @cached_property
     def exact(self) -> ExactSolver:
@@ -363,7 +363,7 @@ class Stability:
             verdicts.put(rest, self._decide_exactly(states[rest], verdicts[rest]))
         return verdicts
 
-    def _guess_of(self, state: States) -> NDArray[np.float32] | None:
+    def _guess_of(self, state: States) -> NDArray[np.floating] | None:
         """Return the guess stored for a state; where holds keep states stable, also for it with parts not yet held."""
         found = self._guesses.get(state.tobytes())
         if found is not None or not self.holds_keep_stable:
@@ -382,7 +382,9 @@ class Stability:
                 self._guesses.setdefault(state.tobytes(), known)
 
     def _remember(self, states: States, found: NDArray[np.float64]) -> None:
-        for state, guess in zip(states, found.astype(np.float32), strict=True):
+        # Rounded forces leave parts out of balance, far from any change too: then nothing can be repaired near by.
+        kept = found.astype(np.float32) if self._contact else found.copy()
+        for state, guess in zip(states, kept, strict=True):
             self._guesses[state.tobytes()] = guess
         while len(self._guesses) > self._guesses_limit:
             self._guesses.popitem(last=False)
