@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from falsework.stability.reference.gurobi import GurobiSolver
 
 _GUESSES = 256 * 1024 * 1024
-"""Memory for contact forces or displacements that warm starts use, bytes."""
+"""Memory for contact forces, which rounding would leave unbalanced, or displacements that warm starts use, bytes."""
 _BATCH = 32 * 1024 * 1024
 """Memory for contact forces or displacements of one batch, bytes."""
 _WORTH_A_GPU = 8
@@ -382,10 +382,8 @@ class Stability:
                 self._guesses.setdefault(state.tobytes(), known)
 
     def _remember(self, states: States, found: NDArray[np.float64]) -> None:
-        # Rounded forces leave parts out of balance, far from any change too: then nothing can be repaired near by.
-        kept = found.astype(np.float32) if self._contact else found.copy()
-        for state, guess in zip(states, kept, strict=True):
-            self._guesses[state.tobytes()] = guess
+        for state, guess in zip(states, found, strict=True):
+            self._guesses[state.tobytes()] = guess.astype(np.float32 if self._contact else np.float64)
         while len(self._guesses) > self._guesses_limit:
             self._guesses.popitem(last=False)
 
