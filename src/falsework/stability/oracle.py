@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from falsework.stability.reference.clarabel import ExactSolver
     from falsework.stability.reference.gurobi import GurobiSolver
 
-_GUESSES = 128 * 1024 * 1024
-"""Memory for contact forces or displacements that warm starts use, bytes."""
+_GUESSES = 256 * 1024 * 1024
+"""Memory for contact forces, which rounding would leave unbalanced, or displacements that warm starts use, bytes."""
 _BATCH = 32 * 1024 * 1024
 """Memory for contact forces or displacements of one batch, bytes."""
 _WORTH_A_GPU = 8
@@ -62,8 +62,8 @@ class Stability:
         self._gpu = self._make_gpu()
         self._cache = VerdictCache(holds_keep_stable=not self._contact)
         self._guess_shape = (self.problem.parts, 6) if self._contact else (self.problem.points, 3)
-        self._guesses: OrderedDict[bytes, NDArray[np.float32]] = OrderedDict()
-        self._guesses_limit = _GUESSES // max(self._guess_bytes // 2, 1)
+        self._guesses: OrderedDict[bytes, NDArray[np.floating]] = OrderedDict()
+        self._guesses_limit = _GUESSES // max(self._guess_bytes, 1)
 
     @cached_property
     def exact(self) -> ExactSolver:
@@ -363,7 +363,7 @@ class Stability:
             verdicts.put(rest, self._decide_exactly(states[rest], verdicts[rest]))
         return verdicts
 
-    def _guess_of(self, state: States) -> NDArray[np.float32] | None:
+    def _guess_of(self, state: States) -> NDArray[np.floating] | None:
         """Return the guess stored for a state; where holds keep states stable, also for it with parts not yet held."""
         found = self._guesses.get(state.tobytes())
         if found is not None or not self.holds_keep_stable:
@@ -382,8 +382,8 @@ class Stability:
                 self._guesses.setdefault(state.tobytes(), known)
 
     def _remember(self, states: States, found: NDArray[np.float64]) -> None:
-        for state, guess in zip(states, found.astype(np.float32), strict=True):
-            self._guesses[state.tobytes()] = guess
+        for state, guess in zip(states, found, strict=True):
+            self._guesses[state.tobytes()] = guess.astype(np.float32 if self._contact else np.float64)
         while len(self._guesses) > self._guesses_limit:
             self._guesses.popitem(last=False)
 

@@ -70,3 +70,14 @@ def test_forces_are_passed_on_by_holds(vault: Assembly) -> None:
         held[row, parts[: row + 1]] = HELD
     assert oracle.judge(complete[None], parents=complete[None]).stable.all()
     assert oracle.check_again(held).stable.all()
+
+
+def test_forces_are_kept_as_they_were_accepted(vault: Assembly) -> None:
+    oracle, complete = Stability(vault, EQUILIBRIUM), complete_state(vault.boundary)
+    assert oracle.judge(complete[None], parents=complete[None]).stable.all()
+    kept = oracle._guesses[complete.tobytes()]
+    assert (kept != kept.astype(np.float32)).any()  # rounded, they may leave parts out of balance
+    again = oracle.check_again(complete[None])
+    assert again.forces is not None
+    assert again.iterations[0] == 0
+    assert np.abs(again.forces[0] - kept).max() <= 1e-12 * np.abs(kept).max()
