@@ -19,7 +19,7 @@ from falsework.errors import PlanError
 from falsework.robots.model.cell import Cell
 from falsework.robots.plans.check import CheckReport, check_robot_plan
 from falsework.robots.plans.export import export_plan
-from falsework.robots.plans.programs import Begin, Grip, Reach, Wait, commands_of
+from falsework.robots.plans.programs import Begin, Grip, PublishCount, Wait, commands_of
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import (
     load_robot_plan,
@@ -275,7 +275,7 @@ def test_controllers_close_the_second_gripper_before_they_open_the_first(plan: R
     assert [wait.robot for wait in waits] == [plan.steps[take].robot]
     others = list(commands_of(plan, plan.steps[take].robot))
     closed = others.index(Grip(close=True), others.index(Begin(take)))
-    assert next(command for command in others[closed:] if isinstance(command, Reach)).count == waits[0].count
+    assert next(command for command in others[closed:] if isinstance(command, PublishCount)).count == waits[0].count
     for kind in ("rapid", "urscript", "csv"):
         export_plan(plan, tmp_path / kind, kind)
         text = "".join(path.read_text() for path in sorted((tmp_path / kind).rglob("*")) if path.is_file())
