@@ -296,7 +296,7 @@ def midway(name: str, arguments: Arguments) -> None:
             frame, task = (
                 first.keyframes[row],
                 Task.create(
-                    assembly.boundary, cell.robot_count, start=first.plan.states[row], identity=assembly.identity
+                    assembly.boundary, cell.robot_count, start=first.states[row], identity=assembly.identity
                 ),
             )
             for kind in ("fresh", "kept"):

@@ -15,7 +15,7 @@ pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'fal
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED
-from falsework.errors import PlanError
+from falsework.errors import PlanError, StateError
 from falsework.robots.model.cell import Cell
 from falsework.robots.plans.check import CheckReport, check_robot_plan
 from falsework.robots.plans.export import export_plan
@@ -144,6 +144,18 @@ def test_an_arm_may_take_its_part_back_with_another_grasp(falling: Assembly, roo
     assert report.good, what(report)
     report = check_robot_plan(plan.reverse(), falling, cell)
     assert report.good, what(report)
+
+
+def test_no_plan_begins_between_both_halves(plan: RobotPlan, falling: Assembly, roofed: Cell, begun: dict) -> None:
+    take, leave = halves(plan)
+    for row in (take, leave, leave + 1):
+        frame = plan.keyframes[row]
+        here = {**begun, "start": plan.states[row], "configurations": frame.configurations, "held": frame.held}
+        if row == leave:
+            with pytest.raises(StateError, match="two robots hold one part"):
+                planned(falling, roofed, here, support=True)
+        else:
+            assert planned(falling, roofed, here, support=True).plan is not None
 
 
 def test_files_keep_it(plan: RobotPlan, tmp_path: Path) -> None:

@@ -73,6 +73,8 @@ def first_keyframe(
     )
     wanted = np.flatnonzero((task.start == HELD) & ~graph.assembly.boundary).tolist()
     named = sorted(part for part in held if part is not None)
+    if len(set(named)) < len(named):
+        raise StateError("two robots hold one part, as within a hand-over; finish that first, then plan from there")
     if named != wanted:
         raise StateError(
             f"the robots hold parts {named}, the start state has {wanted} held; give the part that each robot holds"
