@@ -136,7 +136,9 @@ def once(
     if result.plan is not None:
         fields["motion_seconds"] = round(result.plan.seconds, 1)
         if support:
-            fields["released"] = [result.plan.grip(step) for step in range(len(result.plan))].count("open")
+            handed = sum(step.hands_over is not None for step in result.plan.steps) // 2
+            opened = [result.plan.grip(step) for step in range(len(result.plan))].count("open")
+            fields |= {"released": opened - handed, "handed_over": handed}
     if result.explanation is not None:
         fields["why"] = result.explanation.text
     plan = result.plan or result.partial

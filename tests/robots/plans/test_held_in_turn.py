@@ -1,0 +1,154 @@
+"""A beam that two arms must hold in turn, since each reaches one of the two blocks below it only."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'falsework[robots]'")
+
+from falsework.assembly.library.blocks import Solid, box, gather
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import HELD, REMOVED, complete_state
+from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
+from falsework.robots.model.cell import Cell
+from falsework.robots.planning.hybrid_planner import plan_robots
+from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
+from falsework.robots.plans.check import check_robot_plan
+from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.plans.temporal_graph import TemporalPlanGraph
+from falsework.robots.plans.timeline import event_times, nodes_of
+from falsework.search import Task
+from falsework.search.plans.plan_check import validate_plan
+from falsework.stability import Stability
+
+BEAM, LEFT, RIGHT = 0, 1, 2
+
+
+def channel(x: float, y: float, low: float, under: float, high: float, wall: float) -> Solid:
+    """An inverted channel along the x axis, of half length x and half width y."""
+    inner = y - wall
+    outline = [(-y, low), (-inner, low), (-inner, under), (inner, under), (inner, low), (y, low), (y, high), (-y, high)]
+    ends = [(0, 1, 2), (0, 2, 7), (7, 2, 3), (7, 3, 6), (6, 3, 5), (3, 4, 5)]
+    rings = [tuple(8 + k for k in end) for end in ends] + [end[::-1] for end in ends]
+    rings += [(k, (k + 1) % 8, (k + 1) % 8 + 8, k + 8) for k in range(8)]
+    return Solid("beam", np.array([(side, *point) for side in (-x, x) for point in outline]), tuple(rings))
+
+
+@pytest.fixture(scope="module")
+def bridge() -> Assembly:
+    """A beam under a lintel, astride two blocks on plinths: it can leave, sideways, only when both have left."""
+    solids = [
+        channel(0.3, 0.1, 0.12, 0.2, 0.25, 0.03),
+        box("left", (-0.48, -0.07, 0.05), (-0.2, 0.07, 0.2)),
+        box("right", (0.2, -0.07, 0.05), (0.48, 0.07, 0.2)),
+    ]
+    for name, low, high in (
+        ("plinth", (-0.38, -0.07, 0.0), (-0.2, 0.07, 0.05)),
+        ("plinth", (0.2, -0.07, 0.0), (0.38, 0.07, 0.05)),
+        ("lintel", (-0.03, -0.04, 0.27), (0.03, 0.04, 0.30)),
+        ("stop", (-0.36, -0.06, 0.21), (-0.32, 0.06, 0.24)),
+        ("stop", (0.32, -0.06, 0.21), (0.36, 0.06, 0.24)),
+        ("ground", (-0.8, -0.8, -0.05), (0.8, 0.8, 0.0)),
+    ):
+        solids.append(box(name, low, high, fixed=True))
+    made = gather(solids)
+    return Assembly.from_meshes(made.meshes, boundary=made.boundary, density=250.0, name="bridge")
+
+
+@pytest.fixture(scope="module")
+def apart(cell_of: Callable[..., Cell]) -> Cell:
+    """Two arms, of which each reaches the beam and the block on its own side."""
+    return cell_of(2, 1.5)
+
+
+def planned(assembly: Assembly, cell: Cell, *, support: bool) -> HybridResult:
+    task = Task.create(assembly.boundary, 2, identity=assembly.identity, support=support)
+    return plan_robots(assembly, cell, task=task, settings=HybridSettings(attempts=4))
+
+
+@pytest.fixture(scope="module")
+def plan(bridge: Assembly, apart: Cell) -> RobotPlan:
+    """A plan in which one arm hands the beam to the other."""
+    found = planned(bridge, apart, support=True).plan
+    assert found is not None
+    return found
+
+
+@pytest.fixture(scope="module")
+def timed(bridge: Assembly, apart: Cell) -> RobotPlan:
+    """The same for arms that move at the same time."""
+    pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'falsework[schedule]'")
+    from falsework.robots.planning.plan_together import plan_together
+
+    task = Task.create(bridge.boundary, 2, identity=bridge.identity, support=True)
+    found = plan_together(bridge, apart, task=task, settings=HybridSettings(attempts=4)).plan
+    assert found is not None
+    assert halves(found)
+    return found
+
+
+def halves(plan: RobotPlan) -> list[int]:
+    """The steps of hand-overs."""
+    return [index for index, step in enumerate(plan.steps) if step.hands_over is not None]
+
+
+def test_without_a_hand_over_there_is_no_plan(bridge: Assembly, apart: Cell) -> None:
+    """Each block needs the arm of its side, and while one leaves the beam must be held: by the other arm."""
+    assert planned(bridge, apart, support=False).plan is None
+    graph, oracle, complete = KeyframeGraph(bridge, apart), Stability(bridge), complete_state(bridge.boundary)
+    for gone in ((), (LEFT,), (RIGHT,)):
+        state = complete.copy()
+        state[list(gone)] = REMOVED
+        assert not len(graph.exits.free(BEAM, state))
+        for arm, far in ((0, RIGHT), (1, LEFT)):
+            assert far in gone or not graph.grips(arm, far, state)
+        if gone:
+            (other,) = {LEFT, RIGHT} - set(gone)
+            for held in ([], [other]):
+                state[held] = HELD
+                assert not oracle.stable(state[None])[0]
+            state[other], state[BEAM] = complete[other], HELD
+            assert oracle.stable(state[None])[0]
+
+
+def test_one_arm_hands_the_beam_to_the_other(plan: RobotPlan, bridge: Assembly, apart: Cell) -> None:
+    take, leave = halves(plan)
+    assert leave == take + 1
+    giver, taker = plan.steps[leave].robot, plan.steps[take].robot
+    assert giver != taker
+    assert [frame.held[giver] for frame in plan.keyframes[take : take + 3]] == [BEAM, BEAM, None]
+    assert [frame.held[taker] for frame in plan.keyframes[take : take + 3]] == [None, BEAM, BEAM]
+    assert (plan.states[take] == plan.states[take + 2]).all()
+    assert [plan.grip(take), plan.grip(leave)] == ["close", "open"]
+    assert plan.does(take) == f"take beam-0 over from {apart.robots[giver].name}"
+    assert plan.does(leave) == f"leave beam-0 to {apart.robots[taker].name}"
+    assert len(plan) == len(plan.plan) + 2
+    report = check_robot_plan(plan, bridge, apart)
+    assert report.good, [str(problem) for problem in report.problems]
+    assert validate_plan(plan.plan, bridge).good
+
+
+def test_no_delay_changes_the_order(timed: RobotPlan, bridge: Assembly, apart: Cell) -> None:
+    from falsework.robots.schedule.build import schedule_plan
+    from falsework.robots.schedule.simulation import simulate
+
+    for one in (timed, timed.reverse(), schedule_plan(timed.reverse(), bridge, apart)):
+        graph = one.schedule
+        assert graph is not None
+        assert (np.diff(event_times(one, graph)) >= 0).all()
+        report = check_robot_plan(one, bridge, apart)
+        assert report.good, [str(problem) for problem in report.problems]
+        assert simulate(one, runs=100).good
+        events = nodes_of(one)[1]
+        for take, leave in pairwise(halves(one)):
+            before, after = events[take].node, events[leave].node
+            kept = tuple(edge for edge in graph.edges if (edge.before, edge.after) != (before, after))
+            assert len(kept) < len(graph.edges)
+            loose = replace(one, schedule=TemporalPlanGraph(graph.nodes, kept, graph.robots, 0.0))
+            report = check_robot_plan(loose, bridge, apart)
+            assert any("does not wait for the state" in problem.what for problem in report.problems)
