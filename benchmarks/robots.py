@@ -297,9 +297,7 @@ def midway(name: str, arguments: Arguments) -> None:
         for row in np.quantile(busy, (0.25, 0.5, 0.75), method="nearest").astype(int).tolist():
             frame, task = (
                 first.keyframes[row],
-                Task.create(
-                    assembly.boundary, cell.robot_count, start=first.states[row], identity=assembly.identity
-                ),
+                Task.create(assembly.boundary, cell.robot_count, start=first.states[row], identity=assembly.identity),
             )
             for kind in ("fresh", "kept"):
                 again: dict[str, Any] = {"graph": graph, "oracle": oracle} if kind == "kept" else {}
