@@ -53,6 +53,8 @@ _FAR = 4
 """Parts from behind the end of a window that each arm may take in it."""
 _WAITS = 16
 """Longest waits, at each of which a window with parts from behind its end is searched."""
+_FAR_TURNS = 2
+"""Turns with such windows without a better order after which the search ends."""
 _TOTAL = 0.01
 """Weight of the total time in the comparison of complete orders, which decides between those with equal makespan."""
 
@@ -124,7 +126,7 @@ class OrderSearch:
         length = len(self.best) - 1
         self._improve(0, length, _MERGE_WIDTH, own=1, others=0)
         since = turn = 0
-        while since < 2 * len(_LENGTHS):
+        while since < len(_LENGTHS) + _FAR_TURNS:
             # Parts from behind the end of a window are worth their time once nothing else helps.
             far, size = since >= len(_LENGTHS), _LENGTHS[turn % len(_LENGTHS)]
             better = False
