@@ -129,6 +129,26 @@ def test_steps_whose_motions_fail_are_not_taken_there_again(case: Case) -> None:
     assert not any(taken.unit is step.unit and (at.node.state == state).all() for at, taken in again)
 
 
+def test_an_arm_takes_a_part_from_behind_the_end_of_a_window(case: Case) -> None:
+    search = case.search()
+    behind = search._behind(2)
+    assert [unit.part for unit in behind] == [unit.part for unit in search.units[1:]]
+    for order in search._completed(0, 2, 12, 1, 0, behind):
+        assert sorted(step.edge.action for step in order.steps) == sorted(edge.action for edge in case.chain)
+    assert {order.steps[0].unit.part for order in search._completed(0, 2, 12, 1, 0, behind)} - {search.units[0].part}
+
+
+def test_a_fallen_replay_excludes_its_history_alone(case: Case) -> None:
+    search = case.search()
+    order = search.best[-1]
+    last = tuple(step.edge.action for step in order.steps[-3:])
+    assert not search._falls(order)
+    search._fallen.add(last[::-1])
+    assert not search._falls(order)
+    search._fallen.add(last)
+    assert search._falls(order)
+
+
 def test_parts_below_others_stay_until_these_have_left(
     make_boxes: Callable[..., Assembly], cell_of: Callable[..., Cell]
 ) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TypeVar
 
 from falsework.assembly.state import HELD
@@ -14,6 +15,10 @@ _Value = TypeVar("_Value")
 
 _MEAN = 0.2
 """Weight of the mean end of all robots beside that of the last: a robot that is done early can take over more steps."""
+_WAIT = 0.5
+"""Least duration of a wait that counts, seconds."""
+_LEAD = 2
+"""Steps before the robot begins to wait."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +85,38 @@ def bound(free: Sequence[float], ahead: Sequence[float], event: float, before: S
         for done, left, first in zip(free, ahead, before, strict=True)
     ]
     return max(ends) + _MEAN * sum(ends) / len(ends)
+
+
+def expected(partial: Partial, robot: int, unit: Unit, place: int, hold: float) -> float:
+    """Return the score after a step if nothing waits for other robots and replacements take as long."""
+    edge, seconds = unit.edges[place], unit.seconds
+    free, ahead = list(partial.free), list(partial.ahead)
+    if edge.action >= len(partial.node.state):
+        event = max(partial.event, free[robot])
+        free[robot] = event + seconds[place]
+    else:
+        event = free[robot] = max(partial.event, free[robot] + seconds[place])
+    if place == 0:
+        ahead[unit.robot] -= sum(seconds)
+        ahead[robot] += sum(seconds)
+    ahead[robot] -= seconds[place]
+    before = [0.0 if entry else hold for entry in partial.begun]
+    before[robot] = 0.0 if place + 1 < len(unit.edges) else hold
+    return bound(free, [max(left, 0.0) if left > 1e-9 else 0.0 for left in ahead], event, before)
+
+
+def waits(beginnings: Sequence[Partial]) -> list[int]:
+    """Return the indices of steps shortly before robots begin to wait in an order, those of the longest waits first."""
+    found: list[tuple[float, int]] = []
+    following = [0] * len(beginnings[0].free)
+    for k, (before, after) in enumerate(pairwise(beginnings)):
+        step = after.steps[-1]
+        robot = step.unit.robot
+        wait = after.free[robot] - before.free[robot] - sum(leg.seconds for leg in step.legs)
+        if wait > _WAIT:
+            found.append((-wait, max(following[robot] - _LEAD, 0)))
+        following[robot] = k + 1
+    return list(dict.fromkeys(first for _, first in sorted(found)))
 
 
 def beginning(work: Work, root: Node, units: Sequence[Unit]) -> Partial:

@@ -2,6 +2,7 @@
 
 First the sequences of the arms are merged by a beam search, each as it is. Then short windows of the order are searched
 again, where an arm may take its own parts in another order or parts of other arms; all that comes after a window stays.
+Where this helps no more, an arm may take its parts from behind the end of windows at the longest waits, too.
 Every state is proven stable, every motion is proven free of what is at rest, and waits are those of a schedule in which
 of two motions in conflict the earlier in the order goes first.
 """
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, REMOVED, States
-from falsework.robots.interleaving.partial_order import Partial, UnitStep, beginning, bound, extended
+from falsework.robots.interleaving.partial_order import Partial, UnitStep, beginning, expected, extended, waits
 from falsework.robots.interleaving.work import Leg, Unit, Work
 from falsework.robots.keyframes.keyframes import Edge, Node, state_after
 from falsework.robots.kinematics.forward import tool_pose
@@ -48,6 +49,12 @@ _SAME_WAY = 1 - 1e-6
 """Cosine above which a line and an exit direction count as the same."""
 _STANDSTILL = 1e-7
 """Distance below which two configurations count as the same, rad or m."""
+_FAR = 4
+"""Parts from behind the end of a window that each arm may take in it."""
+_WAITS = 16
+"""Longest waits, at each of which a window with parts from behind its end is searched."""
+_FAR_TURNS = 2
+"""Turns with such windows without a better order after which the search ends."""
 _TOTAL = 0.01
 """Weight of the total time in the comparison of complete orders, which decides between those with equal makespan."""
 
@@ -84,6 +91,8 @@ class OrderSearch:
         self._approaches: dict[tuple[Unit | None, Unit], list[Leg]] = {}
         self._refused: set[tuple[Unit, int, bytes]] = set()
         self._stable: dict[bytes, bool] = {}
+        self._fallen: set[tuple[int, ...]] = set()
+        """Last actions of orders that end the replay in assembly order, which carries forces from state to state."""
         self._ways: dict[Edge, Array] = {}
         holds = [unit.seconds[0] for unit in self.units if unit.movable]
         self._hold = sum(holds) / max(len(holds), 1)
@@ -117,12 +126,17 @@ class OrderSearch:
         length = len(self.best) - 1
         self._improve(0, length, _MERGE_WIDTH, own=1, others=0)
         since = turn = 0
-        while since < len(_LENGTHS):
-            size, better = _LENGTHS[turn % len(_LENGTHS)], False
-            for first in range(0, length, size // 2):
+        while since < len(_LENGTHS) + _FAR_TURNS:
+            # Parts from behind the end of a window are worth their time once nothing else helps.
+            far, size = since >= len(_LENGTHS), _LENGTHS[turn % len(_LENGTHS)]
+            better = False
+            for first in waits(self.best)[:_WAITS] if far else range(0, length, size // 2):
                 if self.stop():
                     return
-                better |= self._improve(first, min(first + size, length), _WIDTH, own=_OWN, others=_OTHERS)
+                last = min(first + size, length)
+                behind = self._behind(last) if far else []
+                if behind or not far:
+                    better |= self._improve(first, last, _WIDTH, own=_OWN, others=_OTHERS, far=behind)
             since, turn = 0 if better else since + 1, turn + 1
 
     def refuse(self, index: int) -> None:
@@ -136,10 +150,23 @@ class OrderSearch:
         """Whether the best order is not that of the plan."""
         return self.best is not self._planned[1]
 
-    def _improve(self, first: int, last: int, width: int, *, own: int, others: int) -> bool:
+    def _behind(self, last: int) -> list[Unit]:
+        """Return the next units from behind the end of a window, of each arm, that nothing blocks at its end."""
+        node, found, seen = self.best[last].node, [], [0] * len(self.root.configurations)
+        for step in self.best[-1].steps[last:]:
+            unit = step.unit
+            if step.place or not unit.movable or seen[unit.robot] >= _FAR:
+                continue
+            if unit.part in self.legal(node.state) and self._comes_out(node.state, unit.edges[1]):
+                found.append(unit)
+                seen[unit.robot] += 1
+        return found
+
+    def _improve(self, first: int, last: int, width: int, *, own: int, others: int, far: Sequence[Unit] = ()) -> bool:
         """Search the steps from `first` to before `last` of the best order again; return whether that was better."""
         for _ in range(_FALLS):
-            found = min(self._completed(first, last, width, own, others), key=_cost, default=self.best[-1])
+            completed = self._completed(first, last, width, own, others, far)
+            found = min((order for order in completed if not self._falls(order)), key=_cost, default=self.best[-1])
             if _cost(found) >= _cost(self.best[-1]) - 1e-6:
                 return False
             if self._stands(found):
@@ -149,8 +176,13 @@ class OrderSearch:
                 return True
         return False
 
+    def _falls(self, order: Partial) -> bool:
+        """Return whether the replay of an order is known to end early."""
+        actions = tuple(step.edge.action for step in order.steps)
+        return any(actions[-len(last) :] == last for last in self._fallen)
+
     def _stands(self, order: Partial) -> bool:
-        """Return whether the states and the replay in assembly order of an order are stable; note which one is not."""
+        """Return whether the states and the replay in assembly order of an order are stable; note what is not."""
         states = [self.root.state]
         for step in order.steps:
             states.append(state_after(states[-1], step.edge.action))
@@ -159,32 +191,51 @@ class OrderSearch:
         replayer = self.oracle.replayer
         row = None if replayer is None else replayer.replay(np.array(states[::-1], dtype=np.uint8)).falls_at
         if row is not None:
-            self._stable[states[::-1][row].tobytes()] = False
+            # The same state may stand with other forces from before it, so it is the history that is excluded.
+            self._fallen.add(tuple(step.edge.action for step in order.steps[len(order.steps) - row :]))
         return row is None
 
-    def _completed(self, first: int, last: int, width: int, own: int, others: int) -> Iterator[Partial]:
-        """Yield complete orders with other steps in a window."""
+    def _completed(
+        self, first: int, last: int, width: int, own: int, others: int, far: Sequence[Unit]
+    ) -> Iterator[Partial]:
+        """Yield complete orders with other steps in a window; what is left of it follows in the old order."""
         old = self.best
-        for partial in self._beam(first, last, width, own, others)[:_ENDS]:
+        for partial in self._beam(first, last, width, own, others, far)[:_ENDS]:
             if partial is old[last]:
                 continue
-            for step in old[-1].steps[last:]:
-                legs = self._legs(partial, step.unit, step.place)
-                if legs is None:
+            done = {(step.unit.job, step.place) for step in partial.steps[first:]}
+            whole: Partial | None = partial
+            for step in old[-1].steps[first:]:
+                if whole is None:
                     break
-                partial = self._extended(partial, UnitStep(step.unit, step.place, legs))
-            else:
-                yield partial
+                begun = whole.begun[step.unit.robot]
+                if (step.unit.job, step.place) in done:
+                    continue
+                if step.place == 0 and begun is not None:
+                    # The arm still holds a part that comes later in the old order.
+                    done.add((begun[0].job, begun[1]))
+                    whole = self._continued(whole, *begun)
+                if whole is not None:
+                    held = (entry[0] for entry in whole.begun if entry is not None)
+                    unit = next((unit for unit in held if unit.job == step.unit.job), step.unit)
+                    whole = self._continued(whole, unit, step.place)
+            if whole is not None:
+                yield whole
 
-    def _beam(self, first: int, last: int, width: int, own: int, others: int) -> list[Partial]:
+    def _continued(self, partial: Partial, unit: Unit, place: int) -> Partial | None:
+        """Return an order with one more step, whose state is not checked; None if no motion is free."""
+        legs = self._legs(partial, unit, place)
+        return None if legs is None else self._extended(partial, UnitStep(unit, place, legs))
+
+    def _beam(self, first: int, last: int, width: int, own: int, others: int, far: Sequence[Unit]) -> list[Partial]:
         """Return orders of the steps of a window after those before it, best first."""
         window = self.best[-1].steps[first:last]
         beam = [self.best[first]]
         for level in range(first + 1, last + 1):
             made = [
-                (self._expected(partial, *step), row, step)
+                (expected(partial, *step, self._hold), row, step)
                 for row, partial in enumerate(beam)
-                for step in self._steps(partial, window, own, others)
+                for step in self._steps(partial, window, own, others, far)
             ]
             made.sort(key=lambda entry: (entry[0], entry[1], entry[2][0], entry[2][1].job))
             found: list[tuple[float, int, Partial]] = []
@@ -209,10 +260,11 @@ class OrderSearch:
         return sorted(beam, key=lambda partial: partial.score(self._hold))
 
     def _steps(
-        self, partial: Partial, window: Sequence[UnitStep], own: int, others: int
+        self, partial: Partial, window: Sequence[UnitStep], own: int, others: int, far: Sequence[Unit]
     ) -> Iterator[tuple[int, Unit, int]]:
         """Yield steps of a window that may come next: robots, units as in the best order, and places in them."""
         inside = {(step.unit.job, step.place) for step in window}
+        inside |= {(unit.job, place) for unit in far for place in range(2)}
         waiting = [step.unit for step in window if step.place == 0 and step.unit.job not in partial.jobs]
         for robot, begun in enumerate(partial.begun):
             if begun is not None:
@@ -234,23 +286,9 @@ class OrderSearch:
                 if unit.robot == robot or whole:
                     yield robot, unit, 0
                 seen[unit.robot] += 1
-
-    def _expected(self, partial: Partial, robot: int, unit: Unit, place: int) -> float:
-        """Return the score after a step if nothing waits for other robots and replacements take as long."""
-        edge, seconds = unit.edges[place], unit.seconds
-        free, ahead = list(partial.free), list(partial.ahead)
-        if edge.action >= self.parts:
-            event = max(partial.event, free[robot])
-            free[robot] = event + seconds[place]
-        else:
-            event = free[robot] = max(partial.event, free[robot] + seconds[place])
-        if place == 0:
-            ahead[unit.robot] -= sum(seconds)
-            ahead[robot] += sum(seconds)
-        ahead[robot] -= seconds[place]
-        before = [0.0 if entry else self._hold for entry in partial.begun]
-        before[robot] = 0.0 if place + 1 < len(unit.edges) else self._hold
-        return bound(free, [max(left, 0.0) if left > 1e-9 else 0.0 for left in ahead], event, before)
+            for unit in far:
+                if unit.robot == robot and unit.job not in partial.jobs:
+                    yield robot, unit, 0
 
     def _after(self, partial: Partial, robot: int, unit: Unit, place: int) -> Partial | None:
         """Return an order with one more step; None where it is not possible or not stable."""
@@ -326,9 +364,13 @@ class OrderSearch:
             return False
         if action < self.parts:
             return True
+        return self._comes_out(node.state, edge)
+
+    def _comes_out(self, state: States, edge: Edge) -> bool:
+        """Return whether the direction of a removal is a free exit."""
         if edge not in self._ways:
             self._ways[edge] = way_out(self.graph.cell.robots[edge.robot], edge)
-        free = self.graph.exits.free(action - self.parts, node.state)
+        free = self.graph.exits.free(edge.action - self.parts, state)
         return bool(len(free) and (free @ self._ways[edge]).max() >= _SAME_WAY)
 
     def _is_free(self, partial: Partial, unit: Unit, leg: Leg) -> bool:
