@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +12,6 @@ from falsework.assembly.state import HELD, Mask, States
 from falsework.errors import InputError
 from falsework.search.problem.task import Direction, Task
 from falsework.utils.optional_packages import check_torch
-
-if TYPE_CHECKING:
-    pass
 
 _FLOOR = -30.0
 """Least log probability that a legal action counts with: a search may need actions that the policy considers

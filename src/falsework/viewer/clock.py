@@ -33,8 +33,7 @@ class Clock:
         """Return the clock of a plan; None without a schedule."""
         if plan.schedule is None:
             return None
-        changes = [step.hands_over is None for step in plan.steps]
-        events = np.maximum.accumulate(event_times(plan, plan.schedule))[changes]
+        events = np.maximum.accumulate(event_times(plan, plan.schedule))[np.diff(plan.rows) > 0]
         return cls(plan.schedule.starts(), events, plan.makespan)
 
     def position(self, seconds: float) -> float:

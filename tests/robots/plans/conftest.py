@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,9 +14,10 @@ from falsework.robots.model.builtin_robots import builtin_robot
 from falsework.robots.model.cell import Cell, CellRobot, Gripper
 from falsework.robots.model.shapes import cylinder, pose
 from falsework.robots.planning.hybrid_planner import plan_robots
-from falsework.robots.planning.hybrid_result import HybridResult
+from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.stability import Stability
+from tests.robots.plans.sunk_cubes import under_a_bar
 
 SIZE = 0.2
 
@@ -71,6 +73,24 @@ def column() -> Assembly:
 def cell() -> Cell:
     """Two arms."""
     return make_cell()
+
+
+@pytest.fixture(scope="session")
+def roofed() -> Cell:
+    """Two arms, and a bar above the gripper of one that holds the near one of the sunk cubes by its side."""
+    return under_a_bar(make_cell())
+
+
+@pytest.fixture(scope="session")
+def planned_in_turn() -> Callable[[Assembly, Cell], RobotPlan]:
+    """`planned_in_turn(assembly, cell)`: a plan that lets all arms work, one after the other."""
+
+    def plan(assembly: Assembly, cell: Cell) -> RobotPlan:
+        found = plan_robots(assembly, cell, settings=HybridSettings(together=True)).plan
+        assert found is not None
+        return replace(found, schedule=None)
+
+    return plan
 
 
 @pytest.fixture(scope="session")

@@ -16,8 +16,6 @@ from falsework.assembly.model import Assembly
 from falsework.errors import PlanError
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
-from falsework.robots.planning.hybrid_planner import plan_robots
-from falsework.robots.planning.hybrid_result import HybridSettings
 from falsework.robots.plans.check import check_robot_plan
 from falsework.robots.plans.check_delays import check_delays
 from falsework.robots.plans.check_schedule import check_schedule
@@ -31,11 +29,9 @@ from falsework.robots.schedule.simulation import simulate
 
 
 @pytest.fixture(scope="module")
-def planned(column: Assembly, cell: Cell) -> RobotPlan:
+def planned(planned_in_turn: Callable[[Assembly, Cell], RobotPlan], column: Assembly, cell: Cell) -> RobotPlan:
     """Two arms take the column apart in turn, close to each other."""
-    plan = plan_robots(column, cell, settings=HybridSettings(together=True)).plan
-    assert plan is not None
-    return replace(plan, schedule=None)
+    return planned_in_turn(column, cell)
 
 
 @pytest.fixture(scope="module")

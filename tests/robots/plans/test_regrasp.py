@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -39,19 +38,13 @@ from falsework.search.plans.plan_check import validate_plan
 from falsework.search.problem.support_route import SupportRoute
 from falsework.stability import Verdict, Verdicts
 from falsework.viewer.pictures.gantt import bars_of
-from tests.robots.plans.sunk_cubes import FAR, NEAR, begin, cubes, planned, task_of, under_a_bar
+from tests.robots.plans.sunk_cubes import FAR, NEAR, begin, cubes, planned, task_of
 
 
 @pytest.fixture(scope="module")
 def sunk() -> Assembly:
     """Cubes that stand."""
     return cubes()
-
-
-@pytest.fixture(scope="module")
-def roofed(cell_of: Callable[..., Cell]) -> Cell:
-    """Two arms, and a bar above the gripper of one that holds the near cube by its side."""
-    return under_a_bar(cell_of(2))
 
 
 @pytest.fixture(scope="module")

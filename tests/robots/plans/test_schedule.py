@@ -48,11 +48,9 @@ def wide(cell_of: Callable[..., Cell]) -> Cell:
 
 
 @pytest.fixture(scope="module")
-def planned(row: Assembly, wide: Cell) -> RobotPlan:
+def planned(planned_in_turn: Callable[[Assembly, Cell], RobotPlan], row: Assembly, wide: Cell) -> RobotPlan:
     """A plan for them that lets both arms work, one after the other."""
-    plan = plan_robots(row, wide, settings=HybridSettings(together=True)).plan
-    assert plan is not None
-    return replace(plan, schedule=None)
+    return planned_in_turn(row, wide)
 
 
 @pytest.fixture(scope="module")

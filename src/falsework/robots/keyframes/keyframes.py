@@ -89,9 +89,9 @@ class Node:
         """
         configurations, held = list(self.configurations), list(self.held)
         configurations[robot] = np.asarray(values)
-        if any(held == action and other != robot for other, held in enumerate(self.held)):
+        if action in held[:robot] + held[robot + 1 :]:
             giver = self.holder(action)
-            held[robot] = action if self.held[robot] is None else None
+            held[robot] = action if held[robot] is None else None
             given = (action, _grip(giver, self.configurations[giver]))
             return Node(self.state, tuple(configurations), tuple(held), self.changed | {given})
         part, state = action % len(self.state), state_after(self.state, action)

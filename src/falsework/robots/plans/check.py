@@ -121,8 +121,8 @@ class _Checker:
         if removes:
             present = present.copy()
             present[part] = False
-        if self.plan.fault(index):
-            self.say(index, robot, self.plan.fault(index))
+        if fault := self.plan.fault(index):
+            self.say(index, robot, fault)
         for other, (old, new) in enumerate(zip(before.held, after.held, strict=True)):
             if (old != new) != (other == robot):
                 self.say(index, other, "its held part does not change according to the action")

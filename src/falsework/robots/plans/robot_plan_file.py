@@ -282,8 +282,8 @@ class _Reader(Reader):
         """Check hand-overs, and that trajectories begin at the robot's configuration and lead to the next keyframe."""
         for index, (before, after) in enumerate(pairwise(plan.keyframes)):
             step, place = plan.steps[index], f"step {index + 1} ({plan.does(index)})"
-            if plan.fault(index):
-                self._fail(f"{place}: {plan.fault(index)}")
+            if fault := plan.fault(index):
+                self._fail(f"{place}: {fault}")
             values = before.configurations[step.robot]
             for trajectory in step.trajectories:
                 if np.abs(trajectory.positions[0] - values).max() > JOINS:

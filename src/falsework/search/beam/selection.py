@@ -91,7 +91,7 @@ class Selector:
         if len(asked):
             stable[asked] = judge.stable(frontier.states(asked), self.standing[frontier.parent[asked]])
         kept = self.order(np.flatnonzero(stable), self.score, width)[:width]
-        return self._choice(kept, asked[~stable[asked]])
+        return self._selection(kept, asked[~stable[asked]])
 
     def most_promising(
         self,
@@ -130,7 +130,7 @@ class Selector:
             fixed = self._in_turn(fixed, held)
         if self.failures is not None and width < _THOROUGH_WIDTH:
             fixed = self._hopeful_first(fixed, lookahead, self.failures)
-        return self._choice(np.concatenate([proven, fixed[:lookahead]]), rejected)
+        return self._selection(np.concatenate([proven, fixed[:lookahead]]), rejected)
 
     def _in_turn(self, fixed: Rows, held: NDArray[np.int64]) -> Rows:
         """Return candidates in which every robot holds a part in turn over the states that they come from.
@@ -202,6 +202,6 @@ class Selector:
             wanted -= int(stable.sum())
         return np.concatenate(kept), np.concatenate(rejected)
 
-    def _choice(self, kept: Rows, rejected: Rows) -> Selection:
+    def _selection(self, kept: Rows, rejected: Rows) -> Selection:
         best_first = kept[np.argsort(-self.score[kept], kind="stable")]
         return Selection(best_first, rejected, exhaustive=len(kept) + len(rejected) == len(self.frontier))

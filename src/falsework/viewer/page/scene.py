@@ -8,7 +8,7 @@ them; all other parts are merged by colour. Moving parts are nodes of their own,
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,6 @@ from falsework.viewer.arms import ArmPoses, Arms, wxyz_of
 from falsework.viewer.arrows import KINDS, Arrows
 from falsework.viewer.palette import INK, INSTALLED, MISSING, MOTION, rgb, robot_color
 from falsework.viewer.timeline import Timeline
-
-if TYPE_CHECKING:
-    pass
 
 Array = NDArray[np.float64]
 
