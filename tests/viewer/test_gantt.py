@@ -6,11 +6,13 @@ import json
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from falsework.cli.main import main
+from falsework.cli.subject import ViewableOptions
 from falsework.errors import InputError
 from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotRecord, RobotStep, Trajectory
 from falsework.robots.plans.temporal_graph import Precedence, TemporalPlanGraph
@@ -70,6 +72,27 @@ def test_an_arm_that_holds_is_shown_holding(plan: RobotPlan) -> None:
 def test_charts_are_drawn(plan: RobotPlan, tmp_path: Path, name: str) -> None:
     assert draw_gantt(plan, tmp_path / name) == len(bars_of(plan))
     assert (tmp_path / name).stat().st_size > 1000
+
+
+def test_a_chart_is_drawn_from_the_command_line_as_asked(
+    plan: RobotPlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shown = SimpleNamespace(arms=SimpleNamespace(plan=plan))
+    monkeypatch.setattr(ViewableOptions, "open", lambda self: shown)
+    assert main(["picture", "plan.json", "--gantt", "--svg"]) == 0
+    assert (tmp_path / "picture.svg").read_text().startswith("<?xml")
+    assert main(["picture", "plan.json", "--gantt", "--out", "chart.svg"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1].startswith("chart.svg: 2 arms over")
+    for given, message in (
+        (("--svg", "--out", "chart.png"), "chart.png and --svg do not fit"),
+        (("--step", "1", "--forces"), "leave out --step and --forces, or --gantt"),
+        (("--width=-5",), "-5"),
+    ):
+        assert main(["picture", "plan.json", "--gantt", *given]) == 2
+        error = capsys.readouterr().err
+        assert message in error
+        assert error.count("\n") == 1
 
 
 def test_charts_that_cannot_be_drawn(plan: RobotPlan, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

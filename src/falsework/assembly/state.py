@@ -51,6 +51,8 @@ def as_states(states: ArrayLike, boundary: Mask) -> States:
     if array.dtype == object or not (np.issubdtype(array.dtype, np.number) or array.dtype == bool):
         raise StateError(f"states must be numbers 0, 1 or 2, not {array.dtype}")
     if array.ndim == 1:
+        if len(array) != parts:
+            raise StateError(f"a state of {len(array)} values does not fit {parts} parts; give one value for each part")
         array = array[None]
     if array.ndim != 2 or array.shape[1] != parts:
         raise StateError(f"states have shape {array.shape}; expected (batch, {parts}), one value for each part")

@@ -122,7 +122,10 @@ def parse_state(text: str, option: str, assembly: Assembly) -> States:
         content = read_states(Path(text))
     else:
         raise StateError(f"{option} {text}: neither complete, empty, digits such as 2110 nor a file with a state")
-    states = as_states(content, assembly.boundary)
+    try:
+        states = as_states(content, assembly.boundary)
+    except StateError as error:
+        raise StateError(f"{option} {text}: {error}") from None
     if len(states) != 1:
         raise StateError(f"{option} {text}: holds {len(states)} states; give one")
     return states[0]

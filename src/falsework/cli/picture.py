@@ -10,6 +10,7 @@ from tyro.conf import arg
 
 from falsework.cli.command import UNSET, JudgingCommand
 from falsework.cli.exit_code import Exit
+from falsework.cli.output import counted
 from falsework.cli.planning import writable
 from falsework.cli.subject import ViewableOptions
 from falsework.errors import InputError
@@ -70,12 +71,12 @@ class MakePicture(JudgingCommand):
         from falsework.viewer.show import check_picture, picture
 
         writable(self.out)
-        if self.gantt:
-            return self._gantt(output)
         out = self.out.with_suffix(".svg") if self.svg and self.out == Path("picture.png") else self.out
-        if self.svg != (out.suffix.lower() == ".svg"):
+        if self.svg != (out.suffix.lower() == ".svg") and not (self.gantt and not self.svg):
             raise InputError(f"{out} and {'--svg' if self.svg else 'no --svg'} do not fit; name a file that does")
         check_picture(self.width, self.frames, self.columns)
+        if self.gantt:
+            return self._gantt(out, output)
         subject = self.subject.open().with_policy(self.policy)
         drawn = picture(
             subject,
@@ -103,14 +104,18 @@ class MakePicture(JudgingCommand):
         output.say(f"{out}: {drawn.shows}")
         return Exit.DONE
 
-    def _gantt(self, output: Output) -> Exit:
+    def _gantt(self, out: Path, output: Output) -> Exit:
         from falsework.viewer.pictures.gantt import draw_gantt
 
+        others = {"step": self.step is not None, "forces": self.forces, "verdicts": self.verdicts}
+        others |= {"limits": self.limits, "policy": self.policy is not None}
+        if wrong := [f"--{name}" for name, given in others.items() if given]:
+            raise InputError(f"a Gantt chart shows no state; leave out {' and '.join(wrong)}, or --gantt")
         subject = self.subject.open()
         if subject.arms is None:
             raise InputError(f"a {subject.kind} has no arms to draw a Gantt chart of; give a robot plan")
         plan = subject.arms.plan
-        bars = draw_gantt(plan, self.out, width=self.width, title=self.title)
-        output.record({"out": str(self.out), "kind": "gantt", "bars": bars, "makespan": round(plan.makespan, 3)})
-        output.say(f"{self.out}: {len(plan.robots)} arms over {plan.makespan:.1f} s")
+        bars = draw_gantt(plan, out, width=self.width, title=self.title)
+        output.record({"out": str(out), "kind": "gantt", "bars": bars, "makespan": round(plan.makespan, 3)})
+        output.say(f"{out}: {counted(len(plan.robots), 'arm')} over {plan.makespan:.1f} s")
         return Exit.DONE

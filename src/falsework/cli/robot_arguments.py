@@ -36,15 +36,25 @@ def parse_joints(text: str | None, cell: Cell) -> list[Any] | None:
         if given == "home":
             continue
         try:
-            found[robot] = [float(value) for value in (given.split(",") if isinstance(given, str) else given)]
+            found[robot] = [float(value) for value in given.split(",")] if isinstance(given, str) else _numbers(given)
         except (TypeError, ValueError):
             raise InputError(f"--joints: {name} is {given!r}; give joint values in rad, or `home`") from None
     return found
 
 
+def _numbers(values: Any) -> list[float]:
+    """Return a list of JSON numbers; a bool, a text or another list in it is none."""
+    if not isinstance(values, list) or any(isinstance(value, bool | str) for value in values):
+        raise TypeError
+    return [float(value) for value in values]
+
+
 def _by_robot(text: str) -> dict[str, Any]:
     if "=" in text and not Path(text).is_file():
-        return dict(_pair(piece, "--joints", "left=0,0.1,-0.5,0,1,0;right=home") for piece in text.split(";"))
+        pairs = [_pair(piece, "--joints", "left=0,0.1,-0.5,0,1,0;right=home") for piece in text.split(";")]
+        if len({name for name, _ in pairs}) < len(pairs):
+            raise InputError(f"--joints {text}: a robot has one configuration; name each robot once")
+        return dict(pairs)
     try:
         content = parse_json(Path(text).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError, ValueError):
@@ -64,7 +74,10 @@ def parse_holding(text: str | None, cell: Cell, assembly: Assembly) -> list[int 
     for piece in () if text is None else text.split(","):
         name, part = _pair(piece, "--holding", "left=3,right=keystone")
         robot = _robot(name, cell, "--holding")
-        (number,) = parse_parts(part, "--holding", assembly.names)[:1]
+        numbers = parse_parts(part, "--holding", assembly.names)
+        number = numbers[0]
+        if len(numbers) > 1:
+            raise InputError(f"--holding {piece}: a robot holds one part; name one")
         if not 0 <= number < assembly.part_count:
             raise InputError(f"--holding {piece}: no part {number}; there are 0 to {assembly.part_count - 1}")
         if assembly.boundary[number]:

@@ -113,7 +113,7 @@ class PlanRobots(Command):
                 result = plan_together(assembly, cell, assembly_order=self.assembly_order, **given)
             else:
                 result = plan_robots(assembly, cell, **given)
-        found = result.plan or result.partial
+        found = result.partial if result.plan is None else result.plan  # a plan without steps is false
         if found is not None and self.assembly_order and not together:
             found = found.reverse()
         return self._report(result, found, output)
@@ -349,5 +349,5 @@ class ExportRobots(Command):
             plan = plan.reverse()
         paths = export_plan(plan, self.out, self.format, rate=self.rate)
         output.record({"folder": str(self.out), "files": [path.name for path in paths]})
-        output.say(f"{len(paths)} files in {self.out}")
+        output.say(f"{counted(len(paths), 'file')} in {self.out}")
         return Exit.DONE

@@ -162,7 +162,7 @@ def test_bad_input_is_one_clear_line(arch: Assembly) -> None:
         DisassemblyEnv(arch, starts=np.empty((0, 7)))
     with pytest.raises(StateError, match="no rule leads from start state 0 to the target"):
         DisassemblyEnv(arch, target=[1, 1, 1, 1, 1, 2, 2], starts=[0, 1, 1, 1, 1, 2, 2])
-    with pytest.raises(StateError, match=r"states have shape \(1, 3\); expected"):
+    with pytest.raises(StateError, match="a state of 3 values does not fit"):
         DisassemblyEnv(arch).reset(options={"start": [1, 1, 1]})
 
 

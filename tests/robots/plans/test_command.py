@@ -190,14 +190,41 @@ def test_go_on_from_where_the_arms_are(run: Callable, cell_file: Path, tmp_path:
     assert rest.keyframes[0].held == plan.keyframes[row].held
 
 
+def test_where_nothing_is_left_to_do_there_is_a_plan_without_steps(
+    run: Callable, cell_file: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "plan.json"
+    wanted = ("robots", "plan", STACK, "--cell", cell_file, "--out", out, "--target", "complete", "--json")
+    code, records, error = run(*wanted)
+    assert code == 0, error
+    assert records[-1]["found"]
+    assert records[-1]["steps"] == 0
+    assert records[-1]["makespan"] == 0.0
+    assert run("robots", "check", out)[0] == 0
+
+
+@pytest.mark.parametrize("values", [[0, 0, 0, 0, 0, True], [0, 0, 0, 0, 0, "0.1"], {"joint_1": 0}, None])
+def test_joint_values_in_a_file_are_numbers(run: Callable, cell_file: Path, tmp_path: Path, values: object) -> None:
+    (tmp_path / "now.json").write_text(json.dumps({"arm": values}))
+    given = ("--joints", tmp_path / "now.json", "--out", tmp_path / "plan.json")
+    code, _, error = run("robots", "plan", STACK, "--cell", cell_file, *given)
+    assert code == 2
+    assert "give joint values in rad" in error
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         (("--holding", "elbow=0"), "has no robot 'elbow'"),
         (("--holding", "arm"), "names no robot and value"),
         (("--holding", "arm=77"), "no part 77"),
+        (("--holding", "arm=0-1"), "a robot holds one part; name one"),
+        (("--holding", "arm=1"), "m away from part block-1, which it should hold"),
+        (("--state", "212"), "the robots hold nothing, the start state has part block-0 held"),
+        (("--state", "21"), "--start 21: a state of 2 values does not fit 3 parts"),
         (("--state", "002", "--holding", "arm=0"), "is absent at the start"),
         (("--joints", "arm=1,2,x"), "give joint values in rad"),
+        (("--joints", "arm=home;arm=0,0,0,0,0,0"), "name each robot once"),
         (("--joints", "arm=9,0,0,0,0,0"), "outside its limits"),
         (("--joints", "arm=0,2.6,0,0,0,0"), "at the start"),
         (("--joints", "nowhere.json"), "no JSON file"),

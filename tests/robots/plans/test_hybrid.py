@@ -10,7 +10,7 @@ import pytest
 
 from falsework.assembly import load_structure
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import complete_state
+from falsework.assembly.state import HELD, complete_state
 from falsework.errors import InputError, StateError
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph, KeyframeSettings
 from falsework.robots.keyframes.keyframes import Edge, Node
@@ -218,6 +218,10 @@ def test_a_deadline_ends_the_search(column: Assembly, cell: Cell) -> None:
     assert not found.found
     assert found.explanation is not None
     assert found.explanation.outcome == "interrupted"
+    assert found.explanation.text == (
+        "the search for a robot plan was stopped; not even an order of actions without motions was found by then; "
+        "the deadline has passed"
+    )
 
 
 def test_wrong_starts(column: Assembly, cell: Cell, oracle: Stability) -> None:
@@ -227,6 +231,11 @@ def test_wrong_starts(column: Assembly, cell: Cell, oracle: Stability) -> None:
         plan_robots(column, cell, configurations=[np.full(6, 9.0), cell.homes[1]], oracle=oracle)
     with pytest.raises(StateError, match="the part that each robot holds"):
         plan_robots(column, cell, held=(1, None), oracle=oracle)
+    start = complete_state(column.boundary)
+    start[1] = HELD
+    task = Task.create(column.boundary, 2, start=start)
+    with pytest.raises(InputError, match="away from part .*, which it should hold"):
+        plan_robots(column, cell, task=task, held=(1, None), oracle=oracle)
     down = np.array([0.0, 1.4, 0.3, 0.0, 0.0, 0.0])
     with pytest.raises(InputError, match="at the start"):
         plan_robots(column, cell, configurations=[down, cell.homes[1]], oracle=oracle)

@@ -142,7 +142,7 @@ def test_fixed_parts_stay_as_they_are(rules: Any) -> None:
         ({"start": [2, 2, 1, 1], "target": [2, 1, 0, 0]}, "a held part is never released"),
         ({"start": [2, 2, 2, 2]}, "the start state has 3 parts held; 2 robots can hold 2"),
         ({"target": [2, 2, 2, 2]}, "the target state has 3 parts held"),
-        ({"start": [2, 1, 1]}, "states have shape (1, 3)"),
+        ({"start": [2, 1, 1]}, "a state of 3 values"),
         ({"start": [1, 1, 1, 1]}, "boundary part 0"),
         ({"start": [[2, 1, 1, 1], [2, 1, 1, 1]]}, "the start must be one state, not 2"),
     ],

@@ -168,7 +168,9 @@ def explain(
         "interrupted": "the search for a robot plan was stopped",
     }
     pieces = [words[outcome]]
-    if abstract:
+    if abstract and outcome == "interrupted":
+        pieces.append("not even an order of actions without motions was found by then")
+    elif abstract:
         pieces.append("stability and exit directions alone allow no order of actions; falsework plan explains why")
     else:
         pieces.append(f"the search reached step {reached} of {steps}")

@@ -14,6 +14,9 @@ from falsework.robots.model.shapes import Pieces, pose
 
 Array = NDArray[np.float64]
 
+GRIP_DISTANCE = 0.005
+"""Largest distance of a gripper from a part that it holds, metres."""
+
 
 @dataclass(frozen=True, eq=False)
 class Gripper:

@@ -242,6 +242,16 @@ class CollisionWorld:
             found += [(name, entry.model.joints + 2, move(flange, piece)) for piece in held.pieces]
         return found
 
+    def grip_distance(self, robot: int, configuration: ArrayLike, part: int) -> float:
+        """Return the distance between a gripper and a part in place, metres; 0 where they touch."""
+        entry = self.cell.robots[robot]
+        flange = link_poses(entry.model, configuration, entry.base)[-1] @ entry.model.flange
+        placed = [move(flange, piece) for piece in entry.gripper.pieces]
+        return min(
+            (float(distance_between(a, b)) for a in placed for b in self.parts.pieces[part]),
+            default=np.inf,
+        )
+
     def view(
         self, scene: Scene, robot: int, *, contact: Contact = NO_CONTACT, margin: float | None = None
     ) -> CollisionQuery:

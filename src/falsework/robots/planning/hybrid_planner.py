@@ -51,6 +51,8 @@ _MAX_FALLEN_REPLAYS = 40
 _POSTPONED_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
 """Delays of missing parts that are tried in turn, as shares of the longest that stability alone allows."""
 
+_LATE = "the deadline has passed"
+
 
 def plan_robots(
     assembly: Assembly,
@@ -133,7 +135,8 @@ class _Search:
         if not self.abstract.found:
             if self.solvability.fallen is not None:
                 self.fallen = fall_in_words("plan", *self.solvability.fallen, self.assembly.names)
-            return self.failed(root, self._abstract_outcome(), self.fallen)
+            outcome = self._abstract_outcome()
+            return self.failed(root, outcome, self.fallen or (_LATE if outcome == "interrupted" else ""))
         if self.task.steps == 0:
             return self.solved(root, [])
         limit = ""
@@ -157,8 +160,7 @@ class _Search:
                 if self.counts["replays_fallen"] == _MAX_FALLEN_REPLAYS:
                     return self.failed(root, "not_found", self.fallen)
                 if self.deadline_passed():
-                    limit = f"the deadline of {self.settings.deadline:g} s has passed"
-                    return self.failed(root, "interrupted", limit)
+                    return self.failed(root, "interrupted", _LATE)
                 if self._hopeless():
                     return self.failed(root, "not_found", "further search cannot succeed")
                 limit = f"{self.attempt} searches failed{f'; {self.fallen}' if self.fallen else ''}"

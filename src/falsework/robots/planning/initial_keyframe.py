@@ -13,7 +13,7 @@ from falsework.errors import InputError, StateError
 from falsework.robots.grasping.exit_directions import ExitDirections
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.keyframes import Node
-from falsework.robots.model.cell import Cell
+from falsework.robots.model.cell import GRIP_DISTANCE, Cell
 from falsework.search.problem.task import STAGE, Task
 
 
@@ -59,7 +59,8 @@ def first_keyframe(
         held: the part that each robot holds.
 
     Raises:
-        InputError: configurations that do not fit the robots, or in which something collides.
+        InputError: configurations that do not fit the robots, or in which something collides or a gripper is not at
+            the part that it holds.
         StateError: held parts that do not go with the start state.
     """
     robots = graph.cell.robots
@@ -71,14 +72,22 @@ def first_keyframe(
         robot.model.check_configuration(entry, f"configuration of {robot.name}")
         for robot, entry in zip(robots, values, strict=True)
     )
+    names = graph.assembly.names
     wanted = np.flatnonzero((task.start == HELD) & ~graph.assembly.boundary).tolist()
     named = sorted(part for part in held if part is not None)
     if len(set(named)) < len(named):
         raise StateError("two robots hold one part, as within a hand-over; finish that first, then plan from there")
     if named != wanted:
+        has, needs = (", ".join(f"part {names[part]}" for part in parts) or "nothing" for parts in (named, wanted))
         raise StateError(
-            f"the robots hold parts {named}, the start state has {wanted} held; give the part that each robot holds"
+            f"the robots hold {has}, the start state has {needs} held; give the part that each robot holds"
         )
+    for robot, part in enumerate(held):
+        if part is not None and (far := graph.world.grip_distance(robot, checked[robot], part)) > GRIP_DISTANCE:
+            raise InputError(
+                f"the gripper of {robots[robot].name} is {far:.3g} m away from part {names[part]}, which it should hold; "
+                "give the configuration in which it holds the part"
+            )
     node = graph.start(task.start, checked, held)
     for robot in range(len(robots)):
         pair = graph.collision(node, robot)

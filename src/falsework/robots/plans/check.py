@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED
 from falsework.errors import InputError
-from falsework.robots.model.cell import Cell
+from falsework.robots.model.cell import GRIP_DISTANCE, Cell
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.plans.check_delays import DelayReport, check_delays
 from falsework.robots.plans.check_schedule import check_schedule
@@ -29,8 +29,6 @@ Progress = Callable[[int, int], None]
 _OVERLAP = 0.001
 """Allowed overlap of a part with its neighbours as it leaves or reaches its place, metres; where the structure's
 own meshes overlap by more at that place, this is doubled until they do not."""
-_GRIP_DISTANCE = 0.005
-"""Largest distance of a gripper from a part that it holds, metres."""
 _SAME_JOINT = 1e-5
 """Joint values that differ by no more are equal, rad or m."""
 _LIMIT_EXCESS = 0.01
@@ -106,7 +104,7 @@ class _Checker:
             if part is None:
                 continue
             far = self.judge.grip_distance(robot, frame.configurations[robot], part)
-            if far > _GRIP_DISTANCE:
+            if far > GRIP_DISTANCE:
                 name = self.judge.parts.names[part]
                 self.say(step, robot, f"the gripper is {1000 * far:.1f} mm away from {name}, which it should hold")
 
