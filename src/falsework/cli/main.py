@@ -102,6 +102,7 @@ _OPTION_INDENT, _HELP_INDENT = 5, 9
 """Columns by which tyro indents options and their help texts inside the box of a message."""
 _PLAIN_WORDS = (
     (r"error parsing (\S+): no type matching FLOAT .* from \[(.*?)\].*?(?=;|$)", r"\1 is \2; give a number"),
+    (r"error parsing (\S+): no type matching INT .* from \[(.*?)\].*?(?=;|$)", r"\1 is \2; give a whole number"),
     (r"error parsing (\S+): invalid literal for int\(\) with base 10: ('.*?')", r"\1 is \2; give a whole number"),
     (r"missing value for argument '(\S+)'\. Expected 1 values", r"\1 has no value; give one"),
 )

@@ -18,11 +18,13 @@ def times_record(plan: RobotPlan) -> dict[str, Any]:
     from falsework.robots.plans.timeline import arm_shares
 
     if plan.schedule is None:
-        return {"makespan": round(plan.seconds, 3), "sequential": round(plan.seconds, 3), "lower_bound": None}
+        seconds = round(plan.seconds, 3)
+        return {"makespan": seconds, "sequential": seconds, "lower_bound": None, "gap": None}
     return {
         "makespan": round(plan.schedule.makespan, 3),
         "sequential": round(plan.schedule.sequential, 3),
         "lower_bound": round(plan.schedule.lower_bound, 3),
+        "gap": round(plan.schedule.gap, 4),
         "arms": [
             {
                 "robot": share.robot,
@@ -44,7 +46,7 @@ def schedule_text(plan: RobotPlan) -> str:
     share = graph.makespan / graph.sequential
     return (
         f"with robots moving at the same time: {graph.makespan:.0f} s, {share:.0%} of the time of one robot at a time; "
-        f"no schedule of these motions takes less than {graph.lower_bound:.0f} s"
+        f"no schedule of these motions takes less than {graph.lower_bound:.0f} s, a gap of {graph.gap:.0%}"
     )
 
 

@@ -145,6 +145,7 @@ def test_motions_at_the_same_time(run: Callable, cell_file: Path, tmp_path: Path
     assert code == 0
     times = records[-1]
     assert 0 < times["lower_bound"] <= times["makespan"] <= times["sequential"] + 1e-3
+    assert times["gap"] == pytest.approx(1 - times["lower_bound"] / times["makespan"], abs=1e-3)
     assert {entry["robot"] for entry in times["arms"]} == {"arm", "other"}
     assert load_robot_plan(tmp_path / "plan.json").makespan == pytest.approx(times["makespan"], abs=1e-3)
     check = ("robots", "check", tmp_path / "plan.json", "--motions-only")
@@ -159,6 +160,7 @@ def test_motions_at_the_same_time(run: Callable, cell_file: Path, tmp_path: Path
     for given, message in (
         (("--delays", "0"), "cannot simulate 0 runs"),
         (("--delays", "-5"), "cannot simulate -5 runs"),
+        (("--delays", "nan"), "--delays is 'nan'; give a whole number"),
         (("--delays", "5", "--longest-delay", "nan"), "delays of up to nan"),
         (("--delays", "5", "--longest-delay=-0.1"), "delays of up to -0.1"),
         (("--longest-delay", "0.5"), "give their number too"),
@@ -170,6 +172,7 @@ def test_motions_at_the_same_time(run: Callable, cell_file: Path, tmp_path: Path
     code, records, _ = run(*wanted, "--out", tmp_path / "one.json", "--sequential", "--json")
     assert code == 0
     assert records[-1]["makespan"] == records[-1]["sequential"]
+    assert records[-1]["lower_bound"] is records[-1]["gap"] is None
     code, _, error = run("robots", "check", tmp_path / "one.json", "--delays", "5")
     assert code == 2
     assert error == "falsework: the robot plan has no schedule to simulate; plan again, or schedule it\n"

@@ -234,7 +234,7 @@ def test_wrong_starts(column: Assembly, cell: Cell, oracle: Stability) -> None:
     start = complete_state(column.boundary)
     start[1] = HELD
     task = Task.create(column.boundary, 2, start=start)
-    with pytest.raises(InputError, match="away from part .*, which it should hold"):
+    with pytest.raises(InputError, match=r"away from part .*, which it should hold"):
         plan_robots(column, cell, task=task, held=(1, None), oracle=oracle)
     down = np.array([0.0, 1.4, 0.3, 0.0, 0.0, 0.0])
     with pytest.raises(InputError, match="at the start"):

@@ -133,7 +133,7 @@ def test_delays_change_neither_order_nor_safety(scheduled: RobotPlan) -> None:
 
 @pytest.mark.parametrize("most", [-0.1, np.nan, np.inf])
 def test_delays_that_are_none(scheduled: RobotPlan, most: float) -> None:
-    with pytest.raises(InputError, match="finite numbers above 0"):
+    with pytest.raises(InputError, match="a finite share, not negative"):
         simulate(scheduled, most=most)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -23,6 +25,12 @@ def test_times_follow_from_the_precedences(graph: TemporalPlanGraph) -> None:
     assert graph.sequential == 6.0
     # The second motion delays the third only once it takes so long that its first second ends after the first motion.
     assert graph.starts([1.0, 2.0, 1.0]).tolist() == [0.0, 0.5, 2.5]
+
+
+def test_the_gap_is_the_share_above_the_lower_bound(graph: TemporalPlanGraph) -> None:
+    assert replace(graph, lower_bound=0.8 * graph.makespan).gap == pytest.approx(0.2)
+    assert replace(graph, lower_bound=graph.makespan).gap == 0.0
+    assert TemporalPlanGraph((), (), 2, 0.0).gap == 0.0
 
 
 def test_an_arm_that_is_late_makes_nothing_earlier(graph: TemporalPlanGraph) -> None:

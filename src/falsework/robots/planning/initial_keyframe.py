@@ -85,8 +85,8 @@ def first_keyframe(
     for robot, part in enumerate(held):
         if part is not None and (far := graph.world.grip_distance(robot, checked[robot], part)) > GRIP_DISTANCE:
             raise InputError(
-                f"the gripper of {robots[robot].name} is {far:.3g} m away from part {names[part]}, which it should hold; "
-                "give the configuration in which it holds the part"
+                f"the gripper of {robots[robot].name} is {far:.3g} m away from part {names[part]}, which it should "
+                "hold; give the configuration in which it holds the part"
             )
     node = graph.start(task.start, checked, held)
     for robot in range(len(robots)):

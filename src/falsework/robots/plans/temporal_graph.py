@@ -126,6 +126,11 @@ class TemporalPlanGraph:
         return float((self.starts() + self.durations).max(initial=0.0))
 
     @property
+    def gap(self) -> float:
+        """Share of the makespan by which it exceeds the lower bound."""
+        return max(0.0, 1 - self.lower_bound / self.makespan) if self.makespan > 0 else 0.0
+
+    @property
     def sequential(self) -> float:
         """Duration of the same motions one after the other, seconds."""
         return float(self.durations.sum())

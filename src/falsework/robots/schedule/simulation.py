@@ -59,7 +59,10 @@ def simulate(plan: RobotPlan, *, runs: int = 1000, most: float = 1.0, seed: int 
     if graph is None:
         raise PlanError("the robot plan has no schedule to simulate; plan again, or schedule it")
     if not 0 <= most < np.inf or runs < 1:
-        raise InputError(f"cannot simulate {runs} runs with delays of up to {most:g}; give finite numbers above 0")
+        raise InputError(
+            f"cannot simulate {runs} runs with delays of up to {most:g} times each motion; give at least 1 run and a "
+            "finite share, not negative"
+        )
     reachable, rng = ReachablePositions(plan), np.random.default_rng(seed)
     node = np.array([event.node for event in reachable.events], dtype=np.int64)
     at_end = np.array([event.at_end for event in reachable.events])
