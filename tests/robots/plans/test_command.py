@@ -11,6 +11,7 @@ import pytest
 pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'falsework[robots]'")
 
 from falsework.cli.main import main
+from falsework.cli.robot_reports import schedule_text
 from falsework.robots.plans.robot_plan_file import load_robot_plan
 
 CELL = """
@@ -176,6 +177,24 @@ def test_motions_at_the_same_time(run: Callable, cell_file: Path, tmp_path: Path
     code, _, error = run("robots", "check", tmp_path / "one.json", "--delays", "5")
     assert code == 2
     assert error == "falsework: the robot plan has no schedule to simulate; plan again, or schedule it\n"
+
+
+def test_arms_that_can_never_pass_each_other_move_one_by_one(run: Callable, cell_file: Path, tmp_path: Path) -> None:
+    """Two arms side by side, so near that neither can move to the stack while the other one does."""
+    pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'falsework[schedule]'")
+    first = CELL.replace("[-1.15, 0.0, 0.0]", "[-1.15, -0.3, 0.0]")
+    second = CELL[CELL.index("[[robots]]") :].replace('"arm"', '"other"').replace("[-1.15, 0.0", "[-1.15, 0.3")
+    cell_file.write_text(first + second)
+    out = tmp_path / "plan.json"
+    wanted = ("robots", "plan", STACK, "--cell", cell_file, "--criterion", "equilibrium", "--out", out)
+    code, records, error = run(*wanted, "--json")
+    assert code == 0, error
+    times = records[-1]
+    assert times["makespan"] == pytest.approx(times["sequential"], abs=0.05)
+    assert times["lower_bound"] == pytest.approx(times["makespan"], abs=1e-3)
+    plan = load_robot_plan(out)
+    assert schedule_text(plan).startswith("no two motions can take place at the same time: the plan stays sequential")
+    assert run("robots", "check", out, "--motions-only", "--delays", "20")[0] == 0
 
 
 def test_go_on_from_where_the_arms_are(run: Callable, cell_file: Path, tmp_path: Path) -> None:
