@@ -18,7 +18,12 @@ def test_props_and_what_shows_them(falsework: Run, tmp_path: Path) -> None:
     options = ("--ground", "--robots", "1", "--props", "3", "--start", "complete", "--out", out)
     finished = falsework("plan", "arch:blocks=7", *options)
     assert finished.code == 0, finished.error
-    assert load_plan(out).prop_limit == 3
+    plan = load_plan(out)
+    assert plan.prop_limit == 3
+    for prop in plan.props:  # where they stand
+        assert f"a prop under {plan.part_names[prop.part]}: from the floor at {prop.floor:.3f} to" in finished.out
+    told = falsework("plan", "arch:blocks=7", *options, "--json").records[-1]["props"]
+    assert told == [prop.to_dict() for prop in plan.props]
     checked = falsework("check", out, "--replay", "--json")
     assert checked.code == 0, checked.error
     assert checked.records[0]["good"]

@@ -236,6 +236,8 @@ class MakePlan(Command):
             record["needs"] = [asdict(need) for need in plan.needs]
             record["criterion"] = plan.claim.criterion
             record["replay"] = None if plan.replay is None else asdict(plan.replay)
+            if plan.props:
+                record["props"] = [prop.to_dict() for prop in plan.props]
             if plan.margins is not None:
                 record["margins"] = plan.margins.to_dict()
             if self.alternatives > 1:
@@ -249,6 +251,10 @@ class MakePlan(Command):
         if first.replay is not None:
             also = ", under varied settings too" if self.robust else ""
             output.say(f"the replay succeeds{also}; parts move by at most {first.replay.moved * 1e3:.3g} mm")
+        for prop in first.props:
+            place = ", ".join(f"{value:.3f}" for value in prop.at)
+            name = first.part_names[prop.part]
+            output.say(f"a prop under {name}: from the floor at {prop.floor:.3f} to its head at ({place}), metres")
         for line in margin_lines(first):
             output.say(line)
         for need in first.needs:

@@ -14,7 +14,7 @@ from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET, Command, LoadOptions, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.output import counted
-from falsework.cli.planning import writable
+from falsework.cli.planning import refuse_unstable, writable
 from falsework.cli.robot_arguments import parse_holding, parse_joints
 from falsework.cli.robot_reports import check_record, runs_record, runs_text, schedule_text, times_record
 from falsework.errors import InputError
@@ -98,12 +98,15 @@ class PlanRobots(Command):
         held = parse_holding(self.holding, cell, assembly)
         joints = parse_joints(self.joints, cell)
         task = self._task(assembly, cell, held)
+        oracle = Stability(assembly, StabilitySettings(criterion=self.criterion))
+        if refuse_unstable(assembly, oracle, task, output):
+            return Exit.NO
         guide = self._guide(assembly, task)
         given: dict[str, Any] = {
             "task": task,
             "configurations": joints,
             "held": held,
-            "oracle": Stability(assembly, StabilitySettings(criterion=self.criterion)),
+            "oracle": oracle,
             "guide": guide,
             "settings": settings,
         }

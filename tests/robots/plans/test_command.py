@@ -212,6 +212,14 @@ def test_go_on_from_where_the_arms_are(run: Callable, cell_file: Path, tmp_path:
     assert rest.keyframes[0].held == plan.keyframes[row].held
 
 
+def test_a_start_that_is_not_stable_is_named_with_what_moves(run: Callable, cell_file: Path, tmp_path: Path) -> None:
+    given = ("--cell", cell_file, "--state", "012", "--out", tmp_path / "plan.json", "--json")
+    code, records, error = run("robots", "plan", STACK, *given)
+    assert code == 1
+    assert error.startswith("falsework: no plan exists: the start state is unstable; block-1")
+    assert records[-1]["moving"]
+
+
 def test_where_nothing_is_left_to_do_there_is_a_plan_without_steps(
     run: Callable, cell_file: Path, tmp_path: Path
 ) -> None:
