@@ -20,6 +20,7 @@ from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.search import Direction, Task
+from falsework.search.beam.adaptive import AdaptiveBeam
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.problem.guide import SupportGuide
 from falsework.stability import Stability
@@ -222,6 +223,28 @@ def test_a_deadline_ends_the_search(column: Assembly, cell: Cell) -> None:
         "the search for a robot plan was stopped; not even an order of actions without motions was found by then; "
         "the deadline has passed"
     )
+
+
+@pytest.mark.parametrize("support", [False, True])
+def test_ctrl_c_in_a_search_for_states_ends_the_whole_search(
+    column: Assembly, cell: Cell, oracle: Stability, monkeypatch: pytest.MonkeyPatch, support: bool
+) -> None:
+    """Searches for states end in good order and report the interruption; nothing begins anew after it."""
+    asked = 0
+
+    def interrupted(self: AdaptiveBeam) -> None:
+        nonlocal asked
+        asked += 1
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(AdaptiveBeam, "_eased", interrupted)
+    task = Task.create(column.boundary, 2, identity=column.identity, support=support)
+    with pytest.raises(KeyboardInterrupt):
+        plan_robots(column, cell, task=task, oracle=oracle)
+    assert asked == 1
+    check = SolvabilityCheck(column, task, oracle)
+    with pytest.raises(KeyboardInterrupt):
+        check.perturb(1)
 
 
 def test_wrong_starts(column: Assembly, cell: Cell, oracle: Stability) -> None:

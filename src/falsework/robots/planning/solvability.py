@@ -108,7 +108,7 @@ class SolvabilityCheck:
         route = self.roll_out(None, stop) or self.roll_out(np.random.default_rng(self._seed), stop)
         if route is not None:
             planner.begin_with(route)
-        result = planner.run(stop=stop)  # replays the plans that it finds
+        result = planner.run(stop=stop).unless_interrupted(stop)  # replays the plans that it finds
         self.fallen = planner.fallen
         if result.found:
             self.postponed = planner.postponed
@@ -117,7 +117,7 @@ class SolvabilityCheck:
         elif self.task.support:
             again = planner_for(self.task, self.oracle, settings, guide=self._guide)
             if isinstance(again, SupportPlanner):
-                result, self.fallen = again.run(stop=stop), again.fallen
+                result, self.fallen = again.run(stop=stop).unless_interrupted(stop), again.fallen
                 self._follow(again.routes)
         return result
 
@@ -212,10 +212,14 @@ class SolvabilityCheck:
 
     def _search(self, beam: AdaptiveBeam, widest: int, verdicts: float = np.inf) -> Sequence[Route]:
         """Return routes of a beam search with successful replays; none if it finds none within so many verdicts."""
+
+        def stop() -> bool:
+            return beam.search.counters.asked >= verdicts
+
         for _ in range(_MAX_FALLEN_REPLAYS):
             if self._forbidden:
                 beam.search.forbid(np.array([np.frombuffer(key, np.uint8) for key in sorted(self._forbidden)]))
-            routes = beam.run(widest, stop=lambda: beam.search.counters.asked >= verdicts).routes
+            routes = beam.run(widest, stop=stop).unless_interrupted(stop).routes
             row = self.falls(routes[0]) if routes else None
             if row is None:
                 return routes

@@ -151,6 +151,16 @@ class SearchResult:
         """Whether there is a plan in the result."""
         return self.outcome is Outcome.FOUND
 
+    def unless_interrupted(self, stop: Stop | None = None) -> SearchResult:
+        """Return the result of a search within another, unless the keyboard ended it, and not its own `stop`.
+
+        Raises:
+            KeyboardInterrupt: from the keyboard; the search itself has ended in good order and only reports it.
+        """
+        if self.interrupted and not (stop is not None and stop()):
+            raise KeyboardInterrupt
+        return self
+
 
 def unstable_end(task: Task, oracle: Oracle) -> SearchResult | None:
     """Return the failed search if the start or the target of a task is not stable, else None."""
