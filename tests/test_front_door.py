@@ -9,9 +9,11 @@ import pkgutil
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -170,6 +172,47 @@ def test_plans_are_found_without_making_a_task(arch: Assembly) -> None:
     assert task_of(arch, removable_only_if_clear=True).clearance is arch.clearance
     with pytest.raises(InputError, match="robots"):
         fw.find_plans(arch, task_of(arch), robots=2)
+
+
+def test_every_function_takes_a_structure_by_name_or_path(arch: Assembly, plan: fw.Plan, tmp_path: Path) -> None:
+    """What works with an `Assembly` works with what `load_structure` reads, and says so of anything else."""
+    fw.save_assembly(arch, tmp_path / "mine")
+    start = plan.states[4]
+    calls: list[Callable[[Any], Any]] = [
+        lambda given: fw.find_plans(given, robots=2).plans[0].actions.tolist(),
+        lambda given: fw.robots_needed(given).robots,
+        lambda given: task_of(given, 2).identity,
+        lambda given: fw.replan(given, start).plans[0].actions.tolist(),
+        lambda given: fw.Replanner(given).replan(start).plans[0].actions.tolist(),
+        lambda given: fw.validate_plan(plan, given).good,
+        lambda given: fw.Stability(given).stable(start[None]).tolist(),
+        lambda given: fw.export(given, tmp_path / "copy.glb"),
+        lambda given: fw.open_file(tmp_path / "plan.json", given).kind,
+    ]
+    fw.save_plan(plan, tmp_path / "plan.json")
+    for call in calls:
+        wanted = call(arch)
+        for given in ("arch:blocks=5", tmp_path / "mine", str(tmp_path / "mine")):
+            found = call(given)
+            assert found == wanted
+        with pytest.raises(InputError, match="no folder, file or built-in structure 'nowhere'"):
+            call("nowhere")
+        with pytest.raises(InputError, match="a structure is an Assembly, a name or a path, not list"):
+            call([arch])
+    with pytest.raises(InputError, match="load_structure makes one"):
+        fw.save_assembly("arch:blocks=5", tmp_path / "copy")  # type: ignore[arg-type]
+
+
+def test_robots_take_structure_and_cell_by_name() -> None:
+    cell = fw.load_cell("bottle-12", check=False)
+    stack = "stack:blocks=2"
+    for given in (cell, "bottle-12"):
+        with pytest.raises(InputError, match="configuration of front has shape"):
+            fw.plan_robots(stack, given, configurations=[[0.0]] * 2)
+    with pytest.raises(InputError, match="a cell is a Cell, a name or a file, not int"):
+        fw.plan_robots(stack, 3)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="unknown cell nowhere"):
+        fw.plan_robots(stack, "nowhere")
 
 
 def test_replan_takes_the_fields_of_a_request(arch: Assembly, plan: fw.Plan) -> None:

@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from falsework.errors import InputError
 
 if TYPE_CHECKING:
     from falsework.assembly.draft import Draft
     from falsework.assembly.model import Assembly
+
+AnyStructure: TypeAlias = "Assembly | str | Path"
+"""Structure as it is, or what `load_structure` takes."""
 
 _READERS: list[tuple[str, str, str]] = []
 """Probe, reader and reader of unchecked parts of each format, as `package.module:function`; imported at the first file
@@ -93,6 +96,25 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
     if given:
         assembly = assembly.replace(**given)
     return furnish(assembly.with_ground() if ground else assembly, **acting)
+
+
+def as_assembly(structure: AnyStructure, **options: Any) -> Assembly:
+    """Return a structure that is given as it is, or load it by its name or path.
+
+    Args:
+        structure: structure, or what `load_structure` takes.
+        options: as for `load_structure`; without effect on a structure that is given as it is.
+
+    Raises:
+        InputError: something else, or a structure that cannot be used.
+    """
+    from falsework.assembly.model import Assembly
+
+    if isinstance(structure, Assembly):
+        return structure
+    if isinstance(structure, (str, Path)):
+        return load_structure(structure, **options)
+    raise InputError(f"a structure is an Assembly, a name or a path, not {type(structure).__name__}")
 
 
 def described_options(path: Path) -> dict[str, Any]:

@@ -106,8 +106,11 @@ def save_assembly(assembly: Assembly, folder: str | Path) -> Path:
     assembly that is already there is replaced.
 
     Raises:
-        InputError: the path is not an assembly, it cannot be written to, or contacts or joints were given.
+        InputError: the path is not an assembly, it cannot be written to, or contacts or joints were given; or a name
+            or path in place of an assembly.
     """
+    if not isinstance(assembly, Assembly):
+        raise InputError(f"save_assembly writes an Assembly, not {type(assembly).__name__}; load_structure makes one")
     target = Path(folder)
     if assembly.contacts_given:
         raise InputError(f"{assembly.name} has given contacts, which a folder of meshes cannot keep; find them instead")

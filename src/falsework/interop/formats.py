@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from falsework.assembly.load import load_structure
+from falsework.assembly.load import as_assembly, load_structure
 from falsework.assembly.model import Assembly
 from falsework.assembly.store import save_assembly
 from falsework.errors import InputError
@@ -112,7 +112,7 @@ def export(
         if chosen not in _MOVING:
             raise InputError(f"{chosen} cannot show a plan; write {', '.join(_MOVING)}, or name the structure instead")
     else:
-        assembly = subject
+        assembly = as_assembly(subject)
         if step_seconds is not None:
             raise InputError("--step-seconds is for plans; leave it out")
     seconds = 1.0 if step_seconds is None else step_seconds

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from falsework.assembly.model import Assembly
+from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.state import complete_state
 from falsework.errors import InputError
 from falsework.replanning.policy_guide import PolicyGuide
@@ -43,7 +43,7 @@ class Replanner:
 
     def __init__(
         self,
-        assembly: Assembly,
+        assembly: AnyStructure,
         policy: Any = None,
         oracle: Stability | None = None,
         *,
@@ -52,7 +52,7 @@ class Replanner:
         """Load what the first request would otherwise wait for.
 
         Args:
-            assembly: the structure.
+            assembly: the structure, or its name or path.
             policy: proposes actions, a `torch.nn.Module` as of `falsework.learn.networks.policy`; None searches alone.
             oracle: decides stability; pass an existing one to reuse its cache.
             settings: how hard to try.
@@ -61,6 +61,7 @@ class Replanner:
             DependencyError: a policy without torch.
             InputError: a policy or an oracle of another structure.
         """
+        assembly = as_assembly(assembly)
         oracle = oracle or Stability(assembly)
         if oracle.assembly.identity != assembly.identity:
             raise InputError(f"the oracle is of {oracle.assembly.name}, not of {assembly.name}; make one of the latter")
@@ -182,7 +183,7 @@ class _Round:
 
 
 def replan(
-    assembly: Assembly,
+    assembly: AnyStructure,
     state: ArrayLike,
     *,
     policy: Any = None,
@@ -193,7 +194,7 @@ def replan(
     """Plan anew from a state; a `Replanner` answers many requests about one structure.
 
     Args:
-        assembly: the structure.
+        assembly: the structure, or its name or path.
         state: current state of the structure, shape (parts,).
         policy: proposes actions, a `torch.nn.Module` as of `load_policy`; None searches alone.
         oracle: decides stability; pass an existing one to reuse its cache.
@@ -208,6 +209,6 @@ def replan(
         InputError: the request makes no sense for this structure; the message says what to do.
         DependencyError: a policy without torch.
     """
-    request = Request(state, **options)
+    request, assembly = Request(state, **options), as_assembly(assembly)
     request.task(assembly)  # bad input is refused before anything is loaded
     return Replanner(assembly, policy, oracle, settings=settings).replan_many([request])[0]

@@ -9,6 +9,7 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED, held_count
 from falsework.search.find import TaskRules, plan_of, task_of
@@ -86,7 +87,7 @@ class RobotsNeeded:
 
 
 def robots_needed(
-    assembly: Assembly,
+    assembly: AnyStructure,
     *,
     oracle: Stability | None = None,
     settings: PlannerSettings = PlannerSettings(),
@@ -101,7 +102,7 @@ def robots_needed(
     spent on the number below: an exhaustive search, and `HoldBound`.
 
     Args:
-        assembly: the structure.
+        assembly: the structure, or its name or path.
         oracle: decides stability; pass an existing one to reuse its cache.
         settings: effort of the search for each plan.
         deadline: seconds for all searches together; None for as long as they take.
@@ -115,7 +116,7 @@ def robots_needed(
     Raises:
         InputError: a deadline of zero or less, or rules that the structure cannot keep.
     """
-    clock = Deadline(deadline)
+    clock, assembly = Deadline(deadline), as_assembly(assembly)
     return _Inquiry(assembly, oracle or Stability(assembly), settings, clock, progress, forces, rules).answer()
 
 

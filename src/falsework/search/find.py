@@ -11,6 +11,7 @@ from typing import TypedDict, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
+from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
 from falsework.assembly.props import keep_props
 from falsework.assembly.state import REMOVED, States
@@ -98,7 +99,7 @@ class Planning:
 
 
 def find_plans(
-    assembly: Assembly,
+    assembly: AnyStructure,
     task: Task | None = None,
     *,
     robots: int | None = None,
@@ -115,7 +116,7 @@ def find_plans(
     """Find a plan, or several that differ as much as possible, and prove every state of them stable.
 
     Args:
-        assembly: the structure.
+        assembly: the structure, or its name or path.
         task: rules between start and target, where they are not given by name.
         robots: parts that can be held at a time; 2 where no task says it.
         oracle: decides stability; pass an existing one to reuse its cache.
@@ -140,7 +141,7 @@ def find_plans(
     named = [*rules, *(["robots"] if robots is not None else [])]
     if task is not None and named:
         raise InputError(f"a task and {', '.join(named)} were given; put them into the task, or leave the task out")
-    clock = Deadline(deadline)
+    clock, assembly = Deadline(deadline), as_assembly(assembly)
     oracle = oracle or Stability(assembly)
     task = task or task_of(assembly, 2 if robots is None else robots, **rules)
     guide = guide or SupportGuide(assembly)
@@ -174,7 +175,7 @@ def find_plans(
 
 
 def task_of(
-    assembly: Assembly,
+    assembly: AnyStructure,
     robots: int = 2,
     *,
     start: ArrayLike | None = None,
@@ -192,6 +193,7 @@ def task_of(
     Raises:
         InputError: fewer than one robot, parts or states that the structure does not have, or props without places.
     """
+    assembly = as_assembly(assembly)
     if props < 0 or (props and not (support and assembly.props)):
         raise InputError(
             f"props is {props}, which cannot be placed; give a number from 0 on, with support and a structure with "

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from falsework.assembly.model import Assembly
+from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states
 from falsework.errors import InputError
 from falsework.stability.cache import VerdictCache, unique_rows, unique_states
@@ -49,17 +49,16 @@ class Stability:
     new one.
     """
 
-    def __init__(self, assembly: Assembly, settings: StabilitySettings = StabilitySettings()) -> None:
+    def __init__(self, assembly: AnyStructure, settings: StabilitySettings = StabilitySettings()) -> None:
+        assembly = as_assembly(assembly)
         if settings.criterion == "equilibrium" and assembly.joints is not None and assembly.joints.setting:
             raise InputError("joints that set need the criterion contact; equilibrium has no steps")
-        self.assembly = assembly
-        self.settings = settings
+        self.assembly, self.settings = assembly, settings
         self._contact = settings.criterion == "contact"
         self.problem = build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity)
         self._gurobi = self._make_gurobi()
         self.counters = Counters()
-        self._cpu = self._make_cpu()
-        self._gpu = self._make_gpu()
+        self._cpu, self._gpu = self._make_cpu(), self._make_gpu()
         self._cache = VerdictCache(holds_keep_stable=not self._contact)
         self._guess_shape = (self.problem.parts, 6) if self._contact else (self.problem.points, 3)
         self._guesses: OrderedDict[bytes, NDArray[np.floating]] = OrderedDict()

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from falsework.assembly.load import load_structure
+from falsework.assembly.load import as_assembly, load_structure
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.errors import InputError
@@ -154,7 +154,7 @@ def viewable_of(
         return Viewable("structure", subject, _still(subject, complete_state(subject.boundary), robots, direction))
     if structure is None:
         raise InputError("a state alone does not say which structure it is of; give the structure too")
-    assembly = structure if isinstance(structure, Assembly) else load_structure(structure, **options)
+    assembly = as_assembly(structure, **options)
     return Viewable("structure", assembly, _still(assembly, subject, robots, direction))
 
 
@@ -182,7 +182,7 @@ def _robot_plan(
     direction: Direction | None,
     options: dict[str, Any],
 ) -> Viewable:
-    from falsework.robots.cells.cell_file import load_cell
+    from falsework.robots.cells.cell_file import as_cell
 
     assembly = structure_of_plan(robot_plan.plan, file, structure, **options)
     if cell is None:
@@ -190,8 +190,7 @@ def _robot_plan(
             raise InputError(f"{file or 'the robot plan'} does not say where its cell is; name it (--cell)")
         beside = (Path() if file is None else file.resolve().parent) / robot_plan.cell_source
         cell = str(beside) if beside.is_file() else robot_plan.cell_source
-    if not isinstance(cell, Cell):
-        cell = load_cell(cell)
+    cell = as_cell(cell)
     robot_plan.check_identity(assembly, cell)
     shown = robot_plan.direction if direction is None else direction
     arms = Arms(robot_plan, cell, shown)
@@ -209,9 +208,7 @@ def _load_run(folder: Path | str, assembly: Assembly | None) -> Any:
 
 
 def _run(folder: Path, structure: Assembly | str | Path | None, options: dict[str, Any]) -> Viewable:
-    if structure is not None and not isinstance(structure, Assembly):
-        structure = load_structure(structure, **options)
-    run = _load_run(folder, structure)
+    run = _load_run(folder, None if structure is None else as_assembly(structure, **options))
     robots = getattr(run.settings, "robots", 2)
     # A policy disassembles: its next actions are shown for the complete structure.
     still = _still(run.assembly, complete_state(run.assembly.boundary), robots, Direction.DISASSEMBLY)
@@ -231,7 +228,7 @@ def _graph(
         if not is_built_in(graph.name):
             raise InputError(f"{name} does not say where {graph.name or 'its structure'} is; name it (--structure)")
         structure = graph.name
-    assembly = structure if isinstance(structure, Assembly) else load_structure(structure, **options)
+    assembly = as_assembly(structure, **options)
     if assembly.identity != graph.task.identity:
         raise InputError(f"{name} is of another structure than {assembly.name}; name the right one (--structure)")
     route = graph.sample_route(np.random.default_rng(0))

@@ -10,14 +10,12 @@ processor and needs no torch; thousands at once are `falsework.learn.env.environ
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from falsework.assembly import load_structure
-from falsework.assembly.model import Assembly
+from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, Mask, States, as_states, describe_action
 from falsework.errors import DependencyError, InputError, StateError
 from falsework.search.problem.oracle import Oracle
@@ -50,7 +48,7 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
 
     def __init__(
         self,
-        structure: Assembly | str | Path = "bottle",
+        structure: AnyStructure = "bottle",
         robots: int = 2,
         *,
         starts: StateGraph | ArrayLike | None = None,
@@ -84,7 +82,7 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
             raise InputError(f"illegal is {illegal!r}; choose 'end' or 'error'")
         if render_mode not in (None, "ansi"):
             raise InputError(f"render mode {render_mode!r} is not supported; choose None or 'ansi'")
-        self.assembly = structure if isinstance(structure, Assembly) else load_structure(structure)
+        self.assembly = as_assembly(structure)
         self.robots = robots
         self.render_mode = render_mode
         self._illegal = illegal

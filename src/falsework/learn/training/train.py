@@ -13,6 +13,8 @@ from typing import Any
 
 import torch
 
+from falsework.assembly.library import is_built_in
+from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
 from falsework.learn.config.train import TrainSettings
@@ -25,7 +27,7 @@ from falsework.utils.distributed import init_distributed
 
 
 def train(
-    assembly: Assembly,
+    assembly: AnyStructure,
     settings: TrainSettings = TrainSettings(),
     *,
     folder: Path | str | None,
@@ -41,10 +43,10 @@ def train(
     Under `torchrun` all processes call this alike; the first one writes.
 
     Args:
-        assembly: the structure.
+        assembly: the structure, or its name or path.
         settings: of the run; with `resume`, only `minutes` and `steps` of it count, where they are given.
         folder: of the run; None keeps nothing but what is returned.
-        source: where the structure can be loaded from again; a built-in of the name of the assembly if not given.
+        source: where the structure can be loaded from again; if not given, the path, or a built-in of its name.
         device: `auto`, `cpu` or `cuda`.
         resume: continue the run in the folder.
         logs: `tensorboard` and `wandb`.
@@ -55,6 +57,9 @@ def train(
         DependencyError: a package is missing that the device or a log needs.
         InputError: no such device, a folder that holds another run, nothing to resume, or no room to write.
     """
+    if source is None and (isinstance(assembly, Path) or (isinstance(assembly, str) and not is_built_in(assembly))):
+        source = {"path": str(Path(assembly).resolve())}
+    assembly = as_assembly(assembly)
     with init_distributed(device) as (shards, where):
         place = None if folder is None else Path(folder)
         begun = time.perf_counter()

@@ -20,6 +20,9 @@ from falsework.utils.toml_table import Table, read_text
 
 Array = NDArray[np.float64]
 
+AnyCell = Cell | str | Path
+"""Cell as it is, or what `load_cell` takes."""
+
 FORMAT = "falsework.cell/1"
 PLACE_TURNS = 8
 """Rotations about the vertical in which a part may be put down at a drop-off pose."""
@@ -54,6 +57,20 @@ def load_cell(name: str | Path, *, check: bool = True) -> Cell:
     if check:
         check_cell(cell)
     return cell
+
+
+def as_cell(cell: AnyCell) -> Cell:
+    """Return a cell that is given as it is, or read it by its name or file.
+
+    Raises:
+        InputError: something else.
+        CellError: as `load_cell`.
+    """
+    if isinstance(cell, Cell):
+        return cell
+    if isinstance(cell, (str, Path)):
+        return load_cell(cell)
+    raise InputError(f"a cell is a Cell, a name or a file, not {type(cell).__name__}")
 
 
 def parse_cell(text: str, source: str, folder: Path) -> Cell:

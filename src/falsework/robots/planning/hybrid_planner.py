@@ -18,8 +18,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED
+from falsework.robots.cells.cell_file import AnyCell, as_cell
 from falsework.robots.interleaving.reordering import reorder
 from falsework.robots.keyframes.failure_report import Explanation, explain, fall_in_words
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
@@ -55,8 +57,8 @@ _LATE = "the deadline has passed"
 
 
 def plan_robots(
-    assembly: Assembly,
-    cell: Cell,
+    assembly: AnyStructure,
+    cell: AnyCell,
     *,
     task: Task | None = None,
     configurations: Sequence[ArrayLike] | None = None,
@@ -70,8 +72,8 @@ def plan_robots(
     """Find a plan with motions for the robots of a cell.
 
     Args:
-        assembly: the structure.
-        cell: the robots and their surroundings.
+        assembly: the structure, or its name or path.
+        cell: the robots and their surroundings, or the name or file of the cell.
         task: start and target states, and rules; by default the complete structure is disassembled. Its number of
             robots is that of the cell, and every removed part needs a free exit direction, not downwards.
         configurations: joint values of the robots at the start, shape (joints,) each; by default their home.
@@ -86,6 +88,7 @@ def plan_robots(
         InputError: configurations that do not fit the robots, or in which something collides.
         StateError: held parts that do not go with the start state.
     """
+    assembly, cell = as_assembly(assembly), as_cell(cell)
     search = _Search(assembly, cell, task, oracle or Stability(assembly), guide, settings, progress, graph)
     return search.run(first_keyframe(search.graph, search.task, configurations, held))
 

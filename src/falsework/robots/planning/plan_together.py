@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from falsework.assembly.model import Assembly
+from falsework.assembly.load import AnyStructure, as_assembly
+from falsework.robots.cells.cell_file import AnyCell, as_cell
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
-from falsework.robots.model.cell import Cell
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings, Progress
 from falsework.robots.plans.robot_plan import RobotPlan
@@ -35,8 +35,8 @@ _LEAST_SECONDS = 1e-3
 
 
 def plan_together(
-    assembly: Assembly,
-    cell: Cell,
+    assembly: AnyStructure,
+    cell: AnyCell,
     *,
     task: Task | None = None,
     configurations: Sequence[ArrayLike] | None = None,
@@ -63,6 +63,7 @@ def plan_together(
         DependencyError: OR-Tools is missing.
     """
     import_ortools()
+    assembly, cell = as_assembly(assembly), as_cell(cell)
     clock, oracle = Deadline(settings.deadline), oracle or Stability(assembly)
     short = replace(settings, keyframes=replace(settings.keyframes, approaches=_APPROACHES, withdrawals=_WITHDRAWALS))
     graph = KeyframeGraph(assembly, cell, settings=short.keyframes, seed=settings.seed)

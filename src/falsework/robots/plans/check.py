@@ -10,9 +10,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED
 from falsework.errors import InputError
+from falsework.robots.cells.cell_file import AnyCell, as_cell
 from falsework.robots.model.cell import GRIP_DISTANCE, Cell
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.plans.check_delays import DelayReport, check_delays
@@ -230,8 +232,8 @@ class _Checker:
 
 def check_robot_plan(
     plan: RobotPlan,
-    assembly: Assembly,
-    cell: Cell,
+    assembly: AnyStructure,
+    cell: AnyCell,
     *,
     step: float = 0.01,
     progress: Progress | None = None,
@@ -257,8 +259,8 @@ def check_robot_plan(
 
     Args:
         plan: the robot plan.
-        assembly: its structure.
-        cell: its cell.
+        assembly: its structure, or the name or path of that.
+        cell: its cell, or the name or file of that.
         step: largest motion of a joint between two samples, rad or m.
         progress: callback `(done, total)` with numbers of steps.
 
@@ -269,6 +271,7 @@ def check_robot_plan(
     """
     if not 0 < step <= 0.5:
         raise InputError(f"a step of {step:g} rad is not positive or too coarse; give up to 0.5, such as 0.01")
+    assembly, cell = as_assembly(assembly), as_cell(cell)
     plan.check_identity(assembly, cell)
     began = time.perf_counter()
     checker = _Checker(plan, assembly, cell, step)

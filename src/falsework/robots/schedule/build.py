@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from falsework.assembly.model import Assembly
-from falsework.robots.model.cell import Cell
+from falsework.assembly.load import AnyStructure, as_assembly
+from falsework.robots.cells.cell_file import AnyCell, as_cell
 from falsework.robots.model.part_shapes import PartShapes, place_parts
 from falsework.robots.motion.collision_world import CollisionWorld
 from falsework.robots.plans.robot_plan import RobotPlan
@@ -16,8 +16,8 @@ from falsework.robots.schedule.solver import ScheduleSettings, solve
 
 def schedule_plan(
     plan: RobotPlan,
-    assembly: Assembly,
-    cell: Cell,
+    assembly: AnyStructure,
+    cell: AnyCell,
     settings: ScheduleSettings = ScheduleSettings(),
     *,
     parts: PartShapes | None = None,
@@ -29,8 +29,8 @@ def schedule_plan(
 
     Args:
         plan: robot plan with sequential motions.
-        assembly: the structure.
-        cell: the robots.
+        assembly: the structure, or its name or path.
+        cell: the robots, or the name or file of the cell.
         settings: limits of the search for the shortest schedule.
         parts: the parts as bodies in the cell, if already available.
 
@@ -38,6 +38,7 @@ def schedule_plan(
         PlanError: the plan is for another structure or cell.
         DependencyError: OR-Tools is missing.
     """
+    assembly, cell = as_assembly(assembly), as_cell(cell)
     plan.check_identity(assembly, cell)
     world = CollisionWorld(cell, parts or place_parts(assembly, cell.placement))
     rows = Itineraries(plan, world)

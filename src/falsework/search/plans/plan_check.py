@@ -9,11 +9,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, States, action_mask, apply_actions, held_count, undo_actions, undo_mask
 from falsework.errors import PlanError
 from falsework.search.margins.demands import DemandingStability, Demands
 from falsework.search.plans.plan import Plan
+from falsework.search.plans.plan_source import structure_of_plan
 from falsework.search.problem.support_moves import SupportMoves
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.certificate import (
@@ -131,7 +133,7 @@ def weaker_claim(claimed: StabilityCriterion, asked: StabilityCriterion) -> str:
 
 def validate_plan(
     plan: Plan,
-    assembly: Assembly,
+    assembly: AnyStructure,
     settings: StabilitySettings = StabilitySettings(),
     *,
     demands: Demands | None = None,
@@ -147,7 +149,7 @@ def validate_plan(
 
     Args:
         plan: plan to check.
-        assembly: the structure.
+        assembly: the structure, with the props of the plan; or its name or path, to which they are added.
         settings: stability criterion.
         demands: margins that every state must keep; those that the plan was made to keep if not given.
         progress: called with the number of states checked and of all states.
@@ -155,6 +157,8 @@ def validate_plan(
     Raises:
         PlanError: the plan is for another structure.
     """
+    if not isinstance(assembly, Assembly):
+        assembly = structure_of_plan(plan, structure=as_assembly(assembly))
     check_identity(plan, assembly)
     begun, count, claim = time.perf_counter(), len(plan.states), settings.claim
     weaker = weaker_claim(plan.claim, claim)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from falsework.assembly.library import is_built_in
-from falsework.assembly.load import load_structure
+from falsework.assembly.load import as_assembly, load_structure
 from falsework.assembly.model import Assembly
 from falsework.assembly.props import with_props
 from falsework.errors import PlanError
@@ -31,10 +31,9 @@ def structure_of_plan(
         PlanError: neither names a structure, or the named one is gone.
         InputError: the structure cannot be used.
     """
-    if isinstance(structure, Assembly):
-        return structure if structure.props else with_props(structure, plan.props)
     if structure is not None:
-        return with_props(load_structure(structure, **options), plan.props)
+        given = as_assembly(structure, **options)
+        return given if given.props else with_props(given, plan.props)
     source = dict(plan.source or {})
     if "built_in" in source:
         spec = source.pop("built_in")
