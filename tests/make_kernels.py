@@ -11,6 +11,7 @@ simplifies the code, without regard to a processor.
 
 from __future__ import annotations
 
+import argparse
 import ast
 import json
 import re
@@ -214,7 +215,9 @@ def simplify(texts: list[str], entries: list[str]) -> bytes:
 
 
 def main() -> None:
-    """Write the archive."""
+    """Write the archive, unless the command line asks for help or is wrong."""
+    about = "Build src/falsework/kernels.zip anew from the source of the kernels: about two minutes of processor time."
+    argparse.ArgumentParser(description=about).parse_args()
     arguments = record()
     # Optimised once, below, with everything in one module; not by numba at every level of calls.
     codegen.CPUCodeLibrary._optimize_final_module = lambda self: None

@@ -175,3 +175,13 @@ def test_code_compiles_for_other_machines(triple: str, groups: list[str] | None)
     with zipfile.ZipFile(kernel_code.ARCHIVE) as archive:
         for group in groups or kernel_code._index():
             assert kernel_code.compile_code(llvm, machine, archive.read(f"{group}.bc"))
+
+
+@pytest.mark.parametrize(("options", "code"), [(["--help"], 0), (["--no-such-option"], 2)])
+def test_asking_for_help_builds_nothing(options: list[str], code: int) -> None:
+    before = kernel_code.ARCHIVE.stat().st_mtime_ns
+    script = Path(__file__).parents[1] / "make_kernels.py"
+    done = subprocess.run([sys.executable, script, *options], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == code
+    assert "usage: make_kernels.py" in done.stdout + done.stderr
+    assert kernel_code.ARCHIVE.stat().st_mtime_ns == before
