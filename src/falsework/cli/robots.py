@@ -142,7 +142,10 @@ class PlanRobots(Command):
             start = (complete_state(assembly.boundary) if start is None else start).copy()
             for part in holding:
                 if not start[part]:
-                    raise InputError(f"--holding: part {assembly.names[part]} is absent at the start; leave it out")
+                    raise InputError(
+                        f"--holding: part {assembly.names[part]} is absent at the start; an arm that carries a part "
+                        "must put it down first, for plans begin with parts in place"
+                    )
                 start[part] = HELD
         return Task.create(
             assembly.boundary,
@@ -261,7 +264,7 @@ class CheckRobots(Command):
             raise InputError("--longest-delay is for delayed runs; give their number too, such as --delays 1000")
         plan = load_robot_plan(self.plan)
         assembly = structure_of_plan(plan.plan, self.plan, self.structure, **self.reading.given())
-        cell = load_cell(self.cell or self._cell_of(plan))
+        cell = load_cell(self.cell or _cell_of(plan, self.plan))
         runs = None if self.delays is None else simulate(plan, runs=self.delays, most=self.longest_delay)
         with output.bar("checking motions") as show:
             report = check_robot_plan(
@@ -309,11 +312,12 @@ class CheckRobots(Command):
             output.say(runs_text(runs, self.longest_delay))
         return Exit.DONE
 
-    def _cell_of(self, plan: RobotPlan) -> str:
-        if plan.cell_source is None:
-            raise InputError(f"{self.plan} does not say where its cell is; name it with --cell")
-        beside = self.plan.resolve().parent / plan.cell_source
-        return str(beside) if beside.is_file() else plan.cell_source
+
+def _cell_of(plan: RobotPlan, file: Path) -> str:
+    if plan.cell_source is None:
+        raise InputError(f"{file} does not say where its cell is; name it with --cell")
+    beside = file.resolve().parent / plan.cell_source
+    return str(beside) if beside.is_file() else plan.cell_source
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -322,7 +326,7 @@ class ExportRobots(Command):
 
     ROS 2 joint trajectories as JSON or YAML and tables as CSV, each one file per step and one for the plan; ABB RAPID
     and URScript as one program per robot, which wait for each other; an MCAP bag of ROS 2 messages with the times of
-    the schedule.
+    the schedule, and with the shapes of the parts if the structure and the cell are found.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -336,6 +340,10 @@ class ExportRobots(Command):
     """Output format."""
     out: Annotated[Path, arg(metavar="FOLDER")]
     """Folder to write into."""
+    structure: Annotated[str | None, arg(metavar="STRUCTURE", help_behavior_hint=UNSET)] = None
+    """Structure whose shapes a bag has, instead of the one that the plan names."""
+    cell: Annotated[str | None, arg(metavar="CELL", help_behavior_hint=UNSET)] = None
+    """Cell of a bag with shapes, instead of the one that the plan names."""
     rate: float = 50.0
     """Rows per second, for csv and urscript."""
     assembly_order: bool = False
@@ -343,14 +351,25 @@ class ExportRobots(Command):
 
     def run(self, output: Output) -> Exit:
         """Load and write."""
+        from falsework.robots.cells.cell_file import load_cell
         from falsework.robots.plans.export import export_plan
         from falsework.robots.plans.robot_plan_file import load_robot_plan
+        from falsework.search.plans.plan_source import structure_of_plan
         from falsework.search.problem.task import Direction
 
         plan = load_robot_plan(self.plan)
         if self.assembly_order and plan.direction is Direction.DISASSEMBLY:
             plan = plan.reverse()
-        paths = export_plan(plan, self.out, self.format, rate=self.rate)
+        shapes: dict[str, Any] = {}
+        if self.format == "mcap":
+            try:
+                shapes["structure"] = structure_of_plan(plan.plan, self.plan, self.structure)
+                shapes["cell"] = load_cell(self.cell or _cell_of(plan, self.plan))
+            except InputError as error:
+                if self.structure is not None or self.cell is not None:
+                    raise
+                output.note(f"falsework: the bag has no shapes of parts: {error}")
+        paths = export_plan(plan, self.out, self.format, rate=self.rate, **shapes)
         output.record({"folder": str(self.out), "files": [path.name for path in paths]})
         output.say(f"{counted(len(paths), 'file')} in {self.out}")
         return Exit.DONE

@@ -83,6 +83,26 @@ def test_plan_check_export(run: Callable, cell_file: Path, tmp_path: Path) -> No
         assert (folder / name).is_file()
 
 
+def test_a_bag_says_what_it_lacks(run: Callable, cell_file: Path, tmp_path: Path) -> None:
+    pytest.importorskip("mcap", reason="bags need mcap; pip install 'falsework[schedule]'")
+    out = tmp_path / "plan.json"
+    assert run("robots", "plan", STACK, "--cell", cell_file, "--out", out, "--criterion", "equilibrium")[0] == 0
+    export = ("robots", "export", out, "--format", "mcap", "--out", tmp_path / "bag")
+    code, _, error = run(*export)
+    assert (code, error) == (0, "")
+    full = (tmp_path / "bag" / "plan.mcap").stat().st_size
+    cell_file.rename(tmp_path / "moved.toml")
+    code, _, error = run(*export)
+    assert code == 0
+    assert error.startswith("falsework: the bag has no shapes of parts: ")
+    assert (tmp_path / "bag" / "plan.mcap").stat().st_size < full
+    assert run(*export, "--cell", tmp_path / "moved.toml")[::2] == (0, "")
+    assert (tmp_path / "bag" / "plan.mcap").stat().st_size == full
+    code, _, error = run(*export, "--cell", tmp_path / "moved.toml", "--structure", "stack:blocks=3")
+    assert code == 2
+    assert error.count("\n") == 1
+
+
 def test_arms_may_hold_again(run: Callable, cell_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "robot_plan.json"
     arguments = ("robots", "plan", STACK, "--cell", cell_file, "--out", out, "--support", "--json")

@@ -6,13 +6,18 @@ import csv
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 
-from falsework.errors import InputError
+from falsework.assembly.model import Assembly
+from falsework.errors import InputError, PlanError
 from falsework.interop import export
+from falsework.robots.kinematics.forward import flange_pose
+from falsework.robots.model.cell import Cell
+from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.plans.export import FORMATS, export_plan
 from falsework.robots.plans.programs import Grip, events_of
 from falsework.robots.plans.robot_plan import RobotPlan
@@ -218,6 +223,52 @@ def test_what_cannot_be_exported(robot_plan: RobotPlan, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot write into"):
         export_plan(robot_plan, tmp_path / "file" / "folder", "csv")
+
+
+@pytest.mark.parametrize("assembles", [False, True])
+def test_a_bag_has_the_shapes_of_the_parts_where_they_are(
+    robot_plan: RobotPlan, column: Assembly, cell: Cell, tmp_path: Path, assembles: bool
+) -> None:
+    """A reader without a model of the structure sees each part where it stands, and in the gripper that carries it."""
+    reader = pytest.importorskip("mcap.reader", reason="bags need mcap; pip install 'falsework[schedule]'")
+    typesys = pytest.importorskip("rosbags.typesys", reason="bags need rosbags; pip install 'falsework[schedule]'")
+    plan = robot_plan.reverse() if assembles else robot_plan
+    (path,) = export_plan(plan, tmp_path, "mcap", structure=column, cell=cell)
+    store, scenes = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE), []
+    with path.open("rb") as file:
+        for schema, _, message in reader.make_reader(file).iter_messages(topics=["/planning_scene"]):
+            if not scenes:
+                store.register(typesys.get_types_from_msg(schema.data.decode(), schema.name))
+            scenes.append((message.log_time, store.deserialize_cdr(message.data, schema.name)))
+    shapes = place_parts(column, cell.placement)
+
+    def corners(thing: Any) -> np.ndarray:
+        (mesh,) = thing.meshes
+        assert len(mesh.triangles) == len(shapes.meshes[shapes.names.index(thing.id)].faces)
+        return np.array([(point.x, point.y, point.z) for point in mesh.vertices])
+
+    began, first = scenes[0]
+    assert began == 0
+    present = [shapes.names[part] for part in np.flatnonzero(plan.states[0])]
+    assert [thing.id for thing in first.world.collision_objects] == present
+    for thing in first.world.collision_objects:
+        assert thing.header.frame_id == "world"
+        assert corners(thing) == pytest.approx(shapes.meshes[shapes.names.index(thing.id)].vertices)
+    joints = dict(zip(first.robot_state.joint_state.name, first.robot_state.joint_state.position, strict=True))
+    assert joints["arm 1_joint_1"] == plan.keyframes[0].configurations[0][0]
+    taken = [scene.robot_state.attached_collision_objects[0] for _, scene in scenes[1:]]
+    taken = [thing for thing in taken if thing.object.operation == 0]
+    moves = [k for k in range(len(plan)) if plan.actions[k] >= len(shapes.names)]
+    assert len(taken) == len(moves) > 0
+    for thing, step in zip(taken, moves, strict=True):
+        robot = plan.steps[step].robot
+        assert thing.link_name == thing.object.header.frame_id == f"{cell.robots[robot].name}_tool0"
+        grip = plan.keyframes[step + 1 if assembles else step].configurations[robot]
+        flange = flange_pose(cell.robots[robot].model, grip, cell.robots[robot].base)
+        placed = corners(thing.object) @ flange[:3, :3].T + flange[:3, 3]
+        assert placed == pytest.approx(shapes.meshes[shapes.names.index(thing.object.id)].vertices)
+    with pytest.raises(PlanError, match="another"):
+        export_plan(plan, tmp_path, "mcap", structure="stack:blocks=2", cell=cell)
 
 
 def test_a_bag_can_be_read_without_falsework(robot_plan: RobotPlan, tmp_path: Path) -> None:

@@ -14,8 +14,11 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.errors import InputError
-from falsework.robots.plans.mcap_bag import write_bag
+from falsework.robots.cells.cell_file import AnyCell, as_cell
+from falsework.robots.model.part_shapes import place_parts
+from falsework.robots.plans.mcap_bag import PlacedParts, write_bag
 from falsework.robots.plans.programs import Grip, events_of, rapid_modules, ur_scripts
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.robot_plan_file import rounded
@@ -38,7 +41,15 @@ class Written:
     text: str
 
 
-def export_plan(plan: RobotPlan, folder: Path | str, form: str, *, rate: float = 50.0) -> list[Path]:
+def export_plan(
+    plan: RobotPlan,
+    folder: Path | str,
+    form: str,
+    *,
+    rate: float = 50.0,
+    structure: AnyStructure | None = None,
+    cell: AnyCell | None = None,
+) -> list[Path]:
     """Write the motions of a robot plan into a folder.
 
     Args:
@@ -48,12 +59,15 @@ def export_plan(plan: RobotPlan, folder: Path | str, form: str, *, rate: float =
             `urscript` (one program per robot, synchronised according to the schedule), or `mcap` (one bag with
             the times of the schedule).
         rate: positions per second for `csv` and `urscript`; the other formats get the knots.
+        structure: structure of the plan; with it and the cell a bag has the shapes of the parts.
+        cell: cell of the plan.
 
     Returns:
         The files written.
 
     Raises:
         InputError: no such format, a rate that is not above zero, or a folder that cannot be written.
+        PlanError: the plan is for another structure or cell.
     """
     if form not in FORMATS:
         raise InputError(f"no export format {form!r}; choose {', '.join(FORMATS)}")
@@ -66,6 +80,11 @@ def export_plan(plan: RobotPlan, folder: Path | str, form: str, *, rate: float =
         "rapid": lambda: starmap(Written, rapid_modules(plan)),
         "urscript": lambda: starmap(Written, ur_scripts(plan, rate)),
     }
+    placed = None
+    if form == "mcap" and structure is not None and cell is not None:
+        structure, cell = as_assembly(structure), as_cell(cell)
+        plan.check_identity(structure, cell)
+        placed = PlacedParts(place_parts(structure, cell.placement), cell)
     folder = Path(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -74,7 +93,7 @@ def export_plan(plan: RobotPlan, folder: Path | str, form: str, *, rate: float =
     paths = []
     if form == "mcap":
         paths.append(folder / "plan.mcap")
-        write_bag(plan, paths[0])
+        write_bag(plan, paths[0], placed)
     for entry in writers[form]() if form in writers else ():
         path, data = folder / entry.name, entry.text.encode()
         write_whole(path, lambda file, data=data: file.write(data))

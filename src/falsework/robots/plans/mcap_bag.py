@@ -3,26 +3,41 @@
 Topics, for each robot: `/NAME/joint_trajectory` (`trajectory_msgs/JointTrajectory`) and `/NAME/robot_trajectory`
 (`moveit_msgs/RobotTrajectory`), a message at the start of each motion; and `/planning_scene`
 (`moveit_msgs/PlanningScene`), a difference whenever a gripper picks up or puts down a part, as the planning
-scene monitor of MoveIt reads it. Parts have their names there; their shapes are those of the reader's scene.
-A part put down in disassembly leaves the scene. Messages are CDR, with their definitions in the bag.
+scene monitor of MoveIt reads it. The first one, at the start, has the parts in place with their meshes, and a part that
+is picked up has its mesh in the frame of the flange; without the structure parts have only their names, and the
+reader's scene must have their shapes. A part put down in disassembly leaves the scene. Messages are CDR, with their
+definitions in the bag.
 """
 
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from falsework.assembly.state import REMOVED
 from falsework.errors import DependencyError
+from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.robots.kinematics.forward import flange_pose
+from falsework.robots.model.cell import Cell
+from falsework.robots.model.part_shapes import PartShapes
+from falsework.robots.model.shapes import inverse_pose, move
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.timeline import nodes_of
 from falsework.search.problem.task import Direction
 from falsework.utils.archive import write_whole
 
+Array = NDArray[np.float64]
+
 _NANO = 1_000_000_000
 _ADD, _REMOVE = 0, 1
+_WORLD = "world"
+"""Frame of the parts in place."""
 _DEFINITIONS = {
     "object_recognition_msgs/msg/ObjectType": "string key\nstring db\n",
     "moveit_msgs/msg/RobotTrajectory": (
@@ -115,12 +130,21 @@ class _Bag:
         return self.data.getvalue()
 
 
-def write_bag(plan: RobotPlan, path: Path) -> int:
+@dataclass(frozen=True, eq=False)
+class PlacedParts:
+    """Parts of a structure in a cell, for a scene that needs no other source of shapes."""
+
+    shapes: PartShapes
+    cell: Cell
+
+
+def write_bag(plan: RobotPlan, path: Path, placed: PlacedParts | None = None) -> int:
     """Write the motions of a robot plan as an MCAP bag, and return the number of messages.
 
     Args:
         plan: robot plan; without a schedule its motions are sequential.
         path: file to write.
+        placed: the parts with their shapes; without them the planning scene has only their names.
 
     Raises:
         DependencyError: mcap or rosbags is missing.
@@ -133,6 +157,9 @@ def write_bag(plan: RobotPlan, path: Path) -> int:
     else:
         starts = plan.schedule.starts()
     parts = len(plan.plan.boundary)
+    if placed is not None:
+        bag.write("/planning_scene", _first_scene(bag, plan, placed), 0.0)
+        count += 1
     for index in np.argsort(starts, kind="stable").tolist():
         node, now = nodes[index], float(starts[index])
         step, action = plan.steps[node.step], int(plan.actions[node.step])
@@ -141,7 +168,7 @@ def write_bag(plan: RobotPlan, path: Path) -> int:
             continue
         carries = action >= parts
         if carries and node.trajectory == 0:
-            bag.write("/planning_scene", _difference(bag, plan, node.step, _ADD, now), now)
+            bag.write("/planning_scene", _difference(bag, plan, node.step, _ADD, now, placed), now)
             count += 1
         message = _trajectory(bag, plan, node.robot, step.trajectories[node.trajectory], now)
         whole = bag.make(
@@ -186,13 +213,32 @@ def _trajectory(bag: _Bag, plan: RobotPlan, robot: int, trajectory: Trajectory, 
     )
 
 
-def _difference(bag: _Bag, plan: RobotPlan, step: int, operation: int, now: float) -> Any:
+def _first_scene(bag: _Bag, plan: RobotPlan, placed: PlacedParts) -> Any:
+    """Return the planning scene at the start: the parts in place, and where the arms are."""
+    frame, meshes = plan.keyframes[0], placed.shapes.meshes
+    present = np.flatnonzero(plan.states[0] != REMOVED).tolist()
+    names = [f"{robot.name}_{joint}" for robot in plan.robots for joint in robot.joint_names]
+    things = [_part(bag, plan, part, _ADD, _WORLD, 0.0, meshes[part]) for part in present]
+    return _scene(bag, 0.0, joints=(names, np.concatenate(frame.configurations)), things=things)
+
+
+def _difference(
+    bag: _Bag, plan: RobotPlan, step: int, operation: int, now: float, placed: PlacedParts | None = None
+) -> Any:
     """Return the difference of the planning scene when a gripper picks up or puts down a part."""
-    flange = f"{plan.robots[plan.steps[step].robot].name}_tool0"
+    robot, part = plan.steps[step].robot, int(plan.actions[step]) % len(plan.plan.boundary)
+    flange = f"{plan.robots[robot].name}_tool0"
+    mesh = None
+    if placed is not None and operation == _ADD:
+        apart = plan.direction is Direction.DISASSEMBLY
+        grip = plan.keyframes[step if apart else step + 1].configurations[robot]
+        entry, shape = placed.cell.robots[robot], placed.shapes.meshes[part]
+        there = inverse_pose(flange_pose(entry.model, grip, entry.base))
+        mesh = TriangleMesh(shape.name, move(there, shape.vertices), shape.faces)
     attached = bag.make(
         "moveit_msgs/msg/AttachedCollisionObject",
         link_name=flange,
-        object=_part(bag, plan, step, operation, flange, now),
+        object=_part(bag, plan, part, operation, flange, now, mesh),
         touch_links=[flange],
         detach_posture=bag.make(
             "trajectory_msgs/msg/JointTrajectory", header=bag.header(flange, now), joint_names=[], points=[]
@@ -201,6 +247,19 @@ def _difference(bag: _Bag, plan: RobotPlan, step: int, operation: int, now: floa
     )
     # MoveIt leaves a detached part where it is, before it reads the world of the difference.
     gone = operation == _REMOVE and plan.direction is Direction.DISASSEMBLY
+    things = [_part(bag, plan, part, _REMOVE, flange, now)] if gone else []
+    return _scene(bag, now, attached=[attached], things=things)
+
+
+def _scene(
+    bag: _Bag,
+    now: float,
+    *,
+    joints: tuple[list[str], Array] = ([], np.zeros(0)),
+    attached: Sequence[Any] = (),
+    things: Sequence[Any] = (),
+) -> Any:
+    """Return a difference of the planning scene."""
     nowhere = bag.header("", now)
     return bag.make(
         "moveit_msgs/msg/PlanningScene",
@@ -210,15 +269,15 @@ def _difference(bag: _Bag, plan: RobotPlan, step: int, operation: int, now: floa
             joint_state=bag.make(
                 "sensor_msgs/msg/JointState",
                 header=nowhere,
-                name=[],
-                position=np.zeros(0),
+                name=joints[0],
+                position=joints[1],
                 velocity=np.zeros(0),
                 effort=np.zeros(0),
             ),
             multi_dof_joint_state=bag.make(
                 "sensor_msgs/msg/MultiDOFJointState", header=nowhere, joint_names=[], transforms=[], twist=[], wrench=[]
             ),
-            attached_collision_objects=[attached],
+            attached_collision_objects=list(attached),
             is_diff=True,
         ),
         robot_model_name="",
@@ -235,7 +294,7 @@ def _difference(bag: _Bag, plan: RobotPlan, step: int, operation: int, now: floa
         object_colors=[],
         world=bag.make(
             "moveit_msgs/msg/PlanningSceneWorld",
-            collision_objects=[_part(bag, plan, step, _REMOVE, flange, now)] if gone else [],
+            collision_objects=list(things),
             octomap=bag.make(
                 "octomap_msgs/msg/OctomapWithPose",
                 header=nowhere,
@@ -254,20 +313,35 @@ def _difference(bag: _Bag, plan: RobotPlan, step: int, operation: int, now: floa
     )
 
 
-def _part(bag: _Bag, plan: RobotPlan, step: int, operation: int, frame: str, now: float) -> Any:
-    """Return the part of a step as a collision object without shapes: those of the scene apply."""
-    name = plan.plan.part_names[int(plan.actions[step]) % len(plan.plan.boundary)]
-    lists = ("primitives", "primitive_poses", "meshes", "mesh_poses", "planes", "plane_poses")
+def _part(
+    bag: _Bag, plan: RobotPlan, part: int, operation: int, frame: str, now: float, mesh: TriangleMesh | None = None
+) -> Any:
+    """Return a part as a collision object; without a mesh the shape of the scene applies."""
+    name = plan.plan.part_names[part]
+    lists = ("primitives", "primitive_poses", "planes", "plane_poses")
+    shape = [] if mesh is None else [_mesh(bag, mesh)]
     return bag.make(
         "moveit_msgs/msg/CollisionObject",
         header=bag.header(frame, now),
         pose=_identity(bag),
         id=name,
         type=bag.make("object_recognition_msgs/msg/ObjectType", key=name, db=""),
+        meshes=shape,
+        mesh_poses=[_identity(bag) for _ in shape],
         **{entry: [] for entry in lists},
         subframe_names=[],
         subframe_poses=[],
         operation=operation,
+    )
+
+
+def _mesh(bag: _Bag, mesh: TriangleMesh) -> Any:
+    """Return a surface as a `shape_msgs/Mesh`."""
+    triangles = np.asarray(mesh.faces, dtype=np.uint32)
+    return bag.make(
+        "shape_msgs/msg/Mesh",
+        triangles=[bag.make("shape_msgs/msg/MeshTriangle", vertex_indices=row) for row in triangles],
+        vertices=[bag.make("geometry_msgs/msg/Point", x=x, y=y, z=z) for x, y, z in mesh.vertices.tolist()],
     )
 
 
