@@ -194,6 +194,25 @@ def test_damaged_schedules(scheduled: RobotPlan, tmp_path: Path, key: str, entry
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("makespan", "long", "schedule: makespan is 'long'"),
+        ("makespan", 1.0, "schedule: makespan is 1, its motions take"),
+        ("sequential", 1.0, "schedule: sequential is 1, its motions take"),
+        ("lower_bound", 1e6, "above its makespan"),
+    ],
+)
+def test_times_that_do_not_fit_the_motions(
+    scheduled: RobotPlan, tmp_path: Path, key: str, value: object, message: str
+) -> None:
+    data = robot_plan_to_dict(scheduled)
+    data["schedule"][key] = value
+    (tmp_path / "bad.json").write_text(json.dumps(data))
+    with pytest.raises(PlanError, match=message):
+        load_robot_plan(tmp_path / "bad.json")
+
+
 def test_a_deadline_that_the_first_search_uses_up_ends_without_a_plan(row: Assembly, wide: Cell) -> None:
     found = plan_together(row, wide, settings=HybridSettings(deadline=1e-3))
     assert found.plan is None

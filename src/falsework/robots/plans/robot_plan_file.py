@@ -208,9 +208,15 @@ class _Reader(Reader):
         try:
             graph = TemporalPlanGraph(expected, tuple(edges), len(plan.robots), bound)
         except PlanError as error:
-            self._fail(f"its schedule is invalid: {error}", "schedule it again")
+            self._fail(f"its schedule is invalid: {str(error).removesuffix('; plan again')}", "schedule it again")
         if starts and np.abs(graph.starts() - starts).max() > _TIMES:
             self._fail("the times of its schedule do not follow from its precedences", "schedule it again")
+        for key, derived in (("makespan", graph.makespan), ("sequential", graph.sequential)):
+            told = self._seconds(data[key], f"schedule: {key}")
+            if abs(told - derived) > _TIMES:
+                self._fail(f"schedule: {key} is {told:g}, its motions take {derived:g} s", "schedule it again")
+        if bound > graph.makespan + _TIMES:
+            self._fail(f"schedule: lower_bound is {bound:g}, above its makespan of {graph.makespan:g} s")
         return graph
 
     def _precedence(self, data: Any, place: str, nodes: tuple[MotionNode, ...]) -> Precedence:
