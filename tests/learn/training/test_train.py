@@ -18,7 +18,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
 safetensors = pytest.importorskip("safetensors.torch", reason="safetensors is not installed")
 
-from falsework.assembly import load_structure  # noqa: E402
+from falsework.assembly import load_structure, save_assembly  # noqa: E402
 from falsework.assembly.symmetry import symmetries  # noqa: E402
 from falsework.errors import DependencyError, InputError, TrainingError  # noqa: E402
 from falsework.learn.config.imitation import ImitationPhase  # noqa: E402
@@ -407,3 +407,11 @@ def test_a_run_without_time_for_further_searches_says_so() -> None:
     )
     assert ["no time was left" in note for note in hurried.notes] == [True]
     assert not any("no time was left" in note for note in whole.notes)
+
+
+def test_a_structure_by_name_or_path_is_found_again(arch: Any, tmp_path: Path) -> None:
+    save_assembly(arch, tmp_path / "mine")
+    for number, given in enumerate(("arch:blocks=7", tmp_path / "mine", str(tmp_path / "mine"))):
+        folder = tmp_path / f"run {number}"
+        train(given, replace(SMALL, steps=5), folder=folder, device="cpu", logs=())
+        assert load_run(folder).assembly.identity == arch.identity

@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'fal
 
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError, PlanError
+from falsework.robots.keyframes.failure_report import Explanation
 from falsework.robots.keyframes.keyframe_graph import KeyframeSettings
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
@@ -217,6 +219,23 @@ def test_a_deadline_that_the_first_search_uses_up_ends_without_a_plan(row: Assem
     found = plan_together(row, wide, settings=HybridSettings(deadline=1e-3))
     assert found.plan is None
     assert found.statistics["search"] == "sequential"
+
+
+def test_the_longer_of_two_partial_plans_is_kept(row: Assembly, wide: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second search has what is left of the deadline, and often gets less far."""
+    partial = SimpleNamespace(statistics={})
+
+    def search(*given: Any, settings: HybridSettings, **more: Any) -> HybridResult:
+        first = settings.keyframes.approaches != KeyframeSettings().approaches
+        why = Explanation("interrupted", 3 if first else 1, 6, (), None, (), "stopped")
+        return HybridResult(None, partial if first else None, why, {})  # type: ignore[arg-type]
+
+    monkeypatch.setattr("falsework.robots.planning.plan_together.plan_robots", search)
+    found = plan_together(row, wide, settings=HybridSettings(deadline=10.0))
+    assert found.partial is partial
+    assert found.explanation is not None
+    assert found.explanation.reached == 3
+    assert found.statistics["search"] == partial.statistics["search"] == "together"
 
 
 def test_longer_lines_are_tried_where_short_ones_lead_to_no_plan(

@@ -88,7 +88,10 @@ def plan_together(
     result, kind = search(short, graph, _SHARE * limit), "together"
     if result.explanation is not None and result.explanation.outcome != "proved_impossible":
         graph = KeyframeGraph(assembly, cell, settings=settings.keyframes, seed=settings.seed, parts=graph.parts)
-        result, kind = search(settings, graph, limit), "sequential"
+        again = search(settings, graph, limit)
+        # Without a plan, the longer partial one is kept.
+        if again.explanation is None or again.explanation.reached >= result.explanation.reached:
+            result, kind = again, "sequential"
 
     def scheduled(plan: RobotPlan | None) -> RobotPlan | None:
         if plan is None:
