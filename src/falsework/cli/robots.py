@@ -61,10 +61,10 @@ class PlanRobots(Command):
     ] = None
     """State to start from: `complete`, digits such as 2110, or a file."""
     joints: Annotated[str | None, arg(metavar="JOINTS", help_behavior_hint="(default: all at home)")] = None
-    """Joint values of the robots in rad, such as left=0,0.1,-0.5,0,1,0;right=home, or a JSON file with such lists by
-    robot."""
+    """Joint values of the robots in rad at the start of disassembly, such as left=0,0.1,-0.5,0,1,0;right=home, or a
+    JSON file with such lists by robot."""
     holding: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
-    """Parts that robots hold at the start, such as left=3,right=keystone."""
+    """Parts that robots hold at the start of disassembly, such as left=3,right=keystone."""
     target: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: empty)")] = None
     """State to end in: `empty`, digits, or a file."""
     missing: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
@@ -100,6 +100,7 @@ class PlanRobots(Command):
         task = self._task(assembly, cell, held)
         oracle = Stability(assembly, StabilitySettings(criterion=self.criterion))
         if refuse_unstable(assembly, oracle, task, output):
+            output.record({"robot_plan": None, "found": False})
             return Exit.NO
         guide = self._guide(assembly, task)
         given: dict[str, Any] = {

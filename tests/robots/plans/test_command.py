@@ -237,7 +237,8 @@ def test_a_start_that_is_not_stable_is_named_with_what_moves(run: Callable, cell
     code, records, error = run("robots", "plan", STACK, *given)
     assert code == 1
     assert error.startswith("falsework: no plan exists: the start state is unstable; block-1")
-    assert records[-1]["moving"]
+    assert records[0]["moving"]
+    assert records[-1]["found"] is False
 
 
 def test_where_nothing_is_left_to_do_there_is_a_plan_without_steps(
