@@ -15,16 +15,14 @@ _NO_GAIN = 0.05
 
 def times_record(plan: RobotPlan) -> dict[str, Any]:
     """Return the duration of a plan, and how each arm spends it."""
-    from falsework.robots.plans.timeline import arm_shares
+    from falsework.robots.plans.timeline import arm_shares, schedule_of
 
-    if plan.schedule is None:
-        seconds = round(plan.seconds, 3)
-        return {"makespan": seconds, "sequential": seconds, "lower_bound": None, "gap": None}
+    graph, proven = schedule_of(plan), plan.schedule is not None
     return {
-        "makespan": round(plan.schedule.makespan, 3),
-        "sequential": round(plan.schedule.sequential, 3),
-        "lower_bound": round(plan.schedule.lower_bound, 3),
-        "gap": round(plan.schedule.gap, 4),
+        "makespan": round(graph.makespan, 3),
+        "sequential": round(graph.sequential, 3),
+        "lower_bound": round(graph.lower_bound, 3) if proven else None,
+        "gap": round(graph.gap, 4) if proven else None,
         "arms": [
             {
                 "robot": share.robot,
@@ -32,7 +30,7 @@ def times_record(plan: RobotPlan) -> dict[str, Any]:
                 "holds": round(share.holds, 4),
                 "waits": round(share.waits, 4),
             }
-            for share in arm_shares(plan, plan.schedule)
+            for share in arm_shares(plan, graph)
         ],
     }
 

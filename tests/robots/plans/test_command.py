@@ -194,6 +194,7 @@ def test_motions_at_the_same_time(run: Callable, cell_file: Path, tmp_path: Path
     assert code == 0
     assert records[-1]["makespan"] == records[-1]["sequential"]
     assert records[-1]["lower_bound"] is records[-1]["gap"] is None
+    assert sum(entry["moves"] for entry in records[-1]["arms"]) == pytest.approx(1.0, abs=1e-3)  # one at a time
     code, _, error = run("robots", "check", tmp_path / "one.json", "--delays", "5")
     assert code == 2
     assert error == "falsework: the robot plan has no schedule to simulate; plan again, or schedule it\n"

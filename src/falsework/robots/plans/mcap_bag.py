@@ -28,7 +28,7 @@ from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.shapes import inverse_pose, move
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
-from falsework.robots.plans.timeline import nodes_of
+from falsework.robots.plans.timeline import schedule_of
 from falsework.search.problem.task import Direction
 from falsework.utils.archive import write_whole
 
@@ -151,11 +151,8 @@ def write_bag(plan: RobotPlan, path: Path, placed: PlacedParts | None = None) ->
         InputError: the file cannot be written.
     """
     bag, count = _Bag(), 0
-    nodes, _ = nodes_of(plan)
-    if plan.schedule is None:
-        starts = np.concatenate([[0.0], np.cumsum([node.seconds for node in nodes])[:-1]])
-    else:
-        starts = plan.schedule.starts()
+    graph = schedule_of(plan)
+    nodes, starts = graph.nodes, graph.starts()
     parts = len(plan.plan.boundary)
     if placed is not None:
         bag.write("/planning_scene", _first_scene(bag, plan, placed), 0.0)

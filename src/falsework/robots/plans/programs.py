@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from falsework.errors import InputError
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
-from falsework.robots.plans.temporal_graph import Precedence, TemporalPlanGraph
-from falsework.robots.plans.timeline import nodes_of
+from falsework.robots.plans.timeline import nodes_of, schedule_of
 from falsework.search.problem.task import Direction
 
 Array = NDArray[np.float64]
@@ -78,7 +77,7 @@ def events_of(plan: RobotPlan, step: int) -> Iterator[Trajectory | Grip]:
 
 def commands_of(plan: RobotPlan, robot: int) -> Iterator[Command]:
     """Yield the commands of one arm in order: motions, gripper actions, waits and counts."""
-    graph = _graph(plan)
+    graph = schedule_of(plan)
     own = {node: COUNT_FROM + 1 + k for k, node in enumerate(graph.of_robot(robot))}
     counts = {node: COUNT_FROM + 1 + k for r in range(graph.robots) for k, node in enumerate(graph.of_robot(r))}
     heard, awaited = dict.fromkeys(range(graph.robots), COUNT_FROM), set()
@@ -109,15 +108,6 @@ def commands_of(plan: RobotPlan, robot: int) -> Iterator[Command]:
         if node in awaited:
             yield PublishCount(own[node])
     yield from left
-
-
-def _graph(plan: RobotPlan) -> TemporalPlanGraph:
-    """Return the schedule of a plan, or one in which every motion waits for the previous one."""
-    if plan.schedule is not None:
-        return plan.schedule
-    nodes, _ = nodes_of(plan)
-    edges = tuple(Precedence(k, nodes[k].seconds, k + 1, "state") for k in range(len(nodes) - 1))
-    return TemporalPlanGraph(nodes, edges, len(plan.robots), 0.0)
 
 
 def rapid_modules(plan: RobotPlan) -> Iterator[tuple[str, str]]:

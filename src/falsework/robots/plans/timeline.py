@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
-from falsework.robots.plans.temporal_graph import MotionNode, TemporalPlanGraph
+from falsework.robots.plans.temporal_graph import MotionNode, Precedence, TemporalPlanGraph
 from falsework.search.problem.task import Direction
 
 Array = NDArray[np.float64]
@@ -78,6 +78,15 @@ def nodes_of(plan: RobotPlan) -> tuple[tuple[MotionNode, ...], tuple[Event, ...]
         events.append(Event(len(nodes) + (0 if first else len(moves) - 1), at_end))
         nodes += moves
     return tuple(nodes), tuple(events)
+
+
+def schedule_of(plan: RobotPlan) -> TemporalPlanGraph:
+    """Return the schedule of a plan, or one in which every motion waits for the previous one."""
+    if plan.schedule is not None:
+        return plan.schedule
+    nodes, _ = nodes_of(plan)
+    edges = tuple(Precedence(k, nodes[k].seconds, k + 1, "state") for k in range(len(nodes) - 1))
+    return TemporalPlanGraph(nodes, edges, len(plan.robots), 0.0)
 
 
 def event_times(plan: RobotPlan, graph: TemporalPlanGraph, stretch: ArrayLike | None = None) -> Array:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,8 +14,7 @@ from numpy.typing import NDArray
 
 from falsework.errors import DependencyError, InputError
 from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.robots.plans.temporal_graph import TemporalPlanGraph
-from falsework.robots.plans.timeline import nodes_of
+from falsework.robots.plans.timeline import schedule_of
 from falsework.utils.archive import write_whole
 from falsework.viewer.palette import INK, rgb, robot_color
 from falsework.viewer.pictures.graph_picture import figure_pixels
@@ -51,8 +49,8 @@ def bars_of(plan: RobotPlan) -> list[Bar]:
 
     A plan without a schedule is shown one motion after the other.
     """
-    starts, graph = _starts(plan)
-    found = []
+    graph = schedule_of(plan)
+    starts, found = graph.starts().tolist(), []
     for robot in range(len(plan.robots)):
         free, held = 0.0, plan.keyframes[0].held[robot]
         for index in graph.of_robot(robot):
@@ -69,20 +67,6 @@ def bars_of(plan: RobotPlan) -> list[Bar]:
         if held is not None and plan.makespan > free:
             found.append(Bar(robot, free, plan.makespan, "holds", held))
     return found
-
-
-def _starts(plan: RobotPlan) -> tuple[list[float], TemporalPlanGraph]:
-    if plan.schedule is not None:
-        return plan.schedule.starts().tolist(), plan.schedule
-    nodes, _ = nodes_of(plan)
-    return list(_one_by_one([node.seconds for node in nodes])), TemporalPlanGraph(nodes, (), len(plan.robots), 0.0)
-
-
-def _one_by_one(seconds: list[float]) -> Iterator[float]:
-    now = 0.0
-    for length in seconds:
-        yield now
-        now += length
 
 
 @dataclass(frozen=True, eq=False)
