@@ -139,7 +139,7 @@ def test_deadline_that_is_too_short(falsework: Run, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--state", "21"), "shape"),
+        (("--state", "21"), "a state of 2 values does not fit 7 parts"),
         (("--state", "nonsense"), "neither complete, empty"),
         (("--state", "1111022", "--target", "0111122"), "the target is not reachable"),
         (("--state", "2200022", "--robots", 1), "2 parts held"),
