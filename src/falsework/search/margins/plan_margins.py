@@ -16,6 +16,8 @@ from falsework.stability.oracle import Stability
 Measured = Literal["friction", "tilt", "horizontal", "push"]
 MEASURED: tuple[Measured, ...] = get_args(Measured)
 """Margins that plans record as numbers."""
+_EXACT = 1.03
+"""Factor by which the weakest step may exceed the bound: both are exact to 1 %."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,6 +132,13 @@ class PlanMargins:
                 if not claims.holds(states[row], kind, value):
                     said = "without bound" if value is None else f"of {quantity_text(kind, value)}"
                     return row, f"does not stand at the recorded {kind} {said}"
+        weakest = None if self.maximised is None or self.bound is None else self.weakest(self.maximised)
+        if self.maximised is not None and self.bound is not None and weakest is not None:
+            row, value = weakest
+            stronger, weaker = (self.bound, value) if self.maximised == "friction" else (value, self.bound)
+            if stronger > _EXACT * weaker:
+                said = quantity_text(self.maximised, self.bound)
+                return row, f"has a larger margin of {self.maximised} than {said}, which the plan says no plan has"
         return None
 
 
