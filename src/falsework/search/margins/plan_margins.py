@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
@@ -11,6 +12,7 @@ from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.search.margins.demands import Demands
 from falsework.stability.margins.claims import MarginClaims
+from falsework.stability.margins.state_margins import StateMargins
 from falsework.stability.oracle import Stability
 
 Measured = Literal["friction", "tilt", "horizontal", "push"]
@@ -44,7 +46,19 @@ class PlanMargins:
             also: another margin to measure.
         """
         kinds = [kind for kind in MEASURED if kind == also or getattr(demands, kind) is not None]
-        found = oracle.margins(states, tuple(kinds)) if kinds else []
+        return cls.from_states(oracle.margins(states, tuple(kinds)) if kinds else [], kinds, demands)
+
+    @classmethod
+    def from_states(
+        cls, found: Sequence[StateMargins], kinds: Sequence[Measured] = MEASURED, demands: Demands = Demands()
+    ) -> PlanMargins:
+        """Take the margins of each state of a plan as they were measured, in the order of the plan.
+
+        Args:
+            found: one entry a state, each of which is stable by itself.
+            kinds: margins to take.
+            demands: margins required of the plan.
+        """
         measured: dict[str, tuple[float | None, ...]] = {}
         for kind in kinds:
             bounds = [getattr(margins, kind) for margins in found]
