@@ -117,7 +117,11 @@ def furnish(
     Raises:
         AssemblyError: any of them cannot be used.
     """
-    acting = Loads.read(loads, earthquake, assembly.names, assembly.mass.center)
+    acting, own = Loads.read(loads, earthquake, assembly.names, assembly.mass.center), assembly.loads
+    if acting is not None and own is not None:  # what is given replaces what the file has of the same kind
+        wrench = own.wrench if loads is None else acting.wrench
+        pulled = own.acceleration if earthquake is None else acting.acceleration
+        acting = Loads.of(assembly.part_count, wrench=wrench, acceleration=pulled)
     joined = Joints.read(joints, materials, assembly.names, assembly.contacts)
     if acting is not None or joined is not None:
         assembly = assembly.replace(loads=acting, joints=joined)

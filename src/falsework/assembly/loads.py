@@ -13,6 +13,8 @@ from falsework.errors import AssemblyError
 
 Array = NDArray[np.float64]
 
+GRAVITY = 9.81
+"""Acceleration of which loads are shares where a file has them in m/s2."""
 _ENTRIES = {"part", "force", "moment", "at"}
 
 
