@@ -10,6 +10,8 @@ from typing import Any
 
 import pytest
 
+from falsework.stability import Stability
+
 Run = Callable[..., Any]
 
 
@@ -132,3 +134,24 @@ def test_margins_that_do_not_belong_into_a_plan(
     assert refused.code == 2
     assert words in refused.error
     assert falsework("margins", stack, "--out", plan).code == 2
+
+
+def test_an_interruption_prints_the_states_so_far(
+    falsework: Run, stack: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan, measured = tmp_path / "plan.json", tmp_path / "measured.json"
+    assert falsework("plan", stack, "--robots", 1, "--out", plan).code == 0
+    own, asked = Stability.margins, []
+
+    def margins(oracle: Stability, *arguments: Any, **options: Any) -> Any:
+        asked.append(1)
+        if len(asked) == 3:
+            raise KeyboardInterrupt
+        return own(oracle, *arguments, **options)
+
+    monkeypatch.setattr(Stability, "margins", margins)
+    done = falsework("margins", plan, "--out", measured, "--json", "--placement", "1mm")
+    assert done.code == 130
+    assert [record["state"] for record in done.records if "weakest" not in record] == [0, 1]
+    assert "interrupted after 2 of 5 states" in done.error
+    assert not measured.exists()

@@ -96,11 +96,16 @@ class FindMargins(Command):
         if self.out is not None:
             self._refuse_out(plan, settings)
         extra = [kind for kind in ("polygon", "settlement") if getattr(self, kind)]
-        oracle, found = Stability(assembly, settings), []
+        oracle, found, interrupted = Stability(assembly, settings), [], False
         with output.bar("margins") as show:
-            for row in range(len(states)):
-                found += oracle.margins(states[row], (*QUICK, *extra), deadline=self.deadline)
-                show(row + 1, len(states), f"state {row + 1} of {len(states)}")
+            try:
+                for row in range(len(states)):
+                    found += oracle.margins(states[row], (*QUICK, *extra), deadline=self.deadline)
+                    show(row + 1, len(states), f"state {row + 1} of {len(states)}")
+            except KeyboardInterrupt:
+                interrupted = True
+        if interrupted:
+            errors = []
         shares = self._shares(assembly, states, errors, settings, output)
         overloaded = False
         for row, margins in enumerate(found):
@@ -125,6 +130,9 @@ class FindMargins(Command):
                 )
         if len(found) > 1:
             self._weakest(found, plan, assembly, output)
+        if interrupted:
+            output.note(f"interrupted after {len(found)} of {len(states)} states")
+            return Exit.INTERRUPTED
         if self.out is not None and plan is not None:
             self._save(plan, found, self.out, output)
         return Exit.DONE if all(margins.stands for margins in found) and not overloaded else Exit.NO
