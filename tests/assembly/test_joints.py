@@ -116,6 +116,7 @@ def test_setting_is_linear_between_its_steps() -> None:
         ([{"tension": 1.0, "parts": ["a", "z"]}], None, "a joint is of part 'z', which does not exist"),
         ([{"tension": 1.0, "parts": ["a", "c"]}], None, "parts a and c do not meet, so no joint is between them"),
         ([{"tension": 1.0, "parts": ["c", "d"]}], None, "parts c and d touch along a line or at a point"),
+        ([{"tension": 1.0, "between": ["m", "g"]}], ["s", "s", "m", "g"], "parts c and d touch along a line or at"),
         ([{"tension": 1.0, "parts": ["a"]}], None, "give two parts"),
         ([{"tension": 1.0, "between": ["x", "y"]}], None, "no part is of material 'x'; materials of the parts are not"),
         ([{"tension": 1.0, "between": ["stone", "y"]}], "stone", "no part is of material 'y'; materials of the parts"),

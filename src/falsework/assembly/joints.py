@@ -155,7 +155,7 @@ class Joints:
             named = {name: _number(entry[name], name) for name in _VALUES if name in entry}
             rows = _rows(entry, made_of, names, contacts)
             strong = named.get("cohesion", 0.0) > 0 or named.get("tension", 0.0) > 0
-            if "parts" in entry and strong and not flat[rows].any():
+            if strong and rows.any() and not flat[rows].any():
                 a, b = (names[part] for part in contacts.parts[np.flatnonzero(rows)[0]].tolist())
                 raise AssemblyError(
                     f"parts {a} and {b} touch along a line or at a point, which has no area for cohesion or tension; "
