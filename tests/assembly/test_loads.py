@@ -54,6 +54,7 @@ def test_a_ground_keeps_the_loads() -> None:
         ({"loads": [{"part": 0, "force": ["a", 0, 0]}]}, "3 finite numbers in N"),
         ({"loads": [{"part": 0, "weight": 3}]}, "not an object with part, force"),
         ({"loads": {"part": 0}}, "list of objects"),
+        ({"loads": [{"part": 0}]}, "has neither a force nor a moment"),
         ({"earthquake": [0.1, 0.2, 0.3]}, "1 or 2 finite numbers"),
         ({"earthquake": "strong"}, "1 or 2 finite numbers"),
     ],

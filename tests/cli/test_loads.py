@@ -38,7 +38,7 @@ def test_a_plan_says_its_loads_and_its_check_finds_them(falsework: Run, stack: P
     ("option", "value", "words"),
     [
         ("--load", "9=0,0,-1", "part 9, which does not exist"),
-        ("--load", "2=0,0", "give 3 numbers"),
+        ("--load", "2=0,0", "--load 2=0,0: give 3 numbers"),
         ("--load", "2=0,0,-1kg", "without units"),
         ("--load", "0,0,-1", "give a part and its force"),
         ("--load", "2=0,0,-1@1,2", "give 3 numbers"),

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+from falsework.stability import Stability
 
 Run = Callable[..., Any]
 
@@ -90,3 +93,65 @@ def test_wrong_options(falsework: Run, stack: Path, options: tuple[str, ...], wo
     assert refused.code == 2
     assert words in refused.error
     assert refused.error.count("\n") == 1
+
+
+def test_margins_are_written_into_a_plan(falsework: Run, stack: Path, tmp_path: Path) -> None:
+    """A plan without demands gets the margins of its states; the sheet shows them, and check verifies them."""
+    plan, other = tmp_path / "plan.json", tmp_path / "kept" / "measured.json"
+    other.parent.mkdir()
+    assert falsework("plan", stack, "--robots", 1, "--out", plan).code == 0
+    assert "margins" not in json.loads(plan.read_text())
+    done = falsework("margins", plan, "--out", other)
+    assert done.code == 0, done.error
+    assert "heaviest hold: " in done.out
+    data = json.loads(other.read_text())
+    assert set(data["margins"]["measured"]) == {"friction", "tilt", "horizontal", "push"}
+    assert data["margins"]["demands"] == {}
+    checked = falsework("check", other)
+    assert checked.code == 0, checked.error
+    assert "recorded margins of friction, tilt, horizontal, push" in checked.out
+    sheet = tmp_path / "site.csv"
+    assert falsework("sheet", other, "--out", sheet).code == 0
+    assert "(weakest)" in sheet.read_text(encoding="utf-8-sig")
+    data["margins"]["measured"]["tilt"][0] = 1.0
+    other.write_text(json.dumps(data))
+    assert falsework("check", other).code == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--deadline", "1"), "leave out --states and --deadline"),
+        (("--criterion", "equilibrium"), "the plan is for the criterion contact"),
+    ],
+)
+def test_margins_that_do_not_belong_into_a_plan(
+    falsework: Run, stack: Path, tmp_path: Path, options: tuple[str, ...], words: str
+) -> None:
+    plan = tmp_path / "plan.json"
+    assert falsework("plan", stack, "--robots", 1, "--out", plan).code == 0
+    refused = falsework("margins", plan, "--out", plan, *options)
+    assert refused.code == 2
+    assert words in refused.error
+    assert falsework("margins", stack, "--out", plan).code == 2
+
+
+def test_an_interruption_prints_the_states_so_far(
+    falsework: Run, stack: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan, measured = tmp_path / "plan.json", tmp_path / "measured.json"
+    assert falsework("plan", stack, "--robots", 1, "--out", plan).code == 0
+    own, asked = Stability.margins, []
+
+    def margins(oracle: Stability, *arguments: Any, **options: Any) -> Any:
+        asked.append(1)
+        if len(asked) == 3:
+            raise KeyboardInterrupt
+        return own(oracle, *arguments, **options)
+
+    monkeypatch.setattr(Stability, "margins", margins)
+    done = falsework("margins", plan, "--out", measured, "--json", "--placement", "1mm")
+    assert done.code == 130
+    assert [record["state"] for record in done.records if "weakest" not in record] == [0, 1]
+    assert "interrupted after 2 of 5 states" in done.error
+    assert not measured.exists()

@@ -85,8 +85,8 @@ def test_margins_that_no_state_can_have(falsework: Run, tmp_path: Path) -> None:
         (("--margin", "friction=0.8"), "a factor of safety is at least 1"),
         (("--margin", "push=20kg"), "has the unit kg"),
         (("--margin", "push=-20N"), "not above zero"),
-        (("--margin", "push"), "give friction=..."),
-        (("--margin", "wind=3N"), "give friction=..."),
+        (("--margin", "push"), "'push' is no margin with its quantity; give friction=..."),
+        (("--margin", "wind=3N"), "there is no margin 'wind'; give friction=..."),
         (("--margin", "tilt=1deg,tilt=2deg"), "given twice"),
         (("--margin", "tilt=89deg"), "too steep"),
         (("--margin", "placement=0.4m"), "demand a smaller error"),
@@ -121,3 +121,47 @@ def test_damaged_margins_in_a_plan(falsework: Run, tmp_path: Path, change: dict[
     refused = falsework("check", plan)
     assert refused.code == 2
     assert words in refused.error
+
+
+def test_a_step_in_between_that_limits(falsework: Run, tmp_path: Path) -> None:
+    """Both ends bear the push, so the report names the step where the search ended, and how much its states bear."""
+    done = falsework("plan", "arch:blocks=7", "--out", tmp_path / "plan.json", "--margin", "push=640N", "--json")
+    assert done.code == 1
+    assert "no plan was found in which every state keeps push=640N; " in done.error
+    assert "the search reached step" in done.error
+    assert " slides" not in done.error  # the states there stand, but do not bear the push
+    lacks = done.records[0]["shortfall"]["push"]
+    assert 0 < lacks["best"] < lacks["demanded"] == 640
+
+
+def test_loads_that_no_state_can_bear(falsework: Run, tmp_path: Path) -> None:
+    done = falsework("plan", "arch:blocks=7", "--out", tmp_path / "plan.json", "--margin", "load=100kN", "--json")
+    assert done.code == 1
+    assert "the start state does not keep load=1e+05N on part" in done.error
+    best = done.records[0]["shortfall"]["load"]["best"]
+    assert 0 < best < 1e5
+    for share, code in ((0.9, 0), (2.0, 1)):
+        options = ("--margin", f"load={share * best:.6g}N")
+        assert falsework("plan", "arch:blocks=7", "--out", tmp_path / "plan.json", *options).code == code
+
+
+def test_the_friction_of_joints_counts(falsework: Run, write_structure: Any, tmp_path: Path) -> None:
+    """Where every joint has a friction of its own, a factor of safety divides those."""
+    stairs = (((0, 0, 0), (1, 1, 1)), ((0.2, 0, 1), (1.2, 1, 2)))
+    folder = write_structure(tmp_path / "stairs", stairs, joints=[{"friction": 0.3}], earthquake=0.2)
+    plan = ("plan", folder, "--out", tmp_path / "plan.json", "--margin")
+    assert falsework(*plan, "friction=1.4").code == 0
+    refused = falsework(*plan, "friction=1.6")
+    assert refused.code == 1
+    assert "does not keep friction=1.6" in refused.error
+
+
+def test_a_bound_that_the_plan_passes_is_found(falsework: Run, tmp_path: Path) -> None:
+    plan = tmp_path / "plan.json"
+    assert falsework("plan", "arch:blocks=5", "--out", plan, "--maximise", "friction").code == 0
+    data = json.loads(plan.read_text())
+    data["margins"]["bound"] *= 1.5
+    plan.write_text(json.dumps(data))
+    checked = falsework("check", plan)
+    assert checked.code == 1
+    assert "which the plan says no plan has" in checked.error

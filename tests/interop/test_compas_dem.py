@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from falsework.assembly import load_structure
 from falsework.errors import InputError
 from falsework.interop import compas_dem
 
@@ -42,6 +43,15 @@ def stack(friction: float = 0.5, tilt: float = 0.0) -> Any:
     model = BlockModel.from_boxes(boxes)
     next(iter(model.elements())).is_support = True
     return problem_of(model, friction)
+
+
+def write_problem(problem: Any, path: Path) -> None:
+    """Write a problem with its model inside, as compas_dem did before 0.6."""
+    from compas import json_dumps
+
+    data = json.loads(json_dumps(problem))
+    data["data"]["model"] = json.loads(json_dumps(problem.model))
+    path.write_text(json.dumps(data))
 
 
 @pytest.fixture(scope="module")
@@ -128,7 +138,49 @@ def test_a_mohr_coulomb_law_with_cohesion(share: float) -> None:
     assert (compas_dem.solve(problem, criterion="equilibrium").metadata["verdict"] == "stable") == (share > 1)
 
 
-def test_loads_are_refused() -> None:
+@pytest.mark.parametrize(("share", "stands"), [(0.45, True), (0.55, False)])
+@pytest.mark.parametrize("kind", ["push", "acceleration"])
+def test_point_loads_and_body_forces_act(kind: str, share: float, stands: bool, tmp_path: Path) -> None:
+    """A cube on held ones slides under half of its weight, its friction; a file has the same loads."""
+    problem = stack()
+    held, live = problem.add_boundary_condition("held"), problem.add_boundary_condition("live")
+    for block in (1, 2):
+        held.add_displacement(block, dx=0.0, dy=0.0, dz=0.0)
+    if kind == "push":
+        live.add_point_load(3, [share * 2000 * 9.81, 0, 0], point=[0, 0, 3.0])
+    else:
+        for _ in range(2):
+            live.add_global_body_force(share * 9.81 / 2, 0, 0)
+    assert (compas_dem.solve(problem).metadata["verdict"] == "stable") == stands
+    write_problem(problem, tmp_path / "problem.json")
+    read, own = load_structure(tmp_path / "problem.json"), compas_dem.assembly_of(problem)
+    assert read.loads is not None
+    assert own.loads is not None
+    np.testing.assert_allclose(read.loads.wrench, own.loads.wrench, atol=1e-6)
+    np.testing.assert_allclose(read.loads.acceleration, own.loads.acceleration, atol=1e-12)
+    also = load_structure(tmp_path / "problem.json", earthquake=[0.0, 0.1]).loads
+    assert also is not None
+    np.testing.assert_allclose(also.wrench, own.loads.wrench, atol=1e-6)  # of the file; the earthquake was replaced
+    assert also.acceleration.tolist() == [0.0, 0.1, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda group: group.add_point_load(9, [0, 0, -1]), "a load acts on block 9, which does not exist"),
+        (lambda group: group.add_surface_load(3, 0, [0, 0, -1]), "a surface load; give a point load"),
+        (lambda group: group.add_displacement(2, dx=0.1, dy=0.0, dz=0.0), "moves block 2 or leaves it free"),
+    ],
+)
+def test_conditions_in_a_file_that_cannot_act(change: Callable[[Any], Any], words: str, tmp_path: Path) -> None:
+    problem = stack()
+    change(problem.add_boundary_condition("live"))
+    write_problem(problem, tmp_path / "problem.json")
+    with pytest.raises(InputError, match=words):
+        load_structure(tmp_path / "problem.json")
+
+
+def test_what_cannot_act_is_refused() -> None:
     problem = stack()
     group = problem.add_boundary_condition("live")
     group.add_displacement(1, dx=0.0, dy=0.0, dz=0.0)
@@ -136,8 +188,13 @@ def test_loads_are_refused() -> None:
     group.add_displacement(2, dx=0.1, dy=0.0, dz=0.0)
     with pytest.raises(InputError, match="moves block 2"):
         compas_dem.solve(problem)
-    group.add_point_load(3, [0, 0, -1])
-    with pytest.raises(InputError, match="loads other than gravity"):
+    problem = stack()
+    problem.add_boundary_condition("nowhere").add_point_load(9, [0, 0, -1])
+    with pytest.raises(InputError, match="a load acts on block 9, which does not exist"):
+        compas_dem.solve(problem)
+    problem = stack()
+    problem.add_boundary_condition("wind").add_surface_load(3, 0, [0, 0, -1])
+    with pytest.raises(InputError, match="surface loads; give point loads"):
         compas_dem.solve(problem)
 
 

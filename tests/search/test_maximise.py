@@ -71,6 +71,7 @@ def test_a_stopped_search_returns_the_first_plan_with_its_margins() -> None:
     found = maximise_margin(assembly, task_of(assembly, 2), "friction", stop=stop)
     assert len(calls) > most
     assert found.found
+    assert found.result.interrupted
     margins = found.plans[0].margins
     assert margins is not None
     assert margins.maximised == "friction"

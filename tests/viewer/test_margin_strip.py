@@ -18,6 +18,7 @@ from falsework.search import Demands, PlanMargins, find_plans
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.task import Direction
 from falsework.viewer.margin_strip import margin_strip, weakness
+from falsework.viewer.pictures.contact_sheet import legend_of_shares
 
 
 @pytest.fixture(scope="module")
@@ -72,3 +73,5 @@ def test_pictures_colour_parts_by_their_limits(plan: Plan, tmp_path: Path) -> No
     assert (tmp_path / "plain.png").read_bytes() != (tmp_path / "limits.png").read_bytes()
     with pytest.raises(InputError, match="name the state with --step"):
         fw.picture(plan, tmp_path / "sheet.png", arch, limits=True)
+    words = [text for _, text in legend_of_shares("the limit")]
+    assert words == ["0% of the limit", "25% of the limit", "50% of the limit", "75% of the limit", "100% of the limit"]

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.interfaces import StoredInterface, compare_interfaces, interface_contacts
 from falsework.assembly.joints import Joints
+from falsework.assembly.loads import GRAVITY, Loads
 from falsework.assembly.model import DENSITY, FRICTION, Assembly
 from falsework.assembly.store import part_ids, support_names
 from falsework.errors import AssemblyError, InputError, MeshError
@@ -35,8 +36,9 @@ class Block:
     """Polygons, counter-clockwise seen from outside."""
     support: bool = False
     attributes: Mapping[str, Any] = field(default_factory=dict)
-    """Attributes of the part; `density` (kg/m3), `friction`, and the `cohesion` and `tension` (Pa) of all contacts are
-    used."""
+    """Attributes of the part; `density` (kg/m3), `friction`, the `cohesion` and `tension` (Pa) of all contacts, `loads`
+    (entries of `assembly.json` without the part, `at` in the unit of the file) and the `acceleration` of all parts
+    (m/s2) are used."""
     key: Hashable = None
     """Name of the part by which interfaces of the file refer to it."""
 
@@ -156,10 +158,26 @@ class Draft:
             contacts=interface_contacts(meshes, self.interfaces) if interfaces == "stored" else None,
         )
         strength = {name: max(self._values(name), default=None) for name in ("cohesion", "tension")}
-        assembly = assembly.replace(joints=Joints.throughout(assembly.contacts, **strength))
+        assembly = assembly.replace(
+            joints=Joints.throughout(assembly.contacts, **strength), loads=self._loads(assembly)
+        )
         if interfaces == "compare":
             compare_interfaces(interface_contacts(meshes, self.interfaces), assembly.contacts).warn(assembly.names)
         return assembly
+
+    def _loads(self, assembly: Assembly) -> Loads | None:
+        """Return the loads of the blocks; None if they have none."""
+        entries = []
+        for number, block in enumerate(self.blocks):
+            for load in block.attributes.get("loads", ()):
+                place = {"at": (np.asarray(load["at"]) * self.scale).tolist()} if "at" in load else {}
+                entries.append({"part": number, **load, **place})
+        acting = Loads.read(entries, None, assembly.names, assembly.mass.center)
+        pulled = np.array(next(block.attributes.get("acceleration") or (0, 0, 0) for block in self.blocks), dtype=float)
+        if not pulled.any():
+            return acting
+        wrench = None if acting is None else acting.wrench
+        return Loads.of(assembly.part_count, wrench=wrench, acceleration=pulled / GRAVITY)
 
     def _values(self, name: str) -> list[float]:
         """Return an attribute of the blocks that have it as a number."""

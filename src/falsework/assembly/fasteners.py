@@ -36,7 +36,8 @@ def fasten(assembly: Assembly, entries: Sequence[Mapping[str, Any]]) -> Assembly
             given) and `ductile` (true for one that slides out or releases slowly).
 
     Raises:
-        AssemblyError: parts that do not exist, invalid numbers, or no axis where the parts do not touch.
+        AssemblyError: parts that do not exist, invalid numbers, a place far from the parts, or no axis where the parts
+            do not touch.
     """
     contacts = assembly.contacts
     joints = assembly.joints or Joints.of(contacts)
@@ -51,15 +52,17 @@ def fasten(assembly: Assembly, entries: Sequence[Mapping[str, Any]]) -> Assembly
         if not isinstance(pair, list) or len(pair) != 2:
             raise AssemblyError(f"fastener between {pair!r}; give two parts")
         a, b = sorted(part_id(item, assembly.names, "a fastener is in part") for item in pair)
+        if a == b:
+            raise AssemblyError(f"a fastener is between part {assembly.names[a]} and itself; give two parts")
         names = f"the fastener between parts {assembly.names[a]} and {assembly.names[b]}"
         mine = (contacts.parts == (a, b)).all(axis=1)
         axis = _vector(entry["axis"], f"axis of {names}") if "axis" in entry else _normal(contacts, mine, names)
-        if a == b or not axis.any():
-            raise AssemblyError(f"{names} needs two parts and an axis that is not zero")
+        if not axis.any():
+            raise AssemblyError(f"{names} needs an axis that is not zero")
         if axis @ (assembly.mass.center[b] - assembly.mass.center[a]) < 0 and "axis" in entry:
             axis = -axis
         parts.append((a, b))
-        points.append(_vector(entry["at"], f"place of {names}"))
+        points.append(_place(entry["at"], assembly, (a, b), names))
         axes.append(axis / np.linalg.norm(axis))
         areas.append(float(corner[mine].mean() if mine.any() else corner.mean() if len(corner) else 1.0))
         if not isinstance(entry.get("ductile", False), bool):
@@ -114,7 +117,11 @@ def furnish(
     Raises:
         AssemblyError: any of them cannot be used.
     """
-    acting = Loads.read(loads, earthquake, assembly.names, assembly.mass.center)
+    acting, own = Loads.read(loads, earthquake, assembly.names, assembly.mass.center), assembly.loads
+    if acting is not None and own is not None:  # what is given replaces what the file has of the same kind
+        wrench = own.wrench if loads is None else acting.wrench
+        pulled = own.acceleration if earthquake is None else acting.acceleration
+        acting = Loads.of(assembly.part_count, wrench=wrench, acceleration=pulled)
     joined = Joints.read(joints, materials, assembly.names, assembly.contacts)
     if acting is not None or joined is not None:
         assembly = assembly.replace(loads=acting, joints=joined)
@@ -127,6 +134,20 @@ def _normal(contacts: Contacts, mine: NDArray[np.bool_], names: str) -> Array:
         raise AssemblyError(f"{names} has no contact to be normal to; give its axis")
     rows = np.flatnonzero(mine)
     return contacts.frames[rows[np.argmax(contacts.areas[rows])], 0]
+
+
+def _place(value: Any, assembly: Assembly, pair: tuple[int, int], names: str) -> Array:
+    """Return the point of a fastener, which may not be farther from either part than the part is large."""
+    at = _vector(value, f"place of {names}")
+    for part in pair:
+        low, high = (corner(assembly.meshes[part].vertices, axis=0) for corner in (np.min, np.max))
+        away = float(np.linalg.norm(np.maximum(np.maximum(low - at, at - high), 0.0)))
+        if away > float(np.linalg.norm(high - low)):
+            raise AssemblyError(
+                f"{names} is {away:.3g} m away from part {assembly.names[part]}; "
+                "give its place in metres, within the parts"
+            )
+    return at
 
 
 def _vector(value: Any, what: str) -> Array:

@@ -139,9 +139,9 @@ class Joints:
         Raises:
             AssemblyError: no such material or part, parts that do not touch, or invalid numbers.
         """
+        made_of = _materials(materials, names)
         if not entries:
             return None
-        made_of = _materials(materials, names)
         values = {name: np.full(len(contacts), np.nan) for name in _VALUES}
         values["tension"][:] = 0.0
         flat = contacts.dimension == 2
@@ -155,7 +155,7 @@ class Joints:
             named = {name: _number(entry[name], name) for name in _VALUES if name in entry}
             rows = _rows(entry, made_of, names, contacts)
             strong = named.get("cohesion", 0.0) > 0 or named.get("tension", 0.0) > 0
-            if "parts" in entry and strong and not flat[rows].any():
+            if strong and rows.any() and not flat[rows].any():
                 a, b = (names[part] for part in contacts.parts[np.flatnonzero(rows)[0]].tolist())
                 raise AssemblyError(
                     f"parts {a} and {b} touch along a line or at a point, which has no area for cohesion or tension; "
@@ -203,6 +203,11 @@ class Joints:
             mine = self.sets == number
             share[..., mine] = np.interp(age[..., mine], *np.array(way).T)
         return share
+
+    def scale_friction(self, factor: float) -> Joints:
+        """Return the same joints with other coefficients of friction; cohesion that was given is kept."""
+        friction = factor * self.friction
+        return Joints._frozen(friction, self.cohesion, self.tension, self.ductile, self.setting, self.sets)
 
     def once_set(self) -> Joints:
         """Return the same joints, fully set from the start."""

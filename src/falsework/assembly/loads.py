@@ -13,6 +13,8 @@ from falsework.errors import AssemblyError
 
 Array = NDArray[np.float64]
 
+GRAVITY = 9.81
+"""Acceleration of which loads are shares where a file has them in m/s2."""
 _ENTRIES = {"part", "force", "moment", "at"}
 
 
@@ -70,6 +72,10 @@ class Loads:
             if not isinstance(entry, Mapping) or "part" not in entry or not set(entry) <= _ENTRIES:
                 raise AssemblyError(f"load {entry!r} is not an object with part, force and perhaps at and moment")
             part = part_id(entry["part"], names, "a load acts on part")
+            if not {"force", "moment"} & set(entry):
+                raise AssemblyError(
+                    f"the load on part {names[part]} has neither a force nor a moment; give one in N or Nm"
+                )
             force = _numbers(entry.get("force", [0, 0, 0]), f"the force on part {names[part]}", (3,), "N")
             moment = _numbers(entry.get("moment", [0, 0, 0]), f"the moment on part {names[part]}", (3,), "Nm")
             if "at" in entry:

@@ -251,6 +251,21 @@ class Assembly:
             changed.__dict__["clearance"] = self.clearance
         return changed
 
+    def at_friction(self, friction: float) -> Assembly:
+        """Return the structure at another coefficient of friction, those of its joints changed in proportion.
+
+        In a structure whose own coefficient is zero, joints keep theirs.
+        """
+        joints = self.joints
+        if joints is not None and self.friction > 0.0:
+            joints = joints.scale_friction(friction / self.friction)
+        return _replace(self, friction=float(friction), joints=joints)
+
+    @property
+    def has_common_friction(self) -> bool:
+        """Whether `at_friction` changes every coefficient: joints have friction only if the structure has, too."""
+        return self.friction > 0.0 or self.joints is None or not (self.joints.friction > 0.0).any()
+
     def with_ground(self) -> Assembly:
         """Return the same parts on a fixed slab under the lowest point, which becomes the last part."""
         grounded = Assembly.from_meshes(

@@ -55,7 +55,8 @@ def parse_numbers(text: str, option: str, count: Sequence[int] = (1, 2)) -> list
     except ValueError:
         numbers = []
     if len(numbers) not in count or not all(math.isfinite(number) for number in numbers):
-        raise InputError(f"{option} {text}: give {' or '.join(map(str, count))} numbers without units, such as 0.1")
+        shown = f"{option}{text}" if option.endswith(("=", "@")) else f"{option} {text}"
+        raise InputError(f"{shown}: give {' or '.join(map(str, count))} numbers without units, such as 0.1")
     return numbers
 
 

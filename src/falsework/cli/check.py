@@ -139,6 +139,8 @@ class CheckPlan(JudgingCommand):
             demanded = self.margin or (plan.margins and str(plan.margins.demands))
             if demanded:
                 output.say(f"every state keeps {demanded}")
+            if plan.margins is not None and plan.margins.measured:
+                output.say(f"every state keeps its recorded margins of {', '.join(plan.margins.measured)}")
         else:
             output.note(
                 f"falsework: {self.plan}: {found.reason}{'; ' if moving else ''}{describe(assembly, moving, limit=3)}"

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 LOOKED_AT = 8
 """Largest number of states where a search stopped whose margins are measured."""
+_HALVINGS = 8
+"""Steps of a search for the largest load or placement error that one of them keeps."""
 
 
 def refuse_weak_end(oracle: DemandingStability, task: Task, output: Output) -> bool:
@@ -53,9 +55,9 @@ def shortfall(oracle: DemandingStability, states: States) -> dict[str, dict[str,
     from falsework.search.margins.plan_margins import MEASURED
 
     kinds = [kind for kind in MEASURED if getattr(oracle.demands, kind) is not None]
-    if not kinds or not len(states):
+    if not len(states):
         return {}
-    found = oracle.margins(states, tuple(kinds))
+    found = oracle.margins(states, tuple(kinds)) if kinds else []
     lacks: dict[str, dict[str, float]] = {}
     for kind in kinds:
         values = [bound.value for bound in (getattr(margins, kind) for margins in found) if bound is not None]
@@ -64,7 +66,32 @@ def shortfall(oracle: DemandingStability, states: States) -> dict[str, dict[str,
         wanted = getattr(oracle.demands, kind)
         if values and all(value is not None and value < wanted * 1.1 for value in values):
             lacks[kind] = {"best": max(value for value in values if value is not None), "demanded": wanted}
+    for kind in ("load", "placement"):
+        wanted = getattr(oracle.demands, kind)
+        if wanted is not None and not _keeps(oracle, states, kind, wanted):
+            lacks[kind] = {"best": _largest_kept(oracle, states, kind, wanted), "demanded": wanted}
     return lacks
+
+
+def _largest_kept(oracle: DemandingStability, states: States, kind: str, wanted: float) -> float:
+    """Return a value that a state keeps, by bisection on a logarithmic scale; 0 if none keeps a thousandth of it."""
+    kept, lost = 0.0, wanted
+    for _ in range(_HALVINGS):
+        middle = (kept * lost) ** 0.5 if kept else 0.1 * lost
+        if middle < 0.999e-3 * wanted:
+            break
+        if _keeps(oracle, states, kind, middle):
+            kept = middle
+        else:
+            lost = middle
+    return kept
+
+
+def _keeps(oracle: DemandingStability, states: States, kind: str, value: float) -> bool:
+    """Return whether one of the states keeps a margin of this kind."""
+    from falsework.search.margins.demands import DemandingStability, Demands
+
+    return bool(DemandingStability(oracle.assembly, oracle.settings, Demands(**{kind: value})).keeps(states).any())
 
 
 def _words(lacks: dict[str, dict[str, float]]) -> str:

@@ -40,14 +40,38 @@ class Failure:
     """States that the search rejected because they slide."""
     cut: bool
     """Whether the search was stopped before its end, by the keyboard or a deadline."""
-    text: str
-    """Summary in one line."""
+    there: str
+    """What moves where the search ended, in words; empty if it was stopped."""
+
+    @property
+    def outcome(self) -> str:
+        """What the search says about plans."""
+        return "no plan exists" if self.proven else "no plan was found"
+
+    @property
+    def text(self) -> str:
+        """Summary in one line."""
+        parts = [text for text in (self.outcome, self.progress, self.there, self.reason) if text]
+        if self.sliding:
+            sliding = "1 state on the way slides" if self.sliding == 1 else f"{self.sliding} states on the way slide"
+            parts.append(f"{sliding}; another robot or more friction may help")
+        return "; ".join(parts)
+
+    def in_which(self, condition: str) -> str:
+        """Return a summary for a search that ended at states that are stable, but do not meet a condition."""
+        return f"{self.outcome} in which {condition}; {self.progress}"
+
+    @property
+    def progress(self) -> str:
+        """How far the search got."""
+        doing = "taking it apart" if self.disassembly else "putting it together"
+        return f"{doing}, the search reached step {self.reached} of {self.steps}"
 
     def to_dict(self, assembly: Assembly) -> dict[str, Any]:
         """Return the report as a JSON object."""
         return {
             "plan": None,
-            "outcome": "no plan exists" if self.proven else "no plan was found",
+            "outcome": self.outcome,
             "interrupted": self.cut,
             "reached": self.reached,
             "steps": self.steps,
@@ -73,21 +97,12 @@ def explain(assembly: Assembly, oracle: Stability, result: SearchResult) -> Fail
     disassembly = result.direction is Direction.DISASSEMBLY
     # Motions cost verdicts, for which a search that was stopped has no time left.
     moving = [] if result.interrupted else common_motions(assembly, oracle, result.rejected[:LOOKED_AT])
-    doing = "taking it apart" if disassembly else "putting it together"
     reason = "; ".join(result.notes) if proven else result.limit
-    parts = ["no plan exists" if proven else "no plan was found"]
-    parts.append(f"{doing}, the search reached step {result.reached} of {result.steps}")
-    if moving:
-        parts.append(f"there {describe(assembly, moving, limit=3)}")
-    elif not result.interrupted:
-        parts.append("there the rules allow no further step")
-    if reason:
-        parts.append(reason)
-    if result.sliding:
-        parts.append(f"{result.sliding} states on the way slide; another robot or more friction may help")
-    text = "; ".join(parts)
-    reached, cut = result.reached, result.interrupted
-    return Failure(proven, reached, result.steps, disassembly, moving, reason, result.sliding, cut, text)
+    there = f"there {describe(assembly, moving, limit=3)}" if moving else ""
+    if not moving and not result.interrupted:
+        there = "there the rules allow no further step"
+    cut = result.interrupted
+    return Failure(proven, result.reached, result.steps, disassembly, moving, reason, result.sliding, cut, there)
 
 
 def common_motions(assembly: Assembly, oracle: Stability, states: States) -> list[PartMotion]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from falsework.assembly.state import States
     from falsework.cli.output import Output
     from falsework.search.plans.plan import Plan
-    from falsework.stability import StateMargins
+    from falsework.stability import StabilitySettings, StateMargins
 
 _WORDS = (
     ("friction", "friction at least {:.3g}"),
@@ -43,6 +43,7 @@ class FindMargins(Command):
     examples: ClassVar[tuple[str, ...]] = (
         "falsework margins arch:blocks=15",
         "falsework margins plan.json --json",
+        "falsework margins plan.json --out plan.json",
         "falsework margins my-folder --polygon --settlement",
         "falsework margins my-folder --placement 1mm,2mm --draws 40",
     )
@@ -71,6 +72,9 @@ class FindMargins(Command):
     """Random draws for each placement error."""
     seed: int = 0
     """Random seed of the draws."""
+    out: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=UNSET)] = None
+    """File to write the plan to with the margins of all its states, which instruction sheets and the page show and
+    `falsework check` verifies."""
 
     def run(self, output: Output) -> Exit:
         """Find and print the margins."""
@@ -89,12 +93,19 @@ class FindMargins(Command):
         states = self._states(plan, assembly)
         criterion = self.criterion or ("contact" if plan is None else plan.claim.criterion)
         settings = StabilitySettings(criterion=criterion, cone=self.cone)
+        if self.out is not None:
+            self._refuse_out(plan, settings)
         extra = [kind for kind in ("polygon", "settlement") if getattr(self, kind)]
-        oracle, found = Stability(assembly, settings), []
+        oracle, found, interrupted = Stability(assembly, settings), [], False
         with output.bar("margins") as show:
-            for row in range(len(states)):
-                found += oracle.margins(states[row], (*QUICK, *extra), deadline=self.deadline)
-                show(row + 1, len(states), f"state {row + 1} of {len(states)}")
+            try:
+                for row in range(len(states)):
+                    found += oracle.margins(states[row], (*QUICK, *extra), deadline=self.deadline)
+                    show(row + 1, len(states), f"state {row + 1} of {len(states)}")
+            except KeyboardInterrupt:
+                interrupted = True
+        if interrupted:
+            errors = []
         shares = self._shares(assembly, states, errors, settings, output)
         overloaded = False
         for row, margins in enumerate(found):
@@ -119,6 +130,11 @@ class FindMargins(Command):
                 )
         if len(found) > 1:
             self._weakest(found, plan, assembly, output)
+        if interrupted:
+            output.note(f"interrupted after {len(found)} of {len(states)} states")
+            return Exit.INTERRUPTED
+        if self.out is not None and plan is not None:
+            self._save(plan, found, self.out, output)
         return Exit.DONE if all(margins.stands for margins in found) and not overloaded else Exit.NO
 
     def _limits(self) -> tuple[float, float] | None:
@@ -130,6 +146,39 @@ class FindMargins(Command):
         if not comma:
             raise InputError(f"--bears {self.bears}: give a force and a moment, such as 120N,8Nm")
         return parse_quantity(force, "force", "--bears"), parse_quantity(moment, "moment", "--bears")
+
+    def _refuse_out(self, plan: Plan | None, settings: StabilitySettings) -> None:
+        """Check before the search that the margins can be written into a plan."""
+        from falsework.cli.planning import writable
+
+        assert self.out is not None
+        if plan is None or self.states is not None or self.deadline is not None:
+            raise InputError("--out writes all margins of a plan: give a plan, and leave out --states and --deadline")
+        claim = settings.claim
+        if (claim.criterion, claim.cone) != (plan.claim.criterion, plan.claim.cone):
+            raise InputError(
+                f"the plan is for the criterion {plan.claim.criterion} with the {plan.claim.cone} cone; "
+                "leave out --criterion and --cone, or --out"
+            )
+        writable(self.out)
+
+    def _save(self, plan: Plan, found: list[StateMargins], path: Path, output: Output) -> None:
+        """Write the plan with its margins, unless one of its states has none."""
+        from falsework.search.margins.plan_margins import PlanMargins
+        from falsework.search.plans.plan_file import save_plan
+        from falsework.search.plans.plan_source import moved_source
+
+        fallen = next((row for row, margins in enumerate(found) if not margins.stands), None)
+        if fallen is not None:
+            output.note(f"falsework: {path} is not written: state {fallen} is not stable by itself and has no margins")
+            return
+        margins = PlanMargins.from_states(found)
+        if plan.margins is not None:
+            known = plan.margins
+            margins = replace(margins, demands=known.demands, maximised=known.maximised, bound=known.bound)
+        source = moved_source(plan, Path(self.structure.spec), path)
+        save_plan(replace(plan, margins=margins, source=source), path, proofs=plan.proof_arrays() is not None)
+        output.note(f"the plan with its margins is in {path}")
 
     def _states(self, plan: Plan | None, assembly: Assembly) -> States:
         from falsework.assembly.state import as_states, complete_state
@@ -176,6 +225,11 @@ class FindMargins(Command):
                 row = int(np.nanargmax(values) if key == "friction" else np.nanargmin(values))
                 output.record({"weakest": key, "state": row, "value": float(values[row])})
                 output.say(f"weakest: {words.format(values[row])} ({self._subject(row, plan, assembly).strip()})")
+        holds = [(load.force_n, row, load.part) for row, margins in enumerate(found) for load in margins.held]
+        if holds:
+            force, row, part = max(holds)
+            place = self._subject(row, plan, assembly).strip()
+            output.say(f"heaviest hold: {force:.4g} N for {assembly.names[part]} ({place})")
 
 
 def _text(record: dict[str, Any]) -> str:

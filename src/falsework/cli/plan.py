@@ -146,7 +146,8 @@ class MakePlan(Command):
         cut = "the deadline ended the search" if planning.deadline_passed else "interrupted"
         saved = f"it is saved in {checkpoint}, the same command with --resume continues it"
         if self.maximise is not None or checkpoint is None:
-            saved = "the same command begins anew"
+            stronger = self.maximise is not None and planning.found
+            saved = f"{'a stronger plan may exist; ' * stronger}the same command begins anew"
         if planning.found:
             self._report(self._save(planning.plans), planning, output)
             if result.interrupted:
@@ -155,7 +156,7 @@ class MakePlan(Command):
             failure = explain(assembly, oracle, result)
             lacks, words = ({}, "") if demanding is None else explain_shortfall(demanding, result)
             output.record(failure.to_dict(assembly) | ({"shortfall": lacks} if demanding is not None else {}))
-            reason = f"{failure.text}{words}"
+            reason = f"{failure.in_which(f'every state keeps {demands}') if lacks else failure.text}{words}"
             output.note(f"{cut}: {reason}; {saved}" if result.interrupted else f"falsework: {reason}")
             if planning.fallen is not None:
                 self._show_fallen(planning.fallen, output)

@@ -5,7 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+    from falsework.robots.model.cell import Cell
     from falsework.robots.plans.check import CheckReport
+    from falsework.robots.plans.grip_loads import GripLoad
+    from falsework.robots.plans.plan_problem import PlanProblem
     from falsework.robots.plans.robot_plan import RobotPlan
     from falsework.robots.schedule.simulation import SimulationReport
 
@@ -109,3 +113,50 @@ def runs_text(runs: SimulationReport, longest_delay: float) -> str:
         )
     least, median, most = runs.spread
     return f"{what} take {least:.1f} to {most:.1f} s, median {median:.1f} s"
+
+
+def overloads_of(plan: RobotPlan, assembly: Assembly, cell: Cell) -> list[PlanProblem]:
+    """Return the holds of a plan that take more than a gripper bears; nothing is computed for a cell without limits."""
+    from falsework.robots.plans.grip_loads import grip_loads, overloads
+
+    if not any(robot.gripper.has_limits for robot in cell.robots):
+        return []
+    return overloads(grip_loads(plan, assembly, cell), plan, cell)
+
+
+def holds_record(loads: list[GripLoad], plan: RobotPlan, cell: Cell) -> list[dict[str, Any]]:
+    """Return the largest force and moment that each robot bears for a part that it holds."""
+    from falsework.robots.plans.grip_loads import heaviest
+
+    records = []
+    for number, robot in enumerate(cell.robots):
+        found = heaviest(loads, number)
+        if found is None:
+            continue
+        force, moment = found
+        limits = {"force": robot.gripper.force, "moment": robot.gripper.moment, "payload_kg": robot.payload}
+        records.append(
+            {
+                "robot": robot.name,
+                "force_n": force.force_n,
+                "force_part": plan.plan.part_names[force.part],
+                "moment_nm": moment.moment_nm,
+                "moment_part": plan.plan.part_names[moment.part],
+                "limits": {key: None if value == float("inf") else value for key, value in limits.items()},
+            }
+        )
+    return records
+
+
+def holds_text(record: dict[str, Any]) -> str:
+    """Return what `holds_record` has of one robot as a sentence."""
+    limits = record["limits"]
+    said = [
+        f"{value:.4g} {unit}" for key, unit in (("force", "N"), ("moment", "Nm")) if (value := limits[key]) is not None
+    ]
+    payload = "" if limits["payload_kg"] is None else f", payload {limits['payload_kg']:.3g} kg"
+    return (
+        f"{record['robot']} bears up to {record['force_n']:.4g} N (holding {record['force_part']}) and "
+        f"{record['moment_nm']:.3g} Nm at its tool (holding {record['moment_part']}); limits of its gripper: "
+        f"{' and '.join(said) or 'not given'}{payload}"
+    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -16,7 +16,16 @@ from falsework.cli.exit_code import Exit
 from falsework.cli.output import counted
 from falsework.cli.planning import refuse_unstable, writable
 from falsework.cli.robot_arguments import parse_holding, parse_joints
-from falsework.cli.robot_reports import check_record, runs_record, runs_text, schedule_text, times_record
+from falsework.cli.robot_reports import (
+    check_record,
+    holds_record,
+    holds_text,
+    overloads_of,
+    runs_record,
+    runs_text,
+    schedule_text,
+    times_record,
+)
 from falsework.errors import InputError
 
 if TYPE_CHECKING:
@@ -120,7 +129,14 @@ class PlanRobots(Command):
         found = result.partial if result.plan is None else result.plan  # a plan without steps is false
         if found is not None and self.assembly_order and not together:
             found = found.reverse()
-        return self._report(result, found, output)
+        done = self._report(result, found, output)
+        heavy = overloads_of(found, assembly, cell) if done is Exit.DONE and found is not None else []
+        if heavy:
+            output.record({"overloads": [asdict(problem) for problem in heavy]})
+            for problem in heavy:
+                output.note(f"falsework: {problem}")
+            return Exit.NO
+        return done
 
     def _can_schedule(self, output: Output) -> bool:
         from falsework.errors import DependencyError
@@ -224,7 +240,8 @@ class CheckRobots(Command):
     arms have no meshes, so their convex pieces are checked. Limits of position, velocity and acceleration and the
     continuity of motions are checked too. A plan with a schedule is checked as a whole as well: every 0.01 s all that
     moves against all else; and for any delays the order of the states, and all positions of two arms that can coincide,
-    between samples too. The exact solver checks the stability of the states. Exit code 1 if anything is wrong.
+    between samples too. The exact solver checks the stability of the states. Forces and moments that robots bear for
+    held parts are compared with the limits of their grippers. Exit code 1 if anything is wrong.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -256,6 +273,7 @@ class CheckRobots(Command):
         """Load, compare, verify."""
         from falsework.robots.cells.cell_file import load_cell
         from falsework.robots.plans.check import check_robot_plan
+        from falsework.robots.plans.grip_loads import grip_loads, overloads
         from falsework.robots.plans.robot_plan_file import load_robot_plan
         from falsework.robots.schedule.simulation import simulate
         from falsework.search.plans.plan_check import validate_plan
@@ -276,20 +294,24 @@ class CheckRobots(Command):
                 progress=lambda done, total: show(done, total, f"step {done}"),
             )
         stable = None if self.motions_only else validate_plan(plan.plan, assembly)
-        good = report.good and (stable is None or stable.good) and (runs is None or runs.good)
+        loads = [] if stable is None or not stable.good else grip_loads(plan, assembly, cell)
+        heavy, holds = overloads(loads, plan, cell), holds_record(loads, plan, cell)
+        good = report.good and (stable is None or stable.good) and (runs is None or runs.good) and not heavy
         output.record(
             {
                 "robot_plan": str(self.plan),
                 "good": good,
                 "stable": None if stable is None else stable.good,
                 **check_record(report),
+                "holds": holds,
+                "overloads": [asdict(problem) for problem in heavy],
                 "delayed_runs": None if runs is None else runs_record(runs, self.longest_delay),
             }
         )
         if self.steps:
             for step in range(len(plan)):
                 output.say(f"{step + 1:4d}  {plan.describe(step)}")
-        for problem in report.problems:
+        for problem in (*report.problems, *heavy):
             output.note(f"falsework: {problem}")
         if stable is not None and not stable.good:
             output.note(f"falsework: {self.plan}: {stable.reason}")
@@ -311,6 +333,8 @@ class CheckRobots(Command):
             )
         if runs is not None:
             output.say(runs_text(runs, self.longest_delay))
+        for record in holds:
+            output.say(holds_text(record))
         return Exit.DONE
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.draft import Block, Draft
 from falsework.assembly.joints import Joints
+from falsework.assembly.loads import GRAVITY, Loads
 from falsework.assembly.model import DENSITY, FRICTION, Assembly
 from falsework.assembly.state import complete_state
 from falsework.errors import DependencyError, InputError
@@ -29,7 +30,7 @@ def solve(problem: Any, *, criterion: Criterion = "contact", gravity: float | No
 
     Contacts are those of `model.compute_contacts()`, found from the meshes where it was not called. Density is that of
     the blocks' materials; friction, cohesion and tension (Pa) are those of the contact model. Supports are the model's,
-    and blocks whose displacement is prescribed as zero. Loads other than gravity are refused.
+    and blocks whose displacement is prescribed as zero. Point loads and body forces act; surface loads are refused.
 
     The results hold, as those of compas_dem's solvers do, for every edge `contact_data` (a `FrictionContact`,
     `EdgeContact` or `VertexContact`), `contact_points`, `contact_polygon`, `contact_frame` with z from the first to the
@@ -50,7 +51,8 @@ def solve(problem: Any, *, criterion: Criterion = "contact", gravity: float | No
 
     Raises:
         DependencyError: compas_dem is not installed.
-        InputError: loads other than gravity, moved supports, or a contact model other than Coulomb's.
+        InputError: surface loads, a load on a block that is not there, moved supports, or a contact model other than
+            Coulomb's.
         MeshError: a block that does not bound a solid.
         AssemblyError: the blocks make no assembly, or their contacts do not fit them.
     """
@@ -63,6 +65,9 @@ def solve(problem: Any, *, criterion: Criterion = "contact", gravity: float | No
     nodes = [element.graphnode for element in model.elements()]
     assembly = assembly_of(problem)
     g = _gravity(problem) if gravity is None else gravity
+    if assembly.loads is not None and g > 0:  # body forces are m/s2, and shares of 9.81 m/s2 in the assembly
+        wrench, share = assembly.loads.wrench, assembly.loads.acceleration * GRAVITY / g
+        assembly = assembly.replace(loads=Loads.of(assembly.part_count, wrench=wrench, acceleration=share))
     state = complete_state(assembly.boundary)
     verdicts = Stability(assembly, StabilitySettings(criterion=criterion, gravity=g)).check(state)
     verdict = Verdict(verdicts.verdict[0])
@@ -101,15 +106,18 @@ def assembly_of(problem: Any) -> Assembly:
         InputError: as `solve`.
     """
     model = problem.model
-    _check_loads(problem)
+    loads, acceleration = _loads_of(problem)
     held = {entry.block_index for group in problem.boundary_conditions for entry in group.displacements}
     blocks, densities = [], []
     for element in model.elements():
         vertices, faces = element.modelgeometry.to_vertices_and_faces()
         support = bool(element.is_support) or element.graphnode in held
         points = np.array(vertices, dtype=float)
-        blocks.append(Block(str(element.graphnode), points, faces, support, key=element.graphnode))
+        attributes = {"loads": loads.pop(element.graphnode, []), "acceleration": acceleration}
+        blocks.append(Block(str(element.graphnode), points, faces, support, attributes, key=element.graphnode))
         densities.append(getattr(element.material, "density", None) or DENSITY)
+    if loads:
+        raise InputError(f"a load acts on block {next(iter(loads))}, which does not exist; leave the load out")
     interfaces = [
         {"keys": edge, "points": [list(point) for point in contact.points], "normal": list(contact.frame.zaxis)}
         for edge in model.graph.edges()
@@ -125,11 +133,19 @@ def assembly_of(problem: Any) -> Assembly:
     return assembly.replace(joints=Joints.throughout(assembly.contacts, **strength))
 
 
-def _check_loads(problem: Any) -> None:
-    """Raise for loads that verdicts do not take into account."""
+def _loads_of(problem: Any) -> tuple[dict[Any, list[dict[str, Any]]], list[float]]:
+    """Return the point loads by block and the acceleration of all blocks; raise for what verdicts cannot regard."""
+    loads: dict[Any, list[dict[str, Any]]] = {}
+    acceleration = [0.0, 0.0, 0.0]
     for group in problem.boundary_conditions:
-        if group.point_loads or group.surface_loads or group.body_forces:
-            raise InputError(f"boundary condition {group.name} has loads other than gravity; solve without them")
+        if group.surface_loads:
+            raise InputError(f"boundary condition {group.name} has surface loads; give point loads instead")
+        for entry in group.point_loads:
+            named = (("force", entry.force), ("moment", entry.moment), ("at", entry.point))
+            given = {name: list(value) for name, value in named if value is not None}
+            loads.setdefault(entry.block_index, []).append(given)
+        for entry in group.body_forces:
+            acceleration = [a + float(b) for a, b in zip(acceleration, entry.acceleration, strict=True)]
         for entry in group.displacements:
             given = getattr(entry, "translation", None) or getattr(entry, "rotation", None) or []
             if any(component != 0 for component in given):
@@ -137,6 +153,7 @@ def _check_loads(problem: Any) -> None:
                     f"boundary condition {group.name} moves block {entry.block_index} or leaves it free in part; "
                     "prescribe zero in all directions, or nothing"
                 )
+    return loads, acceleration
 
 
 def _gravity(problem: Any) -> float:

@@ -7,7 +7,7 @@ The classes that hold blocks are few and plain, so they are read here without CO
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Iterator
+from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn
@@ -27,6 +27,8 @@ LARGEST_FILE = 512 * 1024 * 1024
 _IDENTITY = np.eye(4)
 _MESHES = {"compas.datastructures/Mesh", "compas_assembly.datastructures/Block"}
 _MODELS = {"compas_model.models/Model", "compas_dem.models/BlockModel"}
+_LOAD_KEYS = (("force", "force"), ("moment", "moment"), ("at", "point"))
+"""Entries of a load in `assembly.json`, and of a compas_dem `PointLoad`."""
 _BOX_FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
 
 
@@ -47,7 +49,8 @@ def load_compas(
     Blocks are meshes in a list or a dictionary, the blocks of a compas_assembly `Assembly`, or the elements of a
     compas_dem `BlockModel` with their transformations, of this version or an older one, alone or in a `Problem`.
     Supports (`is_support`) are boundary. Attributes `density` and `friction`, which `write_compas` adds, the densities
-    of materials and the friction, cohesion and tension (Pa) of a `Problem` are read too. COMPAS data have no unit.
+    of materials and the friction, cohesion and tension (Pa), point loads and body forces of a `Problem` are read too.
+    COMPAS data have no unit.
 
     Args:
         path: file that `compas.json_dump` wrote.
@@ -57,7 +60,8 @@ def load_compas(
         options: density, friction, boundary, ground and contact_settings, as for `load_assembly`.
 
     Raises:
-        InputError: no such file, not COMPAS data, no block in it, or no interfaces where they are asked for.
+        InputError: no such file, not COMPAS data, no block in it, no interfaces where they are asked for, or a
+            `Problem` with surface loads or moved blocks.
         MeshError: a block that does not bound a solid.
         AssemblyError: the blocks make no assembly, or the stored interfaces do not fit them.
     """
@@ -200,20 +204,51 @@ class _Reader:
         law = _inner(properties.get("contact_model") or {})
         friction = math.tan(math.radians(law["phi"])) if law.get("phi") is not None else law.get("mu")
         groups = content.get("boundary_conditions") or []
-        held = set()
-        for group in groups if isinstance(groups, list) else [groups]:
-            for entry in _inner(group).get("displacements") or []:
-                held.add(str(_inner(entry)["block_index"]))
         model = _inner(content["model"])
         nodes = _inner(model.get("graph") or {"node": {}})["node"]
-        guids = {node.get("element") for key, node in nodes.items() if str(key) in held}
+        known = {str(key): node.get("element") for key, node in nodes.items()}
+        held, loads, acceleration = self._conditions(groups if isinstance(groups, list) else [groups], known)
         for block in self._find(content["model"]):
             assert isinstance(block.key, tuple)
             attributes = dict(block.attributes)
             if friction is not None:
                 attributes["friction"] = friction
             attributes |= {name: law[key] for name, key in (("cohesion", "c"), ("tension", "t_c")) if law.get(key)}
-            yield replace(block, support=block.support or block.key[1] in guids, attributes=attributes)
+            attributes |= {"loads": loads.get(block.key[1], []), "acceleration": acceleration}
+            yield replace(block, support=block.support or block.key[1] in held, attributes=attributes)
+
+    def _conditions(
+        self, groups: list[Any], known: Mapping[str, Any]
+    ) -> tuple[set[Any], dict[Any, list[dict[str, Any]]], list[float]]:
+        """Return the held blocks, the loads on blocks, and the acceleration of all, of boundary conditions.
+
+        Args:
+            groups: boundary conditions.
+            known: key of the block at each node.
+        """
+        held: set[Any] = set()
+        loads: dict[Any, list[dict[str, Any]]] = {}
+        acceleration = [0.0, 0.0, 0.0]
+        for group in map(_inner, groups):
+            if group.get("surface_loads"):
+                self._fail("it has a surface load", "give a point load instead")
+            for entry in map(_inner, group.get("displacements") or []):
+                given = entry.get("translation") or entry.get("rotation") or []
+                if any(component != 0 for component in given):
+                    self._fail(
+                        f"it moves block {entry['block_index']} or leaves it free in part",
+                        "prescribe zero in all directions, or nothing",
+                    )
+                held.add(known.get(str(entry["block_index"])))
+            for entry in map(_inner, group.get("point_loads") or []):
+                node = str(entry["block_index"])
+                if node not in known:
+                    self._fail(f"a load acts on block {node}, which does not exist", "leave the load out")
+                load = {name: entry[key] for name, key in _LOAD_KEYS if entry.get(key) is not None}
+                loads.setdefault(known[node], []).append(load)
+            for entry in map(_inner, group.get("body_forces") or []):
+                acceleration = [a + float(b) for a, b in zip(acceleration, entry["acceleration"], strict=True)]
+        return held - {None}, loads, acceleration
 
     def _read_edges(self, graph: dict[str, Any], name: str, keys: dict[str, Hashable]) -> None:
         """Keep the interfaces at the edges of a graph.

@@ -28,6 +28,8 @@ from falsework.robots.plans.check import check_robot_plan as check_robot_plan
 from falsework.robots.plans.check_delays import DelayReport as DelayReport
 from falsework.robots.plans.export import export_plan as export_plan
 from falsework.robots.plans.export import joint_trajectory as joint_trajectory
+from falsework.robots.plans.grip_loads import GripLoad as GripLoad
+from falsework.robots.plans.grip_loads import grip_loads as grip_loads
 from falsework.robots.plans.plan_problem import PlanProblem as PlanProblem
 from falsework.robots.plans.robot_plan import Keyframe as Keyframe
 from falsework.robots.plans.robot_plan import RobotPlan as RobotPlan

@@ -69,7 +69,7 @@ def maximise_margin(
 
     Returns:
         The best plan, with its margins of this kind and the bound in `Plan.margins`; the result of the first search if
-        there is none.
+        there is none. The result is interrupted if a search for a stronger plan was.
     """
     oracle = DemandingStability(assembly, stability, demands)
     first = find_plans(assembly, task, oracle=oracle, settings=settings, progress=progress, stop=stop, forces=forces)
@@ -81,8 +81,12 @@ def maximise_margin(
     if np.isinf(bound):
         reached = _least(oracle, kind, first.plans[0].states)
     stronger: list[_Stronger] = []
+    cut = False
     for _ in range(_TRIALS):
-        if missed <= reached * _CLOSE or bound <= reached * _AT_BOUND or (stop is not None and stop()):
+        if missed <= reached * _CLOSE or bound <= reached * _AT_BOUND:
+            break
+        cut = stop is not None and stop()
+        if cut:
             break
         level = _next(reached, missed, bound)
         trial = DemandingStability(assembly, stability, replace(demands, **{kind: level}))
@@ -97,6 +101,7 @@ def maximise_margin(
             stronger.append(_Stronger(level, trial, planner, found))
             effort = max(effort, found.counters.asked)
         elif found.interrupted and not budget.exceeded:
+            cut = True
             break
         else:
             missed = level
@@ -123,7 +128,8 @@ def maximise_margin(
     plan = best.plans[0]
     assert plan.margins is not None
     plan = replace(plan, margins=replace(plan.margins, demands=demands, maximised=kind, bound=limit))
-    return replace(best, plans=(plan,), result=replace(best.result, seconds=seconds))
+    interrupted = cut or first.result.interrupted
+    return replace(best, plans=(plan,), result=replace(best.result, seconds=seconds, interrupted=interrupted))
 
 
 @dataclass(frozen=True)

@@ -204,6 +204,7 @@ def picture(
             marks=None if proof is None else proof.marks,
             arms=shown.arms,
             action_probabilities=shares,
+            share_of="the limit" if limits else "",
         )
         write_png(path, image)
     else:

@@ -289,3 +289,34 @@ def test_starts_that_are_none(
     assert code == 2
     assert message in err
     assert len(err.strip().splitlines()) == 1
+
+
+def test_a_gripper_that_bears_too_little(run: Callable, cell_file: Path, tmp_path: Path) -> None:
+    """A plan is made, but planning and the check refuse it; with a stronger gripper both accept it."""
+    out = tmp_path / "robot_plan.json"
+    plan = ("robots", "plan", STACK, "--cell", cell_file, "--out", out, "--json")
+    cell_file.write_text(CELL.replace('kind = "suction"', 'kind = "suction"\nforce = 1.0'))
+    code, records, error = run(*plan)
+    assert code == 1
+    assert "takes a force of" in error
+    assert "its gripper bears 1 N" in error
+    assert records[-1]["overloads"]
+    code, records, error = run("robots", "check", out, "--json")
+    assert code == 1
+    assert not records[0]["good"]
+    assert "its gripper bears 1 N" in error
+    (borne,) = records[0]["holds"]
+    assert borne["limits"]["force"] == 1.0 < borne["force_n"]
+    cell_file.write_text(CELL.replace('kind = "suction"', f'kind = "suction"\nforce = {1.1 * borne["force_n"]}'))
+    assert run(*plan)[0] == 0
+    code, records, error = run("robots", "check", out, "--json")
+    assert code == 0, error
+    assert records[0]["overloads"] == []
+
+
+@pytest.mark.parametrize("limit", ["force = -1.0", 'moment = "2Nm"'])
+def test_limits_that_are_none(run: Callable, cell_file: Path, tmp_path: Path, limit: str) -> None:
+    cell_file.write_text(CELL.replace('kind = "suction"', f'kind = "suction"\n{limit}'))
+    code, _, error = run("robots", "plan", STACK, "--cell", cell_file, "--out", tmp_path / "robot_plan.json")
+    assert code == 2
+    assert f"grippers.cup.{limit.split()[0]} is" in error

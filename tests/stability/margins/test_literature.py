@@ -1,4 +1,4 @@
-"""A stability bound from the literature with complete data."""
+"""Stability bounds from the literature with complete data."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ import pytest
 from numpy.typing import NDArray
 
 from falsework.assembly import Assembly
+from falsework.assembly.library.blocks import box, gather
 from falsework.assembly.state import complete_state
 from falsework.geometry import TriangleMesh
 from falsework.geometry.mesh.polygon import triangulate
 from falsework.stability import Stability, StabilitySettings
 
 _DEPTH = 40.0
-"""Across the span, m: so wide that the arch fails in its plane."""
+"""Across the span, m: so wide that the structure fails in its plane."""
 
 
 def prism(name: str, outline: NDArray) -> TriangleMesh:
@@ -61,3 +62,66 @@ def test_the_arch_of_oppenheim(settings: StabilitySettings) -> None:
     assert found.horizontal is not None
     assert found.horizontal.proven
     assert found.horizontal.value == pytest.approx(0.37, rel=0.01)
+
+
+_BRICK = (0.4, 0.175)
+"""Length and height of a block of the walls, m."""
+_EVEN, _ODD, _GAPS, _HALVES = (
+    (0.5, 1, 1, 1, 1, 0.5),
+    (1,) * 5,
+    (1, -1, 1, -1, 1),
+    (0.5, 0.5, -1, 0.5, 0.5, -1, 0.5, 0.5),
+)
+_WIDE, _SHIFTED, _DOOR, _SHIFTED_DOOR = (1,) * 4, (0.5, 1, 1, 1, 0.5), (1, 0.5, -1, 0.5, 1), (0.5, 1, -1, 1, 0.5)
+_WALLS = {
+    "6 courses": (3 * (_EVEN, _ODD), 0.64286),
+    "10 courses": (5 * (_EVEN, _ODD), 0.58000),
+    "one opening": (
+        (_WIDE, _SHIFTED, _WIDE, *2 * (_SHIFTED_DOOR, _DOOR), _SHIFTED_DOOR, _WIDE, _SHIFTED, _WIDE),
+        0.40369,
+    ),
+    "two openings": ((_EVEN, _ODD, _EVEN, *2 * (_GAPS, _HALVES), _GAPS, _EVEN, _ODD, _EVEN), 0.33195),
+}
+"""Courses of blocks from the ground up, lengths in blocks, below zero where there is none, and the load factor."""
+
+
+def block_wall(courses: tuple[tuple[float, ...], ...]) -> Assembly:
+    """Wall of dry blocks on a fixed ground, friction 0.65 in all joints, the vertical ones too."""
+    length, height = _BRICK
+    solids = []
+    for row, course in enumerate(courses):
+        ends = length * np.cumsum([0.0, *np.abs(course)])
+        solids += [
+            box(f"block-{row}-{k}", (ends[k], 0, row * height), (ends[k + 1], _DEPTH, (row + 1) * height))
+            for k, size in enumerate(course)
+            if size > 0
+        ]
+    solids.append(box("ground", (0, 0, -height), (length * sum(map(abs, courses[0])), _DEPTH, 0), fixed=True))
+    made = gather(solids)
+    return Assembly.from_meshes(made.meshes, boundary=made.boundary, density=1000.0, friction=0.65)
+
+
+@pytest.mark.parametrize("name", _WALLS)
+def test_the_walls_of_ferris_and_tin_loi(name: str) -> None:
+    """Running bond under horizontal body forces: load factors of limit analysis, in which sliding dilates.
+
+    M. C. Ferris and F. Tin-Loi, Limit analysis of frictional block assemblies as a mathematical program with
+    complementarity constraints, International Journal of Mechanical Sciences 43 (2001) 209-224, examples 1 to 4; taken
+    up by Gilbert, Casapulla and Ahmed, Computers and Structures 84 (2006) 873-887. Limit analysis is the criterion
+    `equilibrium`. Without dilatancy walls bear less, as both papers find, and so they do under `contact`.
+    """
+    courses, factor = _WALLS[name]
+    wall = block_wall(courses)
+    limit, without = (
+        Stability(wall, settings).margins(complete_state(wall.boundary), ("horizontal",))[0].horizontal
+        for settings in (StabilitySettings(criterion="equilibrium", cone="quadratic"), StabilitySettings())
+    )
+    assert limit is not None
+    assert limit.proven
+    assert limit.value is not None
+    assert limit.outside is not None
+    assert 0.999 * limit.value <= factor <= 1.001 * limit.outside
+    assert limit.outside <= 1.01 * limit.value
+    assert without is not None
+    assert without.value is not None
+    assert 0.7 * factor < without.value <= factor

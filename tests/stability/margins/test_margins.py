@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import Loads, load_structure
+from falsework.assembly import Joints, Loads, load_structure
 from falsework.assembly.state import complete_state
 from falsework.errors import InputError
 from falsework.stability import Bound, Stability, StabilitySettings, StateMargins, verify_certificates
@@ -64,6 +64,19 @@ def test_a_block_on_a_slope(scenes: Any, settings: StabilitySettings, slope: flo
     angle = np.arctan(0.5) - slope
     # A horizontal acceleration and the weight together are a weight on a tilted ground, but for its size.
     assert near(found.horizontal, np.tan(angle))
+
+
+@pytest.mark.parametrize("settings", CRITERIA, ids=lambda settings: settings.criterion)
+def test_friction_of_joints_decreases_in_proportion(scenes: Any, settings: StabilitySettings) -> None:
+    """A block on a slope whose joint has half of the structure's friction needs twice tan a of the structure."""
+    block = scenes.slope(0.2, friction=1.0)
+    glued = block.replace(joints=Joints.of(block.contacts, friction=0.5))
+    found = margins(glued, settings, "friction", "tilt")
+    assert near(found.friction, 2 * np.tan(0.2))
+    assert near(found.tilt, np.arctan(0.5) - 0.2)
+    alone = scenes.slope(0.2, friction=0.0)
+    alone = alone.replace(joints=Joints.of(alone.contacts, friction=0.5))
+    assert margins(alone, settings, "friction").friction is None  # no coefficient to compare with
 
 
 @pytest.mark.parametrize("settings", CRITERIA, ids=lambda settings: settings.criterion)

@@ -215,6 +215,8 @@ def _gripper(name: str, table: Table) -> Gripper:
         cup=table.number("cup", low=1e-4) if kind == "suction" else 0.0,
         opening=table.number("opening", low=1e-4) if kind == "jaw" else 0.0,
         depth=table.number("depth", low=1e-4) if kind == "jaw" else 0.0,
+        force=table.number("force", low=0.0) if table.has("force") else np.inf,
+        moment=table.number("moment", low=0.0) if table.has("moment") else np.inf,
     )
     table.done()
     return made

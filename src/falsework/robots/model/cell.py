@@ -42,6 +42,15 @@ class Gripper:
     """Jaw: largest opening, metres."""
     depth: float = 0.0
     """Jaw: contact length of the jaws along z, metres."""
+    force: float = np.inf
+    """Largest force on a part that it holds in place, in any direction, N."""
+    moment: float = np.inf
+    """Largest moment about the origin of the tool frame, about any axis, Nm."""
+
+    @property
+    def has_limits(self) -> bool:
+        """Whether the force or moment that it bears is known."""
+        return bool(np.isfinite(self.force) or np.isfinite(self.moment))
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +152,9 @@ def cell_identity(cell: Cell) -> str:
 def _feed(digest, value: Any) -> None:
     if is_dataclass(value):
         for entry in fields(value):
-            if entry.name not in ("source", "path", "meshes"):
+            # A limit that is not given was unknown to earlier versions, whose digests stay valid.
+            absent = entry.name in ("force", "moment") and np.isinf(getattr(value, entry.name))
+            if entry.name not in ("source", "path", "meshes") and not absent:
                 digest.update(entry.name.encode())
                 _feed(digest, getattr(value, entry.name))
     elif isinstance(value, np.ndarray):

@@ -42,7 +42,7 @@ class Demands:
     """Margins that every state of a plan must keep; None where nothing is required."""
 
     friction: float | None = None
-    """Factor of safety: states are stable at the friction of the structure divided by it."""
+    """Factor of safety: states are stable with all coefficients of friction, those of joints too, divided by it."""
     tilt: float | None = None
     """Tilt of the ground in any direction, rad."""
     horizontal: float | None = None
@@ -65,7 +65,8 @@ class Demands:
         for item in text.split(","):
             name, equals, quantity = (piece.strip() for piece in item.partition("="))
             if not equals or name not in _KINDS:
-                raise InputError(f"{option} {item}: give {', '.join(f'{key}=...' for key in _KINDS)}")
+                wrong = f"there is no margin {name!r}" if equals else f"{item.strip()!r} is no margin with its quantity"
+                raise InputError(f"{option}: {wrong}; give {', '.join(f'{key}=...' for key in _KINDS)}")
             if name in given:
                 raise InputError(f"{option} {text}: {name} is given twice; give it once")
             given[name] = parse_quantity(quantity, _KINDS[name], f"{option} {name}")
@@ -112,11 +113,15 @@ class Demands:
             assembly: the structure.
 
         Raises:
-            InputError: displaced parts that make no assembly.
+            InputError: displaced parts that make no assembly, or joints with friction in a structure without.
         """
         found: list[tuple[str, Assembly]] = []
+        if self.friction is not None and not assembly.has_common_friction:
+            raise InputError(
+                "only joints have friction, so a factor has no coefficient to divide; set --friction above 0"
+            )
         if self.friction is not None and self.friction > 1.0:
-            found.append(("friction", assembly.replace(friction=assembly.friction / self.friction)))
+            found.append(("friction", assembly.at_friction(assembly.friction / self.friction)))
         angle = 2 * np.pi * np.arange(_CORNERS) / _CORNERS
         outwards = np.stack([np.cos(angle), np.sin(angle), np.zeros(_CORNERS)], axis=1)
         if self.tilt is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
@@ -11,11 +12,14 @@ from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.search.margins.demands import Demands
 from falsework.stability.margins.claims import MarginClaims
+from falsework.stability.margins.state_margins import StateMargins
 from falsework.stability.oracle import Stability
 
 Measured = Literal["friction", "tilt", "horizontal", "push"]
 MEASURED: tuple[Measured, ...] = get_args(Measured)
 """Margins that plans record as numbers."""
+_EXACT = 1.03
+"""Factor by which the weakest step may exceed the bound: both are exact to 1 %."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +46,19 @@ class PlanMargins:
             also: another margin to measure.
         """
         kinds = [kind for kind in MEASURED if kind == also or getattr(demands, kind) is not None]
-        found = oracle.margins(states, tuple(kinds)) if kinds else []
+        return cls.from_states(oracle.margins(states, tuple(kinds)) if kinds else [], kinds, demands)
+
+    @classmethod
+    def from_states(
+        cls, found: Sequence[StateMargins], kinds: Sequence[Measured] = MEASURED, demands: Demands = Demands()
+    ) -> PlanMargins:
+        """Take the margins of each state of a plan as they were measured, in the order of the plan.
+
+        Args:
+            found: one entry a state, each of which is stable by itself.
+            kinds: margins to take.
+            demands: margins required of the plan.
+        """
         measured: dict[str, tuple[float | None, ...]] = {}
         for kind in kinds:
             bounds = [getattr(margins, kind) for margins in found]
@@ -130,6 +146,13 @@ class PlanMargins:
                 if not claims.holds(states[row], kind, value):
                     said = "without bound" if value is None else f"of {quantity_text(kind, value)}"
                     return row, f"does not stand at the recorded {kind} {said}"
+        weakest = None if self.maximised is None or self.bound is None else self.weakest(self.maximised)
+        if self.maximised is not None and self.bound is not None and weakest is not None:
+            row, value = weakest
+            stronger, weaker = (self.bound, value) if self.maximised == "friction" else (value, self.bound)
+            if stronger > _EXACT * weaker:
+                said = quantity_text(self.maximised, self.bound)
+                return row, f"has a larger margin of {self.maximised} than {said}, which the plan says no plan has"
         return None
 
 

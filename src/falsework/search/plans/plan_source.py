@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -47,3 +49,21 @@ def structure_of_plan(
         if not is_built_in(spec) or with_props(load_structure(spec), plan.props).identity != plan.identity:
             raise PlanError(f"{file or 'the plan'} does not say where its structure is; name it (--structure)")
     return with_props(load_structure(spec, **{**source, **options}), plan.props)
+
+
+def moved_source(plan: Plan, file: Path, beside: Path) -> Mapping[str, Any] | None:
+    """Return the source of a plan that was read from one file for another file, to whose folder its path is relative.
+
+    Args:
+        plan: the plan.
+        file: where it was read from.
+        beside: where it is going to be written.
+    """
+    if plan.source is None or "path" not in plan.source:
+        return plan.source
+    place = file.resolve().parent / plan.source["path"]
+    try:
+        path = os.path.relpath(place.resolve(), beside.resolve().parent)
+    except ValueError:  # on another drive there is no relative path
+        path = str(place.resolve())
+    return {**plan.source, "path": Path(path).as_posix()}

@@ -65,9 +65,13 @@ def beam_failure(
     if not exhaustive:
         return Outcome.NOT_FOUND, f"the beam has a width of {width}; a wider one may find a plan"
     if undecided:
-        return Outcome.NOT_FOUND, f"{undecided} states could be proved neither stable nor unstable"
+        return (
+            Outcome.NOT_FOUND,
+            f"{undecided} state{'s' * (undecided > 1)} could be proved neither stable nor unstable",
+        )
     if sliding:
-        return Outcome.NOT_FOUND, f"no plan was found in which every state is stable: {sliding} states slide"
+        slide = "1 state slides" if sliding == 1 else f"{sliding} states slide"
+        return Outcome.NOT_FOUND, f"no plan was found in which every state is stable: {slide}"
     if doubt:
         return Outcome.NOT_FOUND, doubt
     return Outcome.PROVED_IMPOSSIBLE, ""

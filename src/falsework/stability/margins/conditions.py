@@ -25,6 +25,7 @@ class Condition:
     """Friction, and wrenches on the parts in addition to the loads of the structure."""
 
     friction: float
+    """Coefficient of friction of the structure; those of joints change in proportion."""
     extra: Array
     """N and Nm about the centres of mass, shape (parts, 6)."""
 
@@ -32,7 +33,7 @@ class Condition:
         """Return the structure under this condition, in the form that the certificate checker takes."""
         own = assembly.loads or Loads.of(assembly.part_count)
         loads = Loads.of(assembly.part_count, wrench=own.wrench + self.extra, acceleration=own.acceleration)
-        return replace(assembly, friction=self.friction, loads=loads)
+        return replace(assembly.at_friction(self.friction), loads=loads)
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,8 +24,8 @@ FLOOR = 1e-4
 """Absolute width at which a bracket is narrow enough: shares of gravity, factors and weights of a part."""
 
 
-def friction_bracket(prober: Prober, state: States, start: Answer, near: Near) -> Bracket:
-    """Return the bracket of the least friction.
+def friction_bracket(prober: Prober, state: States, start: Answer, near: Near) -> Bracket | None:
+    """Return the bracket of the least friction; None where joints have friction but the structure has none.
 
     Args:
         prober: solver of the structure.
@@ -63,6 +63,8 @@ def friction_bracket(prober: Prober, state: States, start: Answer, near: Near) -
             return least(from_rest, found.stands, value=1.0 / found.inside, floor=floor)
         return Bracket(1.0 / found.inside, found.stands, 1.0 / found.outside, found.fails)
 
+    if not prober.assembly.has_common_friction:
+        return None
     if own == 0.0:
         return Bracket(0.0, start, None, None)
     if own <= floor or not prober.contact:

@@ -168,9 +168,9 @@ class MarginFinder:
         bracket = Bracket(stands.condition.friction, stands, low.condition.friction, low)
         return StateMargins(False, friction=self._bound(state, bracket, self._rough(start.condition), always=True))
 
-    def _friction(self, state: States, start: Answer, near: Near) -> Bound:
+    def _friction(self, state: States, start: Answer, near: Near) -> Bound | None:
         bracket = friction_bracket(self.prober, state, start, near)
-        return self._bound(state, bracket, self._rough(start.condition), always=True)
+        return None if bracket is None else self._bound(state, bracket, self._rough(start.condition), always=True)
 
     def _sideways(
         self, state: States, start: Answer, kinds: Sequence[str], near: Near

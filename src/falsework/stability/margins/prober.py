@@ -299,7 +299,7 @@ class Prober:
         power = float((velocity * direction).sum())
         if power <= 0.0:
             return np.inf
-        assembly = replace(self.assembly, friction=answer.condition.friction)
+        assembly = self.assembly.at_friction(answer.condition.friction)
         claim = self.settings.claim
         taken, momentum = resistance_to_velocity(assembly, state[None], velocity[None], claim)
         present = float((velocity * self.problem.gravity_wrench).sum())
@@ -355,10 +355,10 @@ class Prober:
         return False
 
     def _under(self, friction: float) -> KernelArrays:
-        """Return the structure with another coefficient of friction at contact points without one of their own."""
+        """Return the structure with another coefficient of friction, those of joints changed in proportion."""
         if friction == self.assembly.friction:
             return self._structure
-        strength = strength_of(replace(self.assembly, friction=friction), self.settings.gravity)
+        strength = strength_of(self.assembly.at_friction(friction), self.settings.gravity)
         return self._structure._replace(**strength_arrays(self.problem, strength))  # type: ignore[arg-type]
 
     def _whitened(self, extra: Sequence[Array]) -> Array:

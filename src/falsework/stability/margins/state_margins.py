@@ -77,7 +77,8 @@ class StateMargins:
     kinds: tuple[str, ...] = ()
     """Margins that were requested."""
     friction: Bound | None = None
-    """Least coefficient of friction; 0 where the state is stable without friction."""
+    """Least coefficient of friction, with those of joints in proportion; 0 where the state is stable without friction,
+    None where joints have friction but the structure has none."""
     tilt: Bound | None = None
     """Largest tilt of the ground in the worst direction, rad; loads other than weight keep their direction."""
     horizontal: Bound | None = None

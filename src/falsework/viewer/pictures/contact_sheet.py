@@ -141,6 +141,7 @@ def one_state(
     arms: Arms | None = None,
     time: float | None = None,
     action_probabilities: NDArray[np.float64] | None = None,
+    share_of: str = "",
     bounds: NDArray[np.float64] | None = None,
     words: str | None = None,
     marks: Mapping[int, str] | None = None,
@@ -150,13 +151,15 @@ def one_state(
 
     Args:
         timeline: timeline to show.
-        place: where; between whole numbers parts are on their way.
+        position: where; between whole numbers parts are on their way.
         camera: view of it.
         arrows: drawn as well.
         key: the legend, colour and words; of the timeline if not given.
         arms: robots that carry the plan out.
         time: of their schedule, seconds; None shows them one after the other.
-        chances: probability of the action that concerns each part, NaN where none does, shape (parts,).
+        action_probabilities: probability of the action that concerns each part, or another share that colours it, NaN
+            where there is none, shape (parts,).
+        share_of: what they are shares of, for the legend.
         bounds: box that the picture shows, shape (2, 3); the structure and the ways of its parts if not given.
         words: the line above; the step if not given.
         marks: colours of parts that stand out, such as those that slide.
@@ -188,8 +191,7 @@ def one_state(
     _write(pen, pillow, (camera.width / 2, _LINE / 2 + 4), text, 18)
     entries = list(legend(timeline) if key is None else key)
     if action_probabilities is not None:
-        shares = (0.0, 0.25, 0.5, 0.75, 1.0)
-        entries = entries[:1] + [(hex_of(ramp(share)), f"{share:.0%}") for share in shares]
+        entries = entries[:1] + legend_of_shares(share_of)
     _write_legend(pen, pillow, camera.width, camera.height + 1.5 * _LINE + 4, entries)
     return np.asarray(image)
 
@@ -202,6 +204,12 @@ def legend(timeline: Timeline, sliding: bool = False) -> list[tuple[str, str]]:
     if sliding:
         entries.append((SLIDING, "would slide"))
     return entries
+
+
+def legend_of_shares(share_of: str = "") -> list[tuple[str, str]]:
+    """Return the colour and words of some shares, such as `25% of the limit`."""
+    shares = (0.0, 0.25, 0.5, 0.75, 1.0)
+    return [(hex_of(ramp(share)), f"{share:.0%}{share_of and f' of {share_of}'}") for share in shares]
 
 
 def caption(timeline: Timeline, position: int, proof: StateProof | None = None) -> str:
