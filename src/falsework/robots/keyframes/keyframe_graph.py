@@ -84,10 +84,10 @@ class KeyframeGraph:
         self.reasons = FailureLog()
         self.cache = MotionCache(self.world, nodes=settings.nodes, seed=seed)
         self._grips = GraspConfigurations(assembly, self.cache, self.reasons, limit=settings.grasps)
-        self.joint = JointHolds(self._grips, self._lasts)
+        self.joint = JointHolds(self._grips, self._usable)
         self.dead = DeadEnds()
         """Dead ends of the search that uses the graph."""
-        self._lasting: dict[tuple[int, int, bytes, bytes], bool] = {}
+        self._alone: dict[tuple[int, int, bytes, bytes, bool], bool] = {}
         self._withdrawal = Withdrawal(self.cache, self.reasons, settings.withdrawals)
         self.exits = ExitDirections(assembly, self.parts.turn, present)
 
@@ -281,13 +281,21 @@ class KeyframeGraph:
             self.reasons.add(action, part, robot, f"{what}: too near", clear.pair(hit), line.path[-1])
         return None
 
-    def _lasts(self, grip: GraspConfiguration, part: int, state: States) -> bool:
-        """Return whether a part can leave later with a grasp if no other arm is near, or need not."""
-        key = (grip.robot, part, grip.configuration.tobytes(), state.tobytes())
-        if key not in self._lasting:
+    def _usable(self, grip: GraspConfiguration, part: int, state: States) -> bool:
+        """Return whether an arm can approach a grasp, and the part leave with it later, if no other arm is near.
+
+        With releases it need not be able to leave.
+        """
+        key = (grip.robot, part, grip.configuration.tobytes(), state.tobytes(), self.support)
+        if key not in self._alone:
             alone = self.start(state, self.cell.homes, (None,) * self.cell.robot_count)
-            self._lasting[key] = self._can_leave_later(alone, part, grip)
-        return self.support or self._lasting[key]
+            view = self.cache.view(alone.scene, grip.robot, grasp_contact(part), self.cell.margins.line)
+            clear = self.cache.view(alone.scene, grip.robot, NO_CONTACT, self.cell.margins.free)
+            here, way = grip.configuration, -grip.grasp.approach
+            self._alone[key] = self._retreat("hold", part, grip.robot, here, way, view, clear) is not None and (
+                self.support or self._can_leave_later(alone, part, grip)
+            )
+        return self._alone[key]
 
     def _can_leave_later(self, node: Node, part: int, grip: GraspConfiguration) -> bool:
         later, ways = self.way_out(part, node.state)

@@ -46,6 +46,8 @@ _SOLVABILITY_CHECKS = 4
 """Solvability checks at one keyframe in the first search; later searches may make more."""
 _LAST_VERDICTS = 400
 """Verdicts for such checks where no action has succeeded yet, before the keyframe counts as a dead end."""
+_VARIATIONS = 4
+"""Varied plans that are looked for before a search where excluded holds have left none."""
 _MAX_FALLEN_REPLAYS = 40
 """Plans with motions whose replay may fail before the search ends."""
 _POSTPONED_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
@@ -148,8 +150,10 @@ class _Search:
                     self.dead.clear()
                     self.graph.joint.forget()
                     self.failures = FailedActions(self.graph, self.solvability)
-                if turn:
-                    self.solvability.perturb(self.attempt)
+                for again in range(_VARIATIONS if turn else 0):
+                    self.solvability.perturb(self.attempt + again * self.settings.attempts)
+                    if self.solvability.stays(root.state):
+                        break
                 chain = self.depth_first_pass(root, np.random.default_rng([self.settings.seed, self.attempt]))
                 self.attempt += 1
                 if chain is not None:
@@ -175,7 +179,8 @@ class _Search:
         nodes, options = [root], [self._options(root, rng)]
         # Causes of the dead ends after each keyframe: indices of earlier edges.
         causes: list[set[int]] = [set()]
-        dead_ends, allowed = 0, self.settings.dead_ends * (1 + self.attempt // 3)
+        stuck: set[bytes] = set()  # states at which the search went no further, with any grasps
+        newest, allowed = root, self.settings.dead_ends * (1 + self.attempt // 3)
         while nodes:
             if self.deadline_passed():
                 return None
@@ -186,6 +191,8 @@ class _Search:
                 continue
             if edge is None:
                 self.dead.add(nodes[-1])
+                if nodes[-1] is newest:  # others are left because of dead ends after them
+                    stuck.add(newest.state.tobytes())
                 if self._done(chain) >= self._done(self.best):
                     self.tried.update(self.failures.kinds(nodes[-1]))
                 blamed = causes[-1] | self.failures.blamed(nodes[-1], chain)
@@ -193,20 +200,21 @@ class _Search:
                 del nodes[back + 1 :], options[back + 1 :], causes[back + 1 :], chain[max(back, 0) :]
                 if nodes:
                     causes[-1] |= blamed - {back}
-                dead_ends += 1
                 self.counts["dead_ends"] += 1
-                if dead_ends > allowed:
+                if len(stuck) > allowed:
                     return None
                 if nodes and self.graph.joint.excluded and not self.solvability.stays(nodes[-1].state):
-                    self.solvability.reroute(nodes[-1].state)
-                    options[-1] = self._options(nodes[-1], rng)
+                    keep = self._keyframes_that_lead_on(nodes)
+                    del nodes[keep:], options[max(keep - 1, 0) :], causes[keep:], chain[max(keep - 1, 0) :]
+                    if nodes:
+                        options.append(self._options(nodes[-1], rng))
                 continue
             chain.append(edge)
             if self._done(chain) > self._done(self.best):
                 self.best = list(chain)
                 self.tried.clear()
-                dead_ends = 0  # beyond them: another search would have to come here first
-            self._report(dead_ends)
+                stuck.clear()  # beyond them: another search would have to come here first
+            self._report(len(stuck))
             if np.array_equal(edge.node.state, self.task.target):
                 keep = self._keyframes_before_fall(root, chain)
                 if keep is None:
@@ -217,10 +225,26 @@ class _Search:
                     return None
                 options.append(self._options(nodes[-1], rng))
                 continue
-            nodes.append(edge.node)
-            options.append(self._options(edge.node, rng))
+            newest = edge.node
+            nodes.append(newest)
+            options.append(self._options(newest, rng))
             causes.append(set())
         return None
+
+    def _keyframes_that_lead_on(self, nodes: Sequence[Node]) -> int:
+        """Return how many keyframes of a chain to keep once its last state may no longer lead to the target.
+
+        A path from a state to the target costs seconds where there is none. So the steps back grow until there is
+        one: where holds are excluded that many plans need, tens of keyframes in succession lead nowhere.
+        """
+        row, back = len(nodes) - 1, 1
+        while not self.deadline_passed():
+            if self.solvability.stays(nodes[row].state) or self.solvability.reroute(nodes[row].state):
+                return row + 1
+            if row == 0:
+                break
+            row, back = max(row - back, 0), 4 * back
+        return 0
 
     def _keyframes_before_fall(self, root: Node, chain: list[Edge]) -> int | None:
         """Replay a plan with motions and forbid the state in which the structure collapses.
