@@ -23,6 +23,7 @@ from falsework.robots.keyframes.failure_report import FailureLog
 from falsework.robots.keyframes.grasp_configurations import GraspConfiguration, GraspConfigurations
 from falsework.robots.keyframes.joint_holds import JointHolds
 from falsework.robots.keyframes.keyframes import DeadEnds, Edge, Node, PathSegment
+from falsework.robots.keyframes.putting_down import PuttingDown
 from falsework.robots.keyframes.withdrawal import Withdrawal
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Cell
@@ -33,6 +34,8 @@ from falsework.robots.motion.path_planner import follow_line
 
 Array = NDArray[np.float64]
 
+_MAX_DETOURS = 2
+"""Withdrawals of a part that cannot be delivered after which it is put down, to be gripped in another way."""
 _MAX_PLACES = 4
 """Number of free motions to a drop-off pose that are tried."""
 
@@ -89,6 +92,7 @@ class KeyframeGraph:
         """Dead ends of the search that uses the graph."""
         self._alone: dict[tuple[int, int, bytes, bytes, bool], bool] = {}
         self._withdrawal = Withdrawal(self.cache, self.reasons, settings.withdrawals)
+        self._putting_down = PuttingDown(assembly, self.cache, self.reasons, self._grips, self._retreat)
         self.exits = ExitDirections(assembly, self.parts.turn, present)
 
     def start(self, state: States, configurations: tuple[Array, ...], held: tuple[int | None, ...]) -> Node:
@@ -338,10 +342,22 @@ class KeyframeGraph:
         if not len(ways):
             self.reasons.add("remove", part, robot, "no free exit direction")
             return
+        stuck: list[tuple[tuple[Array, ...], Scene]] = []
+        delivered = False
         for paths, scene in self._withdrawal.lines(node.scene, part, robot, here, ways, "way out"):
             edge = self._carry(node, part, robot, paths, scene)
-            if edge is not None:
+            if edge is None:
+                stuck.append((paths, scene))
+            else:
+                delivered = True
                 yield edge
+        for paths, scene in stuck[:_MAX_DETOURS] if self.support and not delivered else ():
+            detour = self._putting_down.detour(part, robot, here, paths[-1][-1], scene)
+            if detour is not None:
+                lines = tuple(PathSegment("line", path, part=part) for path in paths)
+                action = part + self.assembly.part_count
+                after = node.after(action, robot, detour.end)
+                yield Edge(action, robot, (*lines, *detour.segments), after, put_down=detour.pose)
 
     def _carry(self, node: Node, part: int, robot: int, paths: tuple[Array, ...], scene: Scene) -> Edge | None:
         entry = self.cell.robots[robot]

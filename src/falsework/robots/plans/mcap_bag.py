@@ -4,7 +4,8 @@ Topics, for each robot: `/NAME/joint_trajectory` (`trajectory_msgs/JointTrajecto
 (`moveit_msgs/RobotTrajectory`), a message at the start of each motion; and `/planning_scene`
 (`moveit_msgs/PlanningScene`), a difference whenever a gripper picks up or puts down a part, as the planning
 scene monitor of MoveIt reads it. Parts have their names there; their shapes are those of the reader's scene.
-A part put down in disassembly leaves the scene. Messages are CDR, with their definitions in the bag.
+A part put down in disassembly leaves the scene, unless its robot grips it again. Messages are CDR, with their
+definitions in the bag.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from falsework.errors import DependencyError
+from falsework.robots.plans.loads import lying_motions
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.timeline import nodes_of
 from falsework.search.problem.task import Direction
@@ -139,8 +141,8 @@ def write_bag(plan: RobotPlan, path: Path) -> int:
         name, last = plan.robots[node.robot].name, len(step.trajectories) - 1
         if node.trajectory is None:
             continue
-        carries = action >= parts
-        if carries and node.trajectory == 0:
+        carries, lying = action >= parts, lying_motions(plan, node.step)
+        if carries and node.trajectory in (0, lying.stop if lying else 0):
             bag.write("/planning_scene", _difference(bag, plan, node.step, _ADD, now), now)
             count += 1
         message = _trajectory(bag, plan, node.robot, step.trajectories[node.trajectory], now)
@@ -154,9 +156,10 @@ def write_bag(plan: RobotPlan, path: Path) -> int:
         bag.write(f"/{name}/joint_trajectory", message, now)
         bag.write(f"/{name}/robot_trajectory", whole, now)
         count += 2
-        if carries and node.trajectory == last:
+        if carries and node.trajectory in (last, lying.start - 1 if lying else last):
             end = now + node.seconds
-            bag.write("/planning_scene", _difference(bag, plan, node.step, _REMOVE, end), end)
+            gone = node.trajectory == last and plan.direction is Direction.DISASSEMBLY
+            bag.write("/planning_scene", _difference(bag, plan, node.step, _REMOVE, end, gone), end)
             count += 1
     data = bag.finish()
     write_whole(path, lambda file: file.write(data))
@@ -186,8 +189,8 @@ def _trajectory(bag: _Bag, plan: RobotPlan, robot: int, trajectory: Trajectory, 
     )
 
 
-def _difference(bag: _Bag, plan: RobotPlan, step: int, operation: int, now: float) -> Any:
-    """Return the difference of the planning scene when a gripper picks up or puts down a part."""
+def _difference(bag: _Bag, plan: RobotPlan, step: int, operation: int, now: float, gone: bool = False) -> Any:
+    """Return the difference of the planning scene when a gripper picks up or puts down a part, which may then leave."""
     flange = f"{plan.robots[plan.steps[step].robot].name}_tool0"
     attached = bag.make(
         "moveit_msgs/msg/AttachedCollisionObject",
@@ -200,7 +203,6 @@ def _difference(bag: _Bag, plan: RobotPlan, step: int, operation: int, now: floa
         weight=0.0,
     )
     # MoveIt leaves a detached part where it is, before it reads the world of the difference.
-    gone = operation == _REMOVE and plan.direction is Direction.DISASSEMBLY
     nowhere = bag.header("", now)
     return bag.make(
         "moveit_msgs/msg/PlanningScene",

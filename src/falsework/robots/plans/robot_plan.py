@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import HELD, States
 from falsework.errors import PlanError
 from falsework.robots.model.cell import Cell, cell_identity
+from falsework.robots.plans.loads import put_down_fault
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.task import Direction
 
@@ -141,6 +142,9 @@ class RobotStep:
     """Trajectories in time order."""
     hands_over: int | None = None
     """Held part that the robot takes over from another one, or leaves to it; the state of the structure stays."""
+    put_down: Array | None = None
+    """Where the part of a removal, or an insertion, lies on the floor while the robot grips it in another way: its
+    displacement from its place in the structure, shape (4, 4). None: it stays in the gripper."""
 
     @property
     def seconds(self) -> float:
@@ -253,17 +257,18 @@ class RobotPlan:
         """Describe what a step does, such as `remove keystone` or `take keystone over from left`."""
         entry = self.steps[step]
         if entry.hands_over is None:
-            return self.plan.describe(int(self.rows[step]))
+            what = self.plan.describe(int(self.rows[step]))
+            return what if entry.put_down is None else f"{what}, put down and gripped again on the way"
         name, held = self.plan.part_names[entry.hands_over], self.keyframes[step].held
         others = [k for k, part in enumerate(held) if part == entry.hands_over and k != entry.robot]
         other = " and ".join(self.robots[k].name for k in others) or "no robot"
         return f"take {name} over from {other}" if self.grip(step) == "close" else f"leave {name} to {other}"
 
     def fault(self, step: int) -> str:
-        """Return why a step is not half of a hand-over, though it says so; empty if it is one, or does not say so."""
+        """Return why a step is no half of a hand-over, or puts no part down, though it says so; empty if it is."""
         entry, part = self.steps[step], self.steps[step].hands_over
-        if part is None:
-            return ""
+        if part is None or entry.put_down is not None:
+            return put_down_fault(self, step)
         name, before, after = self.plan.part_names[part], self.keyframes[step].held, self.keyframes[step + 1].held
         if self.states[step][part] != HELD or part not in before:
             return f"{name} is handed over although it is not held"
