@@ -129,7 +129,7 @@ class _Checker:
         if fault := self.plan.fault(index):
             self.say(index, robot, fault)
         elif step.put_down is not None:
-            self._put_down(index, part, step.put_down)
+            self._put_down(index, part, step.put_down, present)
         for other, (old, new) in enumerate(zip(before.held, after.held, strict=True)):
             if (old != new) != (other == robot):
                 self.say(index, other, "its held part does not change according to the action")
@@ -180,10 +180,10 @@ class _Checker:
         if trajectory.touches is not None and (removes or trajectory.touches != part or trajectory.kind != "line"):
             self.say(index, robot, f"motion {order + 1} may not touch part {trajectory.touches}")
 
-    def _put_down(self, index: int, part: int, pose: Array) -> None:
-        """Check that a part lies on the floor, at rest, where its robot puts it down, and that the gripper reaches it.
+    def _put_down(self, index: int, part: int, pose: Array, present: NDArray[np.bool_]) -> None:
+        """Check that a part lies free and at rest on the floor, where its robot has it, and that the gripper reaches it.
 
-        What it lies beside is checked with the motions meanwhile.
+        Robots beside it are checked with the motions meanwhile.
         """
         step, lying = self.plan.steps[index], lying_motions(self.plan, index)
         robot, name = step.robot, self.judge.parts.names[part]
@@ -200,6 +200,9 @@ class _Checker:
         far = float(np.linalg.norm(move(carried, corners) - move(pose, corners), axis=1).max())
         if far > _OVERLAP:
             self.say(index, robot, f"{name} lies {1000 * far:.1f} mm away from where its robot has it")
+        other = self.judge.obstructs(Load(part, None, pose), present)
+        if other is not None:
+            self.say(index, robot, f"{name} is put down in {other}", pair=(f"part {name}", other))
         why = unrest(move(pose, corners), move(pose, self.judge.parts.center[part : part + 1])[0], self.cell.floor)
         if why:
             self.say(index, robot, f"{name} does not rest where it is put down: {why}")

@@ -138,7 +138,7 @@ class PinocchioCollisionChecker:
             robot: index of the checked robot.
             configurations: joint values of all robots; those of the moving one are ignored.
             present: parts in place, shape (parts,).
-            load: part in the gripper, or put down; the latter is checked too, except against the floor that it lies on.
+            load: part in the gripper, or put down; against fixed bodies `obstructs` checks the latter.
             touches: part that the gripper may touch.
             at_place: whether the carried part starts or ends at its place, or on the floor; it is then shrunk by the
                 tolerance, since it touches its neighbours there.
@@ -192,6 +192,17 @@ class PinocchioCollisionChecker:
         manager = self._pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(self.model, geometry, found)
         names = tuple(body.name for body in bodies)
         return PreparedQuery(self.model, data, geometry, found, manager, names, values, self.slots[robot])
+
+    def obstructs(self, load: Load, present: NDArray[np.bool_]) -> str | None:
+        """Return the name of a fixed body that a part put down collides with, the floor aside; None if it lies free."""
+        shape, there = self._parts[load.part], self._coal.Transform3s(load.pose[:3, :3], load.pose[:3, 3])
+        request = self._coal.CollisionRequest()
+        for what, _, body in self._standing(0, present):
+            if body.joint == WORLD and what != "floor":
+                where = self._coal.Transform3s(body.placement[:3, :3], body.placement[:3, 3])
+                if self._coal.collide(body.shape, where, shape, there, request, self._coal.CollisionResult()):
+                    return body.name
+        return None
 
     def grip_distance(self, robot: int, configuration: Array, part: int, pose: Array | None = None) -> float:
         """Return the distance between a gripper and a part in place, or displaced by a pose; 0 m where they touch."""
