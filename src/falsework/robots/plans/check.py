@@ -181,7 +181,7 @@ class _Checker:
             self.say(index, robot, f"motion {order + 1} may not touch part {trajectory.touches}")
 
     def _put_down(self, index: int, part: int, pose: Array, present: NDArray[np.bool_]) -> None:
-        """Check that a part lies free and at rest on the floor, where its robot has it, and that the gripper reaches it.
+        """Check that a part lies free and at rest on the floor, where its robot has it, within reach of the gripper.
 
         Robots beside it are checked with the motions meanwhile.
         """
