@@ -41,8 +41,12 @@ _MOST_GRASPS = 24
 """Grasps in which the part can be delivered that are tried."""
 _MOST_PLACES = 12
 """Places where the robot can put the part down that are tried with these grasps."""
-_MOST_SPOTS = 120
-"""Free spots on the floor, nearest first, at which the robot is tried."""
+_MOST_POSES = 1000
+"""Free poses on the floor for which the robot is tried."""
+_MOST_LINES = 100
+"""Configurations of the robot with the part on the floor from which it is tried to lift it."""
+_MOST_MOTIONS = 6
+"""Grasps at one place to which a motion of the empty gripper is tried."""
 _LIFT = 0.5
 """Length of the line on which a part is put down or lifted, in approach margins of the cell."""
 
@@ -131,12 +135,16 @@ class PuttingDown:
         """Yield places to which the robot can bring the part, nearest first, and leave it there."""
         entry, margins = self.cell.robots[robot], self.cell.margins
         tool, line, free = tool_pose(entry, here), self._line(scene, robot), self._free(scene, robot)
-        for pose in self._poses(scene, part, robot):
+        lines = 0
+        for pose in islice(self._poses(scene, part, robot), _MOST_POSES):
             values = inverse(entry, (pose @ tool)[None])[0]
             if not len(values):
                 continue
             values = values[line.hits(values) < 0]
             for at in values[np.argsort(np.abs(values - end).max(axis=1), kind="stable")]:
+                lines += 1
+                if lines > _MOST_LINES:
+                    return
                 up = follow_line(line, at, (0.0, 0.0, 1.0), _LIFT * margins.approach).path
                 if up is None or free.collides(up[-1])[0]:
                     continue
@@ -159,7 +167,7 @@ class PuttingDown:
         which = np.repeat(np.arange(len(wanted)), [len(values) for values in branches])
         values = np.concatenate(branches)
         good = np.flatnonzero(view.hits(values) < 0) if len(values) else np.zeros(0, np.int64)
-        far = np.abs(values[good] - down.retreat[-1]).max(axis=1)
+        motions, far = 0, np.abs(values[good] - down.retreat[-1]).max(axis=1)
         for row in good[np.argsort(far, kind="stable")].tolist():
             at, goals = values[row], wanted[which[row]][1]
             carried = scene.with_attached(robot, part, inverse_pose(down.pose) @ tool_pose(entry, at))
@@ -170,6 +178,9 @@ class PuttingDown:
             approach = self._leave(down.scene, part, robot, at)
             if approach is None:
                 continue
+            motions += 1
+            if motions > _MOST_MOTIONS:
+                return
             across = self.cache.motion(down.scene, robot, down.retreat[-1], approach[-1]).path
             if across is None:
                 continue
@@ -194,21 +205,21 @@ class PuttingDown:
         angle = 2 * np.pi * np.arange(_ANGLES) / _ANGLES
         spots = base[:2] + far * np.array([(r * np.cos(a), r * np.sin(a)) for r, a in product(_RADII, angle)])
         spots = spots[np.argsort(np.linalg.norm(spots - center[:2], axis=1), kind="stable")]
-        fixed, free = self._fixed(scene, robot), 0
-        for spot in spots:
-            before = free
-            for turn, yaw in product(self._standing(part), 2 * np.pi * np.arange(_YAWS) / _YAWS):
-                cos, sin = np.cos(yaw), np.sin(yaw)
-                pose = np.eye(4)
-                pose[:3, :3] = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]) @ turn
-                corners = self.parts.meshes[part].vertices @ pose[:3, :3].T
-                pose[:2, 3] = spot - (pose[:3, :3] @ center)[:2]
-                pose[2, 3] = self.cell.floor - corners[:, 2].min()
-                if self._is_free(part, pose, fixed):
-                    free = before + 1
-                    yield pose
-            if free == _MOST_SPOTS:
-                return
+        turns = list(product(self._standing(part), 2 * np.pi * np.arange(_YAWS) / _YAWS))
+        pairs = np.array(list(np.ndindex(len(spots), len(turns)))).reshape(-1, 2)
+        fixed = self._fixed(scene, robot)
+        # Farther spots and other turns come in alternately: what fails at one spot often fails beside it.
+        for number, which in pairs[
+            np.argsort(pairs @ (1 / len(spots), 1 / max(len(turns), 1)), kind="stable")
+        ].tolist():
+            turn, yaw = turns[which]
+            cos, sin = np.cos(yaw), np.sin(yaw)
+            pose = np.eye(4)
+            pose[:3, :3] = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]) @ turn
+            pose[:2, 3] = spots[number] - (pose[:3, :3] @ center)[:2]
+            pose[2, 3] = self.cell.floor - (self.parts.meshes[part].vertices @ pose[2, :3]).min()
+            if self._is_free(part, pose, fixed):
+                yield pose
 
     def _standing(self, part: int) -> list[Array]:
         """Return rotations that put a part on each face on which it stands, the least turn first."""

@@ -161,8 +161,7 @@ class _Search:
                 if self.counts["replays_fallen"] == _MAX_FALLEN_REPLAYS:
                     return self.failed(root, "not_found", self.fallen)
                 if self.deadline_passed():
-                    limit = f"the deadline of {self.settings.deadline:g} s has passed"
-                    return self.failed(root, "interrupted", limit)
+                    return self.failed(root, "interrupted", f"the deadline of {self.settings.deadline:g} s has passed")
                 if self._hopeless():
                     return self.failed(root, "not_found", "further search cannot succeed")
                 limit = f"{self.attempt} searches failed{f'; {self.fallen}' if self.fallen else ''}"
@@ -181,6 +180,12 @@ class _Search:
         causes: list[set[int]] = [set()]
         stuck: set[bytes] = set()  # states at which the search went no further, with any grasps
         newest, allowed = root, self.settings.dead_ends * (1 + self.attempt // 3)
+
+        def begin_again(keep: int) -> None:
+            """Go on from the last of the first keyframes."""
+            del nodes[keep:], options[max(keep - 1, 0) :], causes[keep:], chain[max(keep - 1, 0) :]
+            options.extend(self._options(node, rng) for node in nodes[-1:])
+
         while nodes:
             if self.deadline_passed():
                 return None
@@ -204,10 +209,7 @@ class _Search:
                 if len(stuck) > allowed:
                     return None
                 if nodes and self.graph.joint.excluded and not self.solvability.stays(nodes[-1].state):
-                    keep = self._keyframes_that_lead_on(nodes)
-                    del nodes[keep:], options[max(keep - 1, 0) :], causes[keep:], chain[max(keep - 1, 0) :]
-                    if nodes:
-                        options.append(self._options(nodes[-1], rng))
+                    begin_again(self._keyframes_that_lead_on(nodes))
                 continue
             chain.append(edge)
             if self._done(chain) > self._done(self.best):
@@ -219,11 +221,7 @@ class _Search:
                 keep = self._keyframes_before_fall(root, chain)
                 if keep is None:
                     return chain
-                # The plan up to the forbidden state remains valid: only its continuation changes.
-                del nodes[keep:], options[keep - 1 :], causes[keep:], chain[max(keep - 1, 0) :]
-                if not nodes:
-                    return None
-                options.append(self._options(nodes[-1], rng))
+                begin_again(keep)  # the plan up to the forbidden state remains valid: only its continuation changes
                 continue
             newest = edge.node
             nodes.append(newest)
@@ -234,16 +232,12 @@ class _Search:
     def _keyframes_that_lead_on(self, nodes: Sequence[Node]) -> int:
         """Return how many keyframes of a chain to keep once its last state may no longer lead to the target.
 
-        A path from a state to the target costs seconds where there is none. So the steps back grow until there is
-        one: where holds are excluded that many plans need, tens of keyframes in succession lead nowhere.
+        The steps back grow: to find no path takes a second or more, and tens in succession may have none.
         """
-        row, back = len(nodes) - 1, 1
-        while not self.deadline_passed():
-            if self.solvability.stays(nodes[row].state) or self.solvability.reroute(nodes[row].state):
-                return row + 1
-            if row == 0:
-                break
-            row, back = max(row - back, 0), 4 * back
+        for keep in sorted({max(len(nodes) - back, 1) for back in (0, 1, 5, 21, 85, len(nodes))}, reverse=True):
+            state = nodes[keep - 1].state
+            if not self.deadline_passed() and (self.solvability.stays(state) or self.solvability.reroute(state)):
+                return keep
         return 0
 
     def _keyframes_before_fall(self, root: Node, chain: list[Edge]) -> int | None:

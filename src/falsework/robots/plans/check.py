@@ -19,7 +19,7 @@ from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.model.shapes import inverse_pose, move
 from falsework.robots.plans.check_delays import DelayReport, check_delays
 from falsework.robots.plans.check_schedule import check_schedule
-from falsework.robots.plans.loads import Load, load_of, lying_motions
+from falsework.robots.plans.loads import Load, load_of, lying_motions, put_down_fault
 from falsework.robots.plans.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
@@ -126,7 +126,7 @@ class _Checker:
         if removes:
             present = present.copy()
             present[part] = False
-        if fault := self.plan.fault(index):
+        if fault := self.plan.fault(index) or put_down_fault(self.plan, index):
             self.say(index, robot, fault)
         elif step.put_down is not None:
             self._put_down(index, part, step.put_down, present)

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.search.problem.task import Direction
-
-if TYPE_CHECKING:
-    from falsework.robots.plans.robot_plan import RobotPlan
 
 Array = NDArray[np.float64]
 

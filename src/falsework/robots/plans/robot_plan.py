@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from falsework.assembly.state import HELD, States
 from falsework.errors import PlanError
 from falsework.robots.model.cell import Cell, cell_identity
-from falsework.robots.plans.loads import put_down_fault
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.task import Direction
 
@@ -265,10 +264,10 @@ class RobotPlan:
         return f"take {name} over from {other}" if self.grip(step) == "close" else f"leave {name} to {other}"
 
     def fault(self, step: int) -> str:
-        """Return why a step is no half of a hand-over, or puts no part down, though it says so; empty if it is."""
+        """Return why a step is not half of a hand-over, though it says so; empty if it is one, or does not say so."""
         entry, part = self.steps[step], self.steps[step].hands_over
-        if part is None or entry.put_down is not None:
-            return put_down_fault(self, step)
+        if part is None:
+            return ""
         name, before, after = self.plan.part_names[part], self.keyframes[step].held, self.keyframes[step + 1].held
         if self.states[step][part] != HELD or part not in before:
             return f"{name} is handed over although it is not held"

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import PlanError
+from falsework.robots.plans.loads import put_down_fault
 from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotRecord, RobotStep, Trajectory
 from falsework.robots.plans.temporal_graph import MotionNode, Precedence, Reason, TemporalPlanGraph
 from falsework.robots.plans.timeline import nodes_of
@@ -285,7 +286,7 @@ class _Reader(Reader):
         """Check hand-overs, parts put down, and that trajectories lead from a keyframe to the next without jumps."""
         for index, (before, after) in enumerate(pairwise(plan.keyframes)):
             step, place = plan.steps[index], f"step {index + 1} ({plan.does(index)})"
-            if fault := plan.fault(index):
+            if fault := plan.fault(index) or put_down_fault(plan, index):
                 self._fail(f"{place}: {fault}")
             values = before.configurations[step.robot]
             for trajectory in step.trajectories:
