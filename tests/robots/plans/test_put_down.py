@@ -28,6 +28,7 @@ from falsework.robots.motion.collision_world import CollisionWorld
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
 from falsework.robots.plans.check import CheckReport, check_robot_plan, unrest
+from falsework.robots.plans.check_delays import check_delays
 from falsework.robots.plans.export import export_plan
 from falsework.robots.plans.loads import Load, load_of, lying_motions
 from falsework.robots.plans.pinocchio_checker import PinocchioCollisionChecker
@@ -41,6 +42,8 @@ from falsework.robots.plans.robot_plan_file import (
     save_robot_plan,
 )
 from falsework.robots.plans.timeline import activities_at, event_times
+from falsework.robots.schedule.conflicts import choices
+from falsework.robots.schedule.itinerary import Itineraries
 from falsework.robots.schedule.swept_bodies import SweptBodies
 from falsework.search import Direction
 from falsework.search.plans.plan_check import validate_plan
@@ -277,14 +280,15 @@ def test_the_check_sees_a_place_that_is_not_free(plan: RobotPlan, alone: Assembl
 def test_the_check_sees_a_gripper_that_takes_nothing(
     plan: RobotPlan, alone: Assembly, one: Cell, backwards: bool
 ) -> None:
-    """The gripper closes 0.1 rad beside the grasp; the motions go on without a jump."""
+    """The gripper closes where its approach begins; the motions go on without a jump."""
     plan = plan.reverse() if backwards else plan
     _, step, _, lying = detour_of(plan)
     moves = list(step.trajectories)
     before, after = (lying.start - 1, lying.start) if backwards else (lying.stop - 1, lying.stop)
+    off = moves[after].positions[-1] if backwards else moves[before].positions[0]
     for number, knot in ((before, -1), (after, 0)):
         positions = moves[number].positions.copy()
-        positions[knot, 0] += 0.1
+        positions[knot] = off
         moves[number] = replace(moves[number], positions=positions)
     report = check_robot_plan(with_step(plan, trajectories=tuple(moves)), alone, one)
     assert "mm away from slab-0, which lies on the floor" in what(report)
@@ -385,13 +389,23 @@ def test_another_arm_meets_the_part_while_it_lies(timed: RobotPlan, stack: Assem
     assert sum(body.name == "part slab-0" for body in judge.arm(step.robot, load)) == 1
 
 
-def test_a_schedule_without_the_waits_for_the_detour_is_refused(timed: RobotPlan, stack: Assembly, two: Cell) -> None:
-    graph = timed.schedule
-    assert graph is not None
-    kept = tuple(edge for edge in graph.edges if edge.why != "volume")
-    assert len(kept) < len(graph.edges)
-    report = check_robot_plan(replace(timed, schedule=replace(graph, edges=kept)), stack, two)
-    assert not report.good
+def test_a_part_in_the_way_of_another_arm_is_found_whatever_the_delays(
+    timed: RobotPlan, stack: Assembly, two: Cell
+) -> None:
+    """The slab lies where the other arm carries a tile meanwhile: the check sees it, and a new schedule would wait."""
+    _, step, pose, _ = detour_of(timed)
+    parts, other = place_parts(stack, two.placement), 1 - step.robot
+    judge = PinocchioCollisionChecker(two, parts, 0.001)
+    carries = [t for entry in timed.steps if entry.robot == other for t in entry.trajectories if t.part is not None]
+    middle = carries[-1].sample(np.array([0.6 * carries[-1].seconds]))[0]
+    there = pose.copy()
+    there[:3, 3] += judge.flange(other, middle)[:3, 3] - move(pose, parts.center[:1])[0]
+    assert not check_delays(timed, judge).problems
+    moved = with_step(timed, put_down=there)
+    found = check_delays(moved, judge).problems
+    assert any("part slab-0" in (problem.pair or ()) for problem in found)
+    rows = Itineraries(moved, CollisionWorld(two, parts))
+    assert len(choices(rows)) > len(choices(Itineraries(timed, CollisionWorld(two, parts))))
 
 
 def test_controllers_open_and_close_the_gripper_on_the_way(plan: RobotPlan, tmp_path: Path) -> None:

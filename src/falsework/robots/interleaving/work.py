@@ -15,7 +15,7 @@ from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment
 from falsework.robots.keyframes.trajectory_assembly import timed_leg
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.motion.collision_world import NO_CONTACT
-from falsework.robots.plans.loads import Load
+from falsework.robots.plans.loads import Load, LoadKey
 from falsework.robots.plans.robot_plan import Trajectory
 from falsework.robots.schedule.swept_bodies import SweptBodies
 
@@ -79,7 +79,7 @@ class Work:
         """Prepare for motions of a cell; some have trajectories."""
         self.graph, self.timed = graph, timed
         self.bodies = SweptBodies(graph.world)
-        self._rests: dict[tuple[int, bytes, tuple[int, bytes] | None], ArmSweep] = {}
+        self._rests: dict[tuple[int, bytes, LoadKey | None], ArmSweep] = {}
         self._waits: dict[tuple[Leg, ArmSweep], float] = {}
         self._blocked: dict[tuple[ArmSweep, int], bool] = {}
 
