@@ -42,7 +42,7 @@ class Trajectory:
     part: int | None = None
     """Part in the gripper."""
     touches: int | None = None
-    """Part in place that the gripper may touch: the one that an approach ends at, or that a retreat starts from."""
+    """Part in place, or put down, that the gripper may touch: an approach ends at it, or a retreat starts from it."""
 
     @property
     def seconds(self) -> float:
