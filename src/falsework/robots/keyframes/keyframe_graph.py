@@ -81,7 +81,7 @@ class KeyframeGraph:
         """
         self.assembly, self.cell, self.settings, self.seed = assembly, cell, settings, seed
         self.support = False
-        """Whether held parts may be released and held again; from the second turn of a search on, as most need none."""
+        """Whether parts may be held again, handed over or put down; from the second turn of a search on."""
         self.parts = parts or place_parts(assembly, cell.placement)
         self.world = CollisionWorld(cell, self.parts)
         self.reasons = FailureLog()
