@@ -79,8 +79,8 @@ class PlanRobots(Command):
     missing: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
     """Parts not delivered yet, such as 3,4; assembly does without them as long as possible."""
     support: bool = False
-    """Let arms release parts that stand without them and hold them again with another grasp, and hand other parts to
-    another arm, where there is no other way."""
+    """Let arms release parts that stand without them and hold them again with another grasp, hand other parts to
+    another arm, and put parts down on the way to grip them in another way, where there is no other way."""
     assembly_order: bool = False
     """Write the motions in the order of assembly."""
     sequential: bool = False

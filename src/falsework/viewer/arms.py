@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.geometry.mesh.mesh import triangle_normals
+from falsework.robots.plans.loads import Load, load_of
 from falsework.robots.plans.timeline import activities_at
 from falsework.search.problem.task import Direction
 from falsework.viewer.appearance import Appearance
@@ -54,11 +55,11 @@ class Link:
 
 @dataclass(frozen=True, eq=False)
 class CarriedPart:
-    """Part on its way in a gripper."""
+    """Part on its way in a gripper, or put down on the way."""
 
     part: int
     robot: int
-    """Robot that carries it."""
+    """Robot that carries it, or has put it down."""
     pose: Array
     """From the place of the part to where it is, shape (4, 4)."""
 
@@ -137,7 +138,7 @@ class Arms:
             values = arm.at(np.array([seconds]))[0]
             configurations.append(values)
             if arm.load is not None:
-                carried.append(self._carried(arm.load[0], arm.robot, values, arm.load[1]))
+                carried.append(self._loaded(arm.load, arm.robot, values))
         return ArmPoses(self._poses(configurations), tuple(carried))
 
     def at(self, position: float) -> ArmPoses:
@@ -162,10 +163,10 @@ class Arms:
             index += 1
         step = self._plan.steps[index]
         before, after = self._plan.keyframes[index], self._plan.keyframes[index + 1]
-        done, current = [], None
-        for trajectory in step.trajectories:
+        done, current, load = [], None, None
+        for motion, trajectory in enumerate(step.trajectories):
             if left <= trajectory.seconds:
-                current = trajectory
+                current, load = trajectory, load_of(self._plan, index, motion)
                 break
             left -= trajectory.seconds
             done.append(trajectory)
@@ -183,24 +184,23 @@ class Arms:
             return ArmPoses(poses, arrived=come, gone=part if removing else None)
         if step.hands_over is not None:
             return ArmPoses(poses)
-        carrying = current is not None and current.part is not None
-        if carrying:
-            home = (before if removing else after).configurations[step.robot]
-            return ArmPoses(poses, (self._carried(part, step.robot, configurations[step.robot], home),))
+        if load is not None:
+            return ArmPoses(poses, (self._loaded(load, step.robot, configurations[step.robot]),))
         was = any(trajectory.part is not None for trajectory in done)
         arrived = part if was and not removing else None
         gone = part if was and removing else None
         return ArmPoses(poses, arrived=arrived, gone=gone)
 
-    def _carried(self, part: int, robot: int, values: Array, home: Array) -> CarriedPart:
-        """Return a carried part; `home` is the configuration in which the part is at its place, shape (joints,)."""
+    def _loaded(self, load: Load, robot: int, values: Array) -> CarriedPart:
+        """Return the load of a robot whose joint values are given, shape (joints,)."""
         from falsework.robots.kinematics.forward import tool_pose
         from falsework.robots.model.shapes import inverse_pose
 
-        arm, back = self.cell.robots[robot], self._to_structure
-        way = tool_pose(arm, values) @ inverse_pose(tool_pose(arm, home))
+        arm, back, way = self.cell.robots[robot], self._to_structure, load.pose
+        if load.grip is not None:
+            way = tool_pose(arm, values) @ inverse_pose(tool_pose(arm, load.grip)) @ way
         # From the structure into the cell, along with the tool, and back again.
-        return CarriedPart(part, robot, back @ way @ np.linalg.inv(back))
+        return CarriedPart(load.part, robot, back @ way @ np.linalg.inv(back))
 
     def _poses(self, configurations: Sequence[Array]) -> Array:
         from falsework.robots.kinematics.forward import link_poses

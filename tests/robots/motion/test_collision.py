@@ -15,7 +15,7 @@ from falsework.robots.model.builtin_robots import builtin_robot
 from falsework.robots.model.cell import Cell, CellRobot, Gripper, Obstacle
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.shapes import block, hull, move, pose
-from falsework.robots.motion.collision_world import CollisionQuery, CollisionWorld, Contact, Scene
+from falsework.robots.motion.collision_world import LIFT, PUT_DOWN, CollisionQuery, CollisionWorld, Contact, Scene
 
 
 def random_piece(random: np.random.Generator) -> np.ndarray:
@@ -166,8 +166,9 @@ def test_a_part_leaves_the_obstacle_under_it_and_no_other(
     scene = Scene.at_home(world.cell, parts).with_removed(1)
     start = start[~world.view(scene, 0, contact=Contact(gripper=frozenset({0})), margin=0.001).collides(start)][0]
     carried = scene.with_attached(0, 0, tool_pose(world.cell.robots[0], start))
-    line = world.view(carried, 0, contact=Contact(carried_floor=True), margin=0.001)
+    line = world.view(carried, 0, contact=LIFT, margin=0.001)
     assert not line.collides(start)[0]
+    assert world.view(carried, 0, contact=PUT_DOWN, margin=0.001).explain(start) == ("part one", "plate")
     assert world.view(carried, 0, margin=0.001).explain(start) == ("part one", "plate")
     beyond = inverse(world.cell.robots[0], pose((-0.075, 0, 0)) @ tool)[0]
     assert {line.explain(values) for values in beyond} == {("part one", "post")}

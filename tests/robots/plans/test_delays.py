@@ -83,13 +83,11 @@ def sampled(segment: Segment, low: float, high: float) -> np.ndarray:
 def collides(plan: RobotPlan, judge: PinocchioCollisionChecker, overlap: Overlap) -> bool:
     """Whether two arms collide at a sample of all positions that can coincide."""
     one, other = overlap.one, overlap.other
-    carried, grip = one.load or (None, None)
     query = judge.prepare(
         one.robot,
         plan.keyframes[0].configurations,
         np.zeros(len(plan.plan.boundary), bool),
-        carried=carried,
-        grip=grip,
+        load=one.load,
         loads={} if other.load is None else {other.robot: other.load},
     )
     for values in sampled(other, *overlap.other_range):

@@ -16,7 +16,7 @@ from falsework.robots.keyframes.keyframe_graph import KeyframeGraph, KeyframeSet
 from falsework.robots.keyframes.keyframes import Edge, Node
 from falsework.robots.model.cell import Cell, Obstacle, Placement
 from falsework.robots.model.shapes import block
-from falsework.robots.planning.hybrid_planner import plan_robots
+from falsework.robots.planning.hybrid_planner import _Search, plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.search import Direction, Task
@@ -203,6 +203,55 @@ def test_a_dead_end_leads_back_to_the_hold_that_causes_it(
     found = dead_ends()
     monkeypatch.setattr("falsework.robots.planning.action_ranking.FailedActions.blamed", lambda *_: set())
     assert 0 < found < dead_ends()
+
+
+@pytest.fixture
+def search(column: Assembly, cell: Cell, oracle: Stability) -> _Search:
+    """A search that restarts after dead ends at two states."""
+    return _Search(column, cell, None, oracle, None, HybridSettings(dead_ends=1), None, None)
+
+
+@pytest.mark.parametrize(("parts", "found"), [((1,), True), ((1, 2), False)])
+def test_dead_ends_at_one_state_count_once(
+    search: _Search, column: Assembly, parts: tuple[int, ...], found: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ten grips of each part lead nowhere; after those of one part the search goes on, after those of two it ends."""
+    homes, nobody = search.cell.homes, (None,) * search.cell.robot_count
+    root = search.graph.start(complete_state(column.boundary), homes, nobody)
+
+    def options(node: Node, _: np.random.Generator) -> Iterator[Edge]:
+        if node is not root:
+            return
+        for part in parts:
+            state = root.state.copy()
+            state[part] = HELD
+            for grip in range(10):
+                yield Edge(part, 0, (), search.graph.start(state, (homes[0] + 0.1 * grip, *homes[1:]), (part, None)))
+        yield Edge(0, 0, (), search.graph.start(search.task.target, homes, nobody))
+
+    monkeypatch.setattr(search, "_options", options)
+    monkeypatch.setattr(search.solvability, "falls", lambda _: None)
+    chain = search.depth_first_pass(root, np.random.default_rng(0))
+    assert (chain is not None) == found
+    assert search.counts["dead_ends"] == (10 if found else 11)
+
+
+@pytest.mark.parametrize("solvable", [True, False])
+def test_where_nothing_leads_on_the_steps_back_grow(
+    search: _Search, column: Assembly, solvable: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    homes, nobody = search.cell.homes, (None,) * search.cell.robot_count
+    nodes = [search.graph.start(complete_state(column.boundary), homes, nobody) for _ in range(60)]
+    asked: list[int] = []
+
+    def reroute(state: np.ndarray) -> bool:
+        asked.append(next(number for number, node in enumerate(nodes) if node.state is state))
+        return solvable and asked[-1] <= 40
+
+    monkeypatch.setattr(search.solvability, "stays", lambda _: False)
+    monkeypatch.setattr(search.solvability, "reroute", reroute)
+    assert search._keyframes_that_lead_on(nodes) == (39 if solvable else 0)
+    assert asked == ([59, 58, 54, 38] if solvable else [59, 58, 54, 38, 0])
 
 
 def test_a_structure_that_locks_itself_is_proven_so(cell: Cell) -> None:

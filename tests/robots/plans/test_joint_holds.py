@@ -94,6 +94,20 @@ def test_grasps_with_which_a_part_cannot_leave_do_not_count(column: Assembly, ce
     assert JointHolds(grips, lambda grip, *_: grip.robot == 0).learn((1, 2), state)
 
 
+def test_grasps_that_no_arm_can_approach_do_not_count(
+    column: Assembly, cell: Cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    state = held(column, 1, 2)
+    for blocked in (False, True):
+        graph = KeyframeGraph(column, cell)
+        if blocked:
+            monkeypatch.setattr(graph, "_retreat", lambda *given: None if given[1] == 2 else given[3][None])
+        for support in (False, True):
+            graph.support = support
+            graph.joint.forget()
+            assert graph.joint.learn((1, 2), state) == blocked
+
+
 def test_arms_with_which_dead_ends_repeat_are_not_tried_again(column: Assembly, cell: Cell) -> None:
     graph = KeyframeGraph(column, cell)
     root = graph.start(held(column), cell.homes, (None, None))

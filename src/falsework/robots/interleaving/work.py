@@ -15,8 +15,9 @@ from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment
 from falsework.robots.keyframes.trajectory_assembly import timed_leg
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.motion.collision_world import NO_CONTACT
+from falsework.robots.plans.loads import Load, LoadKey
 from falsework.robots.plans.robot_plan import Trajectory
-from falsework.robots.schedule.swept_bodies import Load, SweptBodies
+from falsework.robots.schedule.swept_bodies import SweptBodies
 
 Array = NDArray[np.float64]
 
@@ -78,7 +79,7 @@ class Work:
         """Prepare for motions of a cell; some have trajectories."""
         self.graph, self.timed = graph, timed
         self.bodies = SweptBodies(graph.world)
-        self._rests: dict[tuple[int, bytes, tuple[int, bytes] | None], ArmSweep] = {}
+        self._rests: dict[tuple[int, bytes, LoadKey | None], ArmSweep] = {}
         self._waits: dict[tuple[Leg, ArmSweep], float] = {}
         self._blocked: dict[tuple[ArmSweep, int], bool] = {}
 
@@ -116,7 +117,7 @@ class Work:
         """
         hold = next(self.graph.holds(node, part, robot), None)
         removal = None if hold is None else next(self.graph.edges(hold.node, len(node.state) + part), None)
-        if hold is None or removal is None:
+        if hold is None or removal is None or removal.put_down is not None:
             return None
         rests, steps = list(rests), []
         for before, edge in ((node, hold), (hold.node, removal)):
@@ -155,7 +156,7 @@ class Work:
         trajectory = self.timed[segment]
         if trajectory is None:
             return None
-        load: Load | None = None if segment.part is None else (segment.part, grip)
+        load = None if segment.part is None else Load(segment.part, grip, np.eye(4))
         swept, ends = self.bodies.moving(robot, trajectory, load)
         present = node.present.copy()
         if segment.part is not None:
@@ -172,7 +173,7 @@ class Work:
 
     def rest(self, robot: int, values: Array, load: Load | None = None) -> ArmSweep:
         """Return the body of an arm at rest."""
-        key = (robot, np.round(values, 9).tobytes(), None if load is None else (load[0], load[1].tobytes()))
+        key = (robot, np.round(values, 9).tobytes(), None if load is None else load.key)
         if key not in self._rests:
             swept = self.bodies.resting(robot, values, load)
             self._rests[key] = ArmSweep((swept, swept), np.zeros(1), self.graph.cell.margins.free, True)

@@ -18,7 +18,7 @@ from falsework.stability.verdict import Verdicts
 Array = NDArray[np.float64]
 Group = tuple[int, ...]
 """Two or three parts, ascending."""
-Lasting = Callable[[GraspConfiguration, int, States], bool]
+Usable = Callable[[GraspConfiguration, int, States], bool]
 
 _MOST_GRIPS = 60
 """Grasp configurations of one arm that are compared with those of others, spread over all of them."""
@@ -32,14 +32,15 @@ class JointHolds:
     Dechter, Enhancement schemes for constraint processing, 1990).
     """
 
-    def __init__(self, grips: GraspConfigurations, lasting: Lasting) -> None:
+    def __init__(self, grips: GraspConfigurations, usable: Usable) -> None:
         """Create an empty set.
 
         Args:
             grips: grasp configurations of the robots of a cell.
-            lasting: whether a part can leave later with a grasp, among the parts of a state; other grasps do not count.
+            usable: whether an arm can approach a grasp, and the part leave with it later, among the parts of a state;
+                other grasps do not count.
         """
-        self.grips, self.cell, self._lasting = grips, grips.cell, lasting
+        self.grips, self.cell, self._usable = grips, grips.cell, usable
         self.rivals: set[Group] = set()
         """Groups that could not be held at the same time."""
         self.excluded = 0
@@ -103,7 +104,7 @@ class JointHolds:
         return found
 
     def _together(self, group: Group, state: States) -> bool:
-        """Return whether arms have lasting grasps of some parts that do not collide."""
+        """Return whether arms have usable grasps of some parts that do not collide."""
         robots = range(self.cell.robot_count)
         grips = {(robot, part): _some(self.grips.of(robot, part, state)) for robot in robots for part in group}
         usable = {key: np.ones(len(found), dtype=bool) for key, found in grips.items()}
@@ -116,15 +117,15 @@ class JointHolds:
                 if pair not in clear:
                     clear[pair] = self._clear(*(grips[key] for key in pair))
             while (rows := _compatible([usable[key] for key in keys], keys, clear)) is not None:
-                # Only grasps that do not collide are asked whether they last.
-                fleeting = [
+                # Only grasps that do not collide are asked whether they are usable.
+                useless = [
                     (key, row)
                     for key, row in zip(keys, rows, strict=True)
-                    if not self._lasting(grips[key][row], key[1], state)
+                    if not self._usable(grips[key][row], key[1], state)
                 ]
-                if not fleeting:
+                if not useless:
                     return True
-                for key, row in fleeting:
+                for key, row in useless:
                     usable[key][row] = False
         return False
 

@@ -23,6 +23,7 @@ from falsework.robots.keyframes.failure_report import FailureLog
 from falsework.robots.keyframes.grasp_configurations import GraspConfiguration, GraspConfigurations
 from falsework.robots.keyframes.joint_holds import JointHolds
 from falsework.robots.keyframes.keyframes import DeadEnds, Edge, Node, PathSegment
+from falsework.robots.keyframes.putting_down import PuttingDown
 from falsework.robots.keyframes.withdrawal import Withdrawal
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Cell
@@ -33,6 +34,8 @@ from falsework.robots.motion.path_planner import follow_line
 
 Array = NDArray[np.float64]
 
+_MAX_DETOURS = 2
+"""Withdrawals of a part that cannot be delivered after which it is put down, to be gripped in another way."""
 _MAX_PLACES = 4
 """Number of free motions to a drop-off pose that are tried."""
 
@@ -78,17 +81,18 @@ class KeyframeGraph:
         """
         self.assembly, self.cell, self.settings, self.seed = assembly, cell, settings, seed
         self.support = False
-        """Whether held parts may be released and held again; from the second turn of a search on, as most need none."""
+        """Whether parts may be held again, handed over or put down; from the second turn of a search on."""
         self.parts = parts or place_parts(assembly, cell.placement)
         self.world = CollisionWorld(cell, self.parts)
         self.reasons = FailureLog()
         self.cache = MotionCache(self.world, nodes=settings.nodes, seed=seed)
         self._grips = GraspConfigurations(assembly, self.cache, self.reasons, limit=settings.grasps)
-        self.joint = JointHolds(self._grips, self._lasts)
+        self.joint = JointHolds(self._grips, self._usable)
         self.dead = DeadEnds()
         """Dead ends of the search that uses the graph."""
-        self._lasting: dict[tuple[int, int, bytes, bytes], bool] = {}
+        self._alone: dict[tuple[int, int, bytes, bytes, bool], bool] = {}
         self._withdrawal = Withdrawal(self.cache, self.reasons, settings.withdrawals)
+        self._putting_down = PuttingDown(assembly, self.cache, self.reasons, self._grips, self._retreat)
         self.exits = ExitDirections(assembly, self.parts.turn, present)
 
     def start(self, state: States, configurations: tuple[Array, ...], held: tuple[int | None, ...]) -> Node:
@@ -281,13 +285,21 @@ class KeyframeGraph:
             self.reasons.add(action, part, robot, f"{what}: too near", clear.pair(hit), line.path[-1])
         return None
 
-    def _lasts(self, grip: GraspConfiguration, part: int, state: States) -> bool:
-        """Return whether a part can leave later with a grasp if no other arm is near, or need not."""
-        key = (grip.robot, part, grip.configuration.tobytes(), state.tobytes())
-        if key not in self._lasting:
+    def _usable(self, grip: GraspConfiguration, part: int, state: States) -> bool:
+        """Return whether an arm can approach a grasp, and the part leave with it later, if no other arm is near.
+
+        With releases it need not be able to leave.
+        """
+        key = (grip.robot, part, grip.configuration.tobytes(), state.tobytes(), self.support)
+        if key not in self._alone:
             alone = self.start(state, self.cell.homes, (None,) * self.cell.robot_count)
-            self._lasting[key] = self._can_leave_later(alone, part, grip)
-        return self.support or self._lasting[key]
+            view = self.cache.view(alone.scene, grip.robot, grasp_contact(part), self.cell.margins.line)
+            clear = self.cache.view(alone.scene, grip.robot, NO_CONTACT, self.cell.margins.free)
+            here, way = grip.configuration, -grip.grasp.approach
+            self._alone[key] = self._retreat("hold", part, grip.robot, here, way, view, clear) is not None and (
+                self.support or self._can_leave_later(alone, part, grip)
+            )
+        return self._alone[key]
 
     def _can_leave_later(self, node: Node, part: int, grip: GraspConfiguration) -> bool:
         later, ways = self.way_out(part, node.state)
@@ -330,10 +342,22 @@ class KeyframeGraph:
         if not len(ways):
             self.reasons.add("remove", part, robot, "no free exit direction")
             return
+        stuck: list[tuple[tuple[Array, ...], Scene]] = []
+        delivered = False
         for paths, scene in self._withdrawal.lines(node.scene, part, robot, here, ways, "way out"):
             edge = self._carry(node, part, robot, paths, scene)
-            if edge is not None:
+            if edge is None:
+                stuck.append((paths, scene))
+            else:
+                delivered = True
                 yield edge
+        for paths, scene in stuck[:_MAX_DETOURS] if self.support and not delivered else ():
+            detour = self._putting_down.detour(part, robot, here, paths[-1][-1], scene)
+            if detour is not None:
+                lines = tuple(PathSegment("line", path, part=part) for path in paths)
+                action = part + self.assembly.part_count
+                after = node.after(action, robot, detour.end)
+                yield Edge(action, robot, (*lines, *detour.segments), after, put_down=detour.pose)
 
     def _carry(self, node: Node, part: int, robot: int, paths: tuple[Array, ...], scene: Scene) -> Edge | None:
         entry = self.cell.robots[robot]

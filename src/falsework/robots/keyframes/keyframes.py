@@ -156,6 +156,8 @@ class Edge:
     """Keyframe after the action."""
     hands_over: bool = False
     """Whether it is half of a hand-over, which changes no state: `action` is the part."""
+    put_down: Array | None = None
+    """Where the part lies while its robot changes its grasp: displacement from its place, shape (4, 4)."""
 
 
 def _grip(robot: int, values: Array) -> bytes:

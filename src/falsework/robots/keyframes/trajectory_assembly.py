@@ -66,7 +66,7 @@ def make_robot_plan(
                 timed[segment] = timed_leg(model, segment, cell.speed)
         legs = (timed[segment] for segment in edge.segments)
         handed = edge.action if edge.hands_over else None
-        steps.append(RobotStep(edge.robot, tuple(leg for leg in legs if leg is not None), handed))
+        steps.append(RobotStep(edge.robot, tuple(leg for leg in legs if leg is not None), handed, edge.put_down))
     nodes = (root, *(edge.node for edge in chain))
     return RobotPlan(
         plan=abstract,

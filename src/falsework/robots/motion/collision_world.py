@@ -30,8 +30,8 @@ from falsework.robots.model.shapes import Pieces, inverse_pose, move
 Array = NDArray[np.float64]
 
 NO_FLOOR = -1e9
-_OBSTACLE, _ROBOT, _ELSEWHERE, _SUPPORT = -1, -2, -3, -4
-"""Owners of obstacles that are no parts in place."""
+_OBSTACLE, _ROBOT, _SUPPORT = -1, -2, -3
+"""Owners of obstacles that are no parts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +78,17 @@ class Scene:
         """Return the same scene with a part removed by a robot whose tool frame is at `tool` in the world, (4, 4)."""
         carried = list(self.attached)
         carried[robot] = Attached(part, inverse_pose(tool))
-        return replace(self.with_removed(part), attached=tuple(carried))
+        return replace(self.with_removed(part), attached=tuple(carried), elsewhere=self._without(part))
+
+    def with_put_down(self, robot: int, part: int, pose: Array) -> Scene:
+        """Return the same scene with the load of a robot lying at a pose relative to its place, shape (4, 4)."""
+        carried = list(self.attached)
+        carried[robot] = None
+        elsewhere = (*self._without(part), (part, pose))
+        return replace(self.with_removed(part), attached=tuple(carried), elsewhere=elsewhere)
+
+    def _without(self, part: int) -> tuple[tuple[int, Array], ...]:
+        return tuple(entry for entry in self.elsewhere if entry[0] != part)
 
 
 @dataclass(frozen=True)
@@ -95,12 +105,16 @@ class Contact:
     carried: frozenset[int] = frozenset()
     """Parts that the part in the gripper may touch."""
     carried_floor: bool = False
-    """Whether the part in the gripper may touch the floor, and obstacles that it touches at its place."""
+    """Whether the part in the gripper may touch the floor."""
+    carried_supports: bool = False
+    """Whether the part in the gripper may touch obstacles that it touches at its place."""
 
 
 NO_CONTACT = Contact()
-LIFT = Contact(carried_floor=True)
+LIFT = Contact(carried_floor=True, carried_supports=True)
 """For the line on which a part that was withdrawn along the floor is lifted off it."""
+PUT_DOWN = Contact(carried_floor=True)
+"""For the lines on which a part is put down on the floor elsewhere, and lifted off it."""
 
 
 def grasp_contact(part: int) -> Contact:
@@ -110,7 +124,8 @@ def grasp_contact(part: int) -> Contact:
 
 def withdrawal_contact(scene: Scene) -> Contact:
     """Return the pairs that may touch on the line on which a part is withdrawn from the parts present in a scene."""
-    return Contact(carried=frozenset(np.flatnonzero(scene.present).tolist()), carried_floor=True)
+    carried = frozenset(np.flatnonzero(scene.present).tolist())
+    return Contact(carried=carried, carried_floor=True, carried_supports=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +146,7 @@ class CollisionQuery:
     links: NDArray[np.int64]
     """Link of each body, joints + 1 for the gripper, joints + 2 for the part; shape (bodies,)."""
     owners: NDArray[np.int64]
-    """Part of each obstacle, negative where it is none in place; shape (obstacles,)."""
+    """Part of each obstacle, negative where it is none; shape (obstacles,)."""
     body_names: tuple[str, ...]
     obstacle_names: tuple[str, ...]
     work: CollisionScratch = field(repr=False)
@@ -274,7 +289,7 @@ class CollisionWorld:
         bodies, names, kinds = make_bodies(entry, self.carried(robot, scene), self.parts.names)
         stands: list[tuple[str, int, Pieces]] = []
         load = scene.attached[robot]
-        supports = self._supports(load.part) if contact.carried_floor and load is not None else ()
+        supports = () if load is None else self._supports(load.part)
         for index, (name, pieces) in enumerate(self._static):
             if index != robot:
                 fixed = _SUPPORT if index in supports else _OBSTACLE
@@ -286,7 +301,7 @@ class CollisionWorld:
             stands.append((f"part {self.parts.names[part]}", part, self.parts.pieces[part]))
         for part, pose in scene.elsewhere:
             pieces = tuple(move(pose, piece) for piece in self.parts.pieces[part])
-            stands.append((f"part {self.parts.names[part]}", _ELSEWHERE, pieces))
+            stands.append((f"part {self.parts.names[part]}", part, pieces))
         obstacles, owner = make_obstacles([pieces for _, _, pieces in stands])
         chain = make_chain(entry.model, entry.base)
         links, owners = np.array(kinds), np.array([part for _, part, _ in stands], np.int64)[owner]
@@ -325,6 +340,7 @@ class CollisionWorld:
         on_floor[links == 0] = False
         if contact.carried_floor:
             on_floor[load] = False
+        if contact.carried_supports:
             pair[np.ix_(load, owners == _SUPPORT)] = False
         return Rules(
             pair=pair,

@@ -62,7 +62,9 @@ class MotionCache:
             margin: distance to keep from everything else, metres.
         """
         place = _digest(scene, robot)
-        rules = repr((sorted(contact.gripper), sorted(contact.carried), contact.carried_floor, margin))
+        rules = repr(
+            (sorted(contact.gripper), sorted(contact.carried), contact.carried_floor, contact.carried_supports, margin)
+        )
         views = self._views.get(place)
         if views is None:
             while len(self._views) > _CACHED_SCENES:

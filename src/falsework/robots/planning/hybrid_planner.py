@@ -48,6 +48,8 @@ _SOLVABILITY_CHECKS = 4
 """Solvability checks at one keyframe in the first search; later searches may make more."""
 _LAST_VERDICTS = 400
 """Verdicts for such checks where no action has succeeded yet, before the keyframe counts as a dead end."""
+_VARIATIONS = 4
+"""Varied plans that are looked for before a search where excluded holds have left none."""
 _MAX_FALLEN_REPLAYS = 40
 """Plans with motions whose replay may fail before the search ends."""
 _POSTPONED_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
@@ -154,8 +156,10 @@ class _Search:
                     self.dead.clear()
                     self.graph.joint.forget()
                     self.failures = FailedActions(self.graph, self.solvability)
-                if turn:
-                    self.solvability.perturb(self.attempt)
+                for again in range(_VARIATIONS if turn else 0):
+                    self.solvability.perturb(self.attempt + again * self.settings.attempts)
+                    if self.solvability.stays(root.state):
+                        break
                 chain = self.depth_first_pass(root, np.random.default_rng([self.settings.seed, self.attempt]))
                 self.attempt += 1
                 if chain is not None:
@@ -180,7 +184,14 @@ class _Search:
         nodes, options = [root], [self._options(root, rng)]
         # Causes of the dead ends after each keyframe: indices of earlier edges.
         causes: list[set[int]] = [set()]
-        dead_ends, allowed = 0, self.settings.dead_ends * (1 + self.attempt // 3)
+        stuck: set[bytes] = set()  # states at which the search went no further, with any grasps
+        newest, allowed = root, self.settings.dead_ends * (1 + self.attempt // 3)
+
+        def begin_again(keep: int) -> None:
+            """Go on from the last of the first keyframes."""
+            del nodes[keep:], options[max(keep - 1, 0) :], causes[keep:], chain[max(keep - 1, 0) :]
+            options.extend(self._options(node, rng) for node in nodes[-1:])
+
         while nodes:
             if self.deadline_passed():
                 return None
@@ -191,6 +202,8 @@ class _Search:
                 continue
             if edge is None:
                 self.dead.add(nodes[-1])
+                if nodes[-1] is newest:  # others are left because of dead ends after them
+                    stuck.add(newest.state.tobytes())
                 if self._done(chain) >= self._done(self.best):
                     self.tried.update(self.failures.kinds(nodes[-1]))
                 blamed = causes[-1] | self.failures.blamed(nodes[-1], chain)
@@ -198,34 +211,40 @@ class _Search:
                 del nodes[back + 1 :], options[back + 1 :], causes[back + 1 :], chain[max(back, 0) :]
                 if nodes:
                     causes[-1] |= blamed - {back}
-                dead_ends += 1
                 self.counts["dead_ends"] += 1
-                if dead_ends > allowed:
+                if len(stuck) > allowed:
                     return None
                 if nodes and self.graph.joint.excluded and not self.solvability.stays(nodes[-1].state):
-                    self.solvability.reroute(nodes[-1].state)
-                    options[-1] = self._options(nodes[-1], rng)
+                    begin_again(self._keyframes_that_lead_on(nodes))
                 continue
             chain.append(edge)
             if self._done(chain) > self._done(self.best):
                 self.best = list(chain)
                 self.tried.clear()
-                dead_ends = 0  # beyond them: another search would have to come here first
-            self._report(dead_ends)
+                stuck.clear()  # beyond them: another search would have to come here first
+            self._report(len(stuck))
             if np.array_equal(edge.node.state, self.task.target):
                 keep = self._keyframes_before_fall(root, chain)
                 if keep is None:
                     return chain
-                # The plan up to the forbidden state remains valid: only its continuation changes.
-                del nodes[keep:], options[keep - 1 :], causes[keep:], chain[max(keep - 1, 0) :]
-                if not nodes:
-                    return None
-                options.append(self._options(nodes[-1], rng))
+                begin_again(keep)  # the plan up to the forbidden state remains valid: only its continuation changes
                 continue
-            nodes.append(edge.node)
-            options.append(self._options(edge.node, rng))
+            newest = edge.node
+            nodes.append(newest)
+            options.append(self._options(newest, rng))
             causes.append(set())
         return None
+
+    def _keyframes_that_lead_on(self, nodes: Sequence[Node]) -> int:
+        """Return how many keyframes of a chain to keep once its last state may no longer lead to the target.
+
+        The steps back grow: to find no path takes a second or more, and tens in succession may have none.
+        """
+        for keep in sorted({max(len(nodes) - back, 1) for back in (0, 1, 5, 21, 85, len(nodes))}, reverse=True):
+            state = nodes[keep - 1].state
+            if not self.deadline_passed() and (self.solvability.stays(state) or self.solvability.reroute(state)):
+                return keep
+        return 0
 
     def _keyframes_before_fall(self, root: Node, chain: list[Edge]) -> int | None:
         """Replay a plan with motions and forbid the state in which the structure collapses.
@@ -352,7 +371,7 @@ class _Search:
             chain = shorten_motions(chain, self.cell.speed, self.settings.seed)
             self._timed(root, chain)
             legal, stop = self.solvability.legal, self.deadline_passed
-            if not any(edge.hands_over for edge in chain):
+            if not any(edge.hands_over or edge.put_down is not None for edge in chain):
                 chain = reorder(self.graph, self.oracle, root, chain, self.timed, legal=legal, stop=stop)
             chain = shorten_motions(chain, self.cell.speed, self.settings.seed, done=self.timed)
         statistics = self._statistics()

@@ -24,7 +24,7 @@ class HybridSettings:
     attempts: int = 40
     """Number of searches, each in another order."""
     dead_ends: int = 15
-    """Dead ends in the first search; then the next one begins and may have more."""
+    """States at which the first search may go no further; then the next one begins, and may have more."""
     keyframes: KeyframeSettings = field(default_factory=KeyframeSettings)
     together: bool = False
     """Shorten the motions, reorder the steps and schedule the plan, for robots that move at the same time."""

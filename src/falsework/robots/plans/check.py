@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from shapely import MultiPoint, Point, Polygon
 
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
@@ -17,8 +18,10 @@ from falsework.errors import InputError
 from falsework.robots.cells.cell_file import AnyCell, as_cell
 from falsework.robots.model.cell import GRIP_DISTANCE, Cell
 from falsework.robots.model.part_shapes import place_parts
+from falsework.robots.model.shapes import inverse_pose, move
 from falsework.robots.plans.check_delays import DelayReport, check_delays
 from falsework.robots.plans.check_schedule import check_schedule
+from falsework.robots.plans.loads import Load, load_of, lying_motions, put_down_fault
 from falsework.robots.plans.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
@@ -31,6 +34,8 @@ Progress = Callable[[int, int], None]
 _OVERLAP = 0.001
 """Allowed overlap of a part with its neighbours as it leaves or reaches its place, metres; where the structure's
 own meshes overlap by more at that place, this is doubled until they do not."""
+_STEADY = 0.05
+"""Least distance of a centre of mass from the edges of the face that a part stands on, in square roots of its area."""
 _SAME_JOINT = 1e-5
 """Joint values that differ by no more are equal, rad or m."""
 _LIMIT_EXCESS = 0.01
@@ -121,21 +126,22 @@ class _Checker:
         if removes:
             present = present.copy()
             present[part] = False
-        if fault := self.plan.fault(index):
+        if fault := self.plan.fault(index) or put_down_fault(self.plan, index):
             self.say(index, robot, fault)
+        elif step.put_down is not None:
+            self._put_down(index, part, step.put_down, present)
         for other, (old, new) in enumerate(zip(before.held, after.held, strict=True)):
             if (old != new) != (other == robot):
                 self.say(index, other, "its held part does not change according to the action")
-        grip = self._grip(index, robot) if removes else None
         values = before.configurations[robot]
         for order, trajectory in enumerate(step.trajectories):
             if self.full():
                 return
-            self._content(index, order, trajectory, part, removes)
+            load = load_of(self.plan, index, order)
+            self._content(index, order, trajectory, part, load)
             values = self._joins(index, robot, values, trajectory.positions[0], trajectory.positions[-1])
             self._limits(index, robot, trajectory)
-            at_place = removes and trajectory.kind == "line"
-            self._collisions(index, robot, trajectory, present, grip, at_place)
+            self._collisions(index, robot, trajectory, present, load)
         self._joins(index, robot, values, after.configurations[robot], values)
         for other, (old, new) in enumerate(zip(before.configurations, after.configurations, strict=True)):
             if other != robot:
@@ -161,14 +167,45 @@ class _Checker:
         apart = self.plan.direction is Direction.DISASSEMBLY
         return self.plan.keyframes[index if apart else index + 1].configurations[robot]
 
-    def _content(self, index: int, order: int, trajectory: Trajectory, part: int, removes: bool) -> None:
-        """Check that a removal always carries its part, and a hold carries none and touches it only on the line."""
-        robot = self.plan.steps[index].robot
+    def _content(self, index: int, order: int, trajectory: Trajectory, part: int, load: Load | None) -> None:
+        """Check that a removal always carries its part, and a hold carries none and touches it only on the line.
+
+        A part that was put down is not carried, and may be touched on the lines too.
+        """
+        robot, removes = self.plan.steps[index].robot, self._action(index)[1]
+        removes &= load is None or not load.lies
         wanted = part if removes else None
         if trajectory.part != wanted:
             self.say(index, robot, f"motion {order + 1} carries part {trajectory.part}, the action needs {wanted}")
         if trajectory.touches is not None and (removes or trajectory.touches != part or trajectory.kind != "line"):
             self.say(index, robot, f"motion {order + 1} may not touch part {trajectory.touches}")
+
+    def _put_down(self, index: int, part: int, pose: Array, present: NDArray[np.bool_]) -> None:
+        """Check that a part lies free and at rest on the floor, where its robot has it, within reach of the gripper.
+
+        Robots beside it are checked with the motions meanwhile.
+        """
+        step, lying = self.plan.steps[index], lying_motions(self.plan, index)
+        robot, name = step.robot, self.judge.parts.names[part]
+        ends = step.trajectories[lying.start].positions[0], step.trajectories[lying.stop - 1].positions[-1]
+        for values in ends:
+            far = self.judge.grip_distance(robot, values, part, pose)
+            if far > GRIP_DISTANCE:
+                self.say(index, robot, f"the gripper is {1000 * far:.1f} mm away from {name}, which lies on the floor")
+        # In the grip in which the part is in its place, it must come to lie there, or be lifted from there.
+        apart = self.plan.direction is Direction.DISASSEMBLY
+        there = self.judge.flange(robot, ends[0 if apart else 1])
+        carried = there @ inverse_pose(self.judge.flange(robot, self._grip(index, robot)))
+        corners = self.judge.parts.meshes[part].vertices
+        far = float(np.linalg.norm(move(carried, corners) - move(pose, corners), axis=1).max())
+        if far > _OVERLAP:
+            self.say(index, robot, f"{name} lies {1000 * far:.1f} mm away from where its robot has it")
+        other = self.judge.obstructs(Load(part, None, pose), present)
+        if other is not None:
+            self.say(index, robot, f"{name} is put down in {other}", pair=(f"part {name}", other))
+        why = unrest(move(pose, corners), move(pose, self.judge.parts.center[part : part + 1])[0], self.cell.floor)
+        if why:
+            self.say(index, robot, f"{name} does not rest where it is put down: {why}")
 
     def _joins(self, index: int, robot: int, here: Array, there: Array, end: Array) -> Array:
         far = float(np.abs(here - there).max())
@@ -197,8 +234,7 @@ class _Checker:
         robot: int,
         trajectory: Trajectory,
         present: NDArray[np.bool_],
-        grip: Array | None,
-        at_place: bool,
+        load: Load | None,
     ) -> None:
         moments, samples = trajectory.dense(self.resolution)
         self.samples += len(samples)
@@ -216,10 +252,9 @@ class _Checker:
             robot,
             self.plan.keyframes[index].configurations,
             present,
-            carried=trajectory.part,
-            grip=grip,
+            load=load,
             touches=trajectory.touches,
-            at_place=at_place,
+            at_place=load is not None and trajectory.kind == "line",
         )
         for moment, values in zip(moments, samples, strict=True):
             pair = move.hits(values)
@@ -228,6 +263,28 @@ class _Checker:
                 place = tuple(values.tolist())
                 self.say(index, robot, what, pair=pair, seconds=float(moment), configuration=place)
                 return
+
+
+def unrest(corners: Array, center: Array, floor: float | None) -> str:
+    """Return why a part would not rest on the floor; empty if it stands on a face of some width.
+
+    Args:
+        corners: its vertices, shape (vertices, 3).
+        center: its centre of mass, shape (3,).
+        floor: height of the floor; None: there is none.
+    """
+    if floor is None:
+        return "the cell has no floor"
+    gap = float(corners[:, 2].min()) - floor
+    if abs(gap) > _OVERLAP:
+        return f"it is {1000 * abs(gap):.1f} mm {'above' if gap > 0 else 'below'} the floor"
+    base = MultiPoint(corners[corners[:, 2] < floor + _OVERLAP, :2]).convex_hull
+    if not isinstance(base, Polygon) or base.area <= 0:
+        return "it stands on an edge or a corner"
+    inside = base.contains(Point(center[:2]))
+    if not inside or base.exterior.distance(Point(center[:2])) < _STEADY * np.sqrt(base.area):
+        return "its centre of mass is not well above the face that it stands on"
+    return ""
 
 
 def check_robot_plan(
@@ -252,8 +309,9 @@ def check_robot_plan(
     - neighbouring links, and the pairs that the robot description excludes;
     - a gripper and the last two links of its arm, and a part in a gripper and the last link and the gripper;
     - on an approach or a retreat: the gripper and the part that it grips;
-    - on the lines on which a part leaves or reaches its place, the part is shrunk by the tolerance, since it
-      touches its neighbours and the floor. Everywhere else it has its full size.
+    - on the lines on which a part leaves or reaches its place, or the floor where it is put down on the way, the part
+      is shrunk by the tolerance, since it touches its neighbours and the floor. Everywhere else it has its full size;
+      while it lies on the floor it is not checked against the floor, on which it must stand on a face.
 
     The stability of the states is not checked here; `validate_plan(plan.plan, ...)` does that.
 

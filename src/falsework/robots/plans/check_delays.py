@@ -91,7 +91,8 @@ class _DelayChecker:
     def _where(self, segment: Segment, seconds: float) -> str:
         name, load = self.plan.robots[segment.robot].name, ""
         if segment.load is not None:
-            load = f" with part {self.judge.parts.names[segment.load[0]]}"
+            how = "beside" if segment.load.lies else "with"
+            load = f" {how} part {self.judge.parts.names[segment.load.part]}"
         if segment.trajectory is None:
             return f"while {name} rests{load} after step {segment.step + 1}"
         return f"while {name} is {seconds:.2f} s into a motion{load} of step {segment.step + 1}"

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from falsework.assembly.state import REMOVED
 from falsework.errors import PlanError
 from falsework.robots.model.cell import Cell
+from falsework.robots.plans.loads import Load
 from falsework.robots.plans.pinocchio_checker import PinocchioCollisionChecker, PreparedQuery
 from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.robot_plan import RobotPlan
@@ -72,7 +73,7 @@ def check_schedule(
             if arm.trajectory is None:
                 continue
             loads = {other.robot: other.load for other in doing if other is not arm and other.load is not None}
-            key = (arm.robot, id(arm.trajectory), state, *((k, load[0]) for k, load in loads.items()))
+            key = (arm.robot, id(arm.trajectory), state, *((k, load.key) for k, load in loads.items()))
             if key not in prepared:
                 prepared[key] = _prepare(plan, judge, arm, present, loads)
             pair = _first_hit(prepared[key], values)
@@ -99,19 +100,17 @@ def _prepare(
     judge: PinocchioCollisionChecker,
     arm: ArmActivity,
     present: NDArray[np.bool_],
-    loads: dict[int, tuple[int, Array]],
+    loads: dict[int, Load],
 ) -> PreparedQuery:
     trajectory = arm.trajectory
     assert trajectory is not None
-    carried, grip = (None, None) if arm.load is None else arm.load
     return judge.prepare(
         arm.robot,
         plan.keyframes[0].configurations,
         present,
-        carried=carried,
-        grip=grip,
+        load=arm.load,
         touches=trajectory.touches,
-        at_place=carried is not None and trajectory.kind == "line",
+        at_place=arm.load is not None and trajectory.kind == "line",
         loads=loads,
     )
 

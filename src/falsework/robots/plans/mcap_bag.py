@@ -5,8 +5,8 @@ Topics, for each robot: `/NAME/joint_trajectory` (`trajectory_msgs/JointTrajecto
 (`moveit_msgs/PlanningScene`), a difference whenever a gripper picks up or puts down a part, as the planning
 scene monitor of MoveIt reads it. The first one, at the start, has the parts in place with their meshes, and a part that
 is picked up has its mesh in the frame of the flange; without the structure parts have only their names, and the
-reader's scene must have their shapes. A part put down in disassembly leaves the scene. Messages are CDR, with their
-definitions in the bag.
+reader's scene must have their shapes. A part put down in disassembly leaves the scene, unless its robot grips it again.
+Messages are CDR, with their definitions in the bag.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from falsework.robots.kinematics.forward import flange_pose
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.shapes import inverse_pose, move
+from falsework.robots.plans.loads import Load, load_of, lying_motions
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.timeline import schedule_of
 from falsework.search.problem.task import Direction
@@ -163,9 +164,10 @@ def write_bag(plan: RobotPlan, path: Path, placed: PlacedParts | None = None) ->
         name, last = plan.robots[node.robot].name, len(step.trajectories) - 1
         if node.trajectory is None:
             continue
-        carries = action >= parts
-        if carries and node.trajectory == 0:
-            bag.write("/planning_scene", _difference(bag, plan, node.step, _ADD, now, placed), now)
+        carries, lying = action >= parts, lying_motions(plan, node.step)
+        if carries and node.trajectory in (0, lying.stop if lying else 0):
+            load = load_of(plan, node.step, node.trajectory)
+            bag.write("/planning_scene", _difference(bag, plan, node.step, now, load, placed=placed), now)
             count += 1
         message = _trajectory(bag, plan, node.robot, step.trajectories[node.trajectory], now)
         whole = bag.make(
@@ -178,9 +180,10 @@ def write_bag(plan: RobotPlan, path: Path, placed: PlacedParts | None = None) ->
         bag.write(f"/{name}/joint_trajectory", message, now)
         bag.write(f"/{name}/robot_trajectory", whole, now)
         count += 2
-        if carries and node.trajectory == last:
+        if carries and node.trajectory in (last, lying.start - 1 if lying else last):
             end = now + node.seconds
-            bag.write("/planning_scene", _difference(bag, plan, node.step, _REMOVE, end), end)
+            gone = node.trajectory == last and plan.direction is Direction.DISASSEMBLY
+            bag.write("/planning_scene", _difference(bag, plan, node.step, end, None, gone=gone), end)
             count += 1
     data = bag.finish()
     write_whole(path, lambda file: file.write(data))
@@ -220,17 +223,33 @@ def _first_scene(bag: _Bag, plan: RobotPlan, placed: PlacedParts) -> Any:
 
 
 def _difference(
-    bag: _Bag, plan: RobotPlan, step: int, operation: int, now: float, placed: PlacedParts | None = None
+    bag: _Bag,
+    plan: RobotPlan,
+    step: int,
+    now: float,
+    load: Load | None,
+    *,
+    placed: PlacedParts | None = None,
+    gone: bool = False,
 ) -> Any:
-    """Return the difference of the planning scene when a gripper picks up or puts down a part."""
+    """Return the difference of the planning scene when a gripper picks up or puts down a part, which may then leave.
+
+    Args:
+        bag: the bag.
+        plan: the robot plan.
+        step: index of the step.
+        now: time, seconds.
+        load: what the gripper picks up; None: it puts the part down.
+        placed: the parts with their shapes.
+        gone: whether the part leaves the scene.
+    """
     robot, part = plan.steps[step].robot, int(plan.actions[step]) % len(plan.plan.boundary)
-    flange = f"{plan.robots[robot].name}_tool0"
+    flange, operation = f"{plan.robots[robot].name}_tool0", _REMOVE if load is None else _ADD
     mesh = None
-    if placed is not None and operation == _ADD:
-        apart = plan.direction is Direction.DISASSEMBLY
-        grip = plan.keyframes[step if apart else step + 1].configurations[robot]
+    if placed is not None and load is not None:
+        assert load.grip is not None
         entry, shape = placed.cell.robots[robot], placed.shapes.meshes[part]
-        there = inverse_pose(flange_pose(entry.model, grip, entry.base))
+        there = inverse_pose(flange_pose(entry.model, load.grip, entry.base)) @ load.pose
         mesh = TriangleMesh(shape.name, move(there, shape.vertices), shape.faces)
     attached = bag.make(
         "moveit_msgs/msg/AttachedCollisionObject",
@@ -243,7 +262,6 @@ def _difference(
         weight=0.0,
     )
     # MoveIt leaves a detached part where it is, before it reads the world of the difference.
-    gone = operation == _REMOVE and plan.direction is Direction.DISASSEMBLY
     things = [_part(bag, plan, part, _REMOVE, flange, now)] if gone else []
     return _scene(bag, now, attached=[attached], things=things)
 

@@ -22,6 +22,7 @@ from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.model.shapes import inverse_pose
+from falsework.robots.plans.loads import Load
 
 Array = NDArray[np.float64]
 
@@ -126,11 +127,10 @@ class PinocchioCollisionChecker:
         configurations: Sequence[Array],
         present: NDArray[np.bool_],
         *,
-        carried: int | None = None,
-        grip: Array | None = None,
+        load: Load | None = None,
         touches: int | None = None,
         at_place: bool = False,
-        loads: Mapping[int, tuple[int, Array]] | None = None,
+        loads: Mapping[int, Load] | None = None,
     ) -> PreparedQuery:
         """Prepare the check of one moving robot; others may move at the same time.
 
@@ -138,20 +138,22 @@ class PinocchioCollisionChecker:
             robot: index of the checked robot.
             configurations: joint values of all robots; those of the moving one are ignored.
             present: parts in place, shape (parts,).
-            carried: part in the gripper.
-            grip: configuration in which the carried part is in place, shape (joints,).
+            load: part in the gripper, or put down; against fixed bodies `obstructs` checks the latter.
             touches: part that the gripper may touch.
-            at_place: whether the carried part starts or ends at its place; it is then shrunk by the tolerance, since
-                it touches its neighbours there.
-            loads: parts that other robots carry, each with the configuration in which it is in place.
+            at_place: whether the carried part starts or ends at its place, or on the floor; it is then shrunk by the
+                tolerance, since it touches its neighbours there.
+            loads: parts that other robots carry or have put down.
         """
         moving = self._robot_bodies(robot)
         joints = self.cell.robots[robot].model.joints
-        if carried is not None and grip is not None:
-            moving += [(joints + 2, body) for body in self._carried(robot, carried, grip, at_place)]
         standing = self._standing(robot, present)
-        for other, (part, place) in (loads or {}).items():
-            standing += [("robot", other, body) for body in self._carried(other, part, place, False)]
+        lying = load is not None and load.lies
+        if load is not None:
+            found = self._loaded(robot, load, at_place)
+            moving += [(joints + 3 if lying else joints + 2, body) for body in found]
+            standing += [("lying part", load.part, body) for body in found if lying]
+        for other, others in (loads or {}).items():
+            standing += [("robot", other, body) for body in self._loaded(other, others, False)]
         for _, body in moving:
             for number in sorted(body.against or ()):
                 if present[number]:
@@ -174,7 +176,11 @@ class PinocchioCollisionChecker:
             for b, (what, number, other_body) in enumerate(standing, len(moving)):
                 if what == "base" and (0, link) in ignored:
                     continue
-                if what == "part" and (number in body.spared or (link == joints + 1 and number == touches)):
+                if what == "part" and number in body.spared:
+                    continue
+                if what in ("part", "lying part") and link == joints + 1 and number == touches:
+                    continue
+                if link == joints + 3 and what in ("lying part", "floor"):
                     continue
                 tangled = body.against is not None and number in body.against and other_body.slack == body.slack
                 if (body.against is not None or what == "shrunk part") and not (what == "shrunk part" and tangled):
@@ -187,11 +193,22 @@ class PinocchioCollisionChecker:
         names = tuple(body.name for body in bodies)
         return PreparedQuery(self.model, data, geometry, found, manager, names, values, self.slots[robot])
 
-    def grip_distance(self, robot: int, configuration: Array, part: int) -> float:
-        """Return the distance between a gripper and a part in place, metres; 0 where they touch."""
+    def obstructs(self, load: Load, present: NDArray[np.bool_]) -> str | None:
+        """Return the name of a fixed body that a part put down collides with, the floor aside; None if it lies free."""
+        shape, there = self._parts[load.part], self._coal.Transform3s(load.pose[:3, :3], load.pose[:3, 3])
+        request = self._coal.CollisionRequest()
+        for what, _, body in self._standing(0, present):
+            if body.joint == WORLD and what != "floor":
+                where = self._coal.Transform3s(body.placement[:3, :3], body.placement[:3, 3])
+                if self._coal.collide(body.shape, where, shape, there, request, self._coal.CollisionResult()):
+                    return body.name
+        return None
+
+    def grip_distance(self, robot: int, configuration: Array, part: int, pose: Array | None = None) -> float:
+        """Return the distance between a gripper and a part in place, or displaced by a pose; 0 m where they touch."""
         flange = self.flange(robot, configuration)
         coal = self._coal
-        here = coal.Transform3s()
+        here = coal.Transform3s() if pose is None else coal.Transform3s(pose[:3, :3], pose[:3, 3])
         there = coal.Transform3s(flange[:3, :3], flange[:3, 3])
         least = np.inf
         for piece in self._grippers[robot]:
@@ -210,15 +227,10 @@ class PinocchioCollisionChecker:
         self._pin.forwardKinematics(self.model, self._data, self._values)
         return np.array([self._data.oMi[joint].homogeneous for joint in joints])
 
-    def arm(self, robot: int, load: tuple[int, Array] | None = None) -> list[CollisionBody]:
-        """Return the moving bodies of an arm, in full size.
-
-        Args:
-            robot: the arm.
-            load: the part that it carries, and the configuration in which the part is in place.
-        """
-        carried = [] if load is None else self._carried(robot, *load, False)
-        return [body for _, body in self._robot_bodies(robot)] + carried
+    def arm(self, robot: int, load: Load | None = None) -> list[CollisionBody]:
+        """Return the moving bodies of an arm, in full size, with the part that it carries or has put down."""
+        loaded = [] if load is None else self._loaded(robot, load, False)
+        return [body for _, body in self._robot_bodies(robot)] + loaded
 
     def standing_part(self, part: int) -> CollisionBody:
         """Return a part in place, in full size."""
@@ -252,11 +264,12 @@ class PinocchioCollisionChecker:
             found.append((entry.model.joints + 1, body))
         return found
 
-    def _carried(self, robot: int, part: int, grip: Array, at_place: bool) -> list[CollisionBody]:
-        """Return the part in a gripper; where it may touch its neighbours, once for each shrinking distance."""
-        entry = self.cell.robots[robot]
-        # A part in place has the identity as its pose, so in the flange it has the inverse of the flange's pose.
-        placement = entry.model.flange @ inverse_pose(self.flange(robot, grip))
+    def _loaded(self, robot: int, load: Load, at_place: bool) -> list[CollisionBody]:
+        """Return the load of a robot; where it may touch its neighbours, once for each shrinking distance."""
+        entry, part = self.cell.robots[robot], load.part
+        if load.grip is None:
+            return [CollisionBody(f"part {self.parts.names[part]}", self._parts[part], WORLD, load.pose)]
+        placement = entry.model.flange @ inverse_pose(self.flange(robot, load.grip)) @ load.pose
         name, joint = f"part {self.parts.names[part]}", self._joints[robot][-1]
         if not at_place:
             return [CollisionBody(name, self._parts[part], joint, placement)]

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
+from falsework.robots.plans.loads import lying_motions
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.timeline import nodes_of, schedule_of
 from falsework.search.problem.task import Direction
@@ -65,12 +66,16 @@ def events_of(plan: RobotPlan, step: int) -> Iterator[Trajectory | Grip]:
     """Yield the motions of a step and the gripper actions before or after them, in time."""
     grip, apart = plan.grip(step), plan.direction is Direction.DISASSEMBLY
     # Disassembly: hold = approach, close; release = open, retreat; remove = leave, carry, open. Assembly mirrors it.
-    # A hand-over is a hold by one robot, then a release by the other.
+    # A hand-over is a hold by one robot, then a release by the other. A part put down is gripped again on the way.
     first = not apart if grip is None else grip == "open"
     closes = not apart if grip is None else grip == "close"
     if first:
         yield Grip(closes)
-    yield from plan.steps[step].trajectories
+    lying = lying_motions(plan, step)
+    for number, trajectory in enumerate(plan.steps[step].trajectories):
+        if number in (lying.start, lying.stop) and lying:
+            yield Grip(number == lying.stop)
+        yield trajectory
     if not first:
         yield Grip(closes)
 

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED
 from falsework.errors import PlanError
+from falsework.robots.plans.loads import Load, load_of
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.timeline import Event, nodes_of
-from falsework.search.problem.task import Direction
 
 Array = NDArray[np.float64]
 
@@ -45,8 +45,7 @@ class Segment:
     """None: a rest."""
     rest: Array
     """Configuration at its end, shape (joints,)."""
-    load: tuple[int, Array] | None
-    """The part that it carries, and the configuration in which the part is in place."""
+    load: Load | None
 
 
 @dataclass(frozen=True)
@@ -122,16 +121,8 @@ class ReachablePositions:
             values, begin = trajectory.positions[-1], 2.0 * place + 1
             yield Segment(robot, step, index, begin, begin + 1, trajectory, values, self._load(index))
 
-    def _load(self, index: int) -> tuple[int, Array] | None:
-        """Return the part that a motion carries, and the configuration in which the part is in place."""
-        node = self.graph.nodes[index]
-        if node.trajectory is None:
-            return None
-        part = self.plan.steps[node.step].trajectories[node.trajectory].part
-        if part is None:
-            return None
-        apart = self.plan.direction is Direction.DISASSEMBLY
-        return part, self.plan.keyframes[node.step + (0 if apart else 1)].configurations[node.robot]
+    def _load(self, index: int) -> Load | None:
+        return load_of(self.plan, self.graph.nodes[index].step, self.graph.nodes[index].trajectory)
 
     def _needs(self, segments: list[Segment], robot: int) -> Array:
         """Return the least progress of an arm in each segment of another, shape (segments,)."""

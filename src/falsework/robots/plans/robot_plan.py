@@ -42,7 +42,7 @@ class Trajectory:
     part: int | None = None
     """Part in the gripper."""
     touches: int | None = None
-    """Part in place that the gripper may touch: the one that an approach ends at, or that a retreat starts from."""
+    """Part in place, or put down, that the gripper may touch: an approach ends at it, or a retreat starts from it."""
 
     @property
     def seconds(self) -> float:
@@ -141,6 +141,9 @@ class RobotStep:
     """Trajectories in time order."""
     hands_over: int | None = None
     """Held part that the robot takes over from another one, or leaves to it; the state of the structure stays."""
+    put_down: Array | None = None
+    """Where the part of a removal, or an insertion, lies on the floor while the robot grips it in another way: its
+    displacement from its place in the structure, shape (4, 4). None: it stays in the gripper."""
 
     @property
     def seconds(self) -> float:
@@ -253,7 +256,8 @@ class RobotPlan:
         """Describe what a step does, such as `remove keystone` or `take keystone over from left`."""
         entry = self.steps[step]
         if entry.hands_over is None:
-            return self.plan.describe(int(self.rows[step]))
+            what = self.plan.describe(int(self.rows[step]))
+            return what if entry.put_down is None else f"{what}, put down and gripped again on the way"
         name, held = self.plan.part_names[entry.hands_over], self.keyframes[step].held
         others = [k for k, part in enumerate(held) if part == entry.hands_over and k != entry.robot]
         other = " and ".join(self.robots[k].name for k in others) or "no robot"

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import PlanError
+from falsework.robots.plans.loads import put_down_fault
 from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotRecord, RobotStep, Trajectory
 from falsework.robots.plans.temporal_graph import MotionNode, Precedence, Reason, TemporalPlanGraph
 from falsework.robots.plans.timeline import nodes_of
@@ -81,6 +82,7 @@ def robot_plan_to_dict(plan: RobotPlan) -> dict[str, Any]:
                 "do": plan.does(index),
                 "robot": step.robot,
                 **({} if step.hands_over is None else {"hands_over": step.hands_over}),
+                **({} if step.put_down is None else {"put_down": rounded(step.put_down)}),
                 "trajectories": [
                     {
                         "kind": trajectory.kind,
@@ -259,13 +261,15 @@ class _Reader(Reader):
         )
 
     def _step(self, data: Any, place: str, joints: list[int], parts: int) -> RobotStep:
-        self._keys(data, {"do", "robot", "trajectories"}, place, frozenset({"hands_over"}))
+        self._keys(data, {"do", "robot", "trajectories"}, place, frozenset({"hands_over", "put_down"}))
         robot = data["robot"]
         if type(robot) is not int or not 0 <= robot < len(joints):
             self._fail(f"{place}: robot is {robot!r}", f"it must be a number from 0 to {len(joints) - 1}")
         found = self._list(data["trajectories"], f"{place}: trajectories")
         handed = self._part(data["hands_over"], parts, f"{place}: hands_over") if "hands_over" in data else None
-        return RobotStep(robot, tuple(self._trajectory(entry, place, joints[robot], parts) for entry in found), handed)
+        pose = self._array(data["put_down"], (4, 4), f"{place}: put_down") if "put_down" in data else None
+        moves = tuple(self._trajectory(entry, place, joints[robot], parts) for entry in found)
+        return RobotStep(robot, moves, handed, pose)
 
     def _trajectory(self, data: Any, place: str, joints: int, parts: int) -> Trajectory:
         self._keys(data, {"kind", "part", "touches", "times", "positions", "velocities"}, place)
@@ -285,10 +289,10 @@ class _Reader(Reader):
         )
 
     def _joins(self, plan: RobotPlan) -> None:
-        """Check hand-overs, and that trajectories begin at the robot's configuration and lead to the next keyframe."""
+        """Check hand-overs, parts put down, and that trajectories lead from a keyframe to the next without jumps."""
         for index, (before, after) in enumerate(pairwise(plan.keyframes)):
             step, place = plan.steps[index], f"step {index + 1} ({plan.does(index)})"
-            if fault := plan.fault(index):
+            if fault := plan.fault(index) or put_down_fault(plan, index):
                 self._fail(f"{place}: {fault}")
             values = before.configurations[step.robot]
             for trajectory in step.trajectories:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from falsework.robots.plans.loads import Load, load_of
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.temporal_graph import MotionNode, Precedence, TemporalPlanGraph
 from falsework.search.problem.task import Direction
@@ -115,8 +116,7 @@ class ArmActivity:
     stretch: float
     rest: Array
     """Configuration of rest, shape (joints,)."""
-    load: tuple[int, Array] | None
-    """The part that it carries, and the configuration in which the part is in place."""
+    load: Load | None
 
     def at(self, seconds: Array) -> Array:
         """Return joint values at given times, shape (samples, joints)."""
@@ -137,7 +137,6 @@ def activities_at(plan: RobotPlan, starts: Array, moment: float, factor: Array |
     graph = plan.schedule
     assert graph is not None
     factor = np.ones(len(graph.nodes)) if factor is None else factor
-    apart = plan.direction is Direction.DISASSEMBLY
     for robot in range(graph.robots):
         mine = graph.of_robot(robot)
         past = [k for k in mine if starts[k] <= moment]
@@ -155,9 +154,7 @@ def activities_at(plan: RobotPlan, starts: Array, moment: float, factor: Array |
         load, trajectory, at = None, None, 0 if last is None else graph.nodes[last].step
         if source is not None:
             at, number = graph.nodes[source].step, graph.nodes[source].trajectory
-            moved = None if number is None else plan.steps[at].trajectories[number]
-            if moved is not None and moved.part is not None:
-                load = (moved.part, plan.keyframes[at + (0 if apart else 1)].configurations[robot])
-            trajectory = moved if running else None
+            load = load_of(plan, at, number)
+            trajectory = plan.steps[at].trajectories[number] if running and number is not None else None
         begin, late = (0.0, 1.0) if last is None else (float(starts[last]), float(factor[last]))
         yield ArmActivity(robot, at, trajectory, begin, late, rest, load)

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from falsework.assembly.state import REMOVED
 from falsework.robots.kernels.coordination import Swept, conflicts
 from falsework.robots.motion.collision_world import CollisionWorld
+from falsework.robots.plans.loads import Load, LoadKey, load_of
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.timeline import nodes_of
-from falsework.robots.schedule.swept_bodies import Load, SweptBodies
-from falsework.search.problem.task import Direction
+from falsework.robots.schedule.swept_bodies import SweptBodies
 
 Array = NDArray[np.float64]
 
@@ -60,7 +60,7 @@ class Itineraries:
         self.nodes, self.events = nodes_of(plan)
         self.bodies = SweptBodies(world) if like is None else like.bodies
         self._cells: dict[Trajectory, tuple[tuple[Swept, Swept], Array]] = {} if like is None else like._cells
-        self._resting: dict[tuple[int, bytes, tuple[int, bytes] | None], Swept] = {} if like is None else like._resting
+        self._resting: dict[tuple[int, bytes, LoadKey | None], Swept] = {} if like is None else like._resting
         self._conflicts: dict[tuple[int, int, float], NDArray[np.bool_]] = {} if like is None else like._conflicts
         self._configurations = [
             np.array([frame.configurations[robot] for frame in plan.keyframes]) for robot in range(len(plan.robots))
@@ -106,24 +106,19 @@ class Itineraries:
     ) -> Stretch:
         cell = np.asarray(values, dtype=np.float64)[None]
         step = None if last is None else self.nodes[last].step
-        part = None
+        load = None
         frames = set(np.flatnonzero(np.abs(self._configurations[robot] - cell).max(axis=1) <= _SAME).tolist())
         if step is not None and following is not None and self.nodes[following].step == step:  # on the way
             frames.add(step)
-            part = self._load(following) if self.nodes[following].trajectory is not None else None
-        key = (robot, cell.tobytes(), None if part is None else (part[0], part[1].tobytes()))
+            load = self._load(following)
+        key = (robot, cell.tobytes(), None if load is None else load.key)
         if key not in self._resting:
-            self._resting[key] = self.bodies.resting(robot, values, part)
+            self._resting[key] = self.bodies.resting(robot, values, load)
         found = self._resting[key]
         return Stretch(None, first, 1, after, before, np.zeros(1), (found, found), False, frozenset(frames))
 
     def _load(self, index: int) -> Load | None:
-        """Return the part that a motion carries, and the configuration in which the part is in place."""
-        node, trajectory = self.nodes[index], self._trajectory(index)
-        if trajectory.part is None:
-            return None
-        apart = self.plan.direction is Direction.DISASSEMBLY
-        return trajectory.part, self.plan.keyframes[node.step + (0 if apart else 1)].configurations[node.robot]
+        return load_of(self.plan, self.nodes[index].step, self.nodes[index].trajectory)
 
     def _motion(self, index: int, first: int, after: int, before: int) -> Stretch:
         node, trajectory = self.nodes[index], self._trajectory(index)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -11,12 +12,12 @@ from falsework.robots.kernels.collision import Bodies, Chain
 from falsework.robots.kernels.coordination import SPLIT, Swept, still, sweep
 from falsework.robots.kernels.kernel_arrays import make_bodies, make_chain
 from falsework.robots.kinematics.forward import tool_pose
-from falsework.robots.motion.collision_world import CollisionWorld, Scene
+from falsework.robots.model.shapes import inverse_pose, move_pieces
+from falsework.robots.motion.collision_world import Attached, CollisionWorld, Scene
+from falsework.robots.plans.loads import Load, LoadKey
 from falsework.robots.plans.robot_plan import Trajectory
 
 Array = NDArray[np.float64]
-Load = tuple[int, Array]
-"""A part that an arm carries, and the configuration in which the part is in place."""
 
 CELL = 0.05
 """Longest duration of a cell, seconds."""
@@ -28,7 +29,7 @@ class SweptBodies:
     def __init__(self, world: CollisionWorld) -> None:
         """Create an empty cache."""
         self.world = world
-        self._bodies: dict[tuple[int, int | None, bytes], tuple[Chain, Bodies]] = {}
+        self._bodies: dict[tuple[int, LoadKey | None], tuple[Chain, Bodies]] = {}
         self._standing: dict[int, Swept] = {}
 
     def moving(self, robot: int, trajectory: Trajectory, load: Load | None) -> tuple[tuple[Swept, Swept], Array]:
@@ -50,21 +51,39 @@ class SweptBodies:
         return self._standing[part]
 
     def _swept(self, robot: int, values: Array, spread: Array, load: Load | None) -> Swept:
-        key = (robot, None if load is None else load[0], b"" if load is None else load[1].tobytes())
+        carried = None if load is None or load.lies else load
+        key = (robot, None if carried is None else carried.key)
         if key not in self._bodies:
-            entry = self.world.cell.robots[robot]
-            carried = None
-            if load is not None:
-                number, grip = load
-                scene = self._nowhere.with_attached(robot, number, tool_pose(entry, grip))
-                carried = self.world.carried(robot, scene)
-            bodies, _, _ = make_bodies(entry, carried, self.world.parts.names)
+            entry, pieces = self.world.cell.robots[robot], None
+            if carried is not None:
+                assert carried.grip is not None
+                held = Attached(carried.part, inverse_pose(tool_pose(entry, carried.grip)) @ carried.pose)
+                loads = tuple(held if other == robot else None for other in range(self.world.cell.robot_count))
+                pieces = self.world.carried(robot, replace(self._nowhere, attached=loads))
+            bodies, _, _ = make_bodies(entry, pieces, self.world.parts.names)
             self._bodies[key] = (make_chain(entry.model, entry.base), bodies)
-        return sweep(values, spread, *self._bodies[key])
+        made = sweep(values, spread, *self._bodies[key])
+        if load is None or not load.lies:
+            return made
+        return _beside(made, still(move_pieces(load.pose, self.world.parts.pieces[load.part])))
 
     @cached_property
     def _nowhere(self) -> Scene:
         return Scene.at_home(self.world.cell, self.world.parts)
+
+
+def _beside(moving: Swept, lying: Swept) -> Swept:
+    """Return moving bodies together with fixed ones."""
+    cells = len(moving.low)
+    return Swept(
+        np.concatenate([moving.start, moving.start[-1] + lying.start[1:]]),
+        np.concatenate([moving.vertices, np.repeat(lying.vertices, cells, axis=0)], axis=1),
+        np.concatenate([moving.center, np.repeat(lying.center, cells, axis=0)], axis=1),
+        np.concatenate([moving.radius, lying.radius]),
+        np.concatenate([moving.swept, np.repeat(lying.swept, cells, axis=0)], axis=1),
+        np.minimum(moving.low, lying.low),
+        np.maximum(moving.high, lying.high),
+    )
 
 
 def reach_of(trajectory: Trajectory, cells: int) -> tuple[Array, Array]:
