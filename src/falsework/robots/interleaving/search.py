@@ -9,13 +9,14 @@ of two motions in conflict the earlier in the order goes first.
 
 from __future__ import annotations
 
+from bisect import insort
 from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import HELD, REMOVED, States
+from falsework.assembly.state import HELD, States
 from falsework.robots.interleaving.partial_order import Partial, UnitStep, beginning, expected, extended, waits
 from falsework.robots.interleaving.work import Leg, Unit, Work
 from falsework.robots.keyframes.keyframes import Edge, Node, state_after
@@ -94,6 +95,7 @@ class OrderSearch:
         self._fallen: set[tuple[int, ...]] = set()
         """Last actions of orders that end the replay in assembly order, which carries forces from state to state."""
         self._ways: dict[Edge, Array] = {}
+        self._rules: dict[tuple[bytes, Edge], bool] = {}
         holds = [unit.seconds[0] for unit in self.units if unit.movable]
         self._hold = sum(holds) / max(len(holds), 1)
         self.best = self._as_planned(chain)
@@ -239,7 +241,7 @@ class OrderSearch:
             ]
             made.sort(key=lambda entry: (entry[0], entry[1], entry[2][0], entry[2][1].job))
             found: list[tuple[float, int, Partial]] = []
-            worst = np.inf
+            worst, scores = np.inf, []
             for least, row, (robot, unit, place) in made:
                 if least > worst:
                     break
@@ -247,8 +249,9 @@ class OrderSearch:
                 if partial is None:
                     continue
                 found.append((partial.score(self._hold), len(found), partial))
+                insort(scores, found[-1][0])
                 if len(found) >= width:
-                    worst = sorted(score for score, _, _ in found)[width - 1]
+                    worst = scores[width - 1]
             kept: dict[object, int] = {}
             beam = []
             for _, _, partial in sorted(found, key=lambda entry: entry[:2]):
@@ -332,7 +335,7 @@ class OrderSearch:
     def _legs(self, partial: Partial, unit: Unit, place: int) -> tuple[Leg, ...] | None:
         """Return motions of a step that are free at the end of an order; None if there are none."""
         node, edge = partial.node, unit.edges[place]
-        if (unit, place, node.state.tobytes()) in self._refused or not self._allowed(node, edge):
+        if (unit, place, partial.key) in self._refused or not self._allowed(partial, edge):
             return None
         groups = list(unit.legs[place])
         if place == 0 and unit.approaches:
@@ -349,22 +352,20 @@ class OrderSearch:
                     return None
                 leg = self.work.replan(node, unit, place, partial.rests)
                 if leg is None:
-                    self._refused.add((unit, place, node.state.tobytes()))
+                    self._refused.add((unit, place, partial.key))
                     return None
                 variants.append(leg)
             found.append(leg)
         return tuple(found)
 
-    def _allowed(self, node: Node, edge: Edge) -> bool:
+    def _allowed(self, partial: Partial, edge: Edge) -> bool:
         """Return whether the rules allow an action, and nothing blocks the line on which a part is withdrawn."""
-        action = edge.action
-        if action < self.parts and node.state[action] == HELD:
-            return True
-        if action not in self.legal(node.state):
-            return False
-        if action < self.parts:
-            return True
-        return self._comes_out(node.state, edge)
+        key, action, state = (partial.key, edge), edge.action, partial.node.state
+        if key not in self._rules:
+            releases = action < self.parts and state[action] == HELD
+            legal = releases or action in self.legal(state)
+            self._rules[key] = legal and (action < self.parts or self._comes_out(state, edge))
+        return self._rules[key]
 
     def _comes_out(self, state: States, edge: Edge) -> bool:
         """Return whether the direction of a removal is a free exit."""
@@ -375,11 +376,11 @@ class OrderSearch:
 
     def _is_free(self, partial: Partial, unit: Unit, leg: Leg) -> bool:
         """Return whether a motion keeps clear of other robots at rest and of parts that it was not planned around."""
-        if any(robot != unit.robot and self.work.wait(leg, rest) >= 0 for robot, rest in enumerate(partial.rests)):
-            return False
+        for robot, rest in enumerate(partial.rests):
+            if robot != unit.robot and self.work.wait(leg, rest) >= 0:
+                return False
         # A part is not withdrawn past one that had left before: free exits may be so narrow that it would jam.
-        new = np.flatnonzero((partial.node.state != REMOVED) & ~leg.present).tolist()
-        return not any(part != unit.part and self.work.blocked(leg, part) for part in new)
+        return not self.work.blocked(leg, partial.present & ~(1 << unit.part))
 
 
 def way_out(robot: CellRobot, edge: Edge) -> Array:
