@@ -223,9 +223,7 @@ class Work:
             lowest = parts & -parts
             if parts == lowest:
                 place = self.bodies.standing(parts.bit_length() - 1) if parts else None
-                found = place is not None and bool(
-                    conflicts(leg.body.swept, (place, place), leg.body.margin).any()
-                )
+                found = place is not None and bool(conflicts(leg.body.swept, (place, place), leg.body.margin).any())
             else:
                 found = self.blocked(leg, lowest) or self.blocked(leg, parts ^ lowest)
             leg.blocked[parts] = found
