@@ -8,7 +8,7 @@ from itertools import pairwise
 from typing import TypeVar
 
 from falsework.assembly.state import HELD
-from falsework.robots.interleaving.work import ArmSweep, Leg, Unit, Work
+from falsework.robots.interleaving.work import ArmSweep, Leg, Unit, Work, bits
 from falsework.robots.keyframes.keyframes import Edge, Node
 
 _Value = TypeVar("_Value")
@@ -45,6 +45,10 @@ class Partial:
 
     steps: tuple[UnitStep, ...]
     node: Node
+    key: bytes
+    """State of the keyframe."""
+    present: int
+    """Parts in place there, as bits."""
     jobs: frozenset[int]
     """Jobs that were begun."""
     begun: tuple[tuple[Unit, int] | None, ...]
@@ -125,7 +129,19 @@ def beginning(work: Work, root: Node, units: Sequence[Unit]) -> Partial:
     ahead = tuple(sum(sum(unit.seconds) for unit in units if unit.robot == robot) for robot in range(robots))
     nothing, never = (None,) * robots, (0.0,) * robots
     return Partial(
-        (), root, frozenset(), nothing, nothing, ahead, never, 0.0, ((),) * robots, tuple(work.rests(root)), ()
+        (),
+        root,
+        root.state.tobytes(),
+        bits(root.present),
+        frozenset(),
+        nothing,
+        nothing,
+        ahead,
+        never,
+        0.0,
+        ((),) * robots,
+        tuple(work.rests(root)),
+        (),
     )
 
 
@@ -162,7 +178,7 @@ def extended(work: Work, partial: Partial, step: UnitStep, owner: Unit) -> Parti
                     if wait >= 0:
                         begin = max(begin, end if body.rest else since + wait)
         for part, moment in partial.left:
-            if moment > begin and work.blocked(leg, part):
+            if moment > begin and work.blocked(leg, 1 << part):
                 begin = moment
         time = until(begin)
         if k == 0 and removes:
@@ -183,9 +199,12 @@ def extended(work: Work, partial: Partial, step: UnitStep, owner: Unit) -> Parti
     past = _with(partial.past, robot, tuple(mine))
     left = (*partial.left, (edge.action - parts, event)) if removes else partial.left
     following = (unit, step.place + 1) if step.place + 1 < len(unit.edges) else None
+    node, present = partial.node.after(edge.action, robot, edge.segments[-1].path[-1]), partial.present
     return Partial(
         (*partial.steps, step),
-        partial.node.after(edge.action, robot, edge.segments[-1].path[-1]),
+        node,
+        node.state.tobytes(),
+        present & ~(1 << edge.action - parts) if removes else present,
         partial.jobs | {unit.job},
         _with(partial.begun, robot, following),
         _with(partial.last, robot, unit),

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import States
-from falsework.robots.interleaving.search import OrderSearch
+from falsework.robots.interleaving.local_optima import leave_local_optima
+from falsework.robots.interleaving.search import MANY, OrderSearch
 from falsework.robots.interleaving.work import Work
 from falsework.robots.kernels.rrt_connect import INTERVALS, edges_free
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
@@ -55,6 +56,8 @@ def reorder(
     search = OrderSearch(Work(graph, dict(timed)), oracle, root, chain, legal=legal, stop=stop)
     for _ in range(_TRIES):
         search.run()
+        if len(root.configurations) >= MANY:
+            leave_local_optima(search, graph.seed)
         if not search.changed:
             break
         found = _follow(graph, root, [step.edge for step in search.best[-1].steps], timed)

@@ -9,26 +9,27 @@ of two motions in conflict the earlier in the order goes first.
 
 from __future__ import annotations
 
+from bisect import insort
 from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from falsework.assembly.state import HELD, REMOVED, States
+from falsework.assembly.state import States
+from falsework.robots.interleaving.next_steps import NextSteps
 from falsework.robots.interleaving.partial_order import Partial, UnitStep, beginning, expected, extended, waits
-from falsework.robots.interleaving.work import Leg, Unit, Work
+from falsework.robots.interleaving.work import Unit, Work
 from falsework.robots.keyframes.keyframes import Edge, Node, state_after
-from falsework.robots.kinematics.forward import tool_pose
-from falsework.robots.model.cell import CellRobot
 from falsework.stability.oracle import Stability
-
-Array = NDArray[np.float64]
 
 _MERGE_WIDTH = 24
 """Beam width of the merge."""
+MANY = 3
+"""Arms from which on more effort pays: two are seldom far from their lower bound, half of the motions."""
 _WIDTH = 12
-"""Beam width in a window."""
+"""Beam width in a window for many arms."""
+_NARROW = 6
+"""Beam width for two arms, which have half as many choices in a step."""
 _LENGTHS = (10, 14, 8, 12, 18)
 """Steps of a window, in turn until none of them leads to a better order: in long ones the beam is too narrow."""
 _OWN = 4
@@ -39,22 +40,16 @@ _SAME = 2
 """Partial orders of the same steps that are kept."""
 _ENDS = 4
 """Orders of a window that are continued to the end of the plan."""
-_VARIANTS = 2
-"""Motions on one way that are planned, each in another scene."""
-_REPLACEMENTS = 2
-"""Replacements per part of the plan that are planned in all."""
 _FALLS = 4
 """Better orders of a window of which a state or the replay may turn out to be unstable."""
-_SAME_WAY = 1 - 1e-6
-"""Cosine above which a line and an exit direction count as the same."""
-_STANDSTILL = 1e-7
-"""Distance below which two configurations count as the same, rad or m."""
 _FAR = 4
 """Parts from behind the end of a window that each arm may take in it."""
 _WAITS = 16
 """Longest waits, at each of which a window with parts from behind its end is searched."""
 _FAR_TURNS = 2
-"""Turns with such windows without a better order after which the search ends."""
+"""Turns with such windows without a better order after which the search ends, for many arms."""
+_LEAST_GAIN = 0.002
+"""Share by which a turn must shorten an order to count as one with a better order."""
 _TOTAL = 0.01
 """Weight of the total time in the comparison of complete orders, which decides between those with equal makespan."""
 
@@ -87,18 +82,18 @@ class OrderSearch:
         self.parts = len(root.state)
         self.units = work.units(root, chain)
         """Of each job the unit that does it in the best order."""
-        self._replacements: dict[tuple[int, int], Unit | None] = {(unit.job, unit.robot): unit for unit in self.units}
-        self._approaches: dict[tuple[Unit | None, Unit], list[Leg]] = {}
-        self._refused: set[tuple[Unit, int, bytes]] = set()
-        self._stable: dict[bytes, bool] = {}
+        self.next = NextSteps(work, oracle, self.units, legal)
         self._fallen: set[tuple[int, ...]] = set()
         """Last actions of orders that end the replay in assembly order, which carries forces from state to state."""
-        self._ways: dict[Edge, Array] = {}
         holds = [unit.seconds[0] for unit in self.units if unit.movable]
         self._hold = sum(holds) / max(len(holds), 1)
+        many = len(root.configurations) >= MANY
+        self._width, self._far_turns = (_WIDTH, _FAR_TURNS) if many else (_NARROW, 0)
         self.best = self._as_planned(chain)
         """Beginnings of the best order, from that without steps to the complete one."""
         self._planned = list(self.units), self.best
+        self._visited = {_signature(self.best[-1])}
+        """Orders that were the best ones."""
 
     def _as_planned(self, chain: Sequence[Edge]) -> list[Partial]:
         place_of = {edge: (unit, k) for unit in self.units for k, edge in enumerate(unit.edges)}
@@ -108,7 +103,7 @@ class OrderSearch:
             unit, place = place_of[edge]
             steps.append(UnitStep(unit, place, tuple(variants[0] for variants in unit.legs[place])))
             if place == 0 and unit.approaches and unit.legs[0] and unit.legs[0][0][0].segment.kind == "free":
-                self._approaches[last.get(unit.robot), unit] = unit.legs[0][0]
+                self.next.add_approach(last.get(unit.robot), unit)
             last[unit.robot] = unit
         return self._beginnings(steps)
 
@@ -124,26 +119,24 @@ class OrderSearch:
     def run(self) -> None:
         """Find a better order."""
         length = len(self.best) - 1
-        self._improve(0, length, _MERGE_WIDTH, own=1, others=0)
+        self.improve(0, length, _MERGE_WIDTH, own=1, others=0)
         since = turn = 0
-        while since < len(_LENGTHS) + _FAR_TURNS:
+        while since < len(_LENGTHS) + self._far_turns:
             # Parts from behind the end of a window are worth their time once nothing else helps.
-            far, size = since >= len(_LENGTHS), _LENGTHS[turn % len(_LENGTHS)]
-            better = False
+            far, size, before = since >= len(_LENGTHS), _LENGTHS[turn % len(_LENGTHS)], self.cost
             for first in waits(self.best)[:_WAITS] if far else range(0, length, size // 2):
                 if self.stop():
                     return
-                last = min(first + size, length)
-                behind = self._behind(last) if far else []
+                behind = self._behind(min(first + size, length)) if far else []
                 if behind or not far:
-                    better |= self._improve(first, last, _WIDTH, own=_OWN, others=_OTHERS, far=behind)
-            since, turn = 0 if better else since + 1, turn + 1
+                    self.improve(first, size, far=behind)
+            since, turn = 0 if self.cost < before * (1 - _LEAST_GAIN) else since + 1, turn + 1
 
     def refuse(self, index: int) -> None:
         """Exclude a step of the best order in the state in which it is there, and go back to the order of the plan."""
         step, before = self.best[-1].steps[index], self.best[index].node
-        self._refused.add((step.unit, step.place, before.state.tobytes()))
-        self.units, self.best = list(self._planned[0]), self._planned[1]
+        self.next.refuse(step.unit, step.place, before.state.tobytes())
+        self.take(self._planned)
 
     @property
     def changed(self) -> bool:
@@ -157,36 +150,69 @@ class OrderSearch:
             unit = step.unit
             if step.place or not unit.movable or seen[unit.robot] >= _FAR:
                 continue
-            if unit.part in self.legal(node.state) and self._comes_out(node.state, unit.edges[1]):
+            if unit.part in self.legal(node.state) and self.next.comes_out(node.state, unit.edges[1]):
                 found.append(unit)
                 seen[unit.robot] += 1
         return found
 
-    def _improve(self, first: int, last: int, width: int, *, own: int, others: int, far: Sequence[Unit] = ()) -> bool:
-        """Search the steps from `first` to before `last` of the best order again; return whether that was better."""
+    def improve(
+        self,
+        first: int,
+        size: int,
+        width: int | None = None,
+        *,
+        own: int = _OWN,
+        others: int = _OTHERS,
+        far: Sequence[Unit] = (),
+        worse: float = 0.0,
+    ) -> bool:
+        """Search some steps of the best order again; return whether another order was found.
+
+        Args:
+            first: the first of the steps.
+            size: number of steps, as far as there are so many.
+            width: beam width, by default that of windows.
+            own: next parts of its own that an arm chooses from.
+            others: next parts of each other arm that an arm chooses from.
+            far: units from behind the end that may be taken too.
+            worse: share by which an order that was not the best one before may be worse; by default it must be better.
+        """
+        last, cost, width = min(first + size, len(self.best) - 1), self.cost, width or self._width
         for _ in range(_FALLS):
-            completed = self._completed(first, last, width, own, others, far)
-            found = min((order for order in completed if not self._falls(order)), key=_cost, default=self.best[-1])
-            if _cost(found) >= _cost(self.best[-1]) - 1e-6:
+            completed = [order for order in self._completed(first, last, width, own, others, far) if self._may(order)]
+            if worse:
+                completed = [order for order in completed if _signature(order) not in self._visited]
+            found = min(completed, key=_cost, default=None)
+            if found is None or _cost(found) >= (cost * (1 + worse) if worse else cost - 1e-6):
                 return False
             if self._stands(found):
                 for step in found.steps:
                     self.units[step.unit.job] = step.unit
                 self.best = self._beginnings(found.steps)
+                self._visited.add(_signature(found))
                 return True
         return False
 
-    def _falls(self, order: Partial) -> bool:
-        """Return whether the replay of an order is known to end early."""
+    @property
+    def cost(self) -> float:
+        """What the search minimises, of the best order."""
+        return _cost(self.best[-1])
+
+    def take(self, order: tuple[list[Unit], list[Partial]]) -> None:
+        """Go back to an earlier order: its units and its beginnings."""
+        self.units, self.best = list(order[0]), order[1]
+
+    def _may(self, order: Partial) -> bool:
+        """Return whether the replay of an order is not known to end early."""
         actions = tuple(step.edge.action for step in order.steps)
-        return any(actions[-len(last) :] == last for last in self._fallen)
+        return all(actions[-len(last) :] != last for last in self._fallen)
 
     def _stands(self, order: Partial) -> bool:
         """Return whether the states and the replay in assembly order of an order are stable; note what is not."""
         states = [self.root.state]
         for step in order.steps:
             states.append(state_after(states[-1], step.edge.action))
-        if not all(self._is_stable(after, before) for before, after in pairwise(states)):
+        if not all(self.next.is_stable(after, before) for before, after in pairwise(states)):
             return False
         replayer = self.oracle.replayer
         row = None if replayer is None else replayer.replay(np.array(states[::-1], dtype=np.uint8)).falls_at
@@ -224,7 +250,7 @@ class OrderSearch:
 
     def _continued(self, partial: Partial, unit: Unit, place: int) -> Partial | None:
         """Return an order with one more step, whose state is not checked; None if no motion is free."""
-        legs = self._legs(partial, unit, place)
+        legs = self.next.legs(partial, unit, place)
         return None if legs is None else self._extended(partial, UnitStep(unit, place, legs))
 
     def _beam(self, first: int, last: int, width: int, own: int, others: int, far: Sequence[Unit]) -> list[Partial]:
@@ -239,16 +265,18 @@ class OrderSearch:
             ]
             made.sort(key=lambda entry: (entry[0], entry[1], entry[2][0], entry[2][1].job))
             found: list[tuple[float, int, Partial]] = []
-            worst = np.inf
+            worst, scores = np.inf, []
             for least, row, (robot, unit, place) in made:
                 if least > worst:
                     break
-                partial = self._after(beam[row], robot, unit, place)
-                if partial is None:
+                following = self.next.step(beam[row], robot, unit, place)
+                if following is None:
                     continue
+                partial = self._extended(beam[row], following)
                 found.append((partial.score(self._hold), len(found), partial))
+                insort(scores, found[-1][0])
                 if len(found) >= width:
-                    worst = sorted(score for score, _, _ in found)[width - 1]
+                    worst = scores[width - 1]
             kept: dict[object, int] = {}
             beam = []
             for _, _, partial in sorted(found, key=lambda entry: entry[:2]):
@@ -290,104 +318,10 @@ class OrderSearch:
                 if unit.robot == robot and unit.job not in partial.jobs:
                     yield robot, unit, 0
 
-    def _after(self, partial: Partial, robot: int, unit: Unit, place: int) -> Partial | None:
-        """Return an order with one more step; None where it is not possible or not stable."""
-        node = partial.node
-        after = state_after(node.state, unit.edges[place].action)
-        if self._stable.get(after.tobytes()) is False:
-            return None
-        if unit.robot != robot:
-            other = self._replacement(partial, unit, robot)
-            if other is None:
-                return None
-            unit = other
-        legs = self._legs(partial, unit, place)
-        if legs is None:
-            return None
-        # Holds rarely make a state unstable, so they are checked in better orders only.
-        if unit.edges[place].action >= self.parts and not self._is_stable(after, node.state):
-            return None
-        return self._extended(partial, UnitStep(unit, place, legs))
-
-    def _is_stable(self, state: States, before: States) -> bool:
-        key = state.tobytes()
-        if key not in self._stable:
-            self._stable[key] = bool(self.oracle.stable(state[None], parents=before[None])[0])
-        return self._stable[key]
-
-    def _replacement(self, partial: Partial, unit: Unit, robot: int) -> Unit | None:
-        """Return the unit of another robot that does a job."""
-        key = (unit.job, robot)
-        if key not in self._replacements:
-            if len(self._replacements) >= (1 + _REPLACEMENTS) * len(self.units) or unit.part not in self.legal(
-                partial.node.state
-            ):
-                return None
-            found = self.work.replacement(unit.job, partial.node, unit.part, robot, partial.rests)
-            self._replacements[key] = found
-            if found is not None and found.legs[0][0][0].segment.kind == "free":
-                self._approaches[partial.last[robot], found] = found.legs[0][0]
-        return self._replacements[key]
-
-    def _legs(self, partial: Partial, unit: Unit, place: int) -> tuple[Leg, ...] | None:
-        """Return motions of a step that are free at the end of an order; None if there are none."""
-        node, edge = partial.node, unit.edges[place]
-        if (unit, place, node.state.tobytes()) in self._refused or not self._allowed(node, edge):
-            return None
-        groups = list(unit.legs[place])
-        if place == 0 and unit.approaches:
-            goal = edge.segments[0].path[-1]
-            lines = [variants for variants in groups if variants[0].segment.kind == "line"]
-            groups = lines
-            if np.abs(goal - node.configurations[unit.robot]).max() > _STANDSTILL:
-                groups = [self._approaches.setdefault((partial.last[unit.robot], unit), []), *lines]
-        found = []
-        for variants in groups:
-            leg = next((leg for leg in variants if self._is_free(partial, unit, leg)), None)
-            if leg is None:
-                if len(variants) >= _VARIANTS or (variants and variants[0].segment.kind == "line"):
-                    return None
-                leg = self.work.replan(node, unit, place, partial.rests)
-                if leg is None:
-                    self._refused.add((unit, place, node.state.tobytes()))
-                    return None
-                variants.append(leg)
-            found.append(leg)
-        return tuple(found)
-
-    def _allowed(self, node: Node, edge: Edge) -> bool:
-        """Return whether the rules allow an action, and nothing blocks the line on which a part is withdrawn."""
-        action = edge.action
-        if action < self.parts and node.state[action] == HELD:
-            return True
-        if action not in self.legal(node.state):
-            return False
-        if action < self.parts:
-            return True
-        return self._comes_out(node.state, edge)
-
-    def _comes_out(self, state: States, edge: Edge) -> bool:
-        """Return whether the direction of a removal is a free exit."""
-        if edge not in self._ways:
-            self._ways[edge] = way_out(self.graph.cell.robots[edge.robot], edge)
-        free = self.graph.exits.free(edge.action - self.parts, state)
-        return bool(len(free) and (free @ self._ways[edge]).max() >= _SAME_WAY)
-
-    def _is_free(self, partial: Partial, unit: Unit, leg: Leg) -> bool:
-        """Return whether a motion keeps clear of other robots at rest and of parts that it was not planned around."""
-        if any(robot != unit.robot and self.work.wait(leg, rest) >= 0 for robot, rest in enumerate(partial.rests)):
-            return False
-        # A part is not withdrawn past one that had left before: free exits may be so narrow that it would jam.
-        new = np.flatnonzero((partial.node.state != REMOVED) & ~leg.present).tolist()
-        return not any(part != unit.part and self.work.blocked(leg, part) for part in new)
-
-
-def way_out(robot: CellRobot, edge: Edge) -> Array:
-    """Return the direction in which a robot withdraws a part."""
-    path = edge.segments[0].path
-    ends = tool_pose(robot, path[[0, -1]])[:, :3, 3]
-    return (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
-
 
 def _cost(order: Partial) -> float:
     return order.end + _TOTAL * sum(order.free)
+
+
+def _signature(order: Partial) -> tuple[tuple[int, int, int], ...]:
+    return tuple((step.unit.job, step.place, step.unit.robot) for step in order.steps)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,16 @@ class ArmSweep:
     """Clearance that the planner keeps from it, metres."""
     rest: bool
 
+    @cached_property
+    def box(self) -> tuple[Array, Array]:
+        """Lower and upper corner of a box around all of it."""
+        return self.swept[0].low.min(axis=0), self.swept[0].high.max(axis=0)
+
+    def is_far(self, other: ArmSweep, margin: float) -> bool:
+        """Return whether its box keeps a distance from that of another."""
+        (low, high), (least, most) = self.box, other.box
+        return bool((low > most + margin).any() or (high < least - margin).any())
+
 
 @dataclass(frozen=True, eq=False)
 class Leg:
@@ -43,8 +54,12 @@ class Leg:
     body: ArmSweep
     seconds: float
     rest: ArmSweep
-    present: NDArray[np.bool_]
-    """Parts in place around which it was planned, shape (parts,)."""
+    absent: int
+    """Parts that were not in place where it was planned, as bits."""
+    waits: dict[ArmSweep, float] = field(default_factory=dict)
+    """Known results of `Work.wait`."""
+    blocked: dict[int, bool] = field(default_factory=dict)
+    """Known results of `Work.blocked`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +95,6 @@ class Work:
         self.graph, self.timed = graph, timed
         self.bodies = SweptBodies(graph.world)
         self._rests: dict[tuple[int, bytes, LoadKey | None], ArmSweep] = {}
-        self._waits: dict[tuple[Leg, ArmSweep], float] = {}
-        self._blocked: dict[tuple[ArmSweep, int], bool] = {}
 
     def units(self, root: Node, chain: Sequence[Edge]) -> list[Unit]:
         """Return the units of a plan in the order of their first steps."""
@@ -158,18 +171,16 @@ class Work:
             return None
         load = None if segment.part is None else Load(segment.part, grip, np.eye(4))
         swept, ends = self.bodies.moving(robot, trajectory, load)
-        present = node.present.copy()
-        if segment.part is not None:
-            present[segment.part] = False
+        absent = bits(~node.present) | (0 if segment.part is None else 1 << segment.part)
         margin = cell.margins.line if segment.kind == "line" else cell.margins.free
         rest = self.rest(robot, segment.path[-1], load if on_way else None)
-        leg = Leg(segment, ArmSweep(swept, ends, margin, False), trajectory.seconds, rest, present)
+        leg = Leg(segment, ArmSweep(swept, ends, margin, False), trajectory.seconds, rest, absent)
         self.prove(leg, robot, rests)
         return leg
 
     def prove(self, leg: Leg, robot: int, rests: Sequence[ArmSweep]) -> None:
         """Note that a motion of an arm keeps clear of the other arms at rest."""
-        self._waits.update({(leg, rest): -1.0 for other, rest in enumerate(rests) if other != robot})
+        leg.waits.update({rest: -1.0 for other, rest in enumerate(rests) if other != robot})
 
     def rest(self, robot: int, values: Array, load: Load | None = None) -> ArmSweep:
         """Return the body of an arm at rest."""
@@ -189,24 +200,35 @@ class Work:
         Neither the motion nor the rest after it is then in conflict with it. What is in conflict with a rest may begin
         when that ends.
         """
-        found = self._waits.get((leg, other))
+        found = leg.waits.get(other)
         if found is None:
             found = -1.0
             for mine in (leg.body, leg.rest):
-                hit = conflicts(mine.swept, other.swept, min(mine.margin, other.margin)).any(axis=0)
-                found = max(found, float(other.ends[hit].max(initial=-1.0)))
-            self._waits[leg, other] = found
+                margin = min(mine.margin, other.margin)
+                if not mine.is_far(other, margin):
+                    hit = conflicts(mine.swept, other.swept, margin).any(axis=0)
+                    found = max(found, float(other.ends[hit].max(initial=-1.0)))
+            leg.waits[other] = found
         return found
 
-    def blocked(self, leg: Leg, part: int) -> bool:
-        """Return whether a motion is in conflict with a part in place that was absent where it was planned."""
-        if leg.present[part]:
-            return False
-        key = (leg.body, part)
-        if key not in self._blocked:
-            place = self.bodies.standing(part)
-            self._blocked[key] = bool(conflicts(leg.body.swept, (place, place), leg.body.margin).any())
-        return self._blocked[key]
+    def blocked(self, leg: Leg, parts: int) -> bool:
+        """Return whether a motion is in conflict with one of some parts in place that were absent where it was planned.
+
+        Args:
+            leg: the motion.
+            parts: the parts, as bits.
+        """
+        parts &= leg.absent
+        found = leg.blocked.get(parts)
+        if found is None:
+            lowest = parts & -parts
+            if parts == lowest:
+                place = self.bodies.standing(parts.bit_length() - 1) if parts else None
+                found = place is not None and bool(conflicts(leg.body.swept, (place, place), leg.body.margin).any())
+            else:
+                found = self.blocked(leg, lowest) or self.blocked(leg, parts ^ lowest)
+            leg.blocked[parts] = found
+        return found
 
     def replan(self, node: Node, unit: Unit, place: int, rests: Sequence[ArmSweep]) -> Leg | None:
         """Return another free motion of a step: to the part from where the arm is, or from the part to the same place.
@@ -229,3 +251,8 @@ class Work:
         view = self.graph.cache.view(scene, robot, NO_CONTACT, self.graph.cell.margins.free)
         segment = PathSegment("free", motion.path, part=old.part, view=view)
         return self.leg(robot, segment, here, node, rests, on_way=old.part is None and len(edge.segments) > 1)
+
+
+def bits(parts: NDArray[np.bool_]) -> int:
+    """Return a set of parts, shape (parts,), as bits."""
+    return int.from_bytes(np.packbits(parts, bitorder="little").tobytes(), "little")

@@ -1,22 +1,28 @@
 """Plans with motions for robots that move at the same time.
 
 The planner for one robot at a time searches, with straight lines as short as possible. Order and robots of its plan are
-then changed so that robots wait less, and its motions overlap as far as that is proven safe.
+then changed so that robots wait less, and its motions overlap as far as that is proven safe. For three robots or more
+a second plan from another seed is found beside it, and the one with the shorter makespan is taken.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from falsework.assembly.load import AnyStructure, as_assembly
+from falsework.assembly.model import Assembly
 from falsework.robots.cells.cell_file import AnyCell, as_cell
+from falsework.robots.interleaving.search import MANY
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
+from falsework.robots.model.cell import Cell
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings, Progress
+from falsework.robots.planning.second_search import SecondSearch
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.schedule.build import schedule_plan
 from falsework.robots.schedule.solver import import_ortools
@@ -24,6 +30,7 @@ from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.task import Task
 from falsework.stability.oracle import Stability
+from falsework.stability.settings import StabilitySettings
 
 _APPROACHES = (0.4, 1.0, 1.8)
 _WITHDRAWALS = (0.4, 1.0, 2.0, 4.0)
@@ -32,6 +39,8 @@ _SHARE = 0.7
 """Share of the deadline after which the search with short lines is given up."""
 _LEAST_SECONDS = 1e-3
 """Least time that is left to the search for one robot at a time."""
+_OTHER_SEED = 1_000_003
+"""Added to the seed for the second plan."""
 
 
 def plan_together(
@@ -66,29 +75,37 @@ def plan_together(
     assembly, cell = as_assembly(assembly), as_cell(cell)
     clock, oracle = Deadline(settings.deadline), oracle or Stability(assembly)
     short = replace(settings, keyframes=replace(settings.keyframes, approaches=_APPROACHES, withdrawals=_WITHDRAWALS))
+    short = replace(short, together=True)
     graph = KeyframeGraph(assembly, cell, settings=short.keyframes, seed=settings.seed)
+    start: dict[str, Any] = {"task": task, "configurations": configurations, "held": held}
 
     def search(limits: HybridSettings, graph: KeyframeGraph, seconds: float) -> HybridResult:
         # Even where a long motion has used the time up, a search ends by itself, with what it has.
         left = max(seconds - clock.seconds, _LEAST_SECONDS) if clock.limited else None
-        return plan_robots(
-            assembly,
-            cell,
-            task=task,
-            configurations=configurations,
-            held=held,
-            oracle=oracle,
-            guide=guide,
-            settings=replace(limits, together=True, deadline=left),
-            progress=progress,
-            graph=graph,
-        )
+        given = {**start, "oracle": oracle, "guide": guide, "progress": progress, "graph": graph}
+        return plan_robots(assembly, cell, settings=replace(limits, deadline=left), **given)
 
     limit = np.inf if settings.deadline is None else settings.deadline
-    result, kind = search(short, graph, _SHARE * limit), "together"
-    if result.explanation is not None and result.explanation.outcome != "proved_impossible":
+    kind, second = "together", None
+    if cell.robot_count < MANY or guide is not None:
+        result = search(short, graph, _SHARE * limit)
+    else:
+        # Both plans get one attempt, so that how long one takes tells nothing about which one is taken.
+        once = replace(short, attempts=1)
+        limits = replace(once, seed=settings.seed + _OTHER_SEED, deadline=_SHARE * limit if clock.limited else None)
+        given = {"assembly": assembly, "cell": cell, "stability": oracle.settings, "settings": limits, **start}
+        with SecondSearch(second_plan, given) as beside:
+            result = search(once, graph, _SHARE * limit)
+            if result.found or _may_exist(result):
+                second = beside.plan(clock.left)
+        if second is not None and (result.plan is None or second.makespan < result.plan.makespan):
+            second.statistics["seed"] = settings.seed
+            result = HybridResult(second, None, None, second.statistics)
+        elif _may_exist(result):
+            result = search(short, graph, _SHARE * limit)
+    if _may_exist(result):
         graph = KeyframeGraph(assembly, cell, settings=settings.keyframes, seed=settings.seed, parts=graph.parts)
-        again = search(settings, graph, limit)
+        again = search(replace(settings, together=True), graph, limit)
         # Without a plan, the longer partial one is kept.
         if again.explanation is None or again.explanation.reached >= result.explanation.reached:
             result, kind = again, "sequential"
@@ -96,9 +113,23 @@ def plan_together(
     def scheduled(plan: RobotPlan | None) -> RobotPlan | None:
         if plan is None:
             return None
-        plan.statistics.update(search=kind, seconds=round(clock.seconds, 3))
+        plan.statistics.update(search=kind, second_plan=second is not None, seconds=round(clock.seconds, 3))
         return schedule_plan(plan.reverse(), assembly, cell, parts=graph.parts) if assembly_order else plan
 
     plan, partial = scheduled(result.plan), scheduled(result.partial)
     statistics = {**result.statistics, "search": kind, "seconds": round(clock.seconds, 3)}
     return replace(result, plan=plan, partial=partial, statistics=statistics)
+
+
+def second_plan(
+    assembly: Assembly, cell: Cell, *, stability: StabilitySettings, settings: HybridSettings, **start: Any
+) -> RobotPlan | None:
+    """Return the plan of another process, or None."""
+    graph = KeyframeGraph(assembly, cell, settings=settings.keyframes, seed=settings.seed)
+    oracle = Stability(assembly, stability)
+    return plan_robots(assembly, cell, oracle=oracle, settings=settings, graph=graph, **start).plan
+
+
+def _may_exist(result: HybridResult) -> bool:
+    """Return whether there is no plan so far, but none is proved impossible."""
+    return result.explanation is not None and result.explanation.outcome != "proved_impossible"

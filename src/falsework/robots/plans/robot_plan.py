@@ -60,15 +60,15 @@ class Trajectory:
 
     def sample(self, seconds: Array) -> Array:
         """Return positions at given times, shape (samples,) to (samples, joints)."""
-        return self._cubics()(np.clip(seconds, 0.0, self.times[-1]))
+        return self._cubics(np.clip(seconds, 0.0, self.times[-1]))
 
     def rates(self, seconds: Array) -> Array:
         """Return velocities at given times, shape (samples,) to (samples, joints)."""
-        return self._cubics().derivative(1)(np.clip(seconds, 0.0, self.times[-1]))
+        return self._cubics.derivative(1)(np.clip(seconds, 0.0, self.times[-1]))
 
     def peaks(self) -> tuple[Array, Array]:
         """Return the exact largest speed and acceleration of each joint, both of shape (joints,)."""
-        cubic = self._cubics()
+        cubic = self._cubics
         speed, acceleration = cubic.derivative(1), cubic.derivative(2)
         # The speed is a parabola between two knots: it peaks at a knot or where the acceleration is zero.
         ends = np.abs(self.velocities).max(axis=0)
@@ -116,6 +116,7 @@ class Trajectory:
         ends = span[:, None] * np.maximum(np.abs(self.velocities[:-1]), np.abs(self.velocities[1:]))
         return np.maximum(np.abs(middle), ends).max(axis=1)
 
+    @cached_property
     def _cubics(self):
         from scipy.interpolate import CubicHermiteSpline
 

@@ -1,0 +1,155 @@
+"""Steps that may come next in an order: what the rules and the parts around allow, motions, and stability."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import HELD, States
+from falsework.robots.interleaving.partial_order import Partial, UnitStep
+from falsework.robots.interleaving.work import Leg, Unit, Work
+from falsework.robots.keyframes.keyframes import Edge, state_after
+from falsework.robots.kinematics.forward import tool_pose
+from falsework.robots.model.cell import CellRobot
+from falsework.stability.oracle import Stability
+
+Array = NDArray[np.float64]
+
+_VARIANTS = 2
+"""Motions on one way that are planned, each in another scene."""
+_REPLACEMENTS = 2
+"""Replacements per part of the plan that are planned in all."""
+_SAME_WAY = 1 - 1e-6
+"""Cosine above which a line and an exit direction count as the same."""
+_STANDSTILL = 1e-7
+"""Distance below which two configurations count as the same, rad or m."""
+
+
+class NextSteps:
+    """Next steps of the orders of one plan, each with what is known of it."""
+
+    def __init__(
+        self, work: Work, oracle: Stability, units: Sequence[Unit], legal: Callable[[States], Sequence[int]]
+    ) -> None:
+        """Know no steps but those of the plan.
+
+        Args:
+            work: motions of the cell.
+            oracle: decides stability.
+            units: units of the plan.
+            legal: actions that the rules of the task allow in a state, releases aside.
+        """
+        self.work, self.graph, self.oracle, self.legal = work, work.graph, oracle, legal
+        self.parts = self.graph.assembly.part_count
+        self._most = (1 + _REPLACEMENTS) * len(units)
+        self._replacements: dict[tuple[int, int], Unit | None] = {(unit.job, unit.robot): unit for unit in units}
+        self._approaches: dict[tuple[Unit | None, Unit], list[Leg]] = {}
+        self._refused: set[tuple[Unit, int, bytes]] = set()
+        self._stable: dict[bytes, bool] = {}
+        self._ways: dict[Edge, Array] = {}
+        self._rules: dict[tuple[bytes, Edge], bool] = {}
+
+    def add_approach(self, last: Unit | None, unit: Unit) -> None:
+        """Note that the first motion of a unit begins where another one ended."""
+        self._approaches[last, unit] = unit.legs[0][0]
+
+    def refuse(self, unit: Unit, place: int, state: bytes) -> None:
+        """Exclude a step of a unit in a state."""
+        self._refused.add((unit, place, state))
+
+    def step(self, partial: Partial, robot: int, unit: Unit, place: int) -> UnitStep | None:
+        """Return a step of a robot after an order; None where it is not possible or not stable."""
+        node = partial.node
+        after = state_after(node.state, unit.edges[place].action)
+        if self._stable.get(after.tobytes()) is False:
+            return None
+        if unit.robot != robot:
+            other = self._replacement(partial, unit, robot)
+            if other is None:
+                return None
+            unit = other
+        legs = self.legs(partial, unit, place)
+        if legs is None:
+            return None
+        # Holds rarely make a state unstable, so they are checked in better orders only.
+        if unit.edges[place].action >= self.parts and not self.is_stable(after, node.state):
+            return None
+        return UnitStep(unit, place, legs)
+
+    def is_stable(self, state: States, before: States) -> bool:
+        """Return whether a state is stable, which follows another one."""
+        key = state.tobytes()
+        if key not in self._stable:
+            self._stable[key] = bool(self.oracle.stable(state[None], parents=before[None])[0])
+        return self._stable[key]
+
+    def _replacement(self, partial: Partial, unit: Unit, robot: int) -> Unit | None:
+        """Return the unit of another robot that does a job."""
+        key = (unit.job, robot)
+        if key not in self._replacements:
+            if len(self._replacements) >= self._most or unit.part not in self.legal(partial.node.state):
+                return None
+            found = self.work.replacement(unit.job, partial.node, unit.part, robot, partial.rests)
+            self._replacements[key] = found
+            if found is not None and found.legs[0][0][0].segment.kind == "free":
+                self._approaches[partial.last[robot], found] = found.legs[0][0]
+        return self._replacements[key]
+
+    def legs(self, partial: Partial, unit: Unit, place: int) -> tuple[Leg, ...] | None:
+        """Return motions of a step that are free at the end of an order; None if there are none."""
+        node, edge = partial.node, unit.edges[place]
+        if (unit, place, partial.key) in self._refused or not self._allowed(partial, edge):
+            return None
+        groups = list(unit.legs[place])
+        if place == 0 and unit.approaches:
+            goal = edge.segments[0].path[-1]
+            lines = [variants for variants in groups if variants[0].segment.kind == "line"]
+            groups = lines
+            if np.abs(goal - node.configurations[unit.robot]).max() > _STANDSTILL:
+                groups = [self._approaches.setdefault((partial.last[unit.robot], unit), []), *lines]
+        found = []
+        for variants in groups:
+            leg = next((leg for leg in variants if self._is_free(partial, unit, leg)), None)
+            if leg is None:
+                if len(variants) >= _VARIANTS or (variants and variants[0].segment.kind == "line"):
+                    return None
+                leg = self.work.replan(node, unit, place, partial.rests)
+                if leg is None:
+                    self._refused.add((unit, place, partial.key))
+                    return None
+                variants.append(leg)
+            found.append(leg)
+        return tuple(found)
+
+    def _allowed(self, partial: Partial, edge: Edge) -> bool:
+        """Return whether the rules allow an action, and nothing blocks the line on which a part is withdrawn."""
+        key, action, state = (partial.key, edge), edge.action, partial.node.state
+        if key not in self._rules:
+            releases = action < self.parts and state[action] == HELD
+            legal = releases or action in self.legal(state)
+            self._rules[key] = legal and (action < self.parts or self.comes_out(state, edge))
+        return self._rules[key]
+
+    def comes_out(self, state: States, edge: Edge) -> bool:
+        """Return whether the direction of a removal is a free exit."""
+        if edge not in self._ways:
+            self._ways[edge] = way_out(self.graph.cell.robots[edge.robot], edge)
+        free = self.graph.exits.free(edge.action - self.parts, state)
+        return bool(len(free) and (free @ self._ways[edge]).max() >= _SAME_WAY)
+
+    def _is_free(self, partial: Partial, unit: Unit, leg: Leg) -> bool:
+        """Return whether a motion keeps clear of other robots at rest and of parts that it was not planned around."""
+        for robot, rest in enumerate(partial.rests):
+            if robot != unit.robot and self.work.wait(leg, rest) >= 0:
+                return False
+        # A part is not withdrawn past one that had left before: free exits may be so narrow that it would jam.
+        return not self.work.blocked(leg, partial.present & ~(1 << unit.part))
+
+
+def way_out(robot: CellRobot, edge: Edge) -> Array:
+    """Return the direction in which a robot withdraws a part."""
+    path = edge.segments[0].path
+    ends = tool_pose(robot, path[[0, -1]])[:, :3, 3]
+    return (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
