@@ -14,6 +14,8 @@ enlarge the set of admissible forces (`Strength`).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +23,14 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.errors import InputError
+from falsework.geometry.contact.interfaces import Contacts
+from falsework.geometry.mesh.mesh import MassProperties
 from falsework.stability.stiffness import MOVEMENT, TANGENTIAL_RATIO, normal_stiffness, structure_size
 from falsework.stability.strength import Strength, strength_of
 from falsework.stability.verdict import Criterion, Verdict, Verdicts
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 Array = NDArray[np.float64]
 
@@ -136,7 +143,8 @@ def residual_of_displacement(
 
 def forces_of_displacement(assembly: Assembly, states: States, displacement: Array, claim: StabilityCriterion) -> Array:
     """Return the contact forces `(n, t1, t2)` in N that the law gives at a displacement, shape (batch, points, 3)."""
-    relative = _relative(assembly, displacement)
+    geometry = _geometry_of(assembly.contacts, assembly.mass)
+    relative = geometry.relative(displacement)
     stiffness = normal_stiffness(assembly, claim.gravity)
     strength = strength_of(assembly, claim.gravity)
     normal = -stiffness * relative[..., 0]
@@ -144,9 +152,7 @@ def forces_of_displacement(assembly: Assembly, states: States, displacement: Arr
     tangent = -(claim.stiffness_ratio * stiffness)[:, None] * relative[..., 1:]
     springs = np.concatenate([normal[..., None], tangent], axis=2)
     forces = np.where(whole[..., None], _into_cone(springs, strength, claim.cone)[0], 0.0)
-    owner = assembly.contacts.contact_of_point
-    acts = _acts(states, assembly.contacts.parts[owner, 0], assembly.contacts.parts[owner, 1])
-    return np.where(acts[:, :, None], forces, 0.0)
+    return np.where(geometry.acts(states)[:, :, None], forces, 0.0)
 
 
 def residual_of_forces(
@@ -164,10 +170,8 @@ def residual_of_forces(
     Returns:
         Shares of gravity, shape (batch,).
     """
-    contacts, mass = assembly.contacts, assembly.mass
-    owner = contacts.contact_of_point
-    a, b = contacts.parts[owner, 0], contacts.parts[owner, 1]
-    strength, acts = strength_of(assembly, claim.gravity), _acts(states, a, b)
+    mass, geometry = assembly.mass, _geometry_of(assembly.contacts, assembly.mass)
+    strength, acts = strength_of(assembly, claim.gravity), geometry.acts(states)
     forces = np.where(acts[:, :, None], forces, 0.0)
     weight = claim.gravity * mass.mass[~assembly.immovable].sum()
 
@@ -178,19 +182,10 @@ def residual_of_forces(
     admissible = finite & np.where(acts, outside <= _ROUNDING * (size + weight), True).all(axis=1)
     admissible &= forces[:, :, 0].sum(axis=1) <= claim.force_bound * weight * (1 + _ROUNDING)
 
-    batch, parts = states.shape
-    net = np.zeros((batch, parts, 6))
-    force, moment = _resultants(assembly, forces)
-    for side, sign in ((0, -1.0), (1, 1.0)):
-        part = contacts.parts[:, side]
-        wrench = sign * np.concatenate([force, moment - _cross(mass.center[part], force)], axis=2)
-        rows = (np.arange(batch)[:, None] * parts + part).ravel()
-        for axis in range(6):
-            net[:, :, axis] += np.bincount(rows, wrench[:, :, axis].ravel(), batch * parts).reshape(batch, parts)
-    net += assembly.applied_wrench(claim.gravity)
+    net = geometry.wrenches(forces) + assembly.applied_wrench(claim.gravity)
     linear = net[:, :, :3] / mass.mass[None, :, None]
-    angular = np.einsum("pij,bpj->bpi", np.linalg.inv(mass.inertia), net[:, :, 3:])
-    largest = np.maximum(np.abs(linear).max(axis=2), np.abs(angular).max(axis=2) * mass.gyration) / claim.gravity
+    angular = np.einsum("pij,bpj->bpi", geometry.inverse_inertia, net[:, :, 3:])
+    largest = np.maximum(np.abs(linear).max(axis=2), np.abs(angular).max(axis=2) * geometry.gyration) / claim.gravity
     residual = np.where(states == 1, largest, 0.0).max(axis=1, initial=0.0)
     return np.where(admissible, residual, np.inf)
 
@@ -231,68 +226,80 @@ def resistance_to_velocity(
     The momentum is in N m/s: the power of the loads minus the absorbed power, divided by it, bounds the residual from
     below. Neither depends on the loads. Arguments as for `residual_bound_of_velocity`, shapes (batch,).
     """
-    contacts, mass = assembly.contacts, assembly.mass
-    owner = contacts.contact_of_point
-    a, b = contacts.parts[owner, 0], contacts.parts[owner, 1]
-    strength, acts = strength_of(assembly, claim.gravity), _acts(states, a, b)
-    relative = _relative(assembly, velocity)
+    mass, geometry = assembly.mass, _geometry_of(assembly.contacts, assembly.mass)
+    strength, acts = strength_of(assembly, claim.gravity), geometry.acts(states)
+    relative = geometry.relative(velocity)
     slip = _slip(relative, claim.cone)
     taken = np.where(acts, strength.friction * slip - relative[..., 0], 0.0).max(axis=1, initial=0.0)
     joined = np.where(acts, strength.stick * slip + strength.pull * relative[..., 0], 0.0).sum(axis=1)
     most = claim.force_bound * claim.gravity * mass.mass[~assembly.immovable].sum() + acts @ strength.pull
     momentum = np.abs(mass.mass[None, :, None] * velocity[:, :, :3]).sum(axis=(1, 2))
     turning = np.abs(np.einsum("pij,bpj->bpi", mass.inertia, velocity[:, :, 3:])).sum(axis=2)
-    return most * taken + joined, claim.gravity * (momentum + (turning / mass.gyration).sum(axis=1))
+    return most * taken + joined, claim.gravity * (momentum + (turning / geometry.gyration).sum(axis=1))
 
 
-def _relative(assembly: Assembly, motion: Array) -> Array:
-    """Return the motion of part `b` relative to `a` at every contact point in its frame, shape (batch, points, 3)."""
-    contacts, mass = assembly.contacts, assembly.mass
-    middle, arms = _arms(assembly)
-    shift = np.zeros((len(motion), len(contacts.parts), 6))
-    for side, sign in ((0, -1.0), (1, 1.0)):
-        moved = motion[:, contacts.parts[:, side]]
-        shift += sign * moved
-        shift[..., :3] += sign * _cross(moved[..., 3:], middle - mass.center[contacts.parts[:, side]])
-    shift = np.einsum("bqki,qji->bqkj", shift.reshape(*shift.shape[:2], 2, 3), contacts.frames)
-    shift = shift[:, contacts.contact_of_point]
-    return shift[..., 0, :] + _cross(shift[..., 1, :], arms)
+class _Geometry(NamedTuple):
+    """What certificates are evaluated with that depends on neither states nor loads nor friction."""
+
+    motion: csr_array
+    """Map of the motion of the parts, `(linear, angular)` one after another, to that of part `b` relative to `a` at
+    every contact point in its frame, shape (3 points, 6 parts)."""
+    wrench: csr_array
+    """Its transpose: map of forces on part `b` to wrenches on the parts."""
+    part_a: NDArray[np.int32]
+    """Shape (points,)."""
+    part_b: NDArray[np.int32]
+    inverse_inertia: Array
+    """Shape (parts, 3, 3), 1 / (kg m2)."""
+    gyration: Array
+    """Largest radius of gyration of each part, shape (parts,), m."""
+
+    def relative(self, motion: Array) -> Array:
+        """Return the motion of part `b` relative to `a` at every contact point in its frame, shape (batch, points, 3).
+
+        Args:
+            motion: `(linear, angular)` about the centres of mass, shape (batch, parts, 6).
+        """
+        batch = len(motion)
+        return np.ascontiguousarray((self.motion @ motion.reshape(batch, -1).T).T).reshape(batch, -1, 3)
+
+    def wrenches(self, forces: Array) -> Array:
+        """Return the wrenches on the parts of forces at every contact point, shape (batch, parts, 6).
+
+        Args:
+            forces: `(n, t1, t2)` in N on part `b`, shape (batch, points, 3).
+        """
+        batch = len(forces)
+        return np.ascontiguousarray((self.wrench @ forces.reshape(batch, -1).T).T).reshape(batch, -1, 6)
+
+    def acts(self, states: States) -> NDArray[np.bool_]:
+        """Return the contact points with both parts present and at least one that can move. Shape (batch, points)."""
+        one, other = states[:, self.part_a], states[:, self.part_b]
+        return (one > 0) & (other > 0) & ((one == 1) | (other == 1))
 
 
-def _resultants(assembly: Assembly, forces: Array) -> tuple[Array, Array]:
-    """Return force and moment about the origin of the forces of each contact on part `b`, shapes (batch, contacts, 3).
+@lru_cache(maxsize=4)
+def _geometry_of(contacts: Contacts, mass: MassProperties) -> _Geometry:
+    """Return the geometry of a structure, the same under all loads and friction."""
+    from scipy.sparse import csr_array
 
-    Args:
-        assembly: the structure.
-        forces: `(n, t1, t2)` in N at every contact point, shape (batch, points, 3).
-    """
-    contacts = assembly.contacts
-    if not len(contacts.points):
-        nothing = np.zeros((len(forces), 0, 3))
-        return nothing, nothing
-    middle, arms = _arms(assembly)
-    first = contacts.start[:-1]
-    force = np.einsum("bqi,qij->bqj", np.add.reduceat(forces, first, axis=1), contacts.frames)
-    moment = np.einsum("bqi,qij->bqj", np.add.reduceat(_cross(arms, forces), first, axis=1), contacts.frames)
-    return force, moment + _cross(middle, force)
-
-
-def _arms(assembly: Assembly) -> tuple[Array, Array]:
-    """Return the first point of each contact, (contacts, 3), and points from there in its frame, (points, 3)."""
-    contacts = assembly.contacts
-    owner, middle = contacts.contact_of_point, contacts.points[contacts.start[:-1]]
-    return middle, np.einsum("cij,cj->ci", contacts.frames[owner], contacts.points - middle[owner])
-
-
-def _cross(left: Array, right: Array) -> Array:
-    """Return the cross product along the last axis, in a fraction of the time that `np.cross` takes."""
-    (x, y, z), (u, v, w) = np.moveaxis(left, -1, 0), np.moveaxis(right, -1, 0)
-    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=-1)
-
-
-def _acts(states: States, a: NDArray, b: NDArray) -> NDArray[np.bool_]:
-    """Return the contact points with both parts present and at least one that can move. Shape (batch, points)."""
-    return (states[:, a] > 0) & (states[:, b] > 0) & ((states[:, a] == 1) | (states[:, b] == 1))
+    owner, parts = contacts.contact_of_point, len(mass.mass)
+    part_a, part_b = contacts.parts[owner, 0], contacts.parts[owner, 1]
+    axes = contacts.frames[owner]
+    entries, columns = [], []
+    for part, sign in ((part_a, -1.0), (part_b, 1.0)):
+        arm = contacts.points - mass.center[part]
+        # Velocity `v + w x arm` along an axis `e` is `e . v + (arm x e) . w`.
+        turned = np.cross(arm[:, None, :], axes)
+        entries.append(sign * np.concatenate([axes, turned], axis=2))
+        columns.append(np.broadcast_to(6 * part[:, None, None] + np.arange(6), turned.shape[:2] + (6,)))
+    count = 3 * len(contacts.points)
+    row_start = 12 * np.arange(count + 1)
+    motion = csr_array(
+        (np.concatenate(entries, axis=2).ravel(), np.concatenate(columns, axis=2).ravel(), row_start),
+        shape=(count, 6 * parts),
+    )
+    return _Geometry(motion, csr_array(motion.T), part_a, part_b, np.linalg.inv(mass.inertia), mass.gyration)
 
 
 def _into_cone(forces: Array, strength: Strength, cone: str) -> tuple[Array, Array]:

@@ -56,7 +56,7 @@ class Families:
             guess=lambda _: 1.0,
             cap=CAP,
             floor=lambda _: 1e-4,
-            distance=(lambda one, other: min((one - other) % count, (other - one) % count)) if around else None,
+            around=around,
             sample=count // 3 if around else None,
             hurry=hurry,
         ).search(self.confirm)

@@ -190,7 +190,7 @@ def weakest_load(
     cap: float,
     near: Near,
     numbers: Sequence[int] | None = None,
-    distance: Callable[[int, int], int] | None = None,
+    around: bool = False,
     sample: int | None = None,
 ) -> tuple[int, Bracket] | None:
     """Return the load with the least largest multiple, and its bracket; None without loads.
@@ -207,7 +207,7 @@ def weakest_load(
         cap: multiple beyond which there is no bound.
         near: weakest load of a nearby state, and its bound; replaced by that of this one.
         numbers: identifier of each load, the same in all states; its index by default.
-        distance, sample: as for `Weakest`.
+        around, sample: as for `Weakest`.
     """
     names = range(len(loads)) if numbers is None else numbers
     weak, value = near.get("load", (-1, 0.0))
@@ -227,7 +227,7 @@ def weakest_load(
             guess=guess,
             cap=cap,
             floor=lambda row: FLOOR * guess(row),
-            distance=distance,
+            around=around,
             sample=sample,
             hurry=prober.limited,
         )

@@ -23,7 +23,7 @@ def rest_under(
         structure, contact_structure, options: as in `solve_contact_state`; without iterations from rest, the result
             from the guesses counts.
         state: shape (parts,).
-        loads: whitened wrenches on the parts, shape (loads, parts, 6).
+        loads: wrenches on the parts, N and Nm, shape (loads, parts, 6).
         moved: scaled spring forces of the contact points at zero displacement, caused by displaced fixed parts,
             shape (points, 3) or (0, 3).
         displacement: in: guesses in m and rad where `warm`; out: displacements, shape (loads, parts, 6).
@@ -35,7 +35,7 @@ def rest_under(
         Number of loads that were tried.
     """
     work, contact = make_scratch(structure), make_contact_scratch(structure)
-    order = structure.elimination.order
+    order, turn = structure.elimination.order, structure.acceleration
     pairs, count = restrict(structure, state, work)
     adrift = count > 0 and lacks_contact(work, pairs)
     place_contacts(structure, contact_structure, state, work, contact, pairs)
@@ -55,8 +55,11 @@ def rest_under(
                 return k + 1
             continue
         for j in range(len(order)):
+            part = order[j]
             for r in range(6):
-                contact.load[j, r] = loads[k, order[j], r]
+                contact.load[j, r] = 0.0
+                for c in range(6):
+                    contact.load[j, r] += turn[part, c, r] * loads[k, part, c]
         if warm:
             guess = displacement[k if after[k] < 0 else after[k]]
             read_displacement(structure, contact_structure, work, guess, contact.displacement)

@@ -188,7 +188,7 @@ class MarginFinder:
             guess=lambda _: guess,
             cap=LARGEST_SHARE,
             near=near,
-            distance=lambda one, other: abs((one - other + DIRECTIONS // 2) % DIRECTIONS - DIRECTIONS // 2),
+            around=True,
             sample=DIRECTIONS // 3,
         )
         if found is None:
@@ -368,7 +368,8 @@ class MarginFinder:
         """
         fails, outside = bracket.fails if bracket.finished else None, bracket.outside
         known = outside is not None or always or not bracket.finished
-        proof = None if fails is None else self.prober.certify(state, fails)
+        inside = self.prober.certify(state, bracket.stands)
+        proof = None if fails is None else self.prober.certify(state, fails, inside)
         if fails is not None and proof is not None and not _fails(proof):
             # Close to the bound neither side may be provable; try at the largest distance that a bracket may span.
             share = 1.0 - OUTSIDE if always else 1.0 + OUTSIDE
@@ -377,13 +378,13 @@ class MarginFinder:
                 again = self.prober.ask(state, condition)
             else:
                 again = self.prober.go_on(state, replace(fails, condition=condition))
-            second = proof if again.stands else self.prober.certify(state, again)
+            second = proof if again.stands else self.prober.certify(state, again, inside)
             if _fails(second):
                 fails, outside, proof = again, share * bracket.inside, second
         return Bound(
             value=float(bracket.inside) + shift if known else None,
             outside=None if outside is None else float(outside) + shift,
-            inside_proof=self.prober.certify(state, bracket.stands),
+            inside_proof=inside,
             outside_proof=proof,
             inside_condition=bracket.stands.condition,
             outside_condition=None if fails is None else fails.condition,

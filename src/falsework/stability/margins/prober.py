@@ -144,7 +144,7 @@ class Prober:
 
     def balance(self, state: States, condition: Condition, near: Answer | None = None) -> Answer:
         """Check whether a state is in equilibrium, whatever the criterion; arguments as for `ask`."""
-        return self._balance(state, condition, self._whitened([condition.extra])[0], self._options, near)
+        return self._balance(state, condition, self._whitened(condition.extra), self._options, near)
 
     def _size(self, state: States, extra: Array) -> float:
         """Return the largest additional force on a part that can move, in weights of the part; 0 where joints pull."""
@@ -170,7 +170,7 @@ class Prober:
         options = options._replace(
             force_bound=options.force_bound / size, iterations=_MANY, check_every=_RARELY, interior_steps=0
         )
-        found = self._balance(state, condition, self._whitened([alone - self.problem.gravity_wrench])[0], options)
+        found = self._balance(state, condition, self._whitened(alone - self.problem.gravity_wrench), options)
         if found.forces is not None:
             left = self.contact_wrench(state, found.forces) + alone
             rest = self.balance(state, Condition(condition.friction, size * np.where((state == 1)[:, None], left, 0.0)))
@@ -236,7 +236,7 @@ class Prober:
             structure,
             self._contact,
             np.array(state),
-            self._whitened([condition.extra for condition in conditions]),
+            self.problem.gravity_wrench + np.array([condition.extra for condition in conditions]),
             self._no_motion if moved is None else self._offsets(moved),
             options,
             displacement,
@@ -305,11 +305,16 @@ class Prober:
         present = float((velocity * self.problem.gravity_wrench).sum())
         return (float(taken[0]) + _ABOVE * claim.tolerance * float(momentum[0]) - present) / power
 
-    def certify(self, state: States, answer: Answer) -> Verdicts:
+    def certify(self, state: States, answer: Answer, near: Verdicts | None = None) -> Verdicts:
         """Return the verdict of an answer with a proof that the certificate checker accepts, else undecided.
 
         Under `contact` a state that fails is unstable if a velocity proves it; else it slides if parts were seen to
         move away, and comes with forces in equilibrium.
+
+        Args:
+            state: shape (parts,).
+            answer: the answer to prove.
+            near: verdict under a nearby condition, whose forces are a first guess.
         """
         verdicts = Verdicts.blank(1, points=self.problem.points, parts=self.problem.parts, displaced=self.contact)
         assert verdicts.forces is not None
@@ -323,7 +328,7 @@ class Prober:
             verdicts.verdict[0] = Verdict.STABLE
         elif answer.stands and answer.forces is not None:
             verdicts.forces[0], verdicts.verdict[0] = answer.forces, Verdict.STABLE
-        elif self._certify_failure(state, answer, verdicts):
+        elif self._certify_failure(state, answer, near, verdicts):
             return verdicts
         verdicts.proof[:] = proof_of(verdicts.verdict, self.settings.criterion)
         if not verify_certificates(changed, state[None], verdicts, claim)[0]:
@@ -338,13 +343,14 @@ class Prober:
         settings = replace(self.settings, criterion="equilibrium", cone=self.settings.friction_cone)
         return ExactSolver(condition.of(self.assembly), settings).check(state)
 
-    def _certify_failure(self, state: States, answer: Answer, verdicts: Verdicts) -> bool:
+    def _certify_failure(self, state: States, answer: Answer, near: Verdicts | None, verdicts: Verdicts) -> bool:
         """Write the proof of a state that is not stable; return whether it stays undecided although in equilibrium."""
         assert verdicts.forces is not None
         assert verdicts.velocity is not None
         velocity = answer.velocity
         if velocity is None:
-            balanced = self.balance(state, answer.condition)
+            forces = None if near is None or near.forces is None else near.forces[0]
+            balanced = self.balance(state, answer.condition, replace(answer, forces=forces))
             velocity = balanced.velocity
             if self.contact and balanced.forces is not None:
                 verdicts.forces[0] = balanced.forces
@@ -358,13 +364,16 @@ class Prober:
         """Return the structure with another coefficient of friction, those of joints changed in proportion."""
         if friction == self.assembly.friction:
             return self._structure
+        if self.assembly.joints is None:
+            coefficients = np.full(self.problem.points, friction)
+            coefficients.setflags(write=False)  # as the kernels are compiled for
+            return self._structure._replace(friction=coefficients)
         strength = strength_of(self.assembly.at_friction(friction), self.settings.gravity)
         return self._structure._replace(**strength_arrays(self.problem, strength))  # type: ignore[arg-type]
 
-    def _whitened(self, extra: Sequence[Array]) -> Array:
-        """Return the weights with additional wrenches for the kernels, shape (extra, parts, 6)."""
-        wrench = self.problem.gravity_wrench + np.array(extra)
-        return np.einsum("prc,lpc->lpr", self.problem.whitening, wrench, order="C")
+    def _whitened(self, extra: Array) -> Array:
+        """Return the weights with additional wrenches, shape (parts, 6), as the kernels of equilibrium have them."""
+        return np.einsum("prc,pc->pr", self.problem.whitening, self.problem.gravity_wrench + extra, order="C")
 
     def _offsets(self, moved: Array) -> Array:
         """Return the scaled spring forces that displaced fixed parts cause at contact points, shape (points, 3)."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from falsework.stability.margins.brackets import GROWTH, SLACK, STRIDES, WIDTH, Bracket
 from falsework.stability.margins.conditions import Answer, OutOfTime
@@ -44,7 +45,7 @@ class Weakest:
         guess: Callable[[int], float],
         cap: float,
         floor: Callable[[int], float],
-        distance: Callable[[int, int], int] | None = None,
+        around: bool = False,
         sample: int | None = None,
         hurry: bool = False,
     ) -> None:
@@ -57,14 +58,15 @@ class Weakest:
             guess: value of a family to try first.
             cap: value beyond which there is no bound.
             floor: absolute width at which the bracket of a family is narrow enough.
-            distance: distance between families; a probe starts from the rest of a family nearby.
+            around: whether families are numbered around a circle; a probe starts from the rest of a family nearby.
             sample: number of the first families that are tested before the weakest of them is narrowed; all by
                 default.
             hurry: whether the time is limited, so that what all families bear is found first, if roughly.
         """
         self._families, self._probe, self._guess = list(families), probe, guess
         self._cap, self._floor = cap, floor
-        self._distance, self._strikes = distance, _STRIKES
+        self._distance = _distances(len(self._families)) if around else None
+        self._strikes = _STRIKES
         self._batch = max(_BATCH // max(len(start.condition.extra), 1), 1)
         self._sample, self._hurry = self._families[:sample], hurry
         self._low = dict.fromkeys(families, (0.0, start))
@@ -168,28 +170,33 @@ class Weakest:
                 self._strikes -= beyond
             return
         sampled = [row for row in left if row in self._sample]
-        rows = sampled or sorted(left, key=lambda row: distance(row, best))
+        rows = sampled or sorted(left, key=distance[best].__getitem__)
         self._probe_all(rows[: self._batch], value)
 
     def _probe_all(self, rows: Sequence[int], value: float) -> bool:
         """Probe families at a value until one fails; return whether none does."""
-        answers = self._probe(rows, value, [self._origin(rows, place, value) for place in range(len(rows))])
+        answers = self._probe(rows, value, self._origins(rows, value))
         for row, answer in zip(rows, answers, strict=False):
             self._keep(row, value, answer)
         return answers[-1].stands
 
-    def _origin(self, rows: Sequence[int], place: int, value: float) -> Answer | int:
-        """Return where to start the probe of a family: at its last rest, or at that of a neighbour or one before it."""
-        row, distance = rows[place], self._distance
-        low, near = self._low[row]
+    def _origins(self, rows: Sequence[int], value: float) -> list[Answer | int]:
+        """Return where to start the probe of each family: its last rest, or that of a neighbour or one before it."""
+        lows, distance = self._low, self._distance
         if distance is None:
-            return near
-        before = {other: index for index, other in enumerate(rows[:place])}
-        known = [other for other in self._families if abs(self._low[other][0] / value - 1.0) <= _ALIKE]
-        kin = min([*known, *before], key=lambda other: distance(row, other), default=row)
-        if kin in before:
-            return before[kin]
-        return self._low[kin][1] if abs(self._low[kin][0] - value) < abs(low - value) else near
+            return [lows[row][1] for row in rows]
+        known = [row for row in self._families if abs(lows[row][0] / value - 1.0) <= _ALIKE]
+        kin, origins = np.array([*known, *rows]), list[Answer | int]()
+        for place, row in enumerate(rows):
+            near = kin[: len(known) + place]
+            first = int(distance[row, near].argmin()) if len(near) else -1
+            if first >= len(known):
+                origins.append(first - len(known))
+                continue
+            low, own = lows[row]
+            other, rest = lows[known[first]] if first >= 0 else lows[row]
+            origins.append(rest if abs(other - value) < abs(low - value) else own)
+        return origins
 
     def _ask(self, row: int, value: float, near: Answer) -> bool:
         """Probe a family and keep the answer; return whether it is stable."""
@@ -199,3 +206,9 @@ class Weakest:
 
     def _keep(self, row: int, value: float, answer: Answer) -> None:
         (self._low if answer.stands else self._high)[row] = value, answer
+
+
+def _distances(count: int) -> NDArray[np.intp]:
+    """Return the distances of points on a circle, in steps, shape (count, count)."""
+    turns = np.subtract.outer(np.arange(count), np.arange(count)) % count
+    return np.minimum(turns, count - turns)
