@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
@@ -11,6 +12,7 @@ from tyro.conf import arg
 from falsework.cli.command import UNSET, JudgingCommand, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.planning import refuse_unstable, writable
+from falsework.errors import InputError
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output
@@ -47,12 +49,15 @@ class MakeDataset(JudgingCommand):
     """Random seed; the states are the same on every device."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Device of the search; `auto` takes a GPU if there is one. Several processes under torchrun share the work."""
+    deadline: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint=UNSET)] = None
+    """Seconds after which the searches of one process end; the states found so far are saved."""
 
     def run(self, output: Output) -> Exit:
         """Search, compare and save."""
         from falsework.cli.arguments import parse_parts
         from falsework.learn.data.dataset import save_dataset
         from falsework.search.device.oracle import tensor_oracle
+        from falsework.search.problem.deadline import Deadline
         from falsework.stability import Stability, StabilitySettings
         from falsework.utils.distributed import init_distributed
         from falsework.utils.optional_packages import check_torch
@@ -61,6 +66,9 @@ class MakeDataset(JudgingCommand):
         from falsework.learn.data.dataset import DataSettings, build_dataset, task_for
 
         writable(self.out)
+        clock = Deadline(self.deadline)
+        if clock.limited and int(os.environ.get("WORLD_SIZE", "1")) > 1:
+            raise InputError("processes that share a search cannot end it at a deadline; leave --deadline out")
         settings = DataSettings(self.train_width, self.test_width, self.widths, self.seed)
         assembly = self.structure.load()
         fixed = () if self.fixed is None else parse_parts(self.fixed, "--fixed", assembly.names)
@@ -77,6 +85,7 @@ class MakeDataset(JudgingCommand):
                 device=str(device),
                 shards=shards,
                 report=lambda text: show(0, 0, text),
+                stop=(lambda: clock.passed) if clock.limited else None,
             )
             first = shards.is_main_process
         if not first:
@@ -102,6 +111,9 @@ class MakeDataset(JudgingCommand):
             f"{self.out}: {len(dataset.train)} states to train on{more}, {len(dataset.test)} to test on, "
             f"{len(dataset.validation)} to validate on"
         )
+        if not dataset.complete and clock.limited and clock.passed:
+            output.note("the deadline ended the search; what was found so far is saved")
+            return Exit.NO
         if not dataset.complete:
             output.note("falsework: not every search reached the complete structure; wider ones may")
             return Exit.NO

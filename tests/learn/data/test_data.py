@@ -120,6 +120,20 @@ def test_the_command_counts_states_by_level(tmp_path: Path, capsys: pytest.Captu
     assert load_dataset(out, load_structure("arch:blocks=6")).test.shape == (record["test"], 8)
 
 
+def test_the_deadline_saves_what_was_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = str(tmp_path / "data.npz")
+    words = ["dataset", "arch:blocks=6", "--device", "cpu", "--out", out, "--widths", "4", "4"]
+    assert main([*words, "--deadline", "1e-6", "--json"]) == 1
+    captured = capsys.readouterr()
+    assert "the deadline ended the search; what was found so far is saved" in captured.err
+    record = json.loads(captured.out)
+    assert not record["complete"]
+    assert record["train"] >= 1
+    assert len(load_dataset(out, load_structure("arch:blocks=6")).train) == record["train"]
+    assert main([*words, "--deadline", "0"]) == 2
+    assert "leaves no time" in capsys.readouterr().err
+
+
 def test_the_command_refuses_what_it_cannot_do(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = str(tmp_path / "data.npz")
     assert main(["dataset", "arch:blocks=6", "--out", str(tmp_path / "nowhere" / "data.npz")]) == 2

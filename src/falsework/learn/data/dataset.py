@@ -20,6 +20,7 @@ from falsework.search.device.beam import DeviceBeam
 from falsework.search.device.oracle import TensorOracle, tensor_oracle, without_fallback
 from falsework.search.device.parallel_beams import parallel_beam_search
 from falsework.search.problem.hashing import StateIndex
+from falsework.search.problem.result import Stop
 from falsework.search.problem.state_graph import criterion_of, read_criterion
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Criterion
@@ -182,6 +183,7 @@ def search_states(
     shards: ProcessGroup = ProcessGroup(),
     direction: Direction = Direction.ASSEMBLY,
     report: Report | None = None,
+    stop: Stop | None = None,
 ) -> tuple[States, bool]:
     """Return the states of one beam search, and whether it reached its other end.
 
@@ -196,6 +198,7 @@ def search_states(
         shards: processes that search together.
         direction: end to begin at.
         report: called with progress messages.
+        stop: asked before every level; true ends the search with the states that it has.
 
     Returns:
         Shape (count, parts), and a truth value.
@@ -206,8 +209,8 @@ def search_states(
         if report is not None:
             report(f"search of width {width}: step {now.level} of {now.levels}")
 
-    result = search.run(progress=show)
-    if result.interrupted:
+    result = search.run(progress=show, stop=stop)
+    if result.interrupted and not (stop is not None and stop()):
         raise KeyboardInterrupt
     return search.states(), result.found
 
@@ -267,6 +270,7 @@ def build_dataset(
     device: str = "auto",
     shards: ProcessGroup = ProcessGroup(),
     report: Report | None = None,
+    stop: Stop | None = None,
 ) -> Dataset:
     """Run the searches of the paper's protocol and, with `widths`, further ones.
 
@@ -278,6 +282,8 @@ def build_dataset(
         device: `auto`, `cpu` or `cuda`.
         shards: processes that search together.
         report: called with progress messages.
+        stop: of one process, asked before every level and search; true ends all with the states that they have, and the
+            data set is not complete then.
 
     Raises:
         DependencyError: torch is not installed.
@@ -298,7 +304,11 @@ def build_dataset(
     for width, count in searches:
         begin = time.perf_counter()
         if count == 1:
-            states, reached = search_states(task, asked, width, seed, device=where, shards=shards, report=report)
+            states, reached = search_states(
+                task, asked, width, seed, device=where, shards=shards, report=report, stop=stop
+            )
+        elif stop is not None and stop():
+            states, reached = found[0][:0], False
         else:
             if report is not None:
                 report(f"{count} searches of width {width}")
