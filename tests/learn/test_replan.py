@@ -492,7 +492,7 @@ def test_oracle_of_another_structure(alone: Replanner) -> None:
         ({"alternatives": 10**9}, "at most 1000"),
         ({"deadline": 0}, "give more than 0"),
         ({"deadline": float("nan")}, "give more than 0"),
-        ({"target": [1, 1, 1, 1, 1]}, "expected"),
+        ({"target": [1, 1, 1, 1, 1]}, "a state of 5 values does not fit 7 parts"),
         ({"fixed": [9]}, "fixed"),
         ({"missing": [9]}, "missing"),
         ({"missing": [2], "direction": Direction.ASSEMBLY}, "said to be missing, yet the state has it"),
