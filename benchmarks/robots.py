@@ -17,7 +17,8 @@ The first five plan a published structure in the built-in cell of that name: `se
 memory to a proven plan with timed motions, compilation not counted. The last line of each has median and worst.
 `--together`: each seed is planned twice, one robot at a time and with robots that move at the same time;
 `makespan_share` is the makespan of the second over the first plan, `extra_seconds` its additional planning time,
-`extra_cpu_seconds` that of both processes, and the check proves the schedule free of collisions under any delays, and `delayed` random runs of it are simulated.
+`extra_cpu_seconds` that of all its processes, and the check proves the schedule free of collisions under any delays,
+and `delayed` random runs of it are simulated. `second_plan` tells whether a second plan was there to choose from.
 `--plans` writes the plans, so that `falsework robots check` can check them elsewhere.
 `--delays`: each seed is planned with robots that move at the same time, and its schedule checked under any delays, in
 the order of disassembly and reversed: `overlaps` pairs of motions and rests of two arms that can coincide, `early`

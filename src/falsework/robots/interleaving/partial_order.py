@@ -31,6 +31,11 @@ class UnitStep:
     legs: tuple[Leg, ...]
 
     @property
+    def action(self) -> int:
+        """Action that it carries out."""
+        return self.unit.edges[self.place].action
+
+    @property
     def edge(self) -> Edge:
         """Edge of the keyframe graph that it executes, with the free motion that was chosen."""
         edge = self.unit.edges[self.place]
@@ -106,7 +111,7 @@ def expected(partial: Partial, robot: int, unit: Unit, place: int, hold: float) 
     ahead[robot] -= seconds[place]
     before = [0.0 if entry else hold for entry in partial.begun]
     before[robot] = 0.0 if place + 1 < len(unit.edges) else hold
-    return bound(free, [max(left, 0.0) if left > 1e-9 else 0.0 for left in ahead], event, before)
+    return bound(free, [left if left > 1e-9 else 0.0 for left in ahead], event, before)
 
 
 def waits(beginnings: Sequence[Partial]) -> list[int]:

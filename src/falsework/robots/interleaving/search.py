@@ -204,21 +204,21 @@ class OrderSearch:
 
     def _may(self, order: Partial) -> bool:
         """Return whether the replay of an order is not known to end early."""
-        actions = tuple(step.edge.action for step in order.steps)
+        actions = tuple(step.action for step in order.steps)
         return all(actions[-len(last) :] != last for last in self._fallen)
 
     def _stands(self, order: Partial) -> bool:
         """Return whether the states and the replay in assembly order of an order are stable; note what is not."""
         states = [self.root.state]
         for step in order.steps:
-            states.append(state_after(states[-1], step.edge.action))
+            states.append(state_after(states[-1], step.action))
         if not all(self.next.is_stable(after, before) for before, after in pairwise(states)):
             return False
         replayer = self.oracle.replayer
         row = None if replayer is None else replayer.replay(np.array(states[::-1], dtype=np.uint8)).falls_at
         if row is not None:
             # The same state may stand with other forces from before it, so it is the history that is excluded.
-            self._fallen.add(tuple(step.edge.action for step in order.steps[len(order.steps) - row :]))
+            self._fallen.add(tuple(step.action for step in order.steps[len(order.steps) - row :]))
         return row is None
 
     def _completed(

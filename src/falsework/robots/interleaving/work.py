@@ -76,7 +76,7 @@ class Unit:
     movable: bool
     """Whether it is a hold and a removal: others depend on the steps before and after them."""
 
-    @property
+    @cached_property
     def seconds(self) -> tuple[float, ...]:
         """Duration of each step without waits."""
         return tuple(sum(variants[0].seconds for variants in step) for step in self.legs)
