@@ -34,6 +34,8 @@ _TEARS = 1.0 + 1e-6
 """A contact point breaks at this multiple of its tensile strength; the excess over 1 covers rounding of the solvers."""
 _CHUNK_POINTS = 1 << 18
 """Contact points of all states that are checked at once: small enough for the processor's cache."""
+_FEW = 0.5
+"""Share of contacts with other forces than in the state before up to which only those are evaluated."""
 
 
 @dataclass(frozen=True)
@@ -166,21 +168,13 @@ def residual_of_forces(
     """
     contacts, mass = assembly.contacts, assembly.mass
     owner = contacts.contact_of_point
-    a, b = contacts.parts[owner, 0], contacts.parts[owner, 1]
-    strength, acts = strength_of(assembly, claim.gravity), _acts(states, a, b)
-    forces = np.where(acts[:, :, None], forces, 0.0)
+    acts = _acts(states, contacts.parts[owner, 0], contacts.parts[owner, 1])
     weight = claim.gravity * mass.mass[~assembly.immovable].sum()
-
-    size = np.linalg.norm(forces, axis=2)
-    finite = np.isfinite(size).all(axis=1)
-    forces, outside = _into_cone(np.where(finite[:, None, None], forces, 0.0), strength, claim.cone)
-    forces = np.where(acts[:, :, None], forces, 0.0)
-    admissible = finite & np.where(acts, outside <= _ROUNDING * (size + weight), True).all(axis=1)
-    admissible &= forces[:, :, 0].sum(axis=1) <= claim.force_bound * weight * (1 + _ROUNDING)
+    force, moment, pressed, inside = _resultants(assembly, np.where(acts[:, :, None], forces, 0.0), claim, weight)
+    admissible = inside.all(axis=1) & (pressed.sum(axis=1) <= claim.force_bound * weight * (1 + _ROUNDING))
 
     batch, parts = states.shape
     net = np.zeros((batch, parts, 6))
-    force, moment = _resultants(assembly, forces)
     for side, sign in ((0, -1.0), (1, 1.0)):
         part = contacts.parts[:, side]
         wrench = sign * np.concatenate([force, moment - _cross(mass.center[part], force)], axis=2)
@@ -259,22 +253,57 @@ def _relative(assembly: Assembly, motion: Array) -> Array:
     return shift[..., 0, :] + _cross(shift[..., 1, :], arms)
 
 
-def _resultants(assembly: Assembly, forces: Array) -> tuple[Array, Array]:
-    """Return force and moment about the origin of the forces of each contact on part `b`, shapes (batch, contacts, 3).
+def _resultants(assembly: Assembly, forces: Array, claim: StabilityCriterion, weight: float) -> tuple[Array, ...]:
+    """Return what the forces of each contact amount to.
+
+    Successive states of a plan mostly differ near one part. So where few forces differ from those in the row before, bit
+    by bit, only their contacts are evaluated, and the others keep their values.
 
     Args:
         assembly: the structure.
-        forces: `(n, t1, t2)` in N at every contact point, shape (batch, points, 3).
+        forces: `(n, t1, t2)` in N at every contact point, zero where they do not act, shape (batch, points, 3).
+        claim: cone, gravity and force bound.
+        weight: of the structure, N.
+
+    Returns:
+        Force and moment about the origin on part `b`, shape (batch, contacts, 3), sum of the normal forces, and whether
+        all forces are admissible, shape (batch, contacts).
     """
-    contacts = assembly.contacts
-    if not len(contacts.points):
-        nothing = np.zeros((len(forces), 0, 3))
-        return nothing, nothing
+    contacts, batch, count = assembly.contacts, len(forces), len(assembly.contacts.parts)
+    found = tuple(np.zeros((batch, count, *shape)) for shape in ((3,), (3,), ()))
+    found = *found, np.ones((batch, count), dtype=bool)
+    if not count:
+        return found
     middle, arms = _arms(assembly)
-    first = contacts.start[:-1]
-    force = np.einsum("bqi,qij->bqj", np.add.reduceat(forces, first, axis=1), contacts.frames)
-    moment = np.einsum("bqi,qij->bqj", np.add.reduceat(_cross(arms, forces), first, axis=1), contacts.frames)
-    return force, moment + _cross(middle, force)
+    strength, sizes = strength_of(assembly, claim.gravity), np.diff(contacts.start)
+    differ = (forces[1:] != forces[:-1]) | ~np.isfinite(forces[1:])
+    new = np.ones((batch, count), dtype=bool)
+    new[1:] = np.logical_or.reduceat(differ[..., 0] | differ[..., 1] | differ[..., 2], contacts.start[:-1], axis=1)
+    few = new[1:].mean() < _FEW if batch > 1 else False
+    for rows in [slice(row, row + 1) for row in range(batch)] if few else [slice(0, batch)]:
+        some = new[rows].any(axis=0)
+        if rows.start:
+            for each in found:
+                each[rows] = each[rows.start - 1]
+        if some.any():
+            at = np.repeat(some, sizes)
+            if some.all():
+                some = at = slice(None)  # without a copy
+            own, first = forces[rows][:, at], np.cumsum(sizes[some]) - sizes[some]
+            finite = np.isfinite(own).all(axis=2)
+            own = np.where(finite[..., None], own, 0.0)
+            size = np.linalg.norm(own, axis=2)
+            own, outside = _into_cone(own, strength.of(at), claim.cone)
+            force = np.einsum("bqi,qij->bqj", np.add.reduceat(own, first, axis=1), contacts.frames[some])
+            turn = np.einsum(
+                "bqi,qij->bqj", np.add.reduceat(_cross(arms[at], own), first, axis=1), contacts.frames[some]
+            )
+            inside = finite & (outside <= _ROUNDING * (size + weight))
+            values = force, turn + _cross(middle[some], force), np.add.reduceat(own[..., 0], first, axis=1)
+            values = *values, np.logical_and.reduceat(inside, first, axis=1)
+            for each, value in zip(found, values, strict=True):
+                each[rows, some] = value
+    return found
 
 
 def _arms(assembly: Assembly) -> tuple[Array, Array]:
