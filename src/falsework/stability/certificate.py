@@ -256,8 +256,8 @@ def _relative(assembly: Assembly, motion: Array) -> Array:
 def _resultants(assembly: Assembly, forces: Array, claim: StabilityCriterion, weight: float) -> tuple[Array, ...]:
     """Return what the forces of each contact amount to.
 
-    Successive states of a plan mostly differ near one part. So where few forces differ from those in the row before, bit
-    by bit, only their contacts are evaluated, and the others keep their values.
+    Successive states of a plan mostly differ near one part. So where few forces differ from those in the row before,
+    bit by bit, only their contacts are evaluated, and the others keep their values.
 
     Args:
         assembly: the structure.

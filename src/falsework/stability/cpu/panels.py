@@ -215,7 +215,7 @@ def solve_panels(panels, x):
 
 @njit(fastmath=True, cache=True)
 def solve_symmetric(panels, x):
-    """The same for a symmetric matrix; reads the upper panels alone, half of what lies in memory."""
+    """Solve with the factors of a symmetric matrix, in place; reads the upper panels alone, half of the memory."""
     upper, y = panels.upper, panels.strip
     panel, width, own = panels.panel, panels.width, panels.own
     member_start, member = panels.member_start, panels.member
@@ -291,9 +291,7 @@ def _subtract_rows(panel, place, width, y0, y1, y2, y3, y4, y5, y, start, column
 @njit(fastmath=True)
 def _spread(lower, place, width, y, i, columns):
     """Subtract a block row, transposed, times six entries of `y` from those that follow."""
-    _subtract_rows(
-        lower, place, width, y[i], y[i + 1], y[i + 2], y[i + 3], y[i + 4], y[i + 5], y, i + 6, columns
-    )
+    _subtract_rows(lower, place, width, y[i], y[i + 1], y[i + 2], y[i + 3], y[i + 4], y[i + 5], y, i + 6, columns)
 
 
 @njit(fastmath=True)

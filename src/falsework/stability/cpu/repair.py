@@ -72,7 +72,8 @@ def _accept_forces(structure, state, options, residual, forces):
     """
     parts, first, basis, scale = structure.pair_parts, structure.pair_start, structure.basis, structure.force_scale
     friction, pull, stick, cone = structure.friction, structure.pull, structure.stick, structure.cone
-    transfer_a, transfer_b, pull_a, pull_b = structure.transfer_a, structure.transfer_b, structure.pull_a, structure.pull_b
+    transfer_a, transfer_b = structure.transfer_a, structure.transfer_b
+    pull_a, pull_b = structure.pull_a, structure.pull_b
     position, order = structure.elimination.position, structure.elimination.order
     set_gravity(structure, state, residual)
     pressed, pulled = 0.0, 0.0

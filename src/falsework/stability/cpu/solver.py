@@ -24,8 +24,8 @@ _TASK = 16
 _LARGE = 200
 """Parts from which ADMM, where it begins with forces of a state near by, has these options ..."""
 _FROM_FORCES = {"rho": 3e-4, "relaxation": 1.6, "iterations": 150, "interior_steps": 0}
-"""... so that interior point steps, each with a factorization, are mostly not needed. From there they would mostly
-fail: they follow forces that grow beyond their bound."""
+"""... so that interior point steps, each with a factorization, are mostly not needed. From there they often fail: they
+follow forces that grow beyond their bound."""
 _FROM_REST = {"iterations": 10, "interior_steps": 60}
 """Options of a second attempt, from zero forces: interior point steps from near the middle of the cones."""
 
