@@ -120,12 +120,10 @@ def along_a_plan() -> tuple[Assembly, NDArray, NDArray]:
     oracle = Stability(vault, EQUILIBRIUM)
     plan = find_plans(vault, robots=2, oracle=oracle).plans[0]
     states, assembly = plan.assembly_states[60:], vault
-    verdicts = oracle.check(states[0])
-    forces = [verdicts.forces[0]]
+    found = [oracle.check(states[0])]
     for before, state in pairwise(states):
-        verdicts = oracle.check_next(state[None], before[None], verdicts)
-        forces.append(verdicts.forces[0])
-    return assembly, states, np.array(forces)
+        found.append(oracle.check_next(state[None], before[None], found[-1]))
+    return assembly, states, np.concatenate([each.forces for each in found if each.forces is not None])
 
 
 def test_states_along_a_plan_are_checked_as_each_alone(along_a_plan: tuple) -> None:

@@ -281,28 +281,29 @@ def _resultants(assembly: Assembly, forces: Array, claim: StabilityCriterion, we
     new[1:] = np.logical_or.reduceat(differ[..., 0] | differ[..., 1] | differ[..., 2], contacts.start[:-1], axis=1)
     few = new[1:].mean() < _FEW if batch > 1 else False
     for rows in [slice(row, row + 1) for row in range(batch)] if few else [slice(0, batch)]:
-        some = new[rows].any(axis=0)
+        some = np.asarray(new[rows].any(axis=0))
         if rows.start:
             for each in found:
                 each[rows] = each[rows.start - 1]
-        if some.any():
-            at = np.repeat(some, sizes)
-            if some.all():
-                some = at = slice(None)  # without a copy
-            own, first = forces[rows][:, at], np.cumsum(sizes[some]) - sizes[some]
-            finite = np.isfinite(own).all(axis=2)
-            own = np.where(finite[..., None], own, 0.0)
-            size = np.linalg.norm(own, axis=2)
-            own, outside = _into_cone(own, strength.of(at), claim.cone)
-            force = np.einsum("bqi,qij->bqj", np.add.reduceat(own, first, axis=1), contacts.frames[some])
-            turn = np.einsum(
-                "bqi,qij->bqj", np.add.reduceat(_cross(arms[at], own), first, axis=1), contacts.frames[some]
-            )
-            inside = finite & (outside <= _ROUNDING * (size + weight))
-            values = force, turn + _cross(middle[some], force), np.add.reduceat(own[..., 0], first, axis=1)
-            values = *values, np.logical_and.reduceat(inside, first, axis=1)
-            for each, value in zip(found, values, strict=True):
-                each[rows, some] = value
+        if not some.any():
+            continue
+        which, at, strong = some, np.repeat(some, sizes), strength
+        if some.all():
+            which = at = slice(None)  # without a copy
+        else:
+            strong = strength.of(at)
+        own, first = forces[rows][:, at], np.cumsum(sizes[which]) - sizes[which]
+        finite = np.asarray(np.isfinite(own).all(axis=2))
+        own = np.where(finite[..., None], own, 0.0)
+        size = np.linalg.norm(own, axis=2)
+        own, outside = _into_cone(own, strong, claim.cone)
+        turns, frames = _cross(arms[at], own), contacts.frames[which]
+        force = np.einsum("bqi,qij->bqj", np.add.reduceat(own, first, axis=1), frames)
+        moment = np.einsum("bqi,qij->bqj", np.add.reduceat(turns, first, axis=1), frames)
+        inside = np.logical_and.reduceat(finite & (outside <= _ROUNDING * (size + weight)), first, axis=1)
+        pressed = np.add.reduceat(own[..., 0], first, axis=1)
+        for each, value in zip(found, (force, moment + _cross(middle[which], force), pressed, inside), strict=True):
+            each[rows, which] = value
     return found
 
 
