@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from falsework.assembly import library
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.errors import InputError
+from falsework.search import find_plans
 from falsework.stability import (
     ExactSolver,
     Stability,
@@ -25,7 +27,9 @@ from falsework.stability import (
     verify_certificates,
 )
 from falsework.stability.certificate import residual_bound_of_velocity, residual_of_forces
+from falsework.stability.problem import build_problem
 from falsework.stability.reference.conic_program import into_cone
+from falsework.stability.settings import EQUILIBRIUM
 from falsework.stability.strength import strength_of
 
 CONES = ("octagon", "quadratic")
@@ -107,6 +111,82 @@ def test_forces_where_nothing_touches_count_for_nothing(case: tuple) -> None:
     assert verify_certificates(assembly, states, tampered, claim).all()
     only_idle = with_forces(verdicts, np.where(idle[:, :, None], 1e3, 0.0 * verdicts.forces))
     assert not verify_certificates(assembly, states, only_idle, claim)[verdicts.stable].any()
+
+
+@pytest.fixture(scope="module")
+def along_a_plan() -> tuple[Assembly, NDArray, NDArray]:
+    """Successive states of a plan, and forces that mostly are those of the state before."""
+    vault = library.build("vault")
+    oracle = Stability(vault, EQUILIBRIUM)
+    plan = find_plans(vault, robots=2, oracle=oracle).plans[0]
+    states, assembly = plan.assembly_states[60:], vault
+    found = [oracle.check(states[0])]
+    for before, state in pairwise(states):
+        found.append(oracle.check_next(state[None], before[None], found[-1]))
+    return assembly, states, np.concatenate([each.forces for each in found if each.forces is not None])
+
+
+def test_states_along_a_plan_are_checked_as_each_alone(along_a_plan: tuple) -> None:
+    assembly, states, forces = along_a_plan
+    same = (forces[1:] == forces[:-1]).all(axis=2)
+    assert same.mean() > 0.5
+    together = residual_of_forces(assembly, states, forces, EQUILIBRIUM.claim)
+    alone = [residual_of_forces(assembly, states[k : k + 1], forces[k : k + 1])[0] for k in range(len(states))]
+    np.testing.assert_array_equal(together, alone)
+    assert (together <= EQUILIBRIUM.claim.tolerance).all()
+
+
+@pytest.mark.parametrize("until_the_end", [False, True])
+@pytest.mark.parametrize("change", ["more", "less", "none", "pulls", "slides", "nan", "inf"])
+def test_a_force_changed_anywhere_along_a_plan_is_rejected(
+    along_a_plan: tuple, change: str, until_the_end: bool
+) -> None:
+    """Also one that stays as it is in all states that follow."""
+    assembly, states, forces = along_a_plan
+    active = build_problem(assembly).active(states) & (forces[:, :, 0] > 0.02 * np.median(forces[:, :, 0].max(axis=1)))
+    random = np.random.default_rng(0)
+    places = np.argwhere(active)
+    for row, point in places[random.permutation(len(places))[:40]]:
+        rows = slice(row, None if until_the_end else row + 1)
+        tampered = forces.copy()
+        force = forces[row, point]
+        tampered[rows, point] = {
+            "more": 1.5 * force,
+            "less": 0.5 * force,
+            "none": 0.0 * force,
+            "pulls": -force,
+            "slides": force + [0.0, 2.0 * force[0], 0.0],
+            "nan": np.nan,
+            "inf": np.inf,
+        }[change]
+        with np.errstate(invalid="ignore"):
+            residual = residual_of_forces(assembly, states, tampered, EQUILIBRIUM.claim)
+        assert residual[row] > EQUILIBRIUM.claim.tolerance
+        untouched = np.ones(len(states), dtype=bool)
+        untouched[rows] = False
+        np.testing.assert_array_equal(
+            residual[untouched], residual_of_forces(assembly, states, forces, EQUILIBRIUM.claim)[untouched]
+        )
+
+
+def test_a_part_that_is_gone_or_let_go_of_along_a_plan_is_rejected(along_a_plan: tuple) -> None:
+    """Forces of contacts whose part is not there count for nothing, and a part that nobody holds has its weight."""
+    assembly, states, forces = along_a_plan
+    random, claim = np.random.default_rng(0), EQUILIBRIUM.claim
+    bears = np.zeros(states.shape, dtype=bool)
+    owner = assembly.contacts.parts[assembly.contacts.contact_of_point]
+    for side in (0, 1):
+        rows, points = np.nonzero(forces[:, :, 0] > 0.05 * forces[:, :, 0].max())
+        bears[rows, owner[points, side]] = True
+    gone = np.argwhere(bears & (states == 1))
+    held = np.argwhere((states == 2) & ~assembly.boundary)
+    for value, places in ((0, gone), (1, held)):
+        for row, part in places[random.permutation(len(places))[:40]]:
+            tampered = states.copy()
+            tampered[row, part] = value
+            residual = residual_of_forces(assembly, tampered, forces, claim)
+            alone = residual_of_forces(assembly, tampered[row : row + 1], forces[row : row + 1], claim)
+            assert residual[row] == alone[0] > claim.tolerance
 
 
 def test_forces_of_another_state_are_rejected(scenes: Any) -> None:

@@ -102,13 +102,13 @@ def verify_certificates(
     if claim.criterion == "contact":
         assert verdicts.displacement is not None
         balanced = np.flatnonzero(verdicts.slides)
-        for rows in _chunks(stable, points):
+        for rows in chunks(stable, points):
             residual = residual_of_displacement(assembly, states[rows], verdicts.displacement[rows], claim)
             accepted[rows] = residual <= claim.tolerance
-    for rows in _chunks(balanced, points):
+    for rows in chunks(balanced, points):
         residual = residual_of_forces(assembly, states[rows], verdicts.forces[rows], claim)
         accepted[rows] = residual <= claim.tolerance
-    for rows in _chunks(unstable, points):
+    for rows in chunks(unstable, points):
         bound = residual_bound_of_velocity(assembly, states[rows], verdicts.velocity[rows], claim)
         accepted[rows] = bound > claim.tolerance
     return accepted
@@ -249,7 +249,7 @@ class _Geometry(NamedTuple):
     part_a: NDArray[np.int32]
     """Shape (points,)."""
     part_b: NDArray[np.int32]
-    inverse_inertia: Array
+    inverse_inertia: NDArray[np.floating]
     """Shape (parts, 3, 3), 1 / (kg m2)."""
     gyration: Array
     """Largest radius of gyration of each part, shape (parts,), m."""
@@ -332,6 +332,7 @@ def _slip(relative: Array, cone: str) -> Array:
     return (tangent @ np.stack([np.cos(angle), np.sin(angle)])).max(axis=-1)
 
 
-def _chunks(rows: NDArray, points: int) -> list[NDArray]:
+def chunks(rows: NDArray, points: int) -> list[NDArray]:
+    """Split rows of states with a number of contact points into chunks whose evaluation fits into the cache."""
     size = max(_CHUNK_POINTS // max(points, 1), 1)
     return [rows[first : first + size] for first in range(0, len(rows), size)]

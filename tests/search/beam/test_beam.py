@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly
+from falsework.assembly import Assembly, load_structure
 from falsework.errors import InputError
 from falsework.search import (
     BeamSearch,
@@ -20,6 +21,7 @@ from falsework.search import (
     SupportGuide,
     Task,
 )
+from falsework.search.beam.frontier import Level, PackedLevel, pack
 from falsework.stability import Stability
 
 BOTH = pytest.mark.parametrize("direction", list(Direction))
@@ -204,6 +206,24 @@ def test_support_guide_prefers_neighbours(small_arch: Assembly) -> None:
     assert np.array_equal(out[0, parts:], -score)
 
 
+@pytest.mark.parametrize("alike", [True, False])
+def test_support_guide_of_a_large_structure(alike: bool) -> None:
+    """The scores are shares of contact area, whether states of the batch are alike or not."""
+    vault = load_structure("vault:parts=320")
+    random, parts = np.random.default_rng(0), vault.part_count
+    states = random.integers(0, 3, (8, parts)).astype(np.uint8)
+    if alike:
+        states[1:] = states[0]
+        states[np.arange(1, 8), random.integers(0, parts, 7)] = 0
+    area = np.zeros((parts, parts))
+    for (a, b), size in zip(vault.contacts.parts.tolist(), vault.contacts.areas.tolist(), strict=True):
+        area[a, b] += size
+        area[b, a] += size
+    expected = (states != 0) @ area / area.sum(axis=0)
+    score = SupportGuide(vault)(states, np.ones((8, 2 * parts), dtype=bool), Direction.ASSEMBLY)
+    np.testing.assert_allclose(score, np.concatenate([expected, expected], axis=1), atol=1e-6)
+
+
 def test_no_verdict_is_guessed(small_arch: Assembly, arch_oracle: Stability) -> None:
     """Every state that a beam keeps is stable by the exact solver."""
     for direction in Direction:
@@ -258,3 +278,18 @@ def test_going_back(rules: Any) -> None:
         search.rewind(99, BeamSettings())
     with pytest.raises(InputError, match="cannot rewind"):
         search.rewind(0, BeamSettings(direction=Direction.DISASSEMBLY))
+
+
+def test_packed_levels_have_the_same_states() -> None:
+    random = np.random.default_rng(0)
+    states = np.repeat(random.integers(0, 3, 700).astype(np.uint8)[None], 40, axis=0)
+    states[np.arange(40), random.integers(0, 700, 40)] = 1
+    none = np.zeros(40)
+    level = Level(states, none.astype(np.int64), none.astype(np.int64), none, none.astype(np.int8))
+    packed = pack(level)
+    assert isinstance(packed, PackedLevel)
+    np.testing.assert_array_equal(packed.states, states)
+    assert packed.size < states.nbytes / 10
+    assert pack(packed) is packed
+    diverse = replace(level, states=random.integers(0, 3, states.shape).astype(np.uint8))
+    assert pack(diverse) is diverse

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import HELD, Mask, States, held_count
 from falsework.errors import InputError
 from falsework.search.beam.failures import FailureMemory
-from falsework.search.beam.frontier import Frontier, Level, expand
+from falsework.search.beam.frontier import Frontier, Level, expand, pack
 from falsework.search.beam.histories import Histories
 from falsework.search.beam.level_search import LevelSearch
 from falsework.search.beam.selection import Selector
@@ -88,7 +88,7 @@ class BeamSearch(LevelSearch):
     def counters(self) -> SearchCounters:
         """Work done so far, earlier runs included; takes time with the levels, unlike `asked`."""
         now = SearchCounters(0, self._candidates, self._judge.asked, self._judge.rejected)
-        return self._before + now + SearchCounters(states=sum(len(level.states) for level in self.levels))
+        return self._before + now + SearchCounters(states=sum(len(level.parent) for level in self.levels))
 
     def step(self) -> bool:
         """Find the next level; False if there is none.
@@ -152,6 +152,7 @@ class BeamSearch(LevelSearch):
         kept = choice.kept
         waits = frontier.fixing[kept] & ~frontier.free[kept] & (settings.lookahead > 0)
         columns = (frontier.states(kept), frontier.parent[kept], frontier.action[kept], score[kept])
+        self.levels[-1] = pack(level)
         self.levels.append(Level(*columns, np.where(waits, 0, 1).astype(np.int8)))
         if self.found and not self._ground(np.arange(len(kept))).any():
             self.levels.pop()
@@ -324,7 +325,7 @@ class BeamSearch(LevelSearch):
         }
         arrays: dict[str, NDArray[Any]] = {
             "states": self.states(),
-            "sizes": np.array([len(level.states) for level in self.levels], dtype=np.int64),
+            "sizes": np.array([len(level.parent) for level in self.levels], dtype=np.int64),
             "deepest": self._deepest,
             "rejected": self._rejected,
         }

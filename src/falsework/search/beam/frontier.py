@@ -12,6 +12,8 @@ from falsework.search.problem.hashing import Hashes, StateHash, merge
 from falsework.search.problem.task import Direction, Task
 
 _CHUNK_STATES = 4096
+_WORTH_PACKING = 16_384
+"""Bytes of states from which a level is packed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +31,38 @@ class Level:
     grounded: NDArray[np.int8]
     """1 where the state and all on the way to it are known to be stable, -1 where one is not, 0 where the verdict of
     a fixed part waits; shape (kept,)."""
+
+
+class PackedLevel:
+    """Level of which one state is stored, and what is different in the others."""
+
+    def __init__(self, level: Level) -> None:
+        """Pack a level."""
+        self.parent, self.action, self.score, self.grounded = level.parent, level.action, level.score, level.grounded
+        self._first = level.states[0].copy()
+        row, part = np.nonzero(level.states != self._first)
+        self._row, self._part = row.astype(np.int32), part.astype(np.int32)
+        self._value = level.states[row, part]
+
+    @property
+    def states(self) -> States:
+        """States written down, shape (kept, parts)."""
+        states = np.repeat(self._first[None], len(self.parent), axis=0)
+        states[self._row, self._part] = self._value
+        return states
+
+    @property
+    def size(self) -> int:
+        """Bytes that the states take."""
+        return self._first.nbytes + self._row.nbytes + self._part.nbytes + self._value.nbytes
+
+
+def pack(level: Level | PackedLevel) -> Level | PackedLevel:
+    """Return a level, packed if it takes less than half of the memory: states of narrow beams are mostly alike."""
+    if isinstance(level, PackedLevel) or level.states.nbytes < _WORTH_PACKING:
+        return level
+    packed = PackedLevel(level)
+    return packed if 2 * packed.size < level.states.nbytes else level
 
 
 @dataclass(frozen=True, eq=False)

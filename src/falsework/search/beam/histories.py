@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
-from falsework.search.beam.frontier import Level
+from falsework.search.beam.frontier import Level, PackedLevel
 
 if TYPE_CHECKING:
     from falsework.stability.contact.replay import History
@@ -29,7 +29,7 @@ def histories_in_memory(problem: Problem) -> int:
 class Histories:
     """Contact histories of the states of a beam, computed on demand."""
 
-    def __init__(self, replayer: AnyReplayer, levels: list[Level]) -> None:
+    def __init__(self, replayer: AnyReplayer, levels: list[Level | PackedLevel]) -> None:
         """Begin with nothing.
 
         Args:

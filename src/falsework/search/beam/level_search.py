@@ -10,7 +10,7 @@ import numpy as np
 
 from falsework.assembly.state import States
 from falsework.errors import InputError
-from falsework.search.beam.frontier import Level
+from falsework.search.beam.frontier import Level, PackedLevel
 from falsework.search.beam.settings import BeamSettings
 from falsework.search.problem.result import Progress, Route, SearchProgress, SearchResult, Stop
 from falsework.search.problem.task import Direction, Task
@@ -19,7 +19,7 @@ from falsework.search.problem.task import Direction, Task
 class LevelSearch(ABC):
     """Search level by level from one end of a task, each level one move from the last."""
 
-    levels: list[Level]
+    levels: list[Level | PackedLevel]
     """Levels so far, from the origin on."""
 
     def __init__(self, task: Task, settings: BeamSettings) -> None:

@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
 
 
+_SMALL = 300
+"""Parts up to which a product with a dense matrix takes less time than looking up neighbours."""
+
+
 class Guide(Protocol):
     """Action heuristic: higher scores are tried sooner. Any callable can be used, such as a trained policy."""
 
@@ -42,20 +46,57 @@ class SupportGuide:
 
     def __init__(self, assembly: Assembly) -> None:
         """Read the contacts of an assembly."""
-        parts = assembly.part_count
-        area = np.zeros((parts, parts))
-        a, b = assembly.contacts.parts.T
-        np.add.at(area, (a, b), assembly.contacts.areas)
-        area += area.T
-        whole = area.sum(axis=0, keepdims=True)
-        self._share = np.divide(area, whole, out=np.zeros_like(area), where=whole > 0).astype(np.float32)
+        parts, pairs = assembly.part_count, assembly.contacts.parts
+        ends = np.concatenate([pairs, pairs[:, ::-1]])
+        first, back = np.unique(ends, axis=0, return_inverse=True)
+        area = np.bincount(back.ravel(), np.tile(assembly.contacts.areas, 2), len(first))
+        own, other = first.T
+        whole = np.bincount(own, area, parts)
+        share = np.divide(area, whole[own], out=np.zeros_like(area), where=whole[own] > 0)
+        self._matrix = None
+        if parts <= _SMALL:
+            self._matrix = np.zeros((parts, parts), dtype=np.float32)
+            self._matrix[other, own] = share
+            return
+        count = np.bincount(own, minlength=parts)
+        place = np.arange(len(own)) - np.repeat(np.cumsum(count) - count, count)
+        # Rows are filled up with a part that does not exist and is never present.
+        self._other = np.full((parts + 1, int(count.max(initial=0))), parts, dtype=np.int64)
+        self._share = np.zeros(self._other.shape, dtype=np.float32)
+        self._other[own, place] = other
+        self._share[own, place] = share
 
     def __call__(self, states: States, actions: Mask, direction: Direction) -> NDArray[np.float32]:
         """See `Guide`."""
-        support = (states != REMOVED).astype(np.float32) @ self._share
+        if self._matrix is not None:
+            support = (states != REMOVED).astype(np.float32) @ self._matrix
+        else:
+            support = self._sparse(states)
         if direction is Direction.DISASSEMBLY:
             support = -support
         return np.concatenate([support, support], axis=1)
+
+    def _sparse(self, states: States) -> NDArray[np.float32]:
+        """Return the shares of all parts; states of a level mostly differ from the first near a few parts only."""
+        batch, parts = states.shape
+        present = np.zeros((batch, parts + 1), dtype=bool)
+        present[:, :-1] = states != REMOVED
+        every = np.arange(parts)
+        rows, changed = np.nonzero(present != present[:1])
+        if len(rows) * self._other.shape[1] > states.size:
+            return self._support(present, np.arange(batch)[:, None], every)
+        support = np.repeat(self._support(present, np.zeros((1, 1), dtype=np.int64), every), batch, axis=0)
+        near = self._other[changed]
+        rows, near = np.broadcast_to(rows[:, None], near.shape)[near < parts], near[near < parts]
+        support[rows, near] = self._support(present, rows, near)
+        return support
+
+    def _support(self, present: Mask, rows: NDArray[np.int64], parts: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Return the shares of the contact area of some parts that touch parts now present."""
+        support = np.zeros(np.broadcast_shapes(rows.shape, parts.shape), dtype=np.float32)
+        for k in range(self._other.shape[1]):
+            support += self._share[parts, k] * present[rows, self._other[parts, k]]
+        return support
 
 
 class NoveltyGuide:

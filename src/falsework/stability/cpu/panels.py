@@ -194,7 +194,7 @@ def factor_panels(supernode, panels, symmetric):
 @njit(fastmath=True, cache=True)
 def solve_panels(panels, x):
     """Solve with the factors made by `factor_panels`, in place; `x` has shape (n, 6)."""
-    upper, lower, y = panels.upper, panels.lower, panels.strip
+    lower, y = panels.lower, panels.strip
     panel, width, own = panels.panel, panels.width, panels.own
     member_start, member = panels.member_start, panels.member
     for s in range(len(own)):
@@ -210,6 +210,39 @@ def solve_panels(panels, x):
                     x[member[begin + m], r] = y[6 * m + r]
                 else:
                     x[member[begin + m], r] += y[6 * m + r]
+    _solve_upper(panels, x)
+
+
+@njit(fastmath=True, cache=True)
+def solve_symmetric(panels, x):
+    """Solve with the factors of a symmetric matrix, in place; reads the upper panels alone, half of the memory."""
+    upper, y = panels.upper, panels.strip
+    panel, width, own = panels.panel, panels.width, panels.own
+    member_start, member = panels.member_start, panels.member
+    for s in range(len(own)):
+        begin, members, wide = member_start[s], member_start[s + 1] - member_start[s], width[s]
+        for m in range(members if own[s] else 0):
+            for r in range(6):
+                y[6 * m + r] = x[member[begin + m], r] if m < own[s] else 0.0
+        for i in range(own[s]):
+            at, columns = panel[s] + 6 * i * (wide + 1), 6 * (members - i - 1)
+            t0, t1, t2, t3, t4, t5 = _pivot_product(upper, at, wide, y, 6 * i)
+            _subtract_rows(upper, at + 6, wide, t0, t1, t2, t3, t4, t5, y, 6 * i + 6, columns)
+        for m in range(members if own[s] else 0):
+            for r in range(6):
+                if m < own[s]:
+                    x[member[begin + m], r] = y[6 * m + r]
+                else:
+                    x[member[begin + m], r] += y[6 * m + r]
+    _solve_upper(panels, x)
+
+
+@njit(fastmath=True)
+def _solve_upper(panels, x):
+    """Solve with the upper factor in place."""
+    upper, y = panels.upper, panels.strip
+    panel, width, own = panels.panel, panels.width, panels.own
+    member_start, member = panels.member_start, panels.member
     for s in range(len(own) - 1, -1, -1):
         begin, members, wide = member_start[s], member_start[s + 1] - member_start[s], width[s]
         for m in range(members if own[s] else 0):
@@ -222,22 +255,43 @@ def solve_panels(panels, x):
                 x[member[begin + i], r] = y[6 * i + r]
 
 
+@njit(inline="always", fastmath=True)
+def _pivot_product(upper, place, width, y, i):
+    """Return an inverted pivot times six entries of `y`; the pivot is symmetric."""
+    w, p0 = np.uint64(width), np.uint64(place)
+    t0, t1, t2, t3, t4, t5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for r in range(np.uint64(6)):
+        v, p = y[np.uint64(i) + r], p0 + r * w
+        t0 += upper[p] * v
+        t1 += upper[p + np.uint64(1)] * v
+        t2 += upper[p + np.uint64(2)] * v
+        t3 += upper[p + np.uint64(3)] * v
+        t4 += upper[p + np.uint64(4)] * v
+        t5 += upper[p + np.uint64(5)] * v
+    return t0, t1, t2, t3, t4, t5
+
+
+@njit(inline="always", fastmath=True)
+def _subtract_rows(panel, place, width, y0, y1, y2, y3, y4, y5, y, start, columns):
+    """Subtract six rows of a panel, each times a number, from entries of `y` from `start` on."""
+    w, p0, below = np.uint64(width), np.uint64(place), np.uint64(start)
+    p1, p2, p3 = p0 + w, p0 + w + w, p0 + w + w + w
+    p4, p5 = p3 + w, p3 + w + w
+    for j in range(np.uint64(columns)):
+        y[below + j] -= (
+            panel[p0 + j] * y0
+            + panel[p1 + j] * y1
+            + panel[p2 + j] * y2
+            + panel[p3 + j] * y3
+            + panel[p4 + j] * y4
+            + panel[p5 + j] * y5
+        )
+
+
 @njit(fastmath=True)
 def _spread(lower, place, width, y, i, columns):
     """Subtract a block row, transposed, times six entries of `y` from those that follow."""
-    w, p0, below = np.uint64(width), np.uint64(place), np.uint64(i + 6)
-    p1, p2, p3 = p0 + w, p0 + w + w, p0 + w + w + w
-    p4, p5 = p3 + w, p3 + w + w
-    y0, y1, y2, y3, y4, y5 = y[i], y[i + 1], y[i + 2], y[i + 3], y[i + 4], y[i + 5]
-    for j in range(np.uint64(columns)):
-        y[below + j] -= (
-            lower[p0 + j] * y0
-            + lower[p1 + j] * y1
-            + lower[p2 + j] * y2
-            + lower[p3 + j] * y3
-            + lower[p4 + j] * y4
-            + lower[p5 + j] * y5
-        )
+    _subtract_rows(lower, place, width, y[i], y[i + 1], y[i + 2], y[i + 3], y[i + 4], y[i + 5], y, i + 6, columns)
 
 
 @njit(fastmath=True)

@@ -13,13 +13,24 @@ import numpy as np
 from falsework.stability.cpu.admm import factor_admm, run_admm
 from falsework.stability.cpu.cones import project_joint
 from falsework.stability.cpu.interior_point import run_interior
-from falsework.stability.cpu.layout import add_wrench, load_forces, make_scratch, restrict, store_forces
+from falsework.stability.cpu.layout import (
+    FAST,
+    add_pair_wrench,
+    add_wrench,
+    load_forces,
+    make_scratch,
+    restrict,
+    set_gravity,
+    store_forces,
+)
 from falsework.stability.cpu.neighbourhood import hold_far_parts
-from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED, check_primal
+from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED, residual_of_part
 from falsework.utils.kernels import njit
 
 REPAIR_RINGS = (2, 4, 8)
 """Distances from a changed part in contacts within which forces may change, tried in turn."""
+_ROUNDING = 1e-12
+"""Distance of forces from their cones, as a share of them, that is left to rounding."""
 
 
 @njit(cache=True)
@@ -53,17 +64,54 @@ def _keep_border(structure, state, near, work, pairs, forces):
     return kept, grounded
 
 
-@njit(cache=True)
-def _accept_forces(structure, state, options, work, forces):
-    """Return the residual of contact forces in N in a state; moves them into their cones, and clears the others."""
-    pairs, _ = restrict(structure, state, work)
-    z, mu, stick, cone = work.z, work.friction, work.stick, structure.cone
-    load_forces(structure, work, pairs, forces, z)
-    for j in range(work.start[pairs]):
-        z[j, 0], z[j, 1], z[j, 2] = project_joint(cone, z[j, 0], z[j, 1], z[j, 2], mu[j], stick[j])
-    forces[:] = 0.0
-    store_forces(structure, work, pairs, forces)
-    return check_primal(structure, work, pairs, z, options, work.residual)
+@njit(fastmath=FAST, cache=True)
+def _accept_forces(structure, state, options, residual, forces):
+    """Return the residual of contact forces in N in a state; moves them into their cones, and clears the others.
+
+    Forces that are in their cones up to rounding are left as they are, bit by bit.
+    """
+    parts, first, basis, scale = structure.pair_parts, structure.pair_start, structure.basis, structure.force_scale
+    friction, pull, stick, cone = structure.friction, structure.pull, structure.stick, structure.cone
+    transfer_a, transfer_b = structure.transfer_a, structure.transfer_b
+    pull_a, pull_b = structure.pull_a, structure.pull_b
+    position, order = structure.elimination.position, structure.elimination.order
+    set_gravity(structure, state, residual)
+    pressed, pulled = 0.0, 0.0
+    for q in range(len(parts)):
+        part_a, part_b = parts[q, 0], parts[q, 1]
+        if state[part_a] == 0 or state[part_b] == 0 or (state[part_a] == 2 and state[part_b] == 2):
+            for j in range(first[q], first[q + 1]):
+                forces[j, 0], forces[j, 1], forces[j, 2] = 0.0, 0.0, 0.0
+            continue
+        a0, a1, a2, a3, a4, a5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for j in range(first[q], first[q + 1]):
+            u0, u1, u2 = forces[j, 0] / scale[j] + pull[j], forces[j, 1] / scale[j], forces[j, 2] / scale[j]
+            f0, f1, f2 = project_joint(cone, u0, u1, u2, friction[j], stick[j])
+            if abs(f0 - u0) + abs(f1 - u1) + abs(f2 - u2) > _ROUNDING * (abs(u0) + abs(u1) + abs(u2)):
+                forces[j, 0], forces[j, 1], forces[j, 2] = (f0 - pull[j]) * scale[j], f1 * scale[j], f2 * scale[j]
+            pressed += f0 * scale[j]
+            pulled += pull[j] * scale[j]
+            a0 += basis[j, 0, 0] * f0 + basis[j, 0, 1] * f1 + basis[j, 0, 2] * f2
+            a1 += basis[j, 1, 0] * f0 + basis[j, 1, 1] * f1 + basis[j, 1, 2] * f2
+            a2 += basis[j, 2, 0] * f0 + basis[j, 2, 1] * f1 + basis[j, 2, 2] * f2
+            a3 += basis[j, 3, 0] * f0 + basis[j, 3, 1] * f1 + basis[j, 3, 2] * f2
+            a4 += basis[j, 4, 0] * f0 + basis[j, 4, 1] * f1 + basis[j, 4, 2] * f2
+            a5 += basis[j, 5, 0] * f0 + basis[j, 5, 1] * f1 + basis[j, 5, 2] * f2
+        a = position[part_a] if state[part_a] == 1 else -1
+        b = position[part_b] if state[part_b] == 1 else -1
+        add_pair_wrench(transfer_a, transfer_b, q, a, b, a0, a1, a2, a3, a4, a5, residual)
+        for r in range(6):
+            if a >= 0:
+                residual[a, r] += pull_a[q, r]
+            if b >= 0:
+                residual[b, r] += pull_b[q, r]
+    if pressed > options.force_bound * structure.weight + pulled:
+        return np.inf
+    worst = 0.0
+    for j in range(len(order)):
+        if state[order[j]] == 1:
+            worst = max(worst, residual_of_part(structure, order[j], residual, j))
+    return worst
 
 
 @njit(cache=True)
@@ -82,7 +130,7 @@ def repair_state(structure, state, parent, rings, options, work, near, forces):
         `STABLE` or `UNDECIDED`; residual; ADMM iterations; interior-point steps.
     """
     bound, spent, taken = (1.0 - MARGIN) * options.tolerance, 0, 0
-    residual = _accept_forces(structure, state, options, work, forces)
+    residual = _accept_forces(structure, state, options, work.residual, forces)
     if residual < bound:
         return STABLE, residual, spent, taken
     for ring in rings:
@@ -104,7 +152,7 @@ def repair_state(structure, state, parent, rings, options, work, near, forces):
         if verdict != STABLE:
             continue
         store_forces(structure, work, pairs, forces)
-        residual = _accept_forces(structure, state, options, work, forces)
+        residual = _accept_forces(structure, state, options, work.residual, forces)
         if residual < bound:
             return STABLE, residual, spent, taken
         break  # the forces farther away do not balance their parts

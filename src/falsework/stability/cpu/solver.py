@@ -23,8 +23,11 @@ _TASK = 16
 """States per task of a thread: few enough to balance the load, enough to hide the cost of a call."""
 _LARGE = 200
 """Parts from which ADMM, where it begins with forces of a state near by, has these options ..."""
-_FROM_FORCES = {"rho": 3e-4, "relaxation": 1.6, "iterations": 150}
-"""... so that interior point steps, each with a factorization, are mostly not needed."""
+_FROM_FORCES = {"rho": 3e-4, "relaxation": 1.6, "iterations": 150, "interior_steps": 0}
+"""... so that interior point steps, each with a factorization, are mostly not needed. From there they often fail: they
+follow forces that grow beyond their bound."""
+_FROM_REST = {"iterations": 10, "interior_steps": 60}
+"""Options of a second attempt, from zero forces: interior point steps from near the middle of the cones."""
 
 
 def kernel_options(settings: StabilitySettings) -> Options:
@@ -72,7 +75,9 @@ class CpuSolver:
         self.settings = settings
         self.structure = build_structure(problem)
         self._options = kernel_options(settings)
-        self._from_forces = self._options._replace(**_FROM_FORCES) if problem.parts >= _LARGE else self._options
+        large = problem.parts >= _LARGE
+        self._from_forces = self._options._replace(**_FROM_FORCES) if large else self._options
+        self._from_rest = self._options._replace(**_FROM_REST) if large else self._options
         self._workers = Workers(settings.cpu.threads)
 
     def check(
@@ -125,8 +130,8 @@ class CpuSolver:
                 if known[rows].any() and not repair_range(*kernel, *near, *found):
                     return
             solve_range(*kernel, self._from_forces if warm else self._options, force, motion, warm, *found)
-            if warm and (found[0] == UNDECIDED).any():  # the interior point method may stall near the cones
-                solve_range(*kernel, self._options, force, motion, not warm, *found)
+            if warm and (found[0] == UNDECIDED).any():
+                solve_range(*kernel, self._from_rest, force, motion, not warm, *found)
 
         self._workers.run(work, batch)
         if verdicts.forces is not None and forces is not verdicts.forces:

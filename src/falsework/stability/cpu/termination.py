@@ -30,6 +30,19 @@ class Options(NamedTuple):
     force_bound: float
 
 
+@njit(inline="always", fastmath=FAST)
+def residual_of_part(structure, part, residual, j):
+    """Return the largest acceleration of a part, as a share of gravity, from row `j` of the whitened residual."""
+    turn, measure = structure.acceleration, structure.measure
+    worst = 0.0
+    for r in range(6):
+        total = 0.0
+        for c in range(6):
+            total += turn[part, r, c] * residual[j, c]
+        worst = max(worst, abs(total) * measure[part, r // 3])
+    return worst
+
+
 @njit(fastmath=FAST, cache=True)
 def check_primal(structure, work, pairs, forces, options, residual):
     """Return the residual that forces of the cone leave; infinity if they exceed the force bound.
@@ -38,18 +51,11 @@ def check_primal(structure, work, pairs, forces, options, residual):
     """
     set_load(work, residual)
     add_wrenches(structure, work, pairs, forces, residual)
-    free, order, turn, scale = work.free, structure.elimination.order, structure.acceleration, work.force_scale
-    measure = structure.measure
+    free, order, scale = work.free, structure.elimination.order, work.force_scale
     worst = 0.0
     for j in range(len(free)):
-        if not free[j]:
-            continue
-        part = order[j]
-        for r in range(6):
-            total = 0.0
-            for c in range(6):
-                total += turn[part, r, c] * residual[j, c]
-            worst = max(worst, abs(total) * measure[part, r // 3])
+        if free[j]:
+            worst = max(worst, residual_of_part(structure, order[j], residual, j))
     pressed = 0.0
     for j in range(work.start[pairs]):
         pressed += forces[j, 0] * scale[j]
