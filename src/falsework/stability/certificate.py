@@ -249,7 +249,7 @@ class _Geometry(NamedTuple):
     part_a: NDArray[np.int32]
     """Shape (points,)."""
     part_b: NDArray[np.int32]
-    inverse_inertia: Array
+    inverse_inertia: NDArray[np.floating]
     """Shape (parts, 3, 3), 1 / (kg m2)."""
     gyration: Array
     """Largest radius of gyration of each part, shape (parts,), m."""
