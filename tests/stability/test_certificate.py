@@ -26,7 +26,7 @@ from falsework.stability import (
     Verdicts,
     verify_certificates,
 )
-from falsework.stability.certificate import residual_bound_of_velocity, residual_of_forces
+from falsework.stability.certificate import forces_of_displacement, residual_bound_of_velocity, residual_of_forces
 from falsework.stability.problem import build_problem
 from falsework.stability.reference.conic_program import into_cone
 from falsework.stability.settings import EQUILIBRIUM
@@ -360,3 +360,26 @@ def test_rounding_that_is_forgiven_carries_nothing(scenes: Any, cone: str) -> No
     held = Stability(wider, settings).check(complete_state(assembly.boundary))
     assert held.stable[0]
     assert not verify_certificates(assembly, complete_state(assembly.boundary)[None], held, claim)[0]
+
+
+def test_no_contact_feels_parts_that_move_as_one_body() -> None:
+    assembly = library.build("arch:blocks=7,thickness=0.25")
+    states, turn = complete_state(assembly.boundary)[None], 1e-6 * np.array([0.3, -0.7, 0.5])
+    motion = np.tile(np.concatenate([1e-6 * np.array([0.2, 0.9, -0.4]), turn]), (1, assembly.part_count, 1))
+    motion[..., :3] += np.cross(turn, assembly.mass.center)
+    claim = StabilityCriterion(criterion="contact", cone="quadratic")
+    still = forces_of_displacement(assembly, states, motion, claim)
+    motion[0, 3, 0] += 1e-6
+    assert np.abs(still).max() < 1e-9 * np.abs(forces_of_displacement(assembly, states, motion, claim)).max()
+
+
+def test_contacts_of_other_masses_are_checked_anew() -> None:
+    """Twice the density and twice the forces leave the same residual."""
+    assembly = library.build("arch:blocks=7,thickness=0.25")
+    states, points = complete_state(assembly.boundary)[None], len(assembly.contacts.points)
+    forces = np.zeros((1, points, 3))
+    forces[0, :, 0] = np.random.default_rng(0).uniform(0.0, 100.0, points)
+    twice = assembly.replace(density=2.0 * assembly.density)
+    assert twice.contacts is assembly.contacts
+    residual = residual_of_forces(assembly, states, forces)
+    np.testing.assert_allclose(residual_of_forces(twice, states, 2.0 * forces), residual, rtol=1e-12)
