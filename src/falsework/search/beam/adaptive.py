@@ -56,6 +56,8 @@ class AdaptiveSettings:
     """Which end to begin at."""
     width: int = 1
     """Width to begin with and to return to after every hard place."""
+    compact: bool = False
+    """Let robots work in one place, see `BeamSettings`."""
     seed: int = 0
     """Same seed, same machine, same result."""
 
@@ -71,6 +73,7 @@ class AdaptiveSettings:
             diversity="none",
             lookahead=max(_FARTHER_LOOKAHEAD if number else _LOOKAHEAD_STATES, _LOOKAHEAD_PER_WIDTH * width),
             commit=width == 1,
+            compact=self.compact,
             retries=0,
             disorder=_DISORDER * trial,
             avoided=avoided,
@@ -115,11 +118,19 @@ class AdaptiveBeam:
         """Whether the search is dead with no state left out: there is no plan."""
         return self.search.done and not self.search.found and self.search.exhaustive
 
-    def run(self, widest: int, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
+    def run(
+        self,
+        widest: int,
+        *,
+        deaths: int | None = None,
+        progress: Progress | None = None,
+        stop: Stop | None = None,
+    ) -> SearchResult:
         """Search until the goal is reached, a beam wider than `widest` would be needed, or `stop` returns true.
 
         Args:
             widest: limit on the width, except near by where the beam dies; run again with a larger one to go on.
+            deaths: limit on how often the beam comes back from where it died, earlier runs included.
             progress: called after every level.
             stop: asked before every level.
         """
@@ -139,7 +150,7 @@ class AdaptiveBeam:
                 self.search.rewind(len(self.search.levels) - 1, self.settings.beam())
             elif result.interrupted or result.found or self.infeasible:
                 return result
-            elif not self._widen(widest):
+            elif (deaths is not None and self._deaths >= deaths) or not self._widen(widest):
                 if not result.undecided and not result.sliding:
                     limit = f"beams up to a width of {self.search.settings.width} died; wider ones may come through"
                     result = replace(result, limit=limit)
@@ -155,6 +166,7 @@ class AdaptiveBeam:
             "left": list(self._left.items()),
             "base": self.settings.width,
             "base_seed": self.settings.seed,
+            "base_compact": self.settings.compact,
         }, arrays
 
     @classmethod
@@ -173,7 +185,8 @@ class AdaptiveBeam:
             KeyError, TypeError, ValueError: not what `pack` returned for this task.
         """
         direction = Direction(header["settings"]["direction"])
-        beam = cls(task, oracle, AdaptiveSettings(direction, int(header["base"]), int(header["base_seed"])))
+        base = int(header["base"]), bool(header["base_compact"]), int(header["base_seed"])
+        beam = cls(task, oracle, AdaptiveSettings(direction, *base))
         beam.search = BeamSearch.unpack(header, arrays, task, oracle, guide=guide)
         for name in _PLACE:
             setattr(beam, f"_{name}", int(header["adaptive"][name]))

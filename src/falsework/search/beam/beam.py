@@ -136,6 +136,7 @@ class BeamSearch(LevelSearch):
                 confirmed,
                 commit=settings.commit,
                 in_turn=settings.number > 0,
+                compact=settings.compact,
             )
         else:
             choice = selector.all_judged(self._judge, settings.width)

@@ -24,6 +24,8 @@ _THOROUGH_WIDTH = 64
 """States wanted from which all moves are tried: beams so wide are to prove that there is no plan."""
 _TRIED_AGAIN = 16
 """Moves that failed before which a beam of width 1 tries at a level at most."""
+_NEAR_CONTACTS = 2
+"""Contacts, one after the other, between two parts that are near each other."""
 _TURN = 4
 """Candidates that come from one state in a turn."""
 _EXAMINED = 1024
@@ -102,6 +104,7 @@ class Selector:
         *,
         commit: bool,
         in_turn: bool = False,
+        compact: bool = False,
     ) -> Selection:
         """Ask only until `width` states are found stable; keep `lookahead` more that a fixed part leads to.
 
@@ -116,6 +119,7 @@ class Selector:
                 rest with the contact history of that way.
             commit: once `width` are found, drop states that keep more robots busy than these.
             in_turn: take those in which every robot holds a part in turn over the states of the level.
+            compact: fix only parts near those that robots hold, wherever they hold any.
         """
         frontier = self.frontier
         held = frontier.held()
@@ -123,7 +127,8 @@ class Selector:
         promise = self.score - held * (np.ptp(self.score) + 1.0 if len(held) else 1.0)
         loose = self.order(np.flatnonzero(~frontier.fixing), promise, width)
         proven, rejected = self._likely_ones(judge, loose, width, confirmed)
-        fixed = self.order(np.flatnonzero(frontier.fixing), promise, lookahead)
+        fixing = np.flatnonzero(frontier.fixing)
+        fixed = self.order(self._near_held(fixing) if compact else fixing, promise, lookahead)
         if commit and len(proven) >= width:
             fixed = fixed[held[fixed] <= held[proven].max()]
         if in_turn and len(fixed) > lookahead:
@@ -131,6 +136,18 @@ class Selector:
         if self.failures is not None and width < _THOROUGH_WIDTH:
             fixed = self._hopeful_first(fixed, lookahead, self.failures)
         return self._selection(np.concatenate([proven, fixed[:lookahead]]), rejected)
+
+    def _near_held(self, fixing: Rows) -> Rows:
+        """Return candidates in which a part is fixed near one that robots hold, or that none is held before."""
+        task = self.frontier.task
+        if task.neighbours is None:
+            return fixing
+        held = (self.frontier.level == HELD) & ~task.boundary
+        near, beside = held.astype(np.float32), task.neighbours.astype(np.float32)
+        for _ in range(_NEAR_CONTACTS):
+            near = ((near + near @ beside) > 0).astype(np.float32)
+        near[~held.any(axis=1)] = 1.0
+        return fixing[near[self.frontier.parent[fixing], self.frontier.action[fixing] % task.part_count] > 0]
 
     def _in_turn(self, fixed: Rows, held: NDArray[np.int64]) -> Rows:
         """Return candidates in which every robot holds a part in turn over the states that they come from.
