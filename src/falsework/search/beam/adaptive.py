@@ -20,6 +20,8 @@ _CHAINS = 8
 """Times in a row that the beam comes back from where its last chain of held parts began, with another one."""
 _TURNS = 2
 """Times that the end of each such chain goes another way, from before the part was fixed that no robot let go of."""
+_FAR_LEVELS = 128
+"""Levels before a chain at most from which it begins anew where one of many robots has been bound since then."""
 _TRIALS = 3
 """Times that it then comes back from farther, with the parts in which those chains began first and with other random
 preferences, before it is widened; each time as many other chains are tried there."""
@@ -208,14 +210,17 @@ class AdaptiveBeam:
             self._return_before(late)
             return True
         (begun, part), binding = search.chain(), search.binding()
-        if binding is not None and binding[0] < begun:  # one robot was bound all along, and the other laid the rest
-            begun, part = binding
+        early = sum(fixed < begun for fixed, _ in binding)
+        if early and (early >= search.task.robots - 1 or begun - binding[0][0] <= _FAR_LEVELS):
+            begun, part = binding[0]  # robots were bound all along, and one laid the rest
+        else:
+            binding = binding[early:]
         if begun > self._chain_from and level > self._farthest + 2:
             self._failures = self._retreats = 0
         back, turned = begun, False
-        if binding is not None and binding[0] > begun and self._turns < _TURNS:
-            turned = binding[1] not in self._tried_from(binding[0])
-            back, part = binding if turned else (begun, part)
+        if binding and binding[0][0] > begun and self._turns < _TURNS:
+            turned = binding[0][1] not in self._tried_from(binding[0][0])
+            back, part = binding[0] if turned else (begun, part)
         tried = self._tried_from(back)
         again = part in tried
         if not again:
