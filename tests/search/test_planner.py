@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +84,40 @@ def test_resuming_changes_nothing(rules: Any, tmp_path: Path, seed: int, alterna
     for mine, theirs in zip(result.routes, expected.routes, strict=True):
         assert np.array_equal(mine.states, theirs.states)
     assert np.array_equal(planner.states, whole.states)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_resuming_a_search_in_one_place_changes_nothing(
+    rules: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int
+) -> None:
+    monkeypatch.setattr("falsework.search.settings._FREE_DEATHS", 0)
+    oracle, _ = rules.random(seed, 8)
+    row = np.stack([np.arange(7), np.arange(1, 8)], axis=1)
+    task = Task.create(rules.ground(8), 2, contacts=row)
+    expected = Planner(task, oracle).run()
+    planner, path = Planner(task, oracle), tmp_path / "planner.npz"
+    while True:
+        calls = iter(range(3))
+        result = planner.run(stop=lambda calls=calls: next(calls, None) is None)
+        if not result.interrupted:
+            break
+        planner.save(path)
+        planner = Planner.load(path, task, oracle)
+    assert result.outcome is expected.outcome
+    assert result.found == (rules.enumeration(task, oracle).count() > 0)
+    assert result.counters == expected.counters
+
+
+def test_a_beam_in_one_place_has_its_turn_where_the_first_died_often() -> None:
+    attempts = PlannerSettings().attempts(compact=True)
+    first, second, third = attempts[:3]
+    assert (first.direction, first.width, first.compact) == (Direction.ASSEMBLY, 1, False)
+    assert second == replace(first, compact=True, deaths=second.deaths)
+    assert third == replace(first, deaths=None)
+    assert attempts[2:] == PlannerSettings().attempts()
+    backwards = PlannerSettings(directions=(Direction.DISASSEMBLY,))
+    assert backwards.attempts(compact=True) == backwards.attempts()
+    assert not any(attempt.compact for attempt in PlannerSettings().attempts("alternatives", compact=True))
 
 
 def test_a_checkpoint_of_another_search_is_refused(rules: Any, tmp_path: Path) -> None:

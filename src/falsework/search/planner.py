@@ -28,10 +28,10 @@ from falsework.search.problem.result import (
     unstable_end,
 )
 from falsework.search.problem.task import Direction, Task
-from falsework.search.settings import PlannerSettings
+from falsework.search.settings import Attempt, PlannerSettings
 from falsework.utils.archive import read_archive, write_archive
 
-FORMAT = "falsework.planner/5"
+FORMAT = "falsework.planner/6"
 
 _MOST_FALLS = 64
 """Number of routes with a failing replay before an attempt is given up."""
@@ -80,7 +80,7 @@ class Planner:
         self._guide = guide
         self._stage = "plan"
         self._attempt = 0
-        self._beams: dict[Direction, AdaptiveBeam] = {}
+        self._beams: dict[str, AdaptiveBeam] = {}
         self._rank = 0
         self._trial: tuple[int, ...] = (0,) * len(task.missing)
         self._trial_reached = -1
@@ -152,9 +152,9 @@ class Planner:
     def save(self, path: Path | str) -> None:
         """Write the current search, to be resumed by `load`."""
         beams, arrays = {}, {}
-        for direction, beam in self._beams.items():
-            beams[direction.value], packed = beam.pack()
-            arrays |= {f"{direction.value}_{name}": array for name, array in packed.items()}
+        for key, beam in self._beams.items():
+            beams[key], packed = beam.pack()
+            arrays |= {f"{key}_{name}": array for name, array in packed.items()}
         header = {
             "task": self.task.to_dict(),
             "settings": _settings_header(self.settings),
@@ -213,18 +213,19 @@ class Planner:
         for name, packed in header["beams"].items():
             inner = {key.removeprefix(f"{name}_"): array for key, array in arrays.items() if key.startswith(f"{name}_")}
             beam = AdaptiveBeam.unpack(packed, inner, task, self._oracle, guide=self._beam_guide())
-            self._beams[Direction(name)] = beam
+            self._beams[name] = beam
 
     def _advance(self, report: Progress, stop: Stop | None) -> bool:
         """Run the current attempt to its end and decide on the next; True if it was interrupted."""
-        direction, width = self.settings.attempts(self._stage)[self._attempt]
-        if direction not in self._beams:
+        attempt = self._attempts[self._attempt]
+        key = "compact" if attempt.compact else attempt.direction.value
+        if key not in self._beams:
             narrowest = min(_NOVEL_WIDTH if self._stage == "alternatives" else 1, self.settings.width)
-            settings = AdaptiveSettings(direction, narrowest, self.settings.seed)
+            settings = AdaptiveSettings(attempt.direction, narrowest, attempt.compact, self.settings.seed)
             task = self.task.postpone(self._trial)
-            self._beams[direction] = AdaptiveBeam(task, self._oracle, settings, guide=self._beam_guide())
-        beam = self._beams[direction]
-        result = beam.run(width, progress=report, stop=stop)
+            self._beams[key] = AdaptiveBeam(task, self._oracle, settings, guide=self._beam_guide())
+        beam = self._beams[key]
+        result = beam.run(attempt.width, deaths=attempt.deaths, progress=report, stop=stop)
         if result.interrupted:
             return True
         if self._stage == "alternatives":
@@ -313,8 +314,14 @@ class Planner:
                 self._high = max(min(self._high, self._trial_reached + 1), self.postponed[self._rank] + 1)
             self._next_trial(begin=False)
 
+    @property
+    def _attempts(self) -> tuple[Attempt, ...]:
+        # A single robot is nowhere near another, and what is near is known from the contacts.
+        compact = self.task.robots > 1 and self.task.neighbours is not None
+        return self.settings.attempts(self._stage, compact=compact)
+
     def _last_attempt_failed(self) -> bool:
-        return self._attempt == len(self.settings.attempts(self._stage))
+        return self._attempt == len(self._attempts)
 
     def _finish(self) -> None:
         self._drop_beams()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from falsework.errors import InputError
 from falsework.search.problem.task import Direction
@@ -16,6 +16,26 @@ _OTHER_WIDTH = 16
 """Widest beam for a plan unlike others."""
 _TRIAL_WIDTH = 4
 """Widest beam for a plan with missing parts later: independent of the width for the first plan."""
+
+
+_FREE_DEATHS = 16
+"""Times that the first beam dies before one is tried in which robots work in one place ..."""
+_COMPACT_DEATHS = 64
+"""... and times that this one dies before the first goes on."""
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """Search with beams up to a width from one end."""
+
+    direction: Direction
+    """Which end to begin at."""
+    width: int
+    """Widest beam."""
+    compact: bool = False
+    """Let robots work in one place, see `BeamSettings`."""
+    deaths: int | None = None
+    """Times that the beam dies before the next attempt; another attempt may go on with it."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +62,12 @@ class PlannerSettings:
         if self.alternatives < 1:
             raise InputError(f"{self.alternatives} alternatives is not a number of plans; ask for at least 1")
 
-    def attempts(self, stage: str = "plan") -> tuple[tuple[Direction, int], ...]:
-        """Return the ends to search from and the maximum beam widths, in the order of the attempts.
+    def attempts(self, stage: str = "plan", *, compact: bool = False) -> tuple[Attempt, ...]:
+        """Return attempts in their order.
 
         Args:
             stage: `plan`, `postpone` or `alternatives`.
+            compact: in stage `plan`, have a beam in which robots work in one place try early on.
         """
         first = {"plan": _FIRST_WIDTH, "postpone": _TRIAL_WIDTH, "alternatives": _OTHER_WIDTH}[stage]
         widths = [min(first, self.width)]
@@ -56,4 +77,9 @@ class PlannerSettings:
         if stage == "alternatives":
             # Disassembly leaves more freedom in the order of removal than assembly.
             directions = tuple(sorted(directions, key=lambda direction: direction is not Direction.DISASSEMBLY))
-        return tuple((direction, width) for width in widths for direction in directions)
+        attempts = [Attempt(direction, width) for width in widths for direction in directions]
+        if compact and stage == "plan" and Direction.ASSEMBLY in directions:
+            free = directions.index(Direction.ASSEMBLY)
+            first_beam = replace(attempts[free], deaths=_FREE_DEATHS)
+            attempts[free:free] = [first_beam, replace(first_beam, compact=True, deaths=_COMPACT_DEATHS)]
+        return tuple(attempts)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from typing import Any
 
@@ -67,7 +68,7 @@ def test_comes_back_before_what_robots_are_bound_to(rules: Any) -> None:
     search.run()
     assert search.done
     assert not search.found
-    assert search.binding() == (0, 7)
+    assert search.binding() == [(0, 7)]
     assert search.chain() == (0, 7)
     assert np.array_equal(search.before(0), task.target)
     search.rewind(0, replace(search.settings, avoided=(7,)))
@@ -78,11 +79,11 @@ def test_comes_back_before_what_robots_are_bound_to(rules: Any) -> None:
 def test_nothing_is_bound_where_states_hold_different_parts(rules: Any) -> None:
     task = Task.create(rules.ground(5), 2)
     search = AdaptiveBeam(task, rules.blocks(5), AdaptiveSettings()).search
-    assert search.binding() is None
+    assert search.binding() == []
     assert search.chain() == (0, -1)
     search.step()
     assert len(search.levels[-1].states) > 1
-    assert search.binding() is None
+    assert search.binding() == []
 
 
 @pytest.mark.parametrize("retreats", range(10))
@@ -109,6 +110,45 @@ def test_tries_each_chain_once(rules: Any) -> None:
     assert beam.search.settings.avoided == (7,)
     assert beam._tried == {task.target.tobytes().hex(): [7]}
     assert beam.run(1).found
+
+
+def test_a_limit_on_deaths_is_a_pause(rules: Any) -> None:
+    parts = 8
+    oracle = rules.blocks(parts)
+    oracle.supports[7] = [frozenset(range(1, 7))]
+    oracle.supports[1:7] = [[frozenset({part - 1})] for part in range(1, 7)]
+    beam = AdaptiveBeam(Task.create(rules.ground(parts), 1), oracle, AdaptiveSettings(), guide=misled)
+    beam.search.settings = replace(beam.search.settings, lookahead=1)
+    paused = beam.run(1, deaths=0)
+    assert paused.outcome is Outcome.NOT_FOUND
+    assert not paused.interrupted
+    assert beam.run(1).found
+
+
+def test_robots_work_in_one_place(rules: Any) -> None:
+    """Parts in a row that need both neighbours: the guide would hold parts far from each other."""
+    parts = 30
+    row = np.stack([np.arange(1, parts - 1), np.arange(2, parts)], axis=1)
+    task = Task.create(rules.ground(parts), 4, contacts=row)
+
+    def apart(states: Any, actions: Any, direction: Direction) -> Any:
+        return np.tile((np.arange(parts) * 7) % parts, 2)[None].repeat(len(states), axis=0)
+
+    def farthest(compact: bool) -> int:
+        """Return how many parts away from the next held one a part was fixed."""
+        search = AdaptiveBeam(task, rules.arch(parts), AdaptiveSettings(compact=compact), guide=apart).search
+        search.run()
+        most = 0
+        for before, level in itertools.pairwise(search.levels):
+            for state, parent in zip(level.states, before.states[level.parent], strict=True):
+                held = np.flatnonzero(parent[1:] == 2)
+                fixed = np.flatnonzero((state[1:] == 2) & (parent[1:] != 2))
+                if len(held) and len(fixed):
+                    most = max(most, int(np.abs(held - fixed[0]).min()))
+        return most
+
+    assert farthest(compact=True) == 2
+    assert farthest(compact=False) > 2
 
 
 def test_forgets_the_states_it_came_from_longest_ago(rules: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,6 +20,8 @@ _CHAINS = 8
 """Times in a row that the beam comes back from where its last chain of held parts began, with another one."""
 _TURNS = 2
 """Times that the end of each such chain goes another way, from before the part was fixed that no robot let go of."""
+_FAR_LEVELS = 128
+"""Levels before a chain at most from which it begins anew where one of many robots has been bound since then."""
 _TRIALS = 3
 """Times that it then comes back from farther, with the parts in which those chains began first and with other random
 preferences, before it is widened; each time as many other chains are tried there."""
@@ -56,6 +58,8 @@ class AdaptiveSettings:
     """Which end to begin at."""
     width: int = 1
     """Width to begin with and to return to after every hard place."""
+    compact: bool = False
+    """Let robots work in one place, see `BeamSettings`."""
     seed: int = 0
     """Same seed, same machine, same result."""
 
@@ -71,6 +75,7 @@ class AdaptiveSettings:
             diversity="none",
             lookahead=max(_FARTHER_LOOKAHEAD if number else _LOOKAHEAD_STATES, _LOOKAHEAD_PER_WIDTH * width),
             commit=width == 1,
+            compact=self.compact,
             retries=0,
             disorder=_DISORDER * trial,
             avoided=avoided,
@@ -115,11 +120,19 @@ class AdaptiveBeam:
         """Whether the search is dead with no state left out: there is no plan."""
         return self.search.done and not self.search.found and self.search.exhaustive
 
-    def run(self, widest: int, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
+    def run(
+        self,
+        widest: int,
+        *,
+        deaths: int | None = None,
+        progress: Progress | None = None,
+        stop: Stop | None = None,
+    ) -> SearchResult:
         """Search until the goal is reached, a beam wider than `widest` would be needed, or `stop` returns true.
 
         Args:
             widest: limit on the width, except near by where the beam dies; run again with a larger one to go on.
+            deaths: limit on how often the beam comes back from where it died, earlier runs included.
             progress: called after every level.
             stop: asked before every level.
         """
@@ -139,7 +152,7 @@ class AdaptiveBeam:
                 self.search.rewind(len(self.search.levels) - 1, self.settings.beam())
             elif result.interrupted or result.found or self.infeasible:
                 return result
-            elif not self._widen(widest):
+            elif (deaths is not None and self._deaths >= deaths) or not self._widen(widest):
                 if not result.undecided and not result.sliding:
                     limit = f"beams up to a width of {self.search.settings.width} died; wider ones may come through"
                     result = replace(result, limit=limit)
@@ -155,6 +168,7 @@ class AdaptiveBeam:
             "left": list(self._left.items()),
             "base": self.settings.width,
             "base_seed": self.settings.seed,
+            "base_compact": self.settings.compact,
         }, arrays
 
     @classmethod
@@ -173,7 +187,8 @@ class AdaptiveBeam:
             KeyError, TypeError, ValueError: not what `pack` returned for this task.
         """
         direction = Direction(header["settings"]["direction"])
-        beam = cls(task, oracle, AdaptiveSettings(direction, int(header["base"]), int(header["base_seed"])))
+        base = int(header["base"]), bool(header["base_compact"]), int(header["base_seed"])
+        beam = cls(task, oracle, AdaptiveSettings(direction, *base))
         beam.search = BeamSearch.unpack(header, arrays, task, oracle, guide=guide)
         for name in _PLACE:
             setattr(beam, f"_{name}", int(header["adaptive"][name]))
@@ -195,14 +210,17 @@ class AdaptiveBeam:
             self._return_before(late)
             return True
         (begun, part), binding = search.chain(), search.binding()
-        if binding is not None and binding[0] < begun:  # one robot was bound all along, and the other laid the rest
-            begun, part = binding
+        early = sum(fixed < begun for fixed, _ in binding)
+        if early and (early >= search.task.robots - 1 or begun - binding[0][0] <= _FAR_LEVELS):
+            begun, part = binding[0]  # robots were bound all along, and one laid the rest
+        else:
+            binding = binding[early:]
         if begun > self._chain_from and level > self._farthest + 2:
             self._failures = self._retreats = 0
         back, turned = begun, False
-        if binding is not None and binding[0] > begun and self._turns < _TURNS:
-            turned = binding[1] not in self._tried_from(binding[0])
-            back, part = binding if turned else (begun, part)
+        if binding and binding[0][0] > begun and self._turns < _TURNS:
+            turned = binding[0][1] not in self._tried_from(binding[0][0])
+            back, part = binding[0] if turned else (begun, part)
         tried = self._tried_from(back)
         again = part in tried
         if not again:

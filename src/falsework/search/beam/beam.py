@@ -136,6 +136,7 @@ class BeamSearch(LevelSearch):
                 confirmed,
                 commit=settings.commit,
                 in_turn=settings.number > 0,
+                compact=settings.compact,
             )
         else:
             choice = selector.all_judged(self._judge, settings.width)
@@ -221,23 +222,20 @@ class BeamSearch(LevelSearch):
                 here.grounded[waiting] = np.where(stable, 1, -1)
         return here.grounded[rows] > 0
 
-    def binding(self) -> tuple[int, int] | None:
-        """Return where the part was fixed that all states of the last level hold, of several the one held longest.
+    def binding(self) -> list[tuple[int, int]]:
+        """Return where the parts were fixed that all states of the last level hold.
 
         Returns:
-            The level before and the part; None where they hold no part in common.
+            The level before and the part, of each on the way to the best scored state; that held longest comes first.
         """
         held = (self.levels[-1].states == HELD) & (self.task.origin(self.settings.direction) != HELD)
-        common, row = held.all(axis=0), 0
+        common, row, found = held.all(axis=0), 0, []
         for level in range(len(self.levels) - 1, 0, -1):
-            if not common.any():
-                return None
             row = int(self.levels[level].parent[row])
             still = common & (self.levels[level - 1].states[row] == HELD)
-            if not still.any():
-                return level - 1, int(np.flatnonzero(common)[0])
+            found += [(level - 1, int(part)) for part in np.flatnonzero(common & ~still)]
             common = still
-        return None
+        return found[::-1]
 
     def chain(self) -> tuple[int, int]:
         """Return where the last chain of parts began that were held one after the other until the next ones carried it.

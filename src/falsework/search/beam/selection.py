@@ -24,6 +24,12 @@ _THOROUGH_WIDTH = 64
 """States wanted from which all moves are tried: beams so wide are to prove that there is no plan."""
 _TRIED_AGAIN = 16
 """Moves that failed before which a beam of width 1 tries at a level at most."""
+_NEAR_CONTACTS = 2
+"""Contacts, one after the other, between two parts that are near each other."""
+_FEW_ROBOTS = 4
+"""Where more robots hold parts, most of the time would go into moves that fail again and again ..."""
+_TRIED_AGAIN_EVERY = 8
+"""... so that they are tried again at one of so many levels, or where robots cannot fix another part instead."""
 _TURN = 4
 """Candidates that come from one state in a turn."""
 _EXAMINED = 1024
@@ -102,6 +108,7 @@ class Selector:
         *,
         commit: bool,
         in_turn: bool = False,
+        compact: bool = False,
     ) -> Selection:
         """Ask only until `width` states are found stable; keep `lookahead` more that a fixed part leads to.
 
@@ -116,14 +123,16 @@ class Selector:
                 rest with the contact history of that way.
             commit: once `width` are found, drop states that keep more robots busy than these.
             in_turn: take those in which every robot holds a part in turn over the states of the level.
+            compact: fix only parts near those that robots hold, wherever they hold any.
         """
         frontier = self.frontier
         held = frontier.held()
         # The gap between numbers of held parts is wider than all scores, so that it decides first.
         promise = self.score - held * (np.ptp(self.score) + 1.0 if len(held) else 1.0)
         loose = self.order(np.flatnonzero(~frontier.fixing), promise, width)
-        proven, rejected = self._likely_ones(judge, loose, width, confirmed)
-        fixed = self.order(np.flatnonzero(frontier.fixing), promise, lookahead)
+        fixing = np.flatnonzero(frontier.fixing)
+        fixed = self.order(self._near_held(fixing) if compact else fixing, promise, lookahead)
+        proven, rejected = self._likely_ones(judge, loose, width, confirmed, later=len(fixed) > 0)
         if commit and len(proven) >= width:
             fixed = fixed[held[fixed] <= held[proven].max()]
         if in_turn and len(fixed) > lookahead:
@@ -131,6 +140,18 @@ class Selector:
         if self.failures is not None and width < _THOROUGH_WIDTH:
             fixed = self._hopeful_first(fixed, lookahead, self.failures)
         return self._selection(np.concatenate([proven, fixed[:lookahead]]), rejected)
+
+    def _near_held(self, fixing: Rows) -> Rows:
+        """Return candidates in which a part is fixed near one that robots hold, or that none is held before."""
+        task = self.frontier.task
+        if task.neighbours is None:
+            return fixing
+        held = (self.frontier.level == HELD) & ~task.boundary
+        near, beside = held.astype(np.float32), task.neighbours.astype(np.float32)
+        for _ in range(_NEAR_CONTACTS):
+            near = ((near + near @ beside) > 0).astype(np.float32)
+        near[~held.any(axis=1)] = 1.0
+        return fixing[near[self.frontier.parent[fixing], self.frontier.action[fixing] % task.part_count] > 0]
 
     def _in_turn(self, fixed: Rows, held: NDArray[np.int64]) -> Rows:
         """Return candidates in which every robot holds a part in turn over the states that they come from.
@@ -164,9 +185,12 @@ class Selector:
         return np.concatenate([*hopeful, *hopeless, fixed])
 
     def _likely_ones(
-        self, judge: CountingOracle, waiting: Rows, wanted: int, confirmed: Confirmed
+        self, judge: CountingOracle, waiting: Rows, wanted: int, confirmed: Confirmed, *, later: bool
     ) -> tuple[Rows, Rows]:
-        """As `_stable_ones`; moves that failed before are tried only where too few of the others are stable."""
+        """As `_stable_ones`; moves that failed before are tried only where too few of the others are stable.
+
+        With many robots that is at some levels only, unless it is not `later` possible.
+        """
         if self.failures is None or not len(waiting):
             return self._stable_ones(judge, waiting, wanted, confirmed)
         frontier = self.frontier
@@ -175,13 +199,19 @@ class Selector:
         kept, rejected = self._stable_ones(judge, waiting[~failed], wanted, confirmed)
         enough = wanted if wanted >= _THOROUGH_WIDTH else -(-wanted // _ENOUGH)
         if len(kept) < enough and failed.any():
-            again = waiting[failed] if wanted > 1 else waiting[failed][:_TRIED_AGAIN]
+            again = waiting[failed] if wanted > 1 else waiting[failed][: 0 if later and self._waits else _TRIED_AGAIN]
             more, bad = self._stable_ones(judge, again, enough - len(kept), confirmed)
             kept, rejected = np.concatenate([kept, more]), np.concatenate([rejected, bad])
         for rows, stable in ((kept, True), (rejected, False)):
             place = np.isin(waiting, rows)
             self.failures.learn(keys[place], np.full(int(place.sum()), stable))
         return kept, rejected
+
+    @property
+    def _waits(self) -> bool:
+        """Whether a beam of width 1 tries no move again at this level."""
+        state, many = self.frontier.level[0], self.frontier.task.robots > _FEW_ROBOTS
+        return many and int((state != REMOVED).sum() + (state == INSTALLED).sum()) % _TRIED_AGAIN_EVERY > 0
 
     def _stable_ones(
         self, judge: CountingOracle, waiting: Rows, wanted: int, confirmed: Confirmed

@@ -27,6 +27,8 @@ class BeamSettings:
     this many more that need no verdict, so that the next level has a choice. Narrow beams then need few verdicts."""
     commit: bool = False
     """With `lookahead`: drop states that keep more robots busy than the `width` states found stable."""
+    compact: bool = False
+    """With `lookahead`: while robots hold parts, fix only parts near those, so that robots work in one place."""
     retries: int = 3
     """Times that a beam which died goes back some levels to choose again with other random numbers."""
     disorder: float = 0.0
