@@ -9,7 +9,6 @@ restarts.
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
@@ -35,6 +34,7 @@ from falsework.robots.planning.initial_keyframe import first_keyframe, task_in_c
 from falsework.robots.planning.shorter_motions import shorten_motions
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
+from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.guide import Guide, MemoizedGuide
 from falsework.search.problem.result import Outcome, SearchResult
 from falsework.search.problem.task import Task
@@ -109,7 +109,7 @@ class _Search:
         progress: Progress | None,
         graph: KeyframeGraph | None,
     ) -> None:
-        self.began = time.perf_counter()
+        self.clock = Deadline(settings.deadline)
         self.assembly, self.cell, self.oracle = assembly, cell, oracle
         self.settings, self.progress = settings, progress
         keyframes, present = settings.keyframes, None if task is None else task.start != REMOVED
@@ -132,7 +132,7 @@ class _Search:
         self.unreachable: list[int] | None = None
         self.fallen = ""
         """Where the replay of the last rejected plan fails, in words."""
-        self._reported = self.began
+        self._reported = 0.0
 
     def run(self, root: Node) -> HybridResult:
         """Find an abstract plan, then motions for it or for a similar one."""
@@ -140,7 +140,8 @@ class _Search:
         if not self.abstract.found:
             if self.solvability.fallen is not None:
                 self.fallen = fall_in_words("plan", *self.solvability.fallen, self.assembly.names)
-            outcome = self._abstract_outcome()
+            proven, late = self.abstract.outcome is Outcome.PROVED_IMPOSSIBLE, self.deadline_passed()
+            outcome = "proved_impossible" if proven else "interrupted" if late else "not_found"
             return self.failed(root, outcome, self.fallen or (_LATE if outcome == "interrupted" else ""))
         if self.task.steps == 0:
             return self.solved(root, [])
@@ -326,21 +327,13 @@ class _Search:
 
     def deadline_passed(self) -> bool:
         """Return whether the deadline has passed."""
-        limit = self.settings.deadline
-        return limit is not None and time.perf_counter() - self.began > limit
-
-    def _abstract_outcome(self) -> str:
-        assert self.abstract is not None
-        if self.abstract.outcome is Outcome.PROVED_IMPOSSIBLE:
-            return "proved_impossible"
-        return "interrupted" if self.deadline_passed() else "not_found"
+        return self.clock.passed
 
     def _report(self, dead_ends: int) -> None:
-        now = time.perf_counter()
+        now = self.clock.seconds
         if self.progress is not None and now - self._reported > 0.1:
             self._reported = now
-            reached = self._done(self.best)
-            self.progress(HybridProgress(reached, self.task.steps, self.attempt, dead_ends, now - self.began))
+            self.progress(HybridProgress(self._done(self.best), self.task.steps, self.attempt, dead_ends, now))
 
     def solved(self, root: Node, chain: list[Edge]) -> HybridResult:
         """Certify a chain of edges and compute its trajectories."""
@@ -380,7 +373,7 @@ class _Search:
         plan = self._timed(root, chain)
         if self.settings.together:
             plan = approach_early(plan, chain, self.cell, self.graph.world)
-        statistics["seconds"] = round(time.perf_counter() - self.began, 3)
+        statistics["seconds"] = round(self.clock.seconds, 3)
         replay = plan.plan.replay
         plan.statistics.update(statistics, replay=None if replay is None else asdict(replay))
         return plan
@@ -395,7 +388,7 @@ class _Search:
         return {
             "criterion": self.oracle.settings.criterion,
             "seed": self.settings.seed,
-            "seconds": round(time.perf_counter() - self.began, 3),
+            "seconds": round(self.clock.seconds, 3),
             "attempts": self.attempt,
             **{key: self.counts[key] for key in ("dead_ends", "actions", "rejected", "unsolvable", "replays_fallen")},
             "solvable_states": len(self.solvability),

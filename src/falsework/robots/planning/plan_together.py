@@ -82,8 +82,10 @@ def plan_together(
     def search(limits: HybridSettings, graph: KeyframeGraph, seconds: float) -> HybridResult:
         # Even where a long motion has used the time up, a search ends by itself, with what it has.
         left = max(seconds - clock.seconds, _LEAST_SECONDS) if clock.limited else None
-        given = {**start, "oracle": oracle, "guide": guide, "progress": progress, "graph": graph}
-        return plan_robots(assembly, cell, settings=replace(limits, deadline=left), **given)
+        limits = replace(limits, deadline=left)
+        return plan_robots(
+            assembly, cell, oracle=oracle, guide=guide, settings=limits, progress=progress, graph=graph, **start
+        )
 
     limit = np.inf if settings.deadline is None else settings.deadline
     kind, second = "together", None
@@ -107,7 +109,7 @@ def plan_together(
         graph = KeyframeGraph(assembly, cell, settings=settings.keyframes, seed=settings.seed, parts=graph.parts)
         again = search(replace(settings, together=True), graph, limit)
         # Without a plan, the longer partial one is kept.
-        if again.explanation is None or again.explanation.reached >= result.explanation.reached:
+        if again.explanation is None or again.explanation.reached >= _reached(result):
             result, kind = again, "sequential"
 
     def scheduled(plan: RobotPlan | None) -> RobotPlan | None:
@@ -128,6 +130,11 @@ def second_plan(
     graph = KeyframeGraph(assembly, cell, settings=settings.keyframes, seed=settings.seed)
     oracle = Stability(assembly, stability)
     return plan_robots(assembly, cell, oracle=oracle, settings=settings, graph=graph, **start).plan
+
+
+def _reached(result: HybridResult) -> int:
+    """Return the steps that the partial plan of a failed search has done."""
+    return 0 if result.explanation is None else result.explanation.reached
 
 
 def _may_exist(result: HybridResult) -> bool:
