@@ -6,7 +6,6 @@ import csv
 import json
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +21,7 @@ from falsework.robots.plans.export import FORMATS, export_plan
 from falsework.robots.plans.programs import Grip, events_of
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import save_robot_plan
+from tests.robots.plans.bag_reading import corners, planning_scenes
 
 
 def test_one_function_exports_robot_plans_too(robot_plan: RobotPlan, tmp_path: Path) -> None:
@@ -230,29 +230,16 @@ def test_a_bag_has_the_shapes_of_the_parts_where_they_are(
     robot_plan: RobotPlan, column: Assembly, cell: Cell, tmp_path: Path, assembles: bool
 ) -> None:
     """A reader without a model of the structure sees each part where it stands, and in the gripper that carries it."""
-    reader = pytest.importorskip("mcap.reader", reason="bags need mcap; pip install 'falsework[schedule]'")
-    typesys = pytest.importorskip("rosbags.typesys", reason="bags need rosbags; pip install 'falsework[schedule]'")
     plan = robot_plan.reverse() if assembles else robot_plan
     (path,) = export_plan(plan, tmp_path, "mcap", structure=column, cell=cell)
-    store, scenes = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE), []
-    with path.open("rb") as file:
-        for schema, _, message in reader.make_reader(file).iter_messages(topics=["/planning_scene"]):
-            if not scenes:
-                store.register(typesys.get_types_from_msg(schema.data.decode(), schema.name))
-            scenes.append((message.log_time, store.deserialize_cdr(message.data, schema.name)))
-    shapes = place_parts(column, cell.placement)
-
-    def corners(thing: Any) -> np.ndarray:
-        (mesh,) = thing.meshes
-        assert len(mesh.triangles) == len(shapes.meshes[shapes.names.index(thing.id)].faces)
-        return np.array([(point.x, point.y, point.z) for point in mesh.vertices])
-
+    scenes, shapes = planning_scenes(path), place_parts(column, cell.placement)
     began, first = scenes[0]
     assert began == 0
     present = [shapes.names[part] for part in np.flatnonzero(plan.states[0])]
     assert [thing.id for thing in first.world.collision_objects] == present
     for thing in first.world.collision_objects:
         assert thing.header.frame_id == "world"
+        assert len(thing.meshes[0].triangles) == len(shapes.meshes[shapes.names.index(thing.id)].faces)
         assert corners(thing) == pytest.approx(shapes.meshes[shapes.names.index(thing.id)].vertices)
     joints = dict(zip(first.robot_state.joint_state.name, first.robot_state.joint_state.position, strict=True))
     assert joints["arm 1_joint_1"] == plan.keyframes[0].configurations[0][0]

@@ -20,6 +20,7 @@ from falsework.errors import PlanError
 from falsework.robots.kernels.coordination import conflicts, still
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.putting_down import _downwards
+from falsework.robots.kinematics.forward import flange_pose
 from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.cell import Cell, Obstacle, cell_identity
 from falsework.robots.model.part_shapes import place_parts
@@ -49,6 +50,7 @@ from falsework.search import Direction
 from falsework.search.plans.plan_check import validate_plan
 from falsework.viewer.arms import Arms
 from falsework.viewer.pictures.gantt import bars_of
+from tests.robots.plans.bag_reading import corners, planning_scenes
 from tests.robots.plans.roofed_slab import SLAB, slab, tabled, task_of
 
 REMOVAL = 1
@@ -431,13 +433,24 @@ def test_controllers_open_and_close_the_gripper_on_the_way(plan: RobotPlan, tmp_
     export_plan(plan, tmp_path / "csv", "csv")
 
 
-def test_a_bag_attaches_the_part_twice(plan: RobotPlan, tmp_path: Path) -> None:
-    pytest.importorskip("mcap", reason="bags need mcap; pip install 'falsework[schedule]'")
-    pytest.importorskip("rosbags", reason="bags need rosbags; pip install 'falsework[schedule]'")
-    from falsework.robots.plans.mcap_bag import write_bag
-
-    moves = sum(len(step.trajectories) for step in plan.steps)
-    assert write_bag(plan, tmp_path / "plan.mcap") == 2 * moves + 4
+@pytest.mark.parametrize("assembles", [False, True])
+def test_a_bag_attaches_the_part_twice(
+    plan: RobotPlan, alone: Assembly, one: Cell, tmp_path: Path, assembles: bool
+) -> None:
+    """With its mesh where the gripper has it: where it is put down, and taken up again, it is where it lies."""
+    plan = plan.reverse() if assembles else plan
+    (path,) = export_plan(plan, tmp_path, "mcap", structure=alone, cell=one)
+    scenes = [scene for _, scene in planning_scenes(path)[1:]]
+    attached = [thing for scene in scenes for thing in scene.robot_state.attached_collision_objects]
+    assert [thing.object.operation for thing in attached] == [0, 1, 0, 1]
+    assert [len(scene.world.collision_objects) for scene in scenes] == [0, 0, 0, 0 if assembles else 1]
+    _, step, pose, lying = detour_of(plan)
+    ends = step.trajectories[lying.start].positions[0], step.trajectories[lying.stop].positions[0]
+    there = move(pose, place_parts(alone, one.placement).meshes[SLAB].vertices)
+    entry = one.robots[step.robot]
+    for thing, values in zip((attached[0], attached[2]), ends, strict=True):
+        flange = flange_pose(entry.model, values, entry.base)
+        np.testing.assert_allclose(move(flange, corners(thing.object)), there, atol=1e-6)
 
 
 def test_a_chart_shows_the_part_carried_twice(timed: RobotPlan) -> None:
