@@ -79,8 +79,10 @@ def plan_together(
     def search(limits: HybridSettings, graph: KeyframeGraph, seconds: float) -> HybridResult:
         # Even where a long motion has used the time up, a search ends by itself, with what it has.
         left = max(seconds - clock.seconds, _LEAST_SECONDS) if clock.limited else None
-        given = {**start, "oracle": oracle, "guide": guide, "progress": progress, "graph": graph}
-        return plan_robots(assembly, cell, settings=replace(limits, deadline=left), **given)
+        limits = replace(limits, deadline=left)
+        return plan_robots(
+            assembly, cell, oracle=oracle, guide=guide, settings=limits, progress=progress, graph=graph, **start
+        )
 
     limit = np.inf if settings.deadline is None else settings.deadline
     kind, second = "together", None
