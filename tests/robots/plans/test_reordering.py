@@ -12,6 +12,7 @@ pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'fal
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
+from falsework.robots.interleaving.local_optima import leave_local_optima
 from falsework.robots.interleaving.reordering import _views, reorder
 from falsework.robots.interleaving.search import OrderSearch
 from falsework.robots.interleaving.work import Work
@@ -136,6 +137,26 @@ def test_an_arm_takes_a_part_from_behind_the_end_of_a_window(case: Case) -> None
     for order in search._completed(0, 2, 12, 1, 0, behind):
         assert sorted(step.edge.action for step in order.steps) == sorted(edge.action for edge in case.chain)
     assert {order.steps[0].unit.part for order in search._completed(0, 2, 12, 1, 0, behind)} - {search.units[0].part}
+
+
+def test_local_optima_are_left_for_better_orders_only(case: Case) -> None:
+    search = case.search()
+    planned = search.best[-1]
+    leave_local_optima(search, 0)
+    first = search.cost
+    assert search.best[-1].end < planned.end
+    assert sorted(step.action for step in search.best[-1].steps) == sorted(edge.action for edge in case.chain)
+    leave_local_optima(search, 1)
+    assert search.cost <= first
+
+
+def test_an_order_that_may_be_worse_is_a_new_one(case: Case) -> None:
+    search = case.search()
+    orders = [search.best[-1]]
+    while len(orders) < 20 and search.improve(0, 8, worse=1.0):
+        orders.append(search.best[-1])
+    assert len(orders) > 1
+    assert len({tuple((step.action, step.unit.robot) for step in order.steps) for order in orders}) == len(orders)
 
 
 def test_a_fallen_replay_excludes_its_history_alone(case: Case) -> None:

@@ -360,7 +360,7 @@ class _Search:
         return HybridResult(None, partial, why, self._statistics() if partial is None else partial.statistics)
 
     def _plan(self, root: Node, chain: list[Edge], why: Explanation | None = None) -> RobotPlan:
-        if self.settings.together:
+        if self.settings.together and why is None:  # a partial plan is scheduled as it is
             chain = shorten_motions(chain, self.cell.speed, self.settings.seed)
             self._timed(root, chain)
             legal, stop = self.solvability.legal, self.deadline_passed
