@@ -9,9 +9,9 @@ import numpy as np
 
 from falsework.robots.interleaving.search import OrderSearch
 
-_TRIES = 400
+_TRIES = 640
 """Windows that are searched for another order."""
-_MOST = 24
+_MOST = 40
 """Orders from which better ones are searched."""
 _LENGTHS = (8, 10, 12, 14, 18)
 """Steps of these windows."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import States
 from falsework.robots.interleaving.local_optima import leave_local_optima
-from falsework.robots.interleaving.search import MANY, OrderSearch
+from falsework.robots.interleaving.search import OrderSearch, is_worth_more
 from falsework.robots.interleaving.work import Work
 from falsework.robots.kernels.rrt_connect import INTERVALS, edges_free
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
@@ -56,7 +56,7 @@ def reorder(
     search = OrderSearch(Work(graph, dict(timed)), oracle, root, chain, legal=legal, stop=stop)
     for _ in range(_TRIES):
         search.run()
-        if len(root.configurations) >= MANY:
+        if is_worth_more(len(root.configurations), len(search.units)):
             leave_local_optima(search, graph.seed)
         if not search.changed:
             break

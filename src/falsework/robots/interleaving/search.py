@@ -26,6 +26,8 @@ _MERGE_WIDTH = 24
 """Beam width of the merge."""
 MANY = 3
 """Arms from which on more effort pays: two are seldom far from their lower bound, half of the motions."""
+_MODERATE = 64
+"""Parts up to which a second plan and ways out of local optima are worth their time, which grows with the square."""
 _WIDTH = 12
 """Beam width in a window for many arms."""
 _NARROW = 6
@@ -52,6 +54,11 @@ _LEAST_GAIN = 0.002
 """Share by which a turn must shorten an order to count as one with a better order."""
 _TOTAL = 0.01
 """Weight of the total time in the comparison of complete orders, which decides between those with equal makespan."""
+
+
+def is_worth_more(arms: int, parts: int) -> bool:
+    """Return whether several searches for orders are worth their time, for a plan that takes a number of parts away."""
+    return arms >= MANY and parts <= _MODERATE
 
 
 class OrderSearch:

@@ -1,8 +1,9 @@
 """Plans with motions for robots that move at the same time.
 
 The planner for one robot at a time searches, with straight lines as short as possible. Order and robots of its plan are
-then changed so that robots wait less, and its motions overlap as far as that is proven safe. For three robots or more
-a second plan from another seed is found beside it, and the one with the shorter makespan is taken.
+then changed so that robots wait less, and its motions overlap as far as that is proven safe. For three robots or more,
+unless there are many parts, a second plan from another seed is found beside it, and the one with the shorter makespan
+is taken.
 """
 
 from __future__ import annotations
@@ -16,8 +17,9 @@ from numpy.typing import ArrayLike
 
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
+from falsework.assembly.state import REMOVED
 from falsework.robots.cells.cell_file import AnyCell, as_cell
-from falsework.robots.interleaving.search import MANY
+from falsework.robots.interleaving.search import is_worth_more
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.model.cell import Cell
 from falsework.robots.planning.hybrid_planner import plan_robots
@@ -89,7 +91,8 @@ def plan_together(
 
     limit = np.inf if settings.deadline is None else settings.deadline
     kind, second = "together", None
-    if cell.robot_count < MANY or guide is not None:
+    leaving = ~assembly.boundary if task is None else (task.start != REMOVED) & (task.target == REMOVED)
+    if guide is not None or not is_worth_more(cell.robot_count, int(leaving.sum())):
         result = search(short, graph, _SHARE * limit)
     else:
         # Both plans get one attempt, so that how long one takes tells nothing about which one is taken.
