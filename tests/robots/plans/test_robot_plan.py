@@ -120,9 +120,8 @@ def test_files_keep_accelerations_between_close_knots(robot_plan: RobotPlan, tmp
     """Decimals that are cut off count by the square of the time between two knots, which may be 0.1 ms."""
 
     def with_close_knots(trajectory: Trajectory) -> Trajectory:
-        cubic = trajectory._cubics()
         times = np.unique(np.concatenate([trajectory.times, trajectory.times[:-1] + 9e-5, trajectory.times[1:] - 9e-5]))
-        return replace(trajectory, times=times, positions=cubic(times), velocities=cubic.derivative(1)(times))
+        return replace(trajectory, times=times, positions=trajectory.sample(times), velocities=trajectory.rates(times))
 
     steps = (replace(step, trajectories=tuple(map(with_close_knots, step.trajectories))) for step in robot_plan.steps)
     close = replace(robot_plan, steps=tuple(steps))
