@@ -676,6 +676,7 @@ TABLES = {
             ("makespan over the plan of one arm at a time", "{makespan_share}"),
             ("makespan, s", "{makespan}"),
             ("lower bound, s", "{lower_bound}"),
+            ("more time, s", "{extra_seconds}"),
             ("more CPU time, s", "{extra_cpu_seconds}"),
             ("passed the independent check", "{check}"),
         ),
