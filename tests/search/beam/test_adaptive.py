@@ -19,6 +19,17 @@ def misled(states: Any, actions: Any, direction: Direction) -> Any:
     return np.tile(np.arange(parts, dtype=float), 2)[None].repeat(len(states), axis=0)
 
 
+def bound_to_the_last(rules: Any) -> tuple[AdaptiveBeam, Any]:
+    """A beam with one robot and its oracle: it begins with part 7, which only stands last of all."""
+    parts = 8
+    oracle = rules.blocks(parts)
+    oracle.supports[7] = [frozenset(range(1, 7))]
+    oracle.supports[1:7] = [[frozenset({part - 1})] for part in range(1, 7)]
+    beam = AdaptiveBeam(Task.create(rules.ground(parts), 1), oracle, AdaptiveSettings(), guide=misled)
+    beam.search.settings = replace(beam.search.settings, lookahead=1)
+    return beam, oracle
+
+
 @pytest.mark.parametrize("direction", list(Direction))
 @pytest.mark.parametrize("seed", range(25))
 def test_wide_enough_it_decides_like_the_enumeration(rules: Any, direction: Direction, seed: int) -> None:
@@ -57,20 +68,14 @@ def test_widens_and_becomes_narrow_again(rules: Any) -> None:
 
 def test_comes_back_before_what_robots_are_bound_to(rules: Any) -> None:
     """The guide begins with a part that only stands last of all: a robot waits at it while it could lay the others."""
-    parts = 8
-    oracle = rules.blocks(parts)
-    oracle.supports[7] = [frozenset(range(1, 7))]
-    oracle.supports[1:7] = [[frozenset({part - 1})] for part in range(1, 7)]
-    task = Task.create(rules.ground(parts), 1)
-    beam = AdaptiveBeam(task, oracle, AdaptiveSettings(), guide=misled)
+    beam, _ = bound_to_the_last(rules)
     search = beam.search
-    search.settings = replace(search.settings, lookahead=1)
     search.run()
     assert search.done
     assert not search.found
     assert search.binding() == [(0, 7)]
     assert search.chain() == (0, 7)
-    assert np.array_equal(search.before(0), task.target)
+    assert np.array_equal(search.before(0), search.task.target)
     search.rewind(0, replace(search.settings, avoided=(7,)))
     assert search.step()
     assert search.levels[-1].states[0, 7] == 0
@@ -98,27 +103,16 @@ def test_comes_back_wider_only_after_other_ways(retreats: int) -> None:
 
 def test_tries_each_chain_once(rules: Any) -> None:
     """A part that stands last of all binds the only robot: the beam begins elsewhere, and does not come back to it."""
-    parts = 8
-    oracle = rules.blocks(parts)
-    oracle.supports[7] = [frozenset(range(1, 7))]
-    oracle.supports[1:7] = [[frozenset({part - 1})] for part in range(1, 7)]
-    task = Task.create(rules.ground(parts), 1)
-    beam = AdaptiveBeam(task, oracle, AdaptiveSettings(), guide=misled)
-    beam.search.settings = replace(beam.search.settings, lookahead=1)
+    beam, _ = bound_to_the_last(rules)
     beam.search.run()
     assert beam._widen(1)
     assert beam.search.settings.avoided == (7,)
-    assert beam._tried == {task.target.tobytes().hex(): [7]}
+    assert beam._tried == {beam.search.task.target.tobytes().hex(): [7]}
     assert beam.run(1).found
 
 
 def test_a_limit_on_deaths_is_a_pause(rules: Any) -> None:
-    parts = 8
-    oracle = rules.blocks(parts)
-    oracle.supports[7] = [frozenset(range(1, 7))]
-    oracle.supports[1:7] = [[frozenset({part - 1})] for part in range(1, 7)]
-    beam = AdaptiveBeam(Task.create(rules.ground(parts), 1), oracle, AdaptiveSettings(), guide=misled)
-    beam.search.settings = replace(beam.search.settings, lookahead=1)
+    beam, _ = bound_to_the_last(rules)
     paused = beam.run(1, deaths=0)
     assert paused.outcome is Outcome.NOT_FOUND
     assert not paused.interrupted
@@ -162,12 +156,7 @@ def test_forgets_the_states_it_came_from_longest_ago(rules: Any, monkeypatch: py
 
 def test_a_part_left_for_later_too_often_brings_the_beam_back(rules: Any) -> None:
     """Part 7 binds the only robot at four hard places, one after the other, and is never let go of."""
-    parts = 8
-    oracle = rules.blocks(parts)
-    oracle.supports[7] = [frozenset(range(1, 7))]
-    oracle.supports[1:7] = [[frozenset({part - 1})] for part in range(1, 7)]
-    beam = AdaptiveBeam(Task.create(rules.ground(parts), 1), oracle, AdaptiveSettings(), guide=misled)
-    beam.search.settings = replace(beam.search.settings, lookahead=1)
+    beam, oracle = bound_to_the_last(rules)
     beam.search.run()
     assert (beam.search.levels[-1].states[0] == 2).nonzero()[0].tolist() == [0, 7]
     late = []

@@ -12,7 +12,7 @@ from falsework.stability.cpu import ordering
 from falsework.stability.cpu.elimination import lay_out_panels
 from falsework.stability.cpu.layout import KernelArrays, build_structure, make_scratch
 from falsework.stability.cpu.ordering import Graph, elimination_order
-from falsework.stability.cpu.panels import factor_panels, solve_panels, solve_symmetric
+from falsework.stability.cpu.panels import factor_panels, solve_panels
 
 
 def sheet(width: int, height: int, shear: bool = False) -> Graph:
@@ -119,12 +119,12 @@ def test_factors_agree_with_dense_algebra(structure: KernelArrays, symmetric: bo
     x = np.zeros((len(free), 6))
     x[slots] = random.standard_normal((len(slots), 6))
     right = x[slots].ravel()
-    solve_panels(panels, x)
+    solve_panels(panels, x, False)
     np.testing.assert_allclose(dense @ x[slots].ravel(), right, atol=1e-10)
     assert (x[~free] == 0.0).all()
     if symmetric:
         again = np.zeros_like(x)
         again[slots] = right.reshape(-1, 6)
         panels.lower[:] = np.nan
-        solve_symmetric(panels, again)
+        solve_panels(panels, again, True)
         np.testing.assert_allclose(again, x, atol=1e-12)

@@ -7,14 +7,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from falsework.robots.interleaving.search import OrderSearch
+from falsework.robots.interleaving.search import LENGTHS, OrderSearch
 
 _TRIES = 640
 """Windows that are searched for another order."""
 _MOST = 40
 """Orders from which better ones are searched."""
-_LENGTHS = (8, 10, 12, 14, 18)
-"""Steps of these windows."""
 _WORSE = 0.02
 """Share by which such an order may be worse."""
 _DRIFT = 0.002
@@ -38,7 +36,7 @@ def leave_local_optima(search: OrderSearch, seed: int) -> None:
     for _ in range(_TRIES):
         if search.stop() or found == _MOST:
             break
-        size = int(rng.choice(_LENGTHS))
+        size = int(rng.choice(sorted(LENGTHS)))
         first = int(rng.integers(max(steps - size, 1)))
         if not search.improve(first, size, worse=_WORSE):
             continue

@@ -32,7 +32,7 @@ _WIDTH = 12
 """Beam width in a window for many arms."""
 _NARROW = 6
 """Beam width for two arms, which have half as many choices in a step."""
-_LENGTHS = (10, 14, 8, 12, 18)
+LENGTHS = (10, 14, 8, 12, 18)
 """Steps of a window, in turn until none of them leads to a better order: in long ones the beam is too narrow."""
 _OWN = 4
 """Next parts of its own that an arm chooses from."""
@@ -128,9 +128,9 @@ class OrderSearch:
         length = len(self.best) - 1
         self.improve(0, length, _MERGE_WIDTH, own=1, others=0)
         since = turn = 0
-        while since < len(_LENGTHS) + self._far_turns:
+        while since < len(LENGTHS) + self._far_turns:
             # Parts from behind the end of a window are worth their time once nothing else helps.
-            far, size, before = since >= len(_LENGTHS), _LENGTHS[turn % len(_LENGTHS)], self.cost
+            far, size, before = since >= len(LENGTHS), LENGTHS[turn % len(LENGTHS)], self.cost
             for first in waits(self.best)[:_WAITS] if far else range(0, length, size // 2):
                 if self.stop():
                     return

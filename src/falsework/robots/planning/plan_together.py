@@ -76,8 +76,8 @@ def plan_together(
     import_ortools()
     assembly, cell = as_assembly(assembly), as_cell(cell)
     clock, oracle = Deadline(settings.deadline), oracle or Stability(assembly)
-    short = replace(settings, keyframes=replace(settings.keyframes, approaches=_APPROACHES, withdrawals=_WITHDRAWALS))
-    short = replace(short, together=True)
+    lines = replace(settings.keyframes, approaches=_APPROACHES, withdrawals=_WITHDRAWALS)
+    short = replace(settings, together=True, keyframes=lines)
     graph = KeyframeGraph(assembly, cell, settings=short.keyframes, seed=settings.seed)
     start: dict[str, Any] = {"task": task, "configurations": configurations, "held": held}
 

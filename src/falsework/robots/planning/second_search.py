@@ -61,7 +61,7 @@ class SecondSearch:
         assert reply is not None
         try:
             question.write(request)
-            question.flush()  # it stays open: its end tells the process that nobody waits any more
+            question.flush()  # kept open: the end of the input ends the process
             self._answer = reply.read()
         except (OSError, ValueError):  # the process has ended, or was ended
             self._answer = b""

@@ -27,9 +27,9 @@ _TRIED_AGAIN = 16
 _NEAR_CONTACTS = 2
 """Contacts, one after the other, between two parts that are near each other."""
 _FEW_ROBOTS = 4
-"""Where more robots hold parts, most of the time would go into moves that fail again and again ..."""
+"""With more robots than these, repeated trials of failed moves would take most of the time ..."""
 _TRIED_AGAIN_EVERY = 8
-"""... so that they are tried again at one of so many levels, or where robots cannot fix another part instead."""
+"""... so failed moves are repeated only every so many levels, or where no other part can be fixed instead."""
 _TURN = 4
 """Candidates that come from one state in a turn."""
 _EXAMINED = 1024

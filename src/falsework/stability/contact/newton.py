@@ -269,7 +269,7 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
             if free[j]:
                 for r in range(6):
                     step[j, r] = residual[j, r]
-        solve_panels(panels, step)
+        solve_panels(panels, step, False)
         length, limit = 1.0, max(size, pace.memory * before)
         while True:
             for j in range(len(free)):

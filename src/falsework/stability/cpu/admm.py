@@ -18,7 +18,7 @@ from falsework.stability.cpu.layout import (
     point_velocity,
     set_load,
 )
-from falsework.stability.cpu.panels import add_block, clear_panels, factor_panels, solve_symmetric
+from falsework.stability.cpu.panels import add_block, clear_panels, factor_panels, solve_panels
 from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED, check_primal, judge
 from falsework.utils.kernels import njit
 
@@ -60,7 +60,7 @@ def try_bonded(structure, work, pairs, options):
         z[j, 0], z[j, 1], z[j, 2] = pull[j], 0.0, 0.0
     set_load(work, w)
     add_wrenches(structure, work, pairs, z, w)
-    solve_symmetric(work.panels, w)
+    solve_panels(work.panels, w, True)
     transfer_a, transfer_b = structure.transfer_a, structure.transfer_b
     for p in range(pairs):
         s0, s1, s2, s3, s4, s5 = pair_velocity(transfer_a, transfer_b, pair[p], slot_a[p], slot_b[p], w)
@@ -90,7 +90,7 @@ def run_admm(structure, work, pairs, options):
             if free[j]:
                 for r in range(6):
                     w[j, r] = rhs[j, r]
-        solve_symmetric(work.panels, w)
+        solve_panels(work.panels, w, True)
         set_load(work, rhs)
         for p in range(pairs):
             q, a, b = pair[p], slot_a[p], slot_b[p]

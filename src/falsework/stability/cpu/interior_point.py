@@ -30,7 +30,7 @@ from falsework.stability.cpu.layout import (
     point_velocity,
     set_load,
 )
-from falsework.stability.cpu.panels import clear_panels, factor_panels, solve_symmetric
+from falsework.stability.cpu.panels import clear_panels, factor_panels, solve_panels
 from falsework.stability.cpu.termination import UNDECIDED, judge
 from falsework.utils.kernels import njit
 
@@ -334,14 +334,14 @@ def run_interior(structure, work, pairs, options):
         _assemble(structure, work, pairs, octagon, mu, r, 0.0, correct)
         if not factor_panels(structure.elimination.supernode, work.panels, correct):
             break
-        solve_symmetric(work.panels, step)
+        solve_panels(work.panels, step, True)
         reach = min(1.0, _steps(structure, work, pairs, octagon, mu, r, step, 0.0, predict))
         centring = max(_complementarity(work, points, size, reach) / gap, 0.0) ** 3
         target = centring * gap / (8.0 if octagon else 1.0)
         if not octagon:
             work.weight_steps[:points] = 0.0  # the second-order term of the quadratic cone is neglected
         _assemble(structure, work, pairs, octagon, mu, r, target, predict)
-        solve_symmetric(work.panels, step)
+        solve_panels(work.panels, step, True)
         reach = min(1.0, _BACK_OFF * _steps(structure, work, pairs, octagon, mu, r, step, target, octagon))
         for j in range(len(work.free)):
             if work.free[j]:

@@ -192,31 +192,12 @@ def factor_panels(supernode, panels, symmetric):
 
 
 @njit(fastmath=True, cache=True)
-def solve_panels(panels, x):
-    """Solve with the factors made by `factor_panels`, in place; `x` has shape (n, 6)."""
-    lower, y = panels.lower, panels.strip
-    panel, width, own = panels.panel, panels.width, panels.own
-    member_start, member = panels.member_start, panels.member
-    for s in range(len(own)):
-        begin, members, wide = member_start[s], member_start[s + 1] - member_start[s], width[s]
-        for m in range(members if own[s] else 0):
-            for r in range(6):
-                y[6 * m + r] = x[member[begin + m], r] if m < own[s] else 0.0
-        for i in range(own[s]):
-            _spread(lower, panel[s] + 6 * i * wide + 6 * (i + 1), wide, y, 6 * i, 6 * (members - i - 1))
-        for m in range(members if own[s] else 0):
-            for r in range(6):
-                if m < own[s]:
-                    x[member[begin + m], r] = y[6 * m + r]
-                else:
-                    x[member[begin + m], r] += y[6 * m + r]
-    _solve_upper(panels, x)
+def solve_panels(panels, x, symmetric):
+    """Solve with the factors made by `factor_panels`, in place; `x` has shape (n, 6).
 
-
-@njit(fastmath=True, cache=True)
-def solve_symmetric(panels, x):
-    """Solve with the factors of a symmetric matrix, in place; reads the upper panels alone, half of the memory."""
-    upper, y = panels.upper, panels.strip
+    Of a symmetric matrix only the upper panels are read, half of the memory.
+    """
+    upper, lower, y = panels.upper, panels.lower, panels.strip
     panel, width, own = panels.panel, panels.width, panels.own
     member_start, member = panels.member_start, panels.member
     for s in range(len(own)):
@@ -226,23 +207,17 @@ def solve_symmetric(panels, x):
                 y[6 * m + r] = x[member[begin + m], r] if m < own[s] else 0.0
         for i in range(own[s]):
             at, columns = panel[s] + 6 * i * (wide + 1), 6 * (members - i - 1)
-            t0, t1, t2, t3, t4, t5 = _pivot_product(upper, at, wide, y, 6 * i)
-            _subtract_rows(upper, at + 6, wide, t0, t1, t2, t3, t4, t5, y, 6 * i + 6, columns)
+            if symmetric:
+                t0, t1, t2, t3, t4, t5 = _pivot_product(upper, at, wide, y, 6 * i)
+                _subtract_rows(upper, at + 6, wide, t0, t1, t2, t3, t4, t5, y, 6 * i + 6, columns)
+            else:
+                _spread(lower, at + 6, wide, y, 6 * i, columns)
         for m in range(members if own[s] else 0):
             for r in range(6):
                 if m < own[s]:
                     x[member[begin + m], r] = y[6 * m + r]
                 else:
                     x[member[begin + m], r] += y[6 * m + r]
-    _solve_upper(panels, x)
-
-
-@njit(fastmath=True)
-def _solve_upper(panels, x):
-    """Solve with the upper factor in place."""
-    upper, y = panels.upper, panels.strip
-    panel, width, own = panels.panel, panels.width, panels.own
-    member_start, member = panels.member_start, panels.member
     for s in range(len(own) - 1, -1, -1):
         begin, members, wide = member_start[s], member_start[s + 1] - member_start[s], width[s]
         for m in range(members if own[s] else 0):
