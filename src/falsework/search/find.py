@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
 from falsework.assembly.props import keep_props
-from falsework.assembly.state import REMOVED, States
+from falsework.assembly.state import REMOVED
 from falsework.errors import InputError
 from falsework.search.margins.demands import DemandingStability
 from falsework.search.margins.plan_margins import PlanMargins
@@ -22,6 +22,7 @@ from falsework.search.planner import Planner
 from falsework.search.plans.alternatives import Alternatives, choose_alternatives
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_replay import PlanReplay
+from falsework.search.plans.prove import prove
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.guide import Guide, SupportGuide
 from falsework.search.problem.hold_bound import HoldBound
@@ -42,14 +43,7 @@ from falsework.search.problem.timed_oracle import timed
 from falsework.search.settings import PlannerSettings
 from falsework.search.support.planner import SupportPlanner, planner_for
 from falsework.stability.oracle import Stability
-from falsework.stability.verdict import Verdicts
 
-_PROVED_AT_ONCE = 64
-"""States whose contact forces are in memory together, unless they are kept."""
-_LARGE = 100
-"""Parts from which states are proved from the displacement of the state before, which takes fewer iterations ..."""
-_PIECES = 8
-"""... in so many pieces of the route side by side, each begun from rest."""
 _SAVE_EVERY = 30.0
 """Seconds between two checkpoints."""
 _BOUND_AFTER = 10.0
@@ -127,7 +121,7 @@ def find_plans(
         deadline: seconds after which the search ends with the best that it has; the plans are proved after that.
         checkpoint: file to which the search is saved regularly, and from which it resumes if it exists; removed at the
             end.
-        forces: keep the contact forces that prove each state in the plans; for a thousand parts half a gigabyte a plan.
+        forces: keep the contact forces that prove each state in the plans.
         rules: start, target, fixed, missing, removable_only_if_clear, support and props; see `TaskRules`. Without them
             the complete structure is disassembled.
 
@@ -255,67 +249,15 @@ def plan_of(
             states = np.ascontiguousarray(route.states[:, np.concatenate([np.arange(bare), bare + used])])
             assembly = keep_props(assembly, used.tolist())
             route, oracle, replay = SupportRoute.through(states), Stability(assembly, oracle.settings), None
-    points, contact = len(assembly.contacts.points), oracle.settings.criterion == "contact"
-    verdicts = Verdicts.blank(
-        len(route.states),
-        points=points if forces else None,
-        parts=assembly.part_count if forces and contact else None,
-        displaced=contact,
-    )
-    _prove(route.states, oracle, verdicts)
-    for row in np.flatnonzero(~verdicts.stable):
-        beside = route.states[max(row - 1, 0) : row + 2]
-        verdicts.put(np.array([row]), oracle.check_beside(route.states[row], beside))
+    verdicts, arrays = prove(route.states, oracle, forces=forces)
     plan = Plan.of(route, assembly, task, verdicts, oracle.settings.claim)
+    if arrays is not None:
+        plan = replace(plan, forces=arrays)
     if isinstance(oracle, DemandingStability):
         plan = replace(plan, margins=PlanMargins.of(oracle, plan.states, oracle.demands))
     if oracle.replayer is None:
         return plan
     return replace(plan, replay=replay or PlanReplay.of(oracle.replayer.replay(plan.assembly_states)))
-
-
-def _prove(states: States, oracle: Stability, verdicts: Verdicts) -> None:
-    """Check the states of a route: from what the search found them stable by, else one after the other.
-
-    Args:
-        states: shape (states, parts).
-        oracle: checks them.
-        verdicts: out: verdicts on them, with certificates where there is room.
-    """
-    for first in range(0, len(states), _PROVED_AT_ONCE):
-        rows = np.arange(first, min(first + _PROVED_AT_ONCE, len(states)))
-        verdicts.put(rows, oracle.check_again(states[rows]))
-    rest = np.flatnonzero(~verdicts.stable)
-    if len(rest):
-        found = Verdicts.blank(len(rest)) if verdicts.forces is None else verdicts[rest]
-        _prove_in_order(states[rest], oracle, found)
-        verdicts.put(rest, found)
-
-
-def _prove_in_order(states: States, oracle: Stability, verdicts: Verdicts) -> None:
-    """Check states of a route; those of a large structure from the displacement or forces of the state before.
-
-    Args:
-        states: shape (states, parts).
-        oracle: checks them.
-        verdicts: out: verdicts on them, with certificates where there is room.
-    """
-    count, parts = states.shape
-    length = -(-count // _PIECES)
-    if oracle.settings.solver == "gpu" or parts < _LARGE:
-        length = 1
-    begins = np.arange(0, count, length)
-    at_once = _PIECES if length > 1 else _PROVED_AT_ONCE
-    for first in range(0, len(begins), at_once):
-        rows = begins[first : first + at_once]
-        found = oracle.check(states[rows])
-        verdicts.put(rows, found)
-        for offset in range(1, length):
-            inside = rows + offset < count
-            following = rows[inside] + offset
-            found = oracle.check_next(states[following], states[following - 1], found[inside])
-            verdicts.put(following, found)
-            rows = rows[inside]
 
 
 def choose_plans(planner: Planner | SupportPlanner, settings: PlannerSettings, name: str = "") -> Alternatives:

@@ -14,8 +14,6 @@ enlarge the set of admissible forces (`Strength`).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,14 +21,11 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.errors import InputError
-from falsework.geometry.contact.interfaces import Contacts
-from falsework.geometry.mesh.mesh import MassProperties
+from falsework.stability.contact_geometry import geometry_of
+from falsework.stability.state_arrays import StateArrays
 from falsework.stability.stiffness import MOVEMENT, TANGENTIAL_RATIO, normal_stiffness, structure_size
 from falsework.stability.strength import Strength, strength_of
 from falsework.stability.verdict import Criterion, Verdict, Verdicts
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
 
 Array = NDArray[np.float64]
 
@@ -39,6 +34,8 @@ _ROUNDING = 1e-9
 is moved into the cone before the residual is computed."""
 _TEARS = 1.0 + 1e-6
 """A contact point breaks at this multiple of its tensile strength; the excess over 1 covers rounding of the solvers."""
+_MANY_POINTS = 4096
+"""Contact points from which states one after the other are evaluated only where they change."""
 _CHUNK_POINTS = 1 << 18
 """Contact points of all states that are checked at once: small enough for the processor's cache."""
 
@@ -105,9 +102,8 @@ def verify_certificates(
         for rows in chunks(stable, points):
             residual = residual_of_displacement(assembly, states[rows], verdicts.displacement[rows], claim)
             accepted[rows] = residual <= claim.tolerance
-    for rows in chunks(balanced, points):
-        residual = residual_of_forces(assembly, states[rows], verdicts.forces[rows], claim)
-        accepted[rows] = residual <= claim.tolerance
+    forces = [verdicts.forces[row] for row in balanced]
+    accepted[balanced] = residuals_in_order(assembly, states[balanced], forces, claim) <= claim.tolerance
     for rows in chunks(unstable, points):
         bound = residual_bound_of_velocity(assembly, states[rows], verdicts.velocity[rows], claim)
         accepted[rows] = bound > claim.tolerance
@@ -143,7 +139,7 @@ def residual_of_displacement(
 
 def forces_of_displacement(assembly: Assembly, states: States, displacement: Array, claim: StabilityCriterion) -> Array:
     """Return the contact forces `(n, t1, t2)` in N that the law gives at a displacement, shape (batch, points, 3)."""
-    geometry = _geometry_of(assembly.contacts, assembly.mass)
+    geometry = geometry_of(assembly.contacts, assembly.mass)
     relative = geometry.relative(displacement)
     stiffness = normal_stiffness(assembly, claim.gravity)
     strength = strength_of(assembly, claim.gravity)
@@ -170,24 +166,107 @@ def residual_of_forces(
     Returns:
         Shares of gravity, shape (batch,).
     """
-    mass, geometry = assembly.mass, _geometry_of(assembly.contacts, assembly.mass)
-    strength, acts = strength_of(assembly, claim.gravity), geometry.acts(states)
-    forces = np.where(acts[:, :, None], forces, 0.0)
-    weight = claim.gravity * mass.mass[~assembly.immovable].sum()
-
-    size = np.linalg.norm(forces, axis=2)
-    finite = np.isfinite(size).all(axis=1)
-    forces, outside = _into_cone(np.where(finite[:, None, None], forces, 0.0), strength, claim.cone)
-    forces = np.where(acts[:, :, None], forces, 0.0)
-    admissible = finite & np.where(acts, outside <= _ROUNDING * (size + weight), True).all(axis=1)
-    admissible &= forces[:, :, 0].sum(axis=1) <= claim.force_bound * weight * (1 + _ROUNDING)
-
-    net = geometry.wrenches(forces) + assembly.applied_wrench(claim.gravity)
-    linear = net[:, :, :3] / mass.mass[None, :, None]
-    angular = np.einsum("pij,bpj->bpi", geometry.inverse_inertia, net[:, :, 3:])
-    largest = np.maximum(np.abs(linear).max(axis=2), np.abs(angular).max(axis=2) * geometry.gyration) / claim.gravity
-    residual = np.where(states == 1, largest, 0.0).max(axis=1, initial=0.0)
+    strength, geometry = strength_of(assembly, claim.gravity), geometry_of(assembly.contacts, assembly.mass)
+    forces, refused = _admit(forces, geometry.acts(states), strength, claim.cone, _weight(assembly, claim))
+    admissible = ~refused.any(axis=1) & (forces[:, :, 0].sum(axis=1) <= _most(assembly, claim))
+    share = _share_of_gravity(assembly, geometry.wrenches(forces), np.arange(states.shape[1]), claim)
+    residual = np.where(states == 1, share, 0.0).max(axis=1, initial=0.0)
     return np.where(admissible, residual, np.inf)
+
+
+def residuals_in_order(
+    assembly: Assembly,
+    states: States,
+    forces: Array | StateArrays | list[Array],
+    claim: StabilityCriterion = StabilityCriterion(),
+) -> Array:
+    """Return the residuals of `residual_of_forces` for states one after the other, as in a plan.
+
+    Most forces in a state of a large plan are, bit by bit, those of the state before. So only the parts are evaluated
+    where forces or the presence of parts differ from those of the state before, which is found by comparing them; all
+    other parts keep their residual.
+
+    Args:
+        assembly: the structure.
+        states: shape (batch, parts).
+        forces: of each state, shape (points, 3); not all of them need to be in memory.
+        claim: cone, gravity and force bound.
+
+    Returns:
+        Shares of gravity, shape (batch,).
+    """
+    residual, points = np.empty(len(states)), len(assembly.contacts.points)
+    if points < _MANY_POINTS:
+        for rows in chunks(np.arange(len(states)), points):
+            residual[rows] = residual_of_forces(assembly, states[rows], np.array([forces[k] for k in rows]), claim)
+        return residual
+    strength, geometry = strength_of(assembly, claim.gravity), geometry_of(assembly.contacts, assembly.mass)
+    weight, most, owners = _weight(assembly, claim), _most(assembly, claim), (geometry.part_a, geometry.part_b)
+    inside, refused = np.zeros((points, 3)), np.zeros(points, dtype=bool)
+    share, known = np.zeros(states.shape[1]), None
+    for row, state in enumerate(states):
+        force = np.ascontiguousarray(forces[row], dtype=np.float64)
+        changed = np.ones(len(state), dtype=bool)
+        if known is not None:
+            changed = state != known[0]
+            other = np.flatnonzero(force.view(np.uint64).ravel() != known[1].view(np.uint64).ravel()) // 3
+            for owner in owners:
+                changed[owner[other]] = True
+        # Whether a force acts depends on both parts, so their neighbours may lose or gain one.
+        at = np.flatnonzero(changed[owners[0]] | changed[owners[1]])
+        for owner in owners:
+            changed[owner[at]] = True
+        acts = geometry.acts(state[None], at)
+        good, bad = _admit(force[None, at], acts, strength.of(at), claim.cone, weight)
+        inside[at], refused[at] = good[0], bad[0]
+        parts = np.flatnonzero(changed)
+        share[parts] = _share_of_gravity(assembly, geometry.wrenches_on(parts, inside), parts, claim)
+        admissible = not refused.any() and inside[:, 0].sum() <= most
+        residual[row] = np.where(state == 1, share, 0.0).max(initial=0.0) if admissible else np.inf
+        known = state, force
+    return residual
+
+
+def _weight(assembly: Assembly, claim: StabilityCriterion) -> float:
+    """Return the weight of all parts that can move, N."""
+    return claim.gravity * float(assembly.mass.mass[~assembly.immovable].sum())
+
+
+def _most(assembly: Assembly, claim: StabilityCriterion) -> float:
+    """Return the largest sum of normal forces that is admissible, N."""
+    return claim.force_bound * _weight(assembly, claim) * (1 + _ROUNDING)
+
+
+def _admit(
+    forces: Array, acts: NDArray[np.bool_], strength: Strength, cone: str, weight: float
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Return forces inside their cones, zero where none acts, and which of them are not admissible.
+
+    Shapes (batch, points, 3) and (batch, points).
+    """
+    forces = np.where(acts[:, :, None], forces, 0.0)
+    size = np.linalg.norm(forces, axis=2)
+    finite = np.isfinite(size)
+    inside, outside = _into_cone(np.where(finite[:, :, None], forces, 0.0), strength, cone)
+    refused = acts & ~(finite & (outside <= _ROUNDING * (size + weight)))
+    return np.where(acts[:, :, None], inside, 0.0), refused
+
+
+def _share_of_gravity(assembly: Assembly, wrench: Array, parts: NDArray[np.int64], claim: StabilityCriterion) -> Array:
+    """Return the acceleration of some parts under contact forces and loads, a share of gravity, shape (..., parts).
+
+    Args:
+        assembly: the structure.
+        wrench: of the contact forces, shape (..., parts, 6).
+        parts: their numbers.
+        claim: gravity.
+    """
+    mass, geometry = assembly.mass, geometry_of(assembly.contacts, assembly.mass)
+    net = wrench + assembly.applied_wrench(claim.gravity)[parts]
+    linear = net[..., :3] / mass.mass[parts, None]
+    angular = np.einsum("pij,...pj->...pi", geometry.inverse_inertia[parts], net[..., 3:])
+    turning = np.abs(angular).max(axis=-1) * geometry.gyration[parts]
+    return np.maximum(np.abs(linear).max(axis=-1), turning) / claim.gravity
 
 
 def residual_bound_of_velocity(
@@ -226,7 +305,7 @@ def resistance_to_velocity(
     The momentum is in N m/s: the power of the loads minus the absorbed power, divided by it, bounds the residual from
     below. Neither depends on the loads. Arguments as for `residual_bound_of_velocity`, shapes (batch,).
     """
-    mass, geometry = assembly.mass, _geometry_of(assembly.contacts, assembly.mass)
+    mass, geometry = assembly.mass, geometry_of(assembly.contacts, assembly.mass)
     strength, acts = strength_of(assembly, claim.gravity), geometry.acts(states)
     relative = geometry.relative(velocity)
     slip = _slip(relative, claim.cone)
@@ -236,70 +315,6 @@ def resistance_to_velocity(
     momentum = np.abs(mass.mass[None, :, None] * velocity[:, :, :3]).sum(axis=(1, 2))
     turning = np.abs(np.einsum("pij,bpj->bpi", mass.inertia, velocity[:, :, 3:])).sum(axis=2)
     return most * taken + joined, claim.gravity * (momentum + (turning / geometry.gyration).sum(axis=1))
-
-
-class _Geometry(NamedTuple):
-    """What certificates are evaluated with that depends on neither states nor loads nor friction."""
-
-    motion: csr_array
-    """Map of the motion of the parts, `(linear, angular)` one after another, to that of part `b` relative to `a` at
-    every contact point in its frame, shape (3 points, 6 parts)."""
-    wrench: csr_array
-    """Its transpose: map of forces on part `b` to wrenches on the parts."""
-    part_a: NDArray[np.int32]
-    """Shape (points,)."""
-    part_b: NDArray[np.int32]
-    inverse_inertia: NDArray[np.floating]
-    """Shape (parts, 3, 3), 1 / (kg m2)."""
-    gyration: Array
-    """Largest radius of gyration of each part, shape (parts,), m."""
-
-    def relative(self, motion: Array) -> Array:
-        """Return the motion of part `b` relative to `a` at every contact point in its frame, shape (batch, points, 3).
-
-        Args:
-            motion: `(linear, angular)` about the centres of mass, shape (batch, parts, 6).
-        """
-        batch = len(motion)
-        return np.ascontiguousarray((self.motion @ motion.reshape(batch, -1).T).T).reshape(batch, -1, 3)
-
-    def wrenches(self, forces: Array) -> Array:
-        """Return the wrenches on the parts of forces at every contact point, shape (batch, parts, 6).
-
-        Args:
-            forces: `(n, t1, t2)` in N on part `b`, shape (batch, points, 3).
-        """
-        batch = len(forces)
-        return np.ascontiguousarray((self.wrench @ forces.reshape(batch, -1).T).T).reshape(batch, -1, 6)
-
-    def acts(self, states: States) -> NDArray[np.bool_]:
-        """Return the contact points with both parts present and at least one that can move. Shape (batch, points)."""
-        one, other = states[:, self.part_a], states[:, self.part_b]
-        return (one > 0) & (other > 0) & ((one == 1) | (other == 1))
-
-
-@lru_cache(maxsize=4)
-def _geometry_of(contacts: Contacts, mass: MassProperties) -> _Geometry:
-    """Return the geometry of a structure, the same under all loads and friction."""
-    from scipy.sparse import csr_array
-
-    owner, parts = contacts.contact_of_point, len(mass.mass)
-    part_a, part_b = contacts.parts[owner, 0], contacts.parts[owner, 1]
-    axes = contacts.frames[owner]
-    entries, columns = [], []
-    for part, sign in ((part_a, -1.0), (part_b, 1.0)):
-        arm = contacts.points - mass.center[part]
-        # Velocity `v + w x arm` along an axis `e` is `e . v + (arm x e) . w`.
-        turned = np.cross(arm[:, None, :], axes)
-        entries.append(sign * np.concatenate([axes, turned], axis=2))
-        columns.append(np.broadcast_to(6 * part[:, None, None] + np.arange(6), turned.shape[:2] + (6,)))
-    count = 3 * len(contacts.points)
-    row_start = 12 * np.arange(count + 1)
-    motion = csr_array(
-        (np.concatenate(entries, axis=2).ravel(), np.concatenate(columns, axis=2).ravel(), row_start),
-        shape=(count, 6 * parts),
-    )
-    return _Geometry(motion, csr_array(motion.T), part_a, part_b, np.linalg.inv(mass.inertia), mass.gyration)
 
 
 def _into_cone(forces: Array, strength: Strength, cone: str) -> tuple[Array, Array]:

@@ -35,7 +35,7 @@ class Strength(NamedTuple):
     """Whether the point breaks, and bears nothing at all, where the law of `contact` would exceed its tension, shape
     (points,); one that does not is ductile and keeps its tension."""
 
-    def of(self, points: NDArray[np.bool_]) -> Strength:
+    def of(self, points: NDArray[np.bool_] | NDArray[np.integer]) -> Strength:
         """Return the strength of selected points."""
         return Strength(self.friction[points], self.pull[points], self.stick[points], self.tears[points])
 

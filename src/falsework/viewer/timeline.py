@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from falsework.assembly.state import HELD, REMOVED, Mask, States, as_states, describe_step
 from falsework.search.plans.plan_check import check_identity
 from falsework.search.problem.task import Direction
+from falsework.stability.state_arrays import StateArrays
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -46,7 +47,7 @@ class Timeline:
     """Order in which it is shown."""
     robots: int
     """Robots that there are."""
-    forces: Array | None = None
+    forces: Array | StateArrays | None = None
     """Contact forces in each state, shape (steps + 1, points, 3), N."""
 
     @classmethod

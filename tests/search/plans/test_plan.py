@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import base64
 import json
+import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +27,8 @@ from falsework.search import (
     validate_plan,
     validate_proofs,
 )
+from falsework.search.plans import packed_proofs
+from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
 from falsework.stability import Stability
 from falsework.stability.settings import EQUILIBRIUM
 
@@ -295,6 +299,82 @@ def test_wrong_displacements_are_found(plan: Plan, small_arch: Assembly) -> None
         validate_proofs(replace(plan, displacement=plan.displacement[:, 1:]), small_arch)
     with pytest.raises(PlanError, match="carries no displacements"):
         save_plan(replace(plan, displacement=None), "plan.json", proofs=True)
+
+
+@pytest.fixture(scope="module")
+def balanced() -> tuple[Assembly, Plan]:
+    """A vault with a plan whose proofs are forces."""
+    vault = load_structure("vault:parts=62")
+    return vault, find_plans(vault, oracle=Stability(vault, EQUILIBRIUM)).plans[0]
+
+
+@pytest.fixture
+def changes(balanced: tuple[Assembly, Plan], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """Return a plan file that has what changes from state to state only, as those of large plans."""
+    monkeypatch.setattr(packed_proofs, "_LARGE", 0)
+    save_plan(balanced[1], tmp_path / "plan.json", proofs=True)
+    return json.loads((tmp_path / "plan.json").read_text())
+
+
+def test_changes_of_forces_are_read_as_they_were(balanced: tuple[Assembly, Plan], changes: dict[str, Any]) -> None:
+    vault, plan = balanced
+    jsonschema.validate(changes, plan_schema())
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(changes | {"forces": {"points": 3}}, plan_schema())
+    read = plan_from_dict(changes)
+    assert same(read, plan)
+    report = validate_proofs(read, vault, EQUILIBRIUM)
+    assert report.good
+    assert report.residual == validate_proofs(plan, vault, EQUILIBRIUM).residual
+    assert validate_proofs(plan.reverse(), vault, EQUILIBRIUM).good
+    whole = replace(plan, forces=np.asarray(plan.forces))
+    assert validate_proofs(whole, vault, EQUILIBRIUM).good
+    assert len(changes["forces"]["changes_zlib_base64"]) < len(
+        plan_to_dict(whole, proofs=True)["forces"]["zlib_base64"]
+    )
+
+
+def test_forces_of_a_plan_that_were_changed_are_rejected(balanced: tuple[Assembly, Plan]) -> None:
+    """Wherever one changes, in a state alone or from there on."""
+    vault, plan = balanced
+    assert plan.forces is not None
+    forces = np.asarray(plan.forces)
+    random = np.random.default_rng(0)
+    places = np.argwhere(forces[:, :, 0] > 0.05 * forces[:, :, 0].max())
+    for row, point in places[random.permutation(len(places))[:20]]:
+        for rows in (slice(row, row + 1), slice(row, None)):
+            tampered, arrays = forces.copy(), plan.forces[:].copy()
+            tampered[rows, point] *= 1.5
+            arrays[np.arange(len(forces))[rows]] = tampered[rows]
+            report = validate_proofs(replace(plan, forces=arrays), vault, EQUILIBRIUM)
+            assert not report.good
+            assert report.checked == row
+
+
+def test_damaged_changes_are_rejected(changes: dict[str, Any]) -> None:
+    points, states = changes["forces"]["points"], len(changes["steps"]) + 1
+    data = zlib.decompress(base64.b64decode(changes["forces"]["changes_zlib_base64"]))
+    count = np.frombuffer(data[: 4 * states], dtype="<u4").copy()
+
+    def message(data: bytes, **other: Any) -> str:
+        packed = {"changes_zlib_base64": base64.b64encode(zlib.compress(data)).decode(), "points": points} | other
+        with pytest.raises(PlanError) as caught:
+            plan_from_dict(changes | {"forces": packed})
+        return str(caught.value)
+
+    misfit = f"forces.changes_zlib_base64 does not hold forces of {points} points for each of {states} states"
+    first = int(np.flatnonzero(count > 1)[0])
+    place = 4 * (states + int(count[:first].sum()))
+    swapped = data[:place] + data[place + 4 : place + 8] + data[place : place + 4] + data[place + 8 :]
+    beyond = data[: place + 4 * int(count[first]) - 4] + np.uint32(points).tobytes()
+    beyond += data[place + 4 * int(count[first]) :]
+    many = count.copy()
+    many[first] = points + 1
+    for bad in (b"", data[:8], data[:-1], data + b"0", swapped, beyond, many.tobytes() + data[4 * states :]):
+        assert misfit in message(bad)
+    assert "does not hold" in message(np.zeros(states, dtype="<u4").tobytes(), points=10**12)
+    assert "cannot be unpacked" in message(data, changes_zlib_base64="rubbish!")
+    assert "unknown entry" in message(data, zlib_base64="")
 
 
 def test_ways_out_are_checked(small_arch: Assembly, arch_oracle: Stability) -> None:

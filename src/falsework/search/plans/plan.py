@@ -17,6 +17,7 @@ from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.certificate import StabilityCriterion
+from falsework.stability.state_arrays import StateArrays
 from falsework.stability.verdict import Verdicts
 
 if TYPE_CHECKING:
@@ -101,8 +102,9 @@ class Plan:
     source: Mapping[str, Any] | None = None
     """Where the structure came from: `built_in` or `path` (relative to the file of the plan), and the options of
     `load_structure` that were given; None if unknown."""
-    forces: NDArray[np.float64] | None = None
-    """Contact forces `(n, t1, t2)` of each state in N, the proof under `equilibrium`, shape (steps + 1, points, 3)."""
+    forces: NDArray[np.float64] | StateArrays | None = None
+    """Contact forces `(n, t1, t2)` of each state in N, the proof under `equilibrium`, shape (steps + 1, points, 3);
+    those of searches take memory only for what changes from state to state."""
     displacement: NDArray[np.float64] | None = None
     """Proof of each state under `contact`: displacements of the parts in m and rad, shape (steps + 1, parts, 6)."""
     replay: PlanReplay | None = None
@@ -203,7 +205,7 @@ class Plan:
         """States in the order of assembly, in which a plan is replayed, shape (steps + 1, parts)."""
         return self.states if self.direction is Direction.ASSEMBLY else self.states[::-1]
 
-    def proof_arrays(self) -> NDArray[np.float64] | None:
+    def proof_arrays(self) -> NDArray[np.float64] | StateArrays | None:
         """Return the certificates of the states under the plan's criterion, if the plan has them."""
         return self.displacement if self.claim.criterion == "contact" else self.forces
 

@@ -22,7 +22,7 @@ from falsework.stability.certificate import (
     StabilityCriterion,
     chunks,
     residual_of_displacement,
-    residual_of_forces,
+    residuals_in_order,
     verify_certificates,
 )
 from falsework.stability.oracle import Stability
@@ -230,9 +230,12 @@ def validate_proofs(plan: Plan, assembly: Assembly, settings: StabilitySettings 
     if proofs.shape != wanted:
         raise PlanError(f"the plan has {name} of shape {proofs.shape}; expected {wanted}; plan again")
     broken = broken_rule(plan, assembly)
-    residual_of = residual_of_displacement if contact else residual_of_forces
-    rows = chunks(np.arange(len(plan.states)), len(assembly.contacts.points))
-    residual = np.concatenate([residual_of(assembly, plan.states[some], proofs[some], claim) for some in rows])
+    if contact:
+        rows = chunks(np.arange(len(plan.states)), len(assembly.contacts.points))
+        found = [residual_of_displacement(assembly, plan.states[some], proofs[some], claim) for some in rows]
+        residual = np.concatenate(found)
+    else:
+        residual = residuals_in_order(assembly, plan.states, proofs, claim)
     bad = np.flatnonzero(~(residual <= claim.tolerance))
     if len(bad) and (broken is None or bad[0] < broken[0]):
         row = int(bad[0])

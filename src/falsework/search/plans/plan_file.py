@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import math
-import zlib
 from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
@@ -18,10 +16,12 @@ from falsework.assembly.prop import Prop
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states, held_count
 from falsework.errors import InputError, PlanError, StateError
 from falsework.search.margins.plan_margins import PlanMargins
+from falsework.search.plans.packed_proofs import CHANGES, WHOLE, pack_proofs, unpack_proofs
 from falsework.search.plans.plan import Plan, needs_of
 from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.problem.task import Direction
 from falsework.stability.certificate import StabilityCriterion
+from falsework.stability.state_arrays import StateArrays
 from falsework.stability.stiffness import TANGENTIAL_RATIO
 from falsework.stability.verdict import Proof, Verdict
 from falsework.utils.json_file import Reader, write_json
@@ -122,8 +122,7 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
     arrays = plan.proof_arrays()
     if proofs and arrays is not None:
         name, count = _PROOF_ARRAYS[plan.claim.criterion]
-        packed = zlib.compress(np.ascontiguousarray(arrays, dtype="<f8").tobytes(), 9)
-        data[name] = {count: arrays.shape[1], "zlib_base64": base64.b64encode(packed).decode()}
+        data[name] = {count: arrays.shape[1], **pack_proofs(arrays)}
     return data
 
 
@@ -374,20 +373,17 @@ class _Reader(Reader):
             self._fail(f"replay.falls_at is {falls_at}", f"the plan has {states} states")
         return PlanReplay(stands, self._number(value["moved"], "replay.moved"), part, falls_at)
 
-    def _packed(self, value: Any, name: str, counted: str, states: int) -> NDArray[np.float64]:
+    def _packed(self, value: Any, name: str, counted: str, states: int) -> NDArray[np.float64] | StateArrays:
         """Return the proofs of all states: forces of points, or displacements of parts."""
-        self._keys(value, {counted, "zlib_base64"}, name)
+        entry = CHANGES if isinstance(value, dict) and CHANGES in value and name == "forces" else WHOLE
+        self._keys(value, {counted, entry}, name)
         count, width = self._count(value[counted], f"{name}.{counted}"), 6 if name == "displacements" else 3
+
         try:
-            packed = base64.b64decode(value["zlib_base64"], validate=True)
-            wanted = states * count * width * 8
-            # One extra byte reveals oversized data without unpacking all of it.
-            data = zlib.decompressobj().decompress(packed, wanted + 1)
-        except (TypeError, ValueError, OverflowError, zlib.error):
-            self._fail(f"{name}.zlib_base64 cannot be unpacked")
-        if len(data) != wanted:
-            self._fail(f"{name}.zlib_base64 does not hold {name} of {count} {counted} for each of {states} states")
-        return np.frombuffer(data, dtype="<f8").reshape(states, count, width).astype(np.float64)
+            what = f"{name} of {count} {counted} for each of {states} states"
+            return unpack_proofs(entry, value[entry], (states, count, width), what)
+        except ValueError as error:
+            self._fail(f"{name}.{entry} {error}")
 
     def _number(self, value: Any, place: str) -> float:
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value) or value < 0:

@@ -1,0 +1,99 @@
+"""Arrays of the states of a plan, of which blocks that do not change from state to state are stored once."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_BLOCK = 32
+"""Rows of a block: small, since a repair changes few contacts, and large beside the four bytes of its number."""
+_GROWTH = 1.125
+"""Factor by which the memory for blocks grows."""
+
+
+class _Blocks:
+    """Blocks in the order in which they were added; none is ever changed."""
+
+    def __init__(self, width: int) -> None:
+        """Begin with one block of zeros."""
+        self.count = 1
+        self.values = np.zeros((1, _BLOCK, width))
+
+    def add(self, blocks: Array) -> NDArray[np.int32]:
+        """Store blocks, shape (some, block, width), and return their numbers."""
+        first, self.count = self.count, self.count + len(blocks)
+        if self.count > len(self.values):
+            # In place, so that old and new memory are never both in use.
+            shape = (max(self.count, int(_GROWTH * len(self.values))), *self.values.shape[1:])
+            self.values.resize(shape, refcheck=False)
+        self.values[first : self.count] = blocks
+        return np.arange(first, self.count, dtype=np.int32)
+
+
+class StateArrays:
+    """Array of shape (states, rows, width), for example contact forces, that takes memory only for what changes.
+
+    Converts to a NumPy array where one is needed: `np.asarray(arrays)`, or `arrays[state]` for one state. Slices share
+    the memory.
+    """
+
+    def __init__(self, states: int, rows: int, width: int) -> None:
+        """Begin with zeros."""
+        self._rows = rows
+        self._blocks = _Blocks(width)
+        self._number = np.zeros((states, -(-rows // _BLOCK)), dtype=np.int32)
+        self._known = np.zeros(states, dtype=bool)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """States, rows, width."""
+        return len(self._number), self._rows, self._blocks.values.shape[2]
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that the arrays take."""
+        return self._blocks.values.nbytes + self._number.nbytes
+
+    def __len__(self) -> int:
+        return len(self._number)
+
+    def __getitem__(self, index: Any) -> Any:
+        """Return the array of one state, those of several, or for a slice of states the same without a copy."""
+        if isinstance(index, slice):
+            some = object.__new__(StateArrays)
+            some._rows, some._blocks = self._rows, self._blocks
+            some._number, some._known = self._number[index], self._known[index]
+            return some
+        number = self._number[index]
+        states, (_, rows, width) = number.shape[:-1], self.shape
+        return self._blocks.values[number].reshape(*states, -1, width)[..., :rows, :]
+
+    def __setitem__(self, states: NDArray[np.integer], arrays: Array) -> None:
+        """Store the arrays of some states, shape (some, rows, width)."""
+        for state, array in zip(np.arange(len(self))[states].tolist(), arrays, strict=True):
+            self._put(state, array)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        return np.asarray(self[np.arange(len(self))], dtype=dtype)
+
+    def copy(self) -> StateArrays:
+        """Return a copy, which shares the blocks, since these never change."""
+        same = self[:]
+        same._number, same._known = same._number.copy(), same._known.copy()
+        return same
+
+    def _put(self, state: int, array: Array) -> None:
+        """Store the array of one state; blocks that are, bit by bit, those of the last stored before it are shared."""
+        count, rows, width = self._number.shape[1], *self.shape[1:]
+        blocks = np.zeros((count, _BLOCK, width))
+        blocks.reshape(-1, width)[:rows] = array
+        before = np.flatnonzero(self._known[:state])
+        number = self._number[before[-1]].copy() if len(before) else np.zeros(count, dtype=np.int32)
+        same = blocks.view(np.uint64) == self._blocks.values[number].view(np.uint64)
+        new = ~same.all(axis=(1, 2))
+        number[new] = self._blocks.add(blocks[new])
+        self._number[state], self._known[state] = number, True
