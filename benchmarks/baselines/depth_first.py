@@ -137,22 +137,23 @@ class DepthFirstSearch:
     def _enter(self, state: States) -> None:
         """Put a state on the path, with its stable moves in the order in which they are to be tried."""
         level = state[None]
-        frontier = expand(self.task, self.settings.direction, level, self._hash(level), self._hash)
-        stable = frontier.free.copy()
-        asked = np.flatnonzero(~stable)
+        frontier = expand(self.task, self.settings.direction, level, self._hash)
+        candidates = frontier.candidates()
+        stable = frontier.free(candidates)
+        asked = candidates[~stable]
         if len(asked):
-            stable[asked] = self._judge.stable(frontier.states(asked), frontier.parents(asked))
+            stable[~stable] = self._judge.stable(frontier.states(asked), frontier.parents(asked))
         self._candidates += len(frontier)
-        rows = np.flatnonzero(stable)
+        rows = candidates[stable]
         rng = np.random.default_rng((self.settings.seed, len(self._entered)))
-        preference = self._preference(level, frontier.action[rows])
+        preference = self._preference(level, frontier.action(rows))
         # The last of the list is tried first.
         order = np.lexsort((rng.random(len(rows)), preference))
         if len(self._path) > self._reached or not len(self._deepest):
             self._reached, self._deepest = len(self._path), level
-            self._rejected = frontier.states(asked[~stable[asked]])[:_REPORTED_STATES]
+            self._rejected = frontier.states(candidates[~stable][:_REPORTED_STATES])
         self._path.append(state)
-        self._untried.append(frontier.action[rows[order]].tolist())
+        self._untried.append(frontier.action(rows[order]).tolist())
         self._entered.add(state.tobytes())
 
     def _preference(self, level: States, actions: NDArray[np.int64]) -> NDArray[np.float64]:

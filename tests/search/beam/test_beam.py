@@ -21,7 +21,9 @@ from falsework.search import (
     SupportGuide,
     Task,
 )
-from falsework.search.beam.frontier import Level, PackedLevel, pack
+from falsework.search.beam.frontier import Level, PackedLevel, expand, pack
+from falsework.search.beam.scores import Promise, Scores
+from falsework.search.problem.hashing import StateHash
 from falsework.stability import Stability
 
 BOTH = pytest.mark.parametrize("direction", list(Direction))
@@ -293,3 +295,54 @@ def test_packed_levels_have_the_same_states() -> None:
     assert pack(packed) is packed
     diverse = replace(level, states=random.integers(0, 3, states.shape).astype(np.uint8))
     assert pack(diverse) is diverse
+
+
+@pytest.mark.parametrize("direction", Direction)
+def test_frontiers_have_each_state_once(rules: Any, direction: Direction) -> None:
+    """As if all moves of all states were written down and equal states removed, the first move kept."""
+    random, task = np.random.default_rng(0), Task.create(rules.ground(9), 3).judged_by(rules.tower(9))
+    level = task.origin(direction)[None]
+    for _ in range(9):
+        frontier = expand(task, direction, level, StateHash.for_parts(9))
+        row, action = np.nonzero(task.moves(level, direction))
+        states = task.follow(level[row], action, direction)
+        _, first, position = np.unique(states, axis=0, return_index=True, return_inverse=True)
+        found = frontier.candidates()
+        np.testing.assert_array_equal(found, np.sort((row * 18 + action)[first]))
+        np.testing.assert_array_equal(frontier.states(found), states[np.sort(first)])
+        fixing = np.zeros(len(first), dtype=bool)
+        fixing[position.ravel()[task.fixes(action, direction)]] = True
+        np.testing.assert_array_equal(frontier.fixes(found), fixing[np.argsort(first)])
+        np.testing.assert_array_equal(
+            frontier.held(found), ((frontier.states(found) == 2) & ~task.boundary).sum(axis=1)
+        )
+        level = frontier.states(random.permutation(found)[:12])
+
+
+@pytest.mark.parametrize("direction", Direction)
+@pytest.mark.parametrize("ties", [False, True])
+def test_the_best_are_the_first_of_all(rules: Any, direction: Direction, ties: bool) -> None:
+    """Sorting those that may be among the best is sorting all, with equal ones in the same random order."""
+    random, task = np.random.default_rng(1), Task.create(rules.ground(9), 3).judged_by(rules.tower(9))
+    level = task.origin(direction)[None]
+    for step in range(9):
+        frontier = expand(task, direction, level, StateHash.for_parts(9))
+        shapes = (len(level),), (len(level), 18), (9,), (9,)
+        before, guide, fixed, moved = (random.random(shape).round(0 if ties else 9) for shape in shapes)
+        scores = Scores(frontier, before, guide, (fixed,), moved)
+        promise = Promise(scores, np.random.default_rng(step))
+        rows = np.flatnonzero(frontier.fixing)
+        everything = scores.of(frontier.candidates())
+        gap = np.ptp(everything) + 1.0
+        np.testing.assert_array_equal(promise.of(rows), scores.of(rows) - gap * frontier.held(rows))
+        shuffled = np.random.default_rng(step).permutation(rows)
+        ordered = shuffled[np.argsort(-promise.of(shuffled), kind="stable")]
+        for most_held in (np.inf, 2, 1):
+            wanted = ordered[frontier.held(ordered) <= most_held]
+            for count in (1, 3, 10, 1000):
+                best = promise.best_fixing(count, most_held)
+                if not ties:
+                    assert len(np.unique(promise.of(rows))) == len(rows)
+                np.testing.assert_array_equal(best, wanted[:count])
+        found = frontier.candidates()
+        level = frontier.states(random.permutation(found)[:12])

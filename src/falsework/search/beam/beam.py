@@ -14,6 +14,7 @@ from falsework.search.beam.failures import FailureMemory
 from falsework.search.beam.frontier import Frontier, Level, expand, pack
 from falsework.search.beam.histories import Histories
 from falsework.search.beam.level_search import LevelSearch
+from falsework.search.beam.scores import Scores
 from falsework.search.beam.selection import Selector
 from falsework.search.beam.settings import BeamSettings
 from falsework.search.problem.guide import Guide
@@ -98,28 +99,11 @@ class BeamSearch(LevelSearch):
         if self.done:
             return False
         settings, level = self.settings, self.levels[-1]
-        frontier = expand(self.task, settings.direction, level.states, self._hash(level.states), self._hash)
-        score = level.score[frontier.parent]
-        if self._guide is not None:
-            mask = self.task.moves(level.states, settings.direction)
-            scores = np.asarray(self._guide(level.states, mask, settings.direction), dtype=np.float64)
-            if scores.shape != mask.shape:
-                raise InputError(f"the guide returned scores of shape {scores.shape}; expected {mask.shape}")
-            score = score + scores[frontier.parent, frontier.action]
-        for parts, weight in (
-            (settings.avoided, -_RELUCTANCE),
-            (self._beside(settings.avoided), -_DOUBT),
-            (settings.preferred, _PREFERENCE),
-        ):
-            if len(parts):
-                score = score + weight * (np.isin(frontier.action % self.task.part_count, parts) & frontier.fixing)
-        if settings.disorder > 0:
-            draw = np.random.default_rng((settings.seed, settings.number))
-            preference = draw.uniform(-settings.disorder, settings.disorder, self.task.part_count)
-            score = score + preference[frontier.action % self.task.part_count]
+        frontier = expand(self.task, settings.direction, level.states, self._hash)
+        scores = self._scores(frontier, level.score)
         rng = np.random.default_rng((settings.seed, self._retried, len(self.levels)))
-        clustered = settings.diversity == "k-means"
-        selector = Selector(frontier, score, clustered, settings.pool, rng, self._standing(), self._failures)
+        how = settings.diversity == "k-means", settings.pool, rng
+        selector = Selector(frontier, scores, *how, self._standing(), self._failures)
         doubt = False
         if settings.lookahead > 0:
 
@@ -151,8 +135,8 @@ class BeamSearch(LevelSearch):
         if self._dead:
             return False
         kept = choice.kept
-        waits = frontier.fixing[kept] & ~frontier.free[kept] & (settings.lookahead > 0)
-        columns = (frontier.states(kept), frontier.parent[kept], frontier.action[kept], score[kept])
+        waits = frontier.fixes(kept) & ~frontier.free(kept) & (settings.lookahead > 0)
+        columns = (frontier.states(kept), frontier.parent(kept), frontier.action(kept), scores.of(kept))
         self.levels[-1] = pack(level)
         self.levels.append(Level(*columns, np.where(waits, 0, 1).astype(np.int8)))
         if self.found and not self._ground(np.arange(len(kept))).any():
@@ -162,6 +146,25 @@ class BeamSearch(LevelSearch):
         if self._histories is not None:
             self._histories.keep(kept)
         return True
+
+    def _scores(self, frontier: Frontier, before: NDArray[np.float64]) -> Scores:
+        """Return the scores of candidates, by the guide and by what the settings say of parts."""
+        settings, guide, moved = self.settings, None, None
+        if self._guide is not None:
+            guide = np.asarray(self._guide(frontier.level, frontier.legal, settings.direction))
+            if guide.shape != frontier.moves.shape:
+                raise InputError(f"the guide returned scores of shape {guide.shape}; expected {frontier.moves.shape}")
+        fixed = []
+        avoided, preferred = settings.avoided, settings.preferred
+        weights = (avoided, -_RELUCTANCE), (self._beside(avoided), -_DOUBT), (preferred, _PREFERENCE)
+        for parts, weight in weights:
+            if len(parts):
+                fixed.append(np.zeros(self.task.part_count))
+                fixed[-1][list(parts)] = weight
+        if settings.disorder > 0:
+            draw = np.random.default_rng((settings.seed, settings.number))
+            moved = draw.uniform(-settings.disorder, settings.disorder, self.task.part_count)
+        return Scores(frontier, before, guide, tuple(fixed), moved)
 
     def largest_movement(self) -> tuple[float, int] | None:
         """Return how far a part moves at most in the replay of the route found, m, and that part.
@@ -192,10 +195,10 @@ class BeamSearch(LevelSearch):
 
     def _confirmed(self, frontier: Frontier, rows: NDArray[np.int64]) -> Mask:
         """Return whether each stable candidate is reached through stable states only. Shape (rows,)."""
-        good = self._ground(frontier.parent[rows])
+        good = self._ground(frontier.parent(rows))
         if self._histories is not None and good.any():
             rows = rows[good]
-            stands = self._histories.standing(rows, frontier.parent[rows], frontier.states(rows))
+            stands = self._histories.standing(rows, frontier.parent(rows), frontier.states(rows))
             self._judge.sliding += int((~stands).sum())
             good[good] = stands
         return good

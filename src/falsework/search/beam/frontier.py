@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, Mask, States, held_count
-from falsework.search.problem.hashing import Hashes, StateHash, merge
+from falsework.search.problem.hashing import StateHash, merge
 from falsework.search.problem.task import Direction, Task
+
+Rows = NDArray[np.int64]
 
 _CHUNK_STATES = 4096
 _WORTH_PACKING = 16_384
@@ -67,80 +70,135 @@ def pack(level: Level | PackedLevel) -> Level | PackedLevel:
 
 @dataclass(frozen=True, eq=False)
 class Frontier:
-    """Distinct states that one move leads to from the states of a level."""
+    """Distinct states that one move leads to from the states of a level.
+
+    A candidate is named by its number among all moves of the level, `row of the level * 2 parts + action`, so that
+    nothing needs to be stored for each.
+    """
 
     task: Task
     direction: Direction
     level: States
     """Shape (level, parts)."""
-    parent: NDArray[np.int64]
-    """Row of `level` that each candidate comes from, shape (candidates,)."""
-    action: NDArray[np.int64]
-    """Shape (candidates,)."""
-    hashes: Hashes
-    """Shape (candidates,)."""
+    legal: Mask
+    """Moves that the rules allow, shape (level, 2 parts)."""
+    moves: Mask
+    """The first of them that leads to each candidate, shape (level, 2 parts)."""
     fixing: Mask
-    """Candidates that a move which fixes a part leads to, shape (candidates,)."""
+    """Candidates that a move which fixes a part leads to, shape (level, 2 parts)."""
+
+    @cached_property
+    def _count(self) -> int:
+        return int(np.count_nonzero(self.moves))
 
     def __len__(self) -> int:
-        return len(self.parent)
+        return self._count
 
-    @property
-    def free(self) -> Mask:
-        """Candidates that are stable because the level is, shape (candidates,)."""
-        return self.fixing & self.task.holds_keep_stable
+    def candidates(self) -> Rows:
+        """Return all candidates, ascending."""
+        return np.flatnonzero(self.moves)
 
-    def states(self, rows: NDArray[np.integer] | slice = slice(None)) -> States:
+    def parent(self, rows: Rows) -> NDArray[np.int64]:
+        """Return the rows of `level` that candidates come from, shape (rows,)."""
+        return rows // self.moves.shape[1]
+
+    def action(self, rows: Rows) -> NDArray[np.int64]:
+        """Return the actions that lead to candidates, shape (rows,)."""
+        return rows % self.moves.shape[1]
+
+    def part(self, rows: Rows) -> NDArray[np.int64]:
+        """Return the parts that move, shape (rows,)."""
+        return rows % self.level.shape[1]
+
+    def fixes(self, rows: Rows) -> Mask:
+        """Return which candidates a move that fixes a part leads to, shape (rows,)."""
+        return self.fixing.ravel()[rows]
+
+    def free(self, rows: Rows) -> Mask:
+        """Return which candidates are stable because the level is, shape (rows,)."""
+        return self.fixes(rows) & self.task.holds_keep_stable
+
+    def states(self, rows: Rows) -> States:
         """Return candidates written down, shape (rows, parts)."""
-        return self.task.follow(self.level[self.parent[rows]], self.action[rows], self.direction)
+        return self.task.follow(self.level[self.parent(rows)], self.action(rows), self.direction)
 
-    def parents(self, rows: NDArray[np.integer] | slice = slice(None)) -> States:
-        """Return states of the level that the candidates come from, shape (rows, parts)."""
-        return self.level[self.parent[rows]]
+    def parents(self, rows: Rows) -> States:
+        """Return states of the level that candidates come from, shape (rows, parts)."""
+        return self.level[self.parent(rows)]
 
-    def held(self) -> NDArray[np.int64]:
-        """Return parts that robots hold in each candidate, shape (candidates,)."""
-        before = held_count(self.level, self.task.boundary)[self.parent]
-        holds = self.task.moved_value(self.action, self.direction) == HELD
-        return before + np.where(holds, 1, -1)
+    @cached_property
+    def held_before(self) -> NDArray[np.int64]:
+        """Parts that robots hold in each state of the level, shape (level,)."""
+        return held_count(self.level, self.task.boundary)
+
+    def held(self, rows: Rows) -> NDArray[np.int64]:
+        """Return parts that robots hold in candidates, shape (rows,)."""
+        holds = self.task.moved_value(self.action(rows), self.direction) == HELD
+        return self.held_before[self.parent(rows)] + np.where(holds, 1, -1)
 
 
-def expand(task: Task, direction: Direction, level: States, hashes: Hashes, state_hash: StateHash) -> Frontier:
+def expand(task: Task, direction: Direction, level: States, state_hash: StateHash) -> Frontier:
     """Return every legal move from every state of a level; states reached twice are kept once, dead ends not at all.
 
     Args:
         task: rules of the search.
         direction: which way to move.
-        level: stable states, all the same number of steps from the start, shape (level, parts).
-        hashes: their hashes, shape (level,).
+        level: distinct stable states, all the same number of steps from the start, shape (level, parts).
         state_hash: how hashes are made.
     """
-    parent, action = np.nonzero(task.moves(level, direction))
-    part = action % task.part_count
-    old = level[parent, part]
-    new = task.moved_value(action, direction)
-    child = state_hash.after(hashes[parent], part, old, new)
+    parts = task.part_count
+    legal, fixing = task.moves(level, direction), np.zeros((len(level), 2 * parts), dtype=bool)
+    moves = legal.copy()
+    half = slice(0, parts) if direction is Direction.DISASSEMBLY else slice(parts, None)
+    # Two moves lead to the same state only if the states they come from differ in the parts that move.
+    differs = np.flatnonzero((level != level[:1]).any(axis=0)) if len(level) > 1 else np.empty(0, dtype=np.int64)
+    if len(differs):
+        fixing |= _merge(task, direction, level[:, differs], differs, moves, state_hash)
+    fixing[:, half] = moves[:, half]
+    frontier = Frontier(task, direction, level, legal, moves, fixing)
+    if task.clearance is not None and direction is Direction.ASSEMBLY:
+        candidates = frontier.candidates()
+        for begin in range(0, len(candidates), _CHUNK_STATES):
+            rows = candidates[begin : begin + _CHUNK_STATES]
+            dead = rows[task.dead_ends(frontier.states(rows), direction)]
+            moves.ravel()[dead] = fixing.ravel()[dead] = False
+    return frontier
+
+
+def _merge(
+    task: Task, direction: Direction, level: States, differs: NDArray[np.intp], moves: Mask, state_hash: StateHash
+) -> Mask:
+    """Keep the first of all moves that lead to the same state.
+
+    Args:
+        task: rules of the search.
+        direction: which way to move.
+        level: values of the parts in which states differ, shape (level, differs).
+        differs: these parts.
+        moves: legal moves of all parts, shape (level, 2 parts); out: without those that lead to the state of another.
+        state_hash: how hashes are made.
+
+    Returns:
+        Moves kept that lead to a state to which one that fixes a part leads too, shape (level, 2 parts).
+    """
+    columns = np.concatenate([differs, task.part_count + differs])
+    parent, column = np.nonzero(moves[:, columns])
+    place, action = column % len(differs), columns[column]
+    value = task.moved_value(action, direction)
+    words = state_hash.words[differs]
+    before = np.bitwise_xor.reduce(words[np.arange(len(differs)), level], axis=1)
+    hashes = before[parent] ^ words[place, level[parent, place]] ^ words[place, value]
 
     def rows(index: NDArray[np.intp]) -> States:
-        return task.follow(level[parent[index]], action[index], direction)
+        states = level[parent[index]]
+        states[np.arange(len(index)), place[index]] = value[index]
+        return states
 
-    first, position = merge(child, rows)
-    fixing = np.zeros(len(first), dtype=bool)
-    fixing[position[task.fixes(action, direction)]] = True
-    frontier = Frontier(task, direction, level, parent[first], action[first], child[first], fixing)
-    return frontier if task.clearance is None else _without_dead_ends(frontier)
-
-
-def _without_dead_ends(frontier: Frontier) -> Frontier:
-    count = len(frontier)
-    dead = np.zeros(count, dtype=bool)
-    for begin in range(0, count, _CHUNK_STATES):
-        rows = slice(begin, begin + _CHUNK_STATES)
-        dead[rows] = frontier.task.dead_ends(frontier.states(rows), frontier.direction)
-    return replace(
-        frontier,
-        parent=frontier.parent[~dead],
-        action=frontier.action[~dead],
-        hashes=frontier.hashes[~dead],
-        fixing=frontier.fixing[~dead],
-    )
+    first, position = merge(hashes, rows)
+    again = np.ones(len(parent), dtype=bool)
+    again[first] = False
+    moves[parent[again], action[again]] = False
+    fixed = first[position[task.fixes(action, direction)]]
+    fixing = np.zeros_like(moves)
+    fixing[parent[fixed], action[fixed]] = True
+    return fixing

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, Mask, States
 from falsework.search.beam.failures import FailureMemory
-from falsework.search.beam.frontier import Frontier
+from falsework.search.beam.frontier import Frontier, Rows
 from falsework.search.beam.k_means import k_means
+from falsework.search.beam.scores import Promise, Scores
 from falsework.search.problem.oracle import CountingOracle
 from falsework.search.problem.task import Direction
 
-Rows = NDArray[np.int64]
 Confirmed = Callable[[Rows], Mask]
 
 _ENOUGH = 4
@@ -32,8 +32,8 @@ _TRIED_AGAIN_EVERY = 8
 """... so failed moves are repeated only every so many levels, or where no other part can be fixed instead."""
 _TURN = 4
 """Candidates that come from one state in a turn."""
-_EXAMINED = 1024
-"""Candidates looked up in the memory of failures at once."""
+_FARTHER = 4
+"""So many times more candidates are looked up where too few of the first are left."""
 _VERDICT_BATCH = 2
 """Candidates asked for at once at least, once the first were not enough: enough to share two cores. The first mostly
 are, and a stable state costs ten times the verdict of one that falls."""
@@ -56,8 +56,7 @@ class Selector:
     """Selection among the candidates of one level."""
 
     frontier: Frontier
-    score: NDArray[np.float64]
-    """Higher is better, shape (candidates,)."""
+    scores: Scores
     clustered: bool
     """Take one state of each cluster, then the next of each, and so on; else simply the best scored first."""
     pool: int
@@ -69,35 +68,35 @@ class Selector:
     failures: FailureMemory | None = None
     """Moves that failed before, which are tried last."""
 
-    def order(self, rows: Rows, score: NDArray[np.float64], count: int) -> Rows:
+    def order(self, rows: Rows, score: Callable[[Rows], NDArray[np.float64]], count: int) -> Rows:
         """Return rows in the order in which they are to be taken, where about `count` are wanted.
 
         Args:
             rows: some candidates, shape (rows,).
-            score: of all candidates, shape (candidates,).
+            score: of candidates; higher is better.
             count: number of clusters.
         """
         rows = self.rng.permutation(rows)
         if len(rows) <= count or not self.clustered:
-            return rows[np.argsort(-score[rows], kind="stable")]
+            return rows[np.argsort(-score(rows), kind="stable")]
         room = max(self.pool // self.frontier.task.part_count, 2 * count)
         # Rows are in random order, so the first ones are a fair sample.
         sample = rows[:room]
         labels, distance = k_means(self.frontier.states(sample), count, self.rng)
-        order = np.lexsort((distance, -score[sample], labels))
+        order = np.lexsort((distance, -score(sample), labels))
         begin = np.flatnonzero(np.diff(labels[order], prepend=-1))
         rank = np.arange(len(sample)) - np.repeat(begin, np.diff(np.append(begin, len(sample))))
         return np.concatenate([sample[order[np.argsort(rank, kind="stable")]], rows[room:]])
 
     def all_judged(self, judge: CountingOracle, width: int) -> Selection:
         """Ask for every candidate, then keep `width` stable ones; the way of the paper."""
-        frontier = self.frontier
-        stable = frontier.free.copy()
-        asked = np.flatnonzero(~stable)
+        frontier, rows = self.frontier, self.frontier.candidates()
+        stable = frontier.free(rows)
+        asked = rows[~stable]
         if len(asked):
-            stable[asked] = judge.stable(frontier.states(asked), self.standing[frontier.parent[asked]])
-        kept = self.order(np.flatnonzero(stable), self.score, width)[:width]
-        return self._selection(kept, asked[~stable[asked]])
+            stable[~stable] = judge.stable(frontier.states(asked), self.standing[frontier.parent(asked)])
+        kept = self.order(rows[stable], self.scores.of, width)[:width]
+        return self._selection(kept, rows[~stable])
 
     def most_promising(
         self,
@@ -125,21 +124,25 @@ class Selector:
             in_turn: take those in which every robot holds a part in turn over the states of the level.
             compact: fix only parts near those that robots hold, wherever they hold any.
         """
-        frontier = self.frontier
-        held = frontier.held()
-        # The gap between numbers of held parts is wider than all scores, so that it decides first.
-        promise = self.score - held * (np.ptp(self.score) + 1.0 if len(held) else 1.0)
-        loose = self.order(np.flatnonzero(~frontier.fixing), promise, width)
-        fixing = np.flatnonzero(frontier.fixing)
-        fixed = self.order(self._near_held(fixing) if compact else fixing, promise, lookahead)
-        proven, rejected = self._likely_ones(judge, loose, width, confirmed, later=len(fixed) > 0)
+        frontier, promise = self.frontier, Promise(self.scores, self.rng)
+        loose = self.order(promise.loose, promise.of, width)
+        fixed = None
+        if self.clustered or in_turn or compact:  # all of them matter
+            fixing = np.flatnonzero(frontier.fixing)
+            fixed = self.order(self._near_held(fixing) if compact else fixing, promise.of, lookahead)
+        later = bool(frontier.fixing.any()) if fixed is None else len(fixed) > 0
+        proven, rejected = self._likely_ones(judge, loose, width, confirmed, later=later)
+        most_held = np.inf
         if commit and len(proven) >= width:
-            fixed = fixed[held[fixed] <= held[proven].max()]
-        if in_turn and len(fixed) > lookahead:
-            fixed = self._in_turn(fixed, held)
-        if self.failures is not None and width < _THOROUGH_WIDTH:
-            fixed = self._hopeful_first(fixed, lookahead, self.failures)
-        return self._selection(np.concatenate([proven, fixed[:lookahead]]), rejected)
+            most_held = float(frontier.held(proven).max())
+        if fixed is None:
+            fixed = self._hopeful_first(lambda count: promise.best_fixing(count, most_held), lookahead, width)
+        else:
+            ordered = fixed[frontier.held(fixed) <= most_held]
+            if in_turn and len(ordered) > lookahead:
+                ordered = self._in_turn(ordered)
+            fixed = self._hopeful_first(lambda count: ordered[:count], lookahead, width)
+        return self._selection(np.concatenate([proven, fixed]), rejected)
 
     def _near_held(self, fixing: Rows) -> Rows:
         """Return candidates in which a part is fixed near one that robots hold, or that none is held before."""
@@ -151,38 +154,46 @@ class Selector:
         for _ in range(_NEAR_CONTACTS):
             near = ((near + near @ beside) > 0).astype(np.float32)
         near[~held.any(axis=1)] = 1.0
-        return fixing[near[self.frontier.parent[fixing], self.frontier.action[fixing] % task.part_count] > 0]
+        return fixing[near[self.frontier.parent(fixing), self.frontier.part(fixing)] > 0]
 
-    def _in_turn(self, fixed: Rows, held: NDArray[np.int64]) -> Rows:
+    def _in_turn(self, fixed: Rows) -> Rows:
         """Return candidates in which every robot holds a part in turn over the states that they come from.
 
         What is held already is mostly released with the help of a part beside it, so such parts come first.
         """
-        task, full = self.frontier.task, held[fixed] == self.frontier.task.robots
+        task, full = self.frontier.task, self.frontier.held(fixed) == self.frontier.task.robots
         rows = fixed[full]
-        parent, beside = self.frontier.parent[rows], np.zeros(len(rows), dtype=bool)
+        parent, beside = self.frontier.parent(rows), np.zeros(len(rows), dtype=bool)
         if task.neighbours is not None:
             holding = ((self.frontier.level == HELD) & ~task.boundary).astype(np.float32)
-            beside = (holding @ task.neighbours > 0)[parent, self.frontier.action[rows] % task.part_count]
+            beside = (holding @ task.neighbours > 0)[parent, self.frontier.part(rows)]
         order = np.lexsort((np.arange(len(rows)), ~beside, parent))
         begin = np.flatnonzero(np.diff(parent[order], prepend=-1))
         rank = np.empty(len(rows), dtype=np.int64)
         rank[order] = np.arange(len(rows)) - np.repeat(begin, np.diff(np.append(begin, len(rows))))
         return np.concatenate([fixed[~full], rows[np.argsort(rank // _TURN, kind="stable")]])
 
-    def _hopeful_first(self, fixed: Rows, wanted: int, failures: FailureMemory) -> Rows:
-        """Return candidates that fixing a part leads to, those first from which a move is left that has not failed."""
-        task, direction = self.frontier.task, self.frontier.direction
-        loosened = INSTALLED if direction is Direction.ASSEMBLY else REMOVED
-        hopeful: list[Rows] = []
-        hopeless: list[Rows] = []
-        while len(fixed) and sum(map(len, hopeful)) < wanted:
-            some, fixed = fixed[:_EXAMINED], fixed[_EXAMINED:]
-            states = self.frontier.states(some)
-            bad = failures.hopeless(states, (states == HELD) & ~task.boundary, loosened)
-            hopeful.append(some[~bad])
-            hopeless.append(some[bad])
-        return np.concatenate([*hopeful, *hopeless, fixed])
+    def _hopeful_first(self, first: Callable[[int], Rows], wanted: int, width: int) -> Rows:
+        """Return candidates that fixing a part leads to, those first from which a move is left that has not failed.
+
+        Args:
+            first: returns so many of them in order, or all if there are no more.
+            wanted: number of candidates.
+            width: of the beam.
+        """
+        task, count = self.frontier.task, wanted
+        held = (self.frontier.level == HELD) & ~task.boundary
+        loosened = INSTALLED if self.frontier.direction is Direction.ASSEMBLY else REMOVED
+        while True:
+            fixed = first(count)
+            if self.failures is None or width >= _THOROUGH_WIDTH or not len(fixed):
+                return fixed[:wanted]
+            moves = self.frontier.parent(fixed), self.frontier.part(fixed)
+            value = task.moved_value(self.frontier.action(fixed), self.frontier.direction)
+            bad = self.failures.hopeless(self.frontier.level, held, *moves, value, loosened)
+            if len(fixed) < count or len(fixed) - int(bad.sum()) >= wanted:
+                return np.concatenate([fixed[~bad], fixed[bad]])[:wanted]
+            count *= _FARTHER
 
     def _likely_ones(
         self, judge: CountingOracle, waiting: Rows, wanted: int, confirmed: Confirmed, *, later: bool
@@ -194,7 +205,7 @@ class Selector:
         if self.failures is None or not len(waiting):
             return self._stable_ones(judge, waiting, wanted, confirmed)
         frontier = self.frontier
-        keys = self.failures.keys(frontier.states(waiting), frontier.action[waiting] % frontier.task.part_count)
+        keys = self.failures.keys(frontier.states(waiting), frontier.part(waiting))
         failed = self.failures.failed(keys)
         kept, rejected = self._stable_ones(judge, waiting[~failed], wanted, confirmed)
         enough = wanted if wanted >= _THOROUGH_WIDTH else -(-wanted // _ENOUGH)
@@ -223,7 +234,7 @@ class Selector:
         position = 0
         while wanted > 0 and position < len(waiting):
             batch = waiting[position : position + (max(wanted, _VERDICT_BATCH) if position else wanted)]
-            stable = judge.stable(frontier.states(batch), self.standing[frontier.parent[batch]])
+            stable = judge.stable(frontier.states(batch), self.standing[frontier.parent(batch)])
             if stable.any():
                 stable[stable] = confirmed(batch[stable])
             kept.append(batch[stable])
@@ -233,5 +244,5 @@ class Selector:
         return np.concatenate(kept), np.concatenate(rejected)
 
     def _selection(self, kept: Rows, rejected: Rows) -> Selection:
-        best_first = kept[np.argsort(-self.score[kept], kind="stable")]
+        best_first = kept[np.argsort(-self.scores.of(kept), kind="stable")]
         return Selection(best_first, rejected, exhaustive=len(kept) + len(rejected) == len(self.frontier))
