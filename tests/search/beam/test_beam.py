@@ -21,6 +21,7 @@ from falsework.search import (
     SupportGuide,
     Task,
 )
+from falsework.search.beam import scores as scores_module
 from falsework.search.beam.frontier import Level, PackedLevel, expand, pack
 from falsework.search.beam.scores import Promise, Scores
 from falsework.search.problem.hashing import StateHash
@@ -321,8 +322,12 @@ def test_frontiers_have_each_state_once(rules: Any, direction: Direction) -> Non
 
 @pytest.mark.parametrize("direction", Direction)
 @pytest.mark.parametrize("ties", [False, True])
-def test_the_best_are_the_first_of_all(rules: Any, direction: Direction, ties: bool) -> None:
+@pytest.mark.parametrize("few", [0, 1000])
+def test_the_best_are_the_first_of_all(
+    rules: Any, direction: Direction, ties: bool, few: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Sorting those that may be among the best is sorting all, with equal ones in the same random order."""
+    monkeypatch.setattr(scores_module, "_FEW", few)
     random, task = np.random.default_rng(1), Task.create(rules.ground(9), 3).judged_by(rules.tower(9))
     level = task.origin(direction)[None]
     for step in range(9):

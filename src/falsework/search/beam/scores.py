@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.assembly.state import Mask
 from falsework.search.beam.frontier import Frontier, Rows
 from falsework.search.problem.task import Direction
 
 Array = NDArray[np.float64]
+
+_FEW = 1 << 15
+"""Moves of all states of a level up to which all candidates are sorted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,26 +47,49 @@ class Promise:
     """Order in which candidates are tried: those that leave more robots free first, then the better scored."""
 
     def __init__(self, scores: Scores, rng: np.random.Generator) -> None:
-        """Compare all candidates of a level; equal ones will be in random order."""
+        """Begin without looking at any candidate; equal ones will be in random order."""
         self._scores, self._frontier, self._rng = scores, scores.frontier, rng
-        frontier, parts = scores.frontier, scores.frontier.task.part_count
-        self._begin = 0 if frontier.direction is Direction.DISASSEMBLY else parts
-        self._half = frontier.fixing[:, self._begin : self._begin + parts]
-        """Candidates that a move which fixes a part leads to first, shape (level, parts)."""
-        table = self._table()
-        self.loose = np.flatnonzero(frontier.moves & ~frontier.fixing)
-        """Candidates that only other moves lead to, ascending."""
-        level, part = np.nonzero(frontier.fixing[:, parts - self._begin : 2 * parts - self._begin])
-        self._turned = level * 2 * parts + part + parts - self._begin
-        others = scores.of(np.concatenate([self.loose, self._turned]))
-        most = max(table.max(initial=-np.inf, where=self._half), others.max(initial=-np.inf))
-        least = min(table.min(initial=np.inf, where=self._half), others.min(initial=np.inf))
-        # The gap between numbers of held parts is wider than all scores, so that it decides first.
-        self._gap = most - least + 1.0 if len(frontier) else 1.0
-        table -= ((frontier.held_before + 1) * self._gap)[:, None]
-        table[~self._half] = -np.inf
-        self._fixing = table
+        parts = scores.frontier.task.part_count
+        self._begin = 0 if scores.frontier.direction is Direction.DISASSEMBLY else parts
+        self.few = scores.frontier.fixing.size <= _FEW
+        """Whether sorting all candidates takes no longer than finding the best."""
         self._place: NDArray[np.int64] | None = None
+
+    @cached_property
+    def loose(self) -> Rows:
+        """Candidates that no move which fixes a part leads to, ascending."""
+        return np.flatnonzero(self._frontier.moves & ~self._frontier.fixing)
+
+    @cached_property
+    def _turned(self) -> Rows:
+        """Candidates that a move which fixes a part leads to, though not first."""
+        parts, begin = self._frontier.task.part_count, self._frontier.task.part_count - self._begin
+        level, part = np.nonzero(self._frontier.fixing[:, begin : begin + parts])
+        return level * 2 * parts + part + begin
+
+    @cached_property
+    def _half(self) -> Mask:
+        """Candidates that a move which fixes a part leads to first, shape (level, parts)."""
+        return self._frontier.fixing[:, self._begin : self._begin + self._frontier.task.part_count]
+
+    @cached_property
+    def _gap(self) -> float:
+        """Gap between numbers of held parts: wider than all scores, so that it decides first."""
+        if not len(self._frontier):
+            return 1.0
+        if self.few:
+            score = self._scores.of(self._frontier.candidates())
+            return score.max() - score.min() + 1.0
+        others = self._scores.of(np.concatenate([self.loose, self._turned]))
+        most = max(self._table.max(initial=-np.inf, where=self._half), others.max(initial=-np.inf))
+        return most - min(self._table.min(initial=np.inf, where=self._half), others.min(initial=np.inf)) + 1.0
+
+    @cached_property
+    def _fixing(self) -> Array:
+        """Promise of the candidates that a move which fixes a part leads to first, shape (level, parts)."""
+        promise = self._table - ((self._frontier.held_before + 1) * self._gap)[:, None]
+        promise[~self._half] = -np.inf
+        return promise
 
     def of(self, rows: Rows) -> Array:
         """Return the promise of candidates, shape (rows,)."""
@@ -96,6 +124,7 @@ class Promise:
             return rows[np.argsort(-value)][:count]
         return rows[np.lexsort((self._random_place()[rows], -value))][:count]
 
+    @cached_property
     def _table(self) -> Array:
         """Return the scores of all moves that fix a part, legal or not, shape (level, parts)."""
         scores, parts = self._scores, self._frontier.task.part_count

@@ -127,7 +127,7 @@ class Selector:
         frontier, promise = self.frontier, Promise(self.scores, self.rng)
         loose = self.order(promise.loose, promise.of, width)
         fixed = None
-        if self.clustered or in_turn or compact:  # all of them matter
+        if promise.few or self.clustered or in_turn or compact:
             fixing = np.flatnonzero(frontier.fixing)
             fixed = self.order(self._near_held(fixing) if compact else fixing, promise.of, lookahead)
         later = bool(frontier.fixing.any()) if fixed is None else len(fixed) > 0
