@@ -263,17 +263,18 @@ class OrderSearch:
     def _beam(self, first: int, last: int, width: int, own: int, others: int, far: Sequence[Unit]) -> list[Partial]:
         """Return orders of the steps of a window after those before it, best first."""
         window = self.best[-1].steps[first:last]
+        inside = {(step.unit.job, step.place) for step in window}
+        inside |= {(unit.job, place) for unit in far for place in range(2)}
         beam = [self.best[first]]
         for level in range(first + 1, last + 1):
-            made = [
-                (expected(partial, *step, self._hold), row, step)
+            made = sorted(  # a robot does a job at most once after each order, so units are never compared
+                (expected(partial, robot, unit, place, self._hold), row, robot, unit.job, unit, place)
                 for row, partial in enumerate(beam)
-                for step in self._steps(partial, window, own, others, far)
-            ]
-            made.sort(key=lambda entry: (entry[0], entry[1], entry[2][0], entry[2][1].job))
+                for robot, unit, place in self._steps(partial, window, inside, own, others, far)
+            )
             found: list[tuple[float, int, Partial]] = []
             worst, scores = np.inf, []
-            for least, row, (robot, unit, place) in made:
+            for least, row, robot, _, unit, place in made:
                 if least > worst:
                     break
                 following = self.next.step(beam[row], robot, unit, place)
@@ -295,11 +296,15 @@ class OrderSearch:
         return sorted(beam, key=lambda partial: partial.score(self._hold))
 
     def _steps(
-        self, partial: Partial, window: Sequence[UnitStep], own: int, others: int, far: Sequence[Unit]
+        self,
+        partial: Partial,
+        window: Sequence[UnitStep],
+        inside: set[tuple[int, int]],
+        own: int,
+        others: int,
+        far: Sequence[Unit],
     ) -> Iterator[tuple[int, Unit, int]]:
         """Yield steps of a window that may come next: robots, units as in the best order, and places in them."""
-        inside = {(step.unit.job, step.place) for step in window}
-        inside |= {(unit.job, place) for unit in far for place in range(2)}
         waiting = [step.unit for step in window if step.place == 0 and step.unit.job not in partial.jobs]
         for robot, begun in enumerate(partial.begun):
             if begun is not None:
@@ -307,7 +312,7 @@ class OrderSearch:
                     yield robot, *begun
                 continue
             room = 0 if partial.node.held[robot] is not None else others
-            seen = dict.fromkeys(range(len(partial.begun)), 0)
+            seen = [0] * len(partial.begun)
             barred: set[int] = set()
             for unit in waiting:
                 limit = own if unit.robot == robot else room

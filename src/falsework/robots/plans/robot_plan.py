@@ -77,9 +77,9 @@ class Trajectory:
             share = first / (first - second)
         inside = (share > 0) & (share < 1)
         top = np.zeros_like(first)
-        for row, column in np.argwhere(inside):
-            moment = self.times[row] + share[row, column] * (self.times[row + 1] - self.times[row])
-            top[row, column] = abs(speed(moment)[column])
+        rows, columns = np.nonzero(inside)
+        moments = self.times[rows] + share[rows, columns] * (self.times[rows + 1] - self.times[rows])
+        top[rows, columns] = np.abs(speed(moments)[np.arange(len(rows)), columns])
         return np.maximum(ends, top.max(axis=0)), np.maximum(np.abs(first), np.abs(second)).max(axis=0)
 
     def dense(self, step: float) -> tuple[Array, Array]:
