@@ -50,10 +50,15 @@ _WAITS = 16
 """Longest waits, at each of which a window with parts from behind its end is searched."""
 _FAR_TURNS = 2
 """Turns with such windows without a better order after which the search ends, for many arms."""
+_FEW_TURNS = 1
+"""Turns without a better order after which the search ends for two arms: later ones save little."""
 _LEAST_GAIN = 0.002
 """Share by which a turn must shorten an order to count as one with a better order."""
 _TOTAL = 0.01
 """Weight of the total time in the comparison of complete orders, which decides between those with equal makespan."""
+
+Signature = tuple[tuple[int, int, int], ...]
+"""Jobs of an order with the places in them, and the robots."""
 
 
 def is_worth_more(arms: int, parts: int) -> bool:
@@ -95,12 +100,12 @@ class OrderSearch:
         holds = [unit.seconds[0] for unit in self.units if unit.movable]
         self._hold = sum(holds) / max(len(holds), 1)
         many = len(root.configurations) >= MANY
-        self._width, self._far_turns = (_WIDTH, _FAR_TURNS) if many else (_NARROW, 0)
+        self._width, self._turns = (_WIDTH, len(LENGTHS) + _FAR_TURNS) if many else (_NARROW, _FEW_TURNS)
         self.best = self._as_planned(chain)
         """Beginnings of the best order, from that without steps to the complete one."""
         self._planned = list(self.units), self.best
-        self._visited = {_signature(self.best[-1])}
-        """Orders that were the best ones."""
+        self._futile: dict[Signature, set[tuple[float, ...]]] = {}
+        """Of each order that was the best one, the windows that led to no other order."""
 
     def _as_planned(self, chain: Sequence[Edge]) -> list[Partial]:
         place_of = {edge: (unit, k) for unit in self.units for k, edge in enumerate(unit.edges)}
@@ -128,7 +133,7 @@ class OrderSearch:
         length = len(self.best) - 1
         self.improve(0, length, _MERGE_WIDTH, own=1, others=0)
         since = turn = 0
-        while since < len(LENGTHS) + self._far_turns:
+        while since < self._turns:
             # Parts from behind the end of a window are worth their time once nothing else helps.
             far, size, before = since >= len(LENGTHS), LENGTHS[turn % len(LENGTHS)], self.cost
             for first in waits(self.best)[:_WAITS] if far else range(0, length, size // 2):
@@ -143,6 +148,8 @@ class OrderSearch:
         """Exclude a step of the best order in the state in which it is there, and go back to the order of the plan."""
         step, before = self.best[-1].steps[index], self.best[index].node
         self.next.refuse(step.unit, step.place, before.state.tobytes())
+        for windows in self._futile.values():
+            windows.clear()
         self.take(self._planned)
 
     @property
@@ -185,18 +192,23 @@ class OrderSearch:
             worse: share by which an order that was not the best one before may be worse; by default it must be better.
         """
         last, cost, width = min(first + size, len(self.best) - 1), self.cost, width or self._width
+        futile = self._futile.setdefault(_signature(self.best[-1]), set())
+        window = (first, last, width, own, others, len(far), worse)
+        if window in futile:
+            return False
         for _ in range(_FALLS):
             completed = [order for order in self._completed(first, last, width, own, others, far) if self._may(order)]
             if worse:
-                completed = [order for order in completed if _signature(order) not in self._visited]
+                completed = [order for order in completed if _signature(order) not in self._futile]
             found = min(completed, key=_cost, default=None)
             if found is None or _cost(found) >= (cost * (1 + worse) if worse else cost - 1e-6):
+                futile.add(window)
                 return False
             if self._stands(found):
                 for step in found.steps:
                     self.units[step.unit.job] = step.unit
                 self.best = self._beginnings(found.steps)
-                self._visited.add(_signature(found))
+                self._futile.setdefault(_signature(found), set())
                 return True
         return False
 
@@ -335,5 +347,5 @@ def _cost(order: Partial) -> float:
     return order.end + _TOTAL * sum(order.free)
 
 
-def _signature(order: Partial) -> tuple[tuple[int, int, int], ...]:
+def _signature(order: Partial) -> Signature:
     return tuple((step.unit.job, step.place, step.unit.robot) for step in order.steps)
