@@ -130,14 +130,19 @@ def plan_together(
 
 
 def second_plan(
-    assembly: Assembly, cell: Cell, *, stability: StabilitySettings, settings: HybridSettings, **start: Any
+    assembly: Assembly,
+    cell: Cell,
+    *,
+    stability: StabilitySettings,
+    settings: HybridSettings,
+    task: Task | None = None,
+    **start: Any,
 ) -> RobotPlan | None:
     """Return the plan of another process, or None."""
-    task = start["task"]
     present = None if task is None else task.start != REMOVED
     graph = KeyframeGraph(assembly, cell, settings=settings.keyframes, seed=settings.seed, present=present)
     oracle = Stability(assembly, stability)
-    return plan_robots(assembly, cell, oracle=oracle, settings=settings, graph=graph, **start).plan
+    return plan_robots(assembly, cell, task=task, oracle=oracle, settings=settings, graph=graph, **start).plan
 
 
 def _reached(result: HybridResult) -> int:
