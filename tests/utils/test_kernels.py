@@ -153,6 +153,11 @@ def test_numba_without_a_folder_compiles_with_a_warning(fresh: Kernel, monkeypat
         assert twice(3) == 6
 
 
+def test_arrays_may_hold_nothing(fresh: Kernel, monkeypatch: pytest.MonkeyPatch) -> None:
+    without_numba(fresh, monkeypatch)
+    assert meets(fresh, ONE[:0]) == []
+
+
 def test_failure_in_portable_code_is_an_error(fresh: Kernel, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ctypes, "CFUNCTYPE", lambda *_: lambda _: lambda words, result: -1)
     with pytest.raises(RuntimeError, match="_intersect failed"):

@@ -13,7 +13,7 @@ from ctypes import addressof, c_char
 from functools import cache, cached_property
 from pathlib import Path
 from struct import Struct
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from falsework.utils.cache_folder import warn_of_no_cache
 Flat = tuple[str, bytes]
 _ARRAYS = [Struct(f"={5 + 2 * dimensions}q") for dimensions in range(5)]
 _INTEGER, _FLOAT = Struct("=q"), Struct("=d")
+_first_byte: Callable[[Any], c_char] = c_char.from_buffer
 _REMEMBERED = 128
 """Tuples of a kernel whose words are kept: those of the arms of a cell, say, which take turns."""
 
@@ -36,12 +37,15 @@ class Kernel:
         self.__doc__ = function.__doc__
         self.__name__ = function.__name__
         self.__module__ = function.__module__
-        self._flat: dict[tuple[int, int], tuple[tuple[Any, ...], Flat]] = {}
+        self._flat: dict[int, tuple[tuple[Any, ...], Flat]] = {}
 
     def __call__(self, *arguments: Any) -> Any:
         """Run the kernel; what portable code returns is an integer, 0 for nothing."""
         if self._portable is not None:
-            flat = [self._flatten(place, argument) for place, argument in enumerate(arguments)]
+            flat = [
+                self._flatten_tuple(argument) if isinstance(argument, tuple) else flatten(argument)
+                for argument in arguments
+            ]
             if [kind for kind, _ in flat] == self._portable.kinds:
                 return self._portable.run(b"".join([words for _, words in flat]))
         return self.dispatcher(*arguments)
@@ -72,16 +76,14 @@ class Kernel:
         """Machine code, where the portable code fits the source."""
         return kernel_code.load(self.__module__, self.__name__)
 
-    def _flatten(self, place: int, argument: Any) -> Flat:
-        """Return kinds and words of an argument; those of a tuple, which seldom changes, from an earlier call."""
-        if not isinstance(argument, tuple):
-            return flatten(argument)
-        key = place, id(argument)
-        known = self._flat.get(key)
-        if known is None or known[0] is not argument:
+    def _flatten_tuple(self, argument: tuple[Any, ...]) -> Flat:
+        """Return kinds and words of a tuple, which seldom changes, from an earlier call."""
+        known = self._flat.get(id(argument))
+        if known is None:
             if len(self._flat) >= _REMEMBERED:
                 self._flat.clear()
-            known = self._flat[key] = argument, flatten(argument)
+            # The tuple is kept too: as long as it exists, no other one has its number.
+            known = self._flat[id(argument)] = argument, flatten(argument)
         return known[1]
 
 
@@ -91,12 +93,15 @@ def flatten(argument: Any) -> Flat:
     An array is its owner, its parent (none of both here), size, size of an item, address, shape and strides.
     """
     if isinstance(argument, np.ndarray):
-        shape, buffer = argument.shape, cast("Any", argument)
-        try:
-            address = addressof(c_char.from_buffer(buffer))
-        except (TypeError, ValueError):  # slower: what cannot be written, holds nothing or is not contiguous
-            address = argument.__array_interface__["data"][0]
-        words = _ARRAYS[len(shape)].pack(0, 0, argument.size, argument.itemsize, address, *shape, *argument.strides)
+        shape, size = argument.shape, argument.size
+        if not size:
+            address = 0  # never read
+        else:
+            try:
+                address = addressof(_first_byte(argument))
+            except (TypeError, ValueError):  # slower: what cannot be written or is not contiguous
+                address = argument.__array_interface__["data"][0]
+        words = _ARRAYS[len(shape)].pack(0, 0, size, argument.itemsize, address, *shape, *argument.strides)
         return _array_kind(argument.dtype, len(shape), argument.flags.c_contiguous), words
     if isinstance(argument, tuple):
         leaves = [flatten(leaf) for leaf in argument]

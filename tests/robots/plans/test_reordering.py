@@ -118,6 +118,22 @@ def test_without_time_the_plan_stays(case: Case) -> None:
     assert [edge.action for edge in case.reordered(stop=True)] == [step.edge.action for step in search.best[-1].steps]
 
 
+def test_a_window_without_a_better_order_is_not_searched_again(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+    search, searched = case.search(), []
+    completed = search._completed
+    monkeypatch.setattr(search, "_completed", lambda *window: searched.append(window[:2]) or completed(*window))
+    search.run()
+    best = list(search.units), search.best
+    searched.clear()
+    assert not search.improve(0, 3)
+    assert not search.improve(0, 3)
+    assert searched == [(0, 3)]
+    search.refuse(0)  # that step is excluded, so the same window may lead elsewhere
+    search.take(best)
+    search.improve(0, 3)
+    assert len(searched) > 1
+
+
 def test_steps_whose_motions_fail_are_not_taken_there_again(case: Case) -> None:
     search = case.search()
     search.run()

@@ -35,7 +35,8 @@ APPROACH_LENGTH = 0.1
 """Length of the straight approach on which the gripper alone is checked, metres."""
 APPROACH_SAMPLES = 6
 """Positions on the approach at which the gripper is checked."""
-
+_BATCH = 256
+"""Grasps that are checked in one call."""
 
 _SUCTION_TURNS = 2 * np.pi * np.arange(SUCTION_TURNS) / SUCTION_TURNS
 _JAW_TURNS = np.array([0.0, np.pi])
@@ -94,6 +95,11 @@ def grasps(
     gripper = robot.gripper
     if parts.mass[part] > robot.payload:
         return []
+    return clear_grasps(candidates(assembly, parts, part, gripper), parts, part, there, gripper, limit=limit)
+
+
+def candidates(assembly: Assembly, parts: PartShapes, part: int, gripper: Gripper) -> list[Grasp]:
+    """Return grasps of a part that is alone, in the order of `grasps`; a gripper of the same size has the same ones."""
     faces = faces_of(parts.meshes[part], smallest=np.pi * gripper.cup**2 if gripper.kind == "suction" else 0.0)
     table = assembly.clearance
     ways = table.directions[table.start[part] : table.start[part + 1]] @ parts.turn.T
@@ -104,13 +110,27 @@ def grasps(
         groups = _between_faces(gripper, faces, part, parts, ways, size)
     groups = [group for group in groups if group]
     groups.sort(key=lambda group: -round(group[0].quality, 6))
+    return [grasp for turn in itertools.zip_longest(*groups) for grasp in turn if grasp is not None]
+
+
+def clear_grasps(
+    tried: Sequence[Grasp], parts: PartShapes, part: int, there: NDArray[np.bool_], gripper: Gripper, *, limit: int
+) -> list[Grasp]:
+    """Return the first grasps of a part with which the gripper keeps clear of the other parts that are there.
+
+    Args:
+        tried: the grasps.
+        parts: the parts in the cell.
+        part: index of the part.
+        there: present parts, shape (parts,).
+        gripper: the gripper.
+        limit: largest number of returned grasps.
+    """
     found: list[Grasp] = []
     open_ways = _open_ways(parts, part, there, gripper)
-    for turn in itertools.zip_longest(*groups):
-        tried = [grasp for grasp in turn if grasp is not None]
-        found += [tried[row] for row in np.flatnonzero(open_ways(tried)).tolist()]
-        if len(found) >= limit:
-            break
+    while tried and len(found) < limit:
+        some, tried = tried[:_BATCH], tried[_BATCH:]
+        found += [some[row] for row in np.flatnonzero(open_ways(some)).tolist()]
     return found[:limit]
 
 

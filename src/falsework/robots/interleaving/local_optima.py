@@ -13,6 +13,8 @@ _TRIES = 640
 """Windows that are searched for another order."""
 _MOST = 40
 """Orders from which better ones are searched."""
+_PATIENCE = 16
+"""Orders in succession from which none is better than the best one, after which the search ends."""
 _WORSE = 0.02
 """Share by which such an order may be worse."""
 _DRIFT = 0.002
@@ -31,23 +33,23 @@ def leave_local_optima(search: OrderSearch, seed: int) -> None:
         search: a search whose windows lead to no better order.
         seed: seed of the choice of windows.
     """
-    rng, steps, found = np.random.default_rng(seed), len(search.best) - 1, 0
+    rng, steps, found, since = np.random.default_rng(seed), len(search.best) - 1, 0, 0
     best = base = list(search.units), search.best, search.cost
     for _ in range(_TRIES):
-        if search.stop() or found == _MOST:
+        if search.stop() or found == _MOST or since == _PATIENCE:
             break
         size = int(rng.choice(sorted(LENGTHS)))
         first = int(rng.integers(max(steps - size, 1)))
         if not search.improve(first, size, worse=_WORSE):
             continue
-        found += 1
+        found, since = found + 1, since + 1
         _descend(search, max(first - _NEAR, 0), min(first + size + _NEAR, steps))
         if search.cost < base[2] * (1 + _DRIFT):
             base = list(search.units), search.best, search.cost
         else:
             search.take(base[:2])
         if base[2] < best[2]:
-            best = base
+            best, since = base, 0
     search.take(best[:2])
 
 

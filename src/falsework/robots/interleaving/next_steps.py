@@ -46,6 +46,8 @@ class NextSteps:
         self._most = (1 + _REPLACEMENTS) * len(units)
         self._replacements: dict[tuple[int, int], Unit | None] = {(unit.job, unit.robot): unit for unit in units}
         self._approaches: dict[tuple[Unit | None, Unit], list[Leg]] = {}
+        self._moves: dict[tuple[Unit | None, Unit], bool] = {}
+        """Whether the arm has a way to go from the end of a unit to the first line of another one."""
         self._refused: set[tuple[Unit, int, bytes]] = set()
         self._stable: dict[bytes, bool] = {}
         self._ways: dict[Edge, Array] = {}
@@ -107,8 +109,11 @@ class NextSteps:
             goal = edge.segments[0].path[-1]
             lines = [variants for variants in groups if variants[0].segment.kind == "line"]
             groups = lines
-            if np.abs(goal - node.configurations[unit.robot]).max() > _STANDSTILL:
-                groups = [self._approaches.setdefault((partial.last[unit.robot], unit), []), *lines]
+            way = partial.last[unit.robot], unit
+            if way not in self._moves:
+                self._moves[way] = bool(np.abs(goal - node.configurations[unit.robot]).max() > _STANDSTILL)
+            if self._moves[way]:
+                groups = [self._approaches.setdefault(way, []), *lines]
         found = []
         for variants in groups:
             leg = next((leg for leg in variants if self._is_free(partial, unit, leg)), None)
@@ -142,8 +147,10 @@ class NextSteps:
     def _is_free(self, partial: Partial, unit: Unit, leg: Leg) -> bool:
         """Return whether a motion keeps clear of other robots at rest and of parts that it was not planned around."""
         for robot, rest in enumerate(partial.rests):
-            if robot != unit.robot and self.work.wait(leg, rest) >= 0:
-                return False
+            if robot != unit.robot:
+                wait = leg.waits.get(rest)
+                if (self.work.wait(leg, rest) if wait is None else wait) >= 0:
+                    return False
         # A part is not withdrawn past one that had left before: free exits may be so narrow that it would jam.
         return not self.work.blocked(leg, partial.present & ~(1 << unit.part))
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from falsework.assembly.state import HELD
 from falsework.robots.interleaving.work import ArmSweep, Leg, Unit, Work, bits
@@ -21,8 +20,7 @@ _LEAD = 2
 """Steps before the robot begins to wait."""
 
 
-@dataclass(frozen=True, eq=False)
-class UnitStep:
+class UnitStep(NamedTuple):
     """Step of a unit with the variants of its motions."""
 
     unit: Unit
@@ -44,8 +42,7 @@ class UnitStep:
         return Edge(edge.action, edge.robot, tuple(s for s in segments if s is not None), edge.node)
 
 
-@dataclass(frozen=True, eq=False)
-class Partial:
+class Partial(NamedTuple):
     """Prefix of an order: the keyframe that it leads to, and the time at which it is reached."""
 
     steps: tuple[UnitStep, ...]
@@ -89,10 +86,12 @@ class Partial:
 
 def bound(free: Sequence[float], ahead: Sequence[float], event: float, before: Sequence[float]) -> float:
     """Return `Partial.score`; `before` are the seconds that each robot needs before it changes the state."""
-    ends = [
-        max(done + first, event) + left - first if left else done
-        for done, left, first in zip(free, ahead, before, strict=True)
-    ]
+    ends = []
+    for done, left, first in zip(free, ahead, before, strict=True):
+        if left:
+            moment = done + first
+            done = (moment if moment > event else event) + left - first
+        ends.append(done)
     return max(ends) + _MEAN * sum(ends) / len(ends)
 
 
@@ -106,8 +105,8 @@ def expected(partial: Partial, robot: int, unit: Unit, place: int, hold: float) 
     else:
         event = free[robot] = max(partial.event, free[robot] + seconds[place])
     if place == 0:
-        ahead[unit.robot] -= sum(seconds)
-        ahead[robot] += sum(seconds)
+        ahead[unit.robot] -= unit.duration
+        ahead[robot] += unit.duration
     ahead[robot] -= seconds[place]
     before = [0.0 if entry else hold for entry in partial.begun]
     before[robot] = 0.0 if place + 1 < len(unit.edges) else hold
@@ -176,12 +175,16 @@ def extended(work: Work, partial: Partial, step: UnitStep, owner: Unit) -> Parti
         time = event = until(event)
     for k, leg in enumerate(step.legs):
         begin = max(time, event) if k == 0 and removes else time
+        known = leg.waits.get
         for other, past in enumerate(partial.past):
             if other != robot:
                 for body, since, end in past:
-                    wait = work.wait(leg, body) if end > begin else -1.0
-                    if wait >= 0:
-                        begin = max(begin, end if body.rest else since + wait)
+                    if end > begin:
+                        wait = known(body)
+                        if wait is None:
+                            wait = work.wait(leg, body)
+                        if wait >= 0:
+                            begin = max(begin, end if body.rest else since + wait)
         for part, moment in partial.left:
             if moment > begin and work.blocked(leg, 1 << part):
                 begin = moment
@@ -194,15 +197,18 @@ def extended(work: Work, partial: Partial, step: UnitStep, owner: Unit) -> Parti
         time = event = until(event)
     ahead = list(partial.ahead)
     if step.place == 0:
-        ahead[owner.robot] -= sum(owner.seconds)
-        ahead[robot] += sum(unit.seconds)
+        ahead[owner.robot] -= owner.duration
+        ahead[robot] += unit.duration
     ahead[robot] = max(ahead[robot] - unit.seconds[step.place], 0.0)
     if ahead[robot] < 1e-9:
         ahead[robot] = 0.0
     free = _with(partial.free, robot, time)
-    first = [min(free[:k] + free[k + 1 :], default=time) for k in range(len(free))]
-    past = _with(partial.past, robot, tuple(mine))
+    past = []
+    for k, entries in enumerate(partial.past):
+        first = min(free[:k] + free[k + 1 :], default=time)
+        past.append(tuple([entry for entry in (mine if k == robot else entries) if entry[2] > first]))
     left = (*partial.left, (edge.action - parts, event)) if removes else partial.left
+    soonest = min(free)
     following = (unit, step.place + 1) if step.place + 1 < len(unit.edges) else None
     node, present = partial.node.after(edge.action, robot, edge.segments[-1].path[-1]), partial.present
     return Partial(
@@ -216,9 +222,9 @@ def extended(work: Work, partial: Partial, step: UnitStep, owner: Unit) -> Parti
         tuple(ahead),
         free,
         event,
-        tuple(tuple(entry for entry in entries if entry[2] > first[k]) for k, entries in enumerate(past)),
+        tuple(past),
         _with(partial.rests, robot, rest),
-        tuple(entry for entry in left if entry[1] > min(free)),
+        tuple([entry for entry in left if entry[1] > soonest]),
     )
 
 

@@ -50,10 +50,15 @@ _WAITS = 16
 """Longest waits, at each of which a window with parts from behind its end is searched."""
 _FAR_TURNS = 2
 """Turns with such windows without a better order after which the search ends, for many arms."""
+_FEW_TURNS = 1
+"""Turns without a better order after which the search ends for two arms: later ones save little."""
 _LEAST_GAIN = 0.002
 """Share by which a turn must shorten an order to count as one with a better order."""
 _TOTAL = 0.01
 """Weight of the total time in the comparison of complete orders, which decides between those with equal makespan."""
+
+Signature = tuple[tuple[int, int, int], ...]
+"""Jobs of an order with the places in them, and the robots."""
 
 
 def is_worth_more(arms: int, parts: int) -> bool:
@@ -95,12 +100,12 @@ class OrderSearch:
         holds = [unit.seconds[0] for unit in self.units if unit.movable]
         self._hold = sum(holds) / max(len(holds), 1)
         many = len(root.configurations) >= MANY
-        self._width, self._far_turns = (_WIDTH, _FAR_TURNS) if many else (_NARROW, 0)
+        self._width, self._turns = (_WIDTH, len(LENGTHS) + _FAR_TURNS) if many else (_NARROW, _FEW_TURNS)
         self.best = self._as_planned(chain)
         """Beginnings of the best order, from that without steps to the complete one."""
         self._planned = list(self.units), self.best
-        self._visited = {_signature(self.best[-1])}
-        """Orders that were the best ones."""
+        self._futile: dict[Signature, set[tuple[float, ...]]] = {}
+        """Of each order that was the best one, the windows that led to no other order."""
 
     def _as_planned(self, chain: Sequence[Edge]) -> list[Partial]:
         place_of = {edge: (unit, k) for unit in self.units for k, edge in enumerate(unit.edges)}
@@ -128,7 +133,7 @@ class OrderSearch:
         length = len(self.best) - 1
         self.improve(0, length, _MERGE_WIDTH, own=1, others=0)
         since = turn = 0
-        while since < len(LENGTHS) + self._far_turns:
+        while since < self._turns:
             # Parts from behind the end of a window are worth their time once nothing else helps.
             far, size, before = since >= len(LENGTHS), LENGTHS[turn % len(LENGTHS)], self.cost
             for first in waits(self.best)[:_WAITS] if far else range(0, length, size // 2):
@@ -143,6 +148,8 @@ class OrderSearch:
         """Exclude a step of the best order in the state in which it is there, and go back to the order of the plan."""
         step, before = self.best[-1].steps[index], self.best[index].node
         self.next.refuse(step.unit, step.place, before.state.tobytes())
+        for windows in self._futile.values():
+            windows.clear()
         self.take(self._planned)
 
     @property
@@ -185,18 +192,23 @@ class OrderSearch:
             worse: share by which an order that was not the best one before may be worse; by default it must be better.
         """
         last, cost, width = min(first + size, len(self.best) - 1), self.cost, width or self._width
+        futile = self._futile.setdefault(_signature(self.best[-1]), set())
+        window = (first, last, width, own, others, len(far), worse)
+        if window in futile:
+            return False
         for _ in range(_FALLS):
             completed = [order for order in self._completed(first, last, width, own, others, far) if self._may(order)]
             if worse:
-                completed = [order for order in completed if _signature(order) not in self._visited]
+                completed = [order for order in completed if _signature(order) not in self._futile]
             found = min(completed, key=_cost, default=None)
             if found is None or _cost(found) >= (cost * (1 + worse) if worse else cost - 1e-6):
+                futile.add(window)
                 return False
             if self._stands(found):
                 for step in found.steps:
                     self.units[step.unit.job] = step.unit
                 self.best = self._beginnings(found.steps)
-                self._visited.add(_signature(found))
+                self._futile.setdefault(_signature(found), set())
                 return True
         return False
 
@@ -263,17 +275,18 @@ class OrderSearch:
     def _beam(self, first: int, last: int, width: int, own: int, others: int, far: Sequence[Unit]) -> list[Partial]:
         """Return orders of the steps of a window after those before it, best first."""
         window = self.best[-1].steps[first:last]
+        inside = {(step.unit.job, step.place) for step in window}
+        inside |= {(unit.job, place) for unit in far for place in range(2)}
         beam = [self.best[first]]
         for level in range(first + 1, last + 1):
-            made = [
-                (expected(partial, *step, self._hold), row, step)
+            made = sorted(  # a robot does a job at most once after each order, so units are never compared
+                (expected(partial, robot, unit, place, self._hold), row, robot, unit.job, unit, place)
                 for row, partial in enumerate(beam)
-                for step in self._steps(partial, window, own, others, far)
-            ]
-            made.sort(key=lambda entry: (entry[0], entry[1], entry[2][0], entry[2][1].job))
+                for robot, unit, place in self._steps(partial, window, inside, own, others, far)
+            )
             found: list[tuple[float, int, Partial]] = []
             worst, scores = np.inf, []
-            for least, row, (robot, unit, place) in made:
+            for least, row, robot, _, unit, place in made:
                 if least > worst:
                     break
                 following = self.next.step(beam[row], robot, unit, place)
@@ -295,11 +308,15 @@ class OrderSearch:
         return sorted(beam, key=lambda partial: partial.score(self._hold))
 
     def _steps(
-        self, partial: Partial, window: Sequence[UnitStep], own: int, others: int, far: Sequence[Unit]
+        self,
+        partial: Partial,
+        window: Sequence[UnitStep],
+        inside: set[tuple[int, int]],
+        own: int,
+        others: int,
+        far: Sequence[Unit],
     ) -> Iterator[tuple[int, Unit, int]]:
         """Yield steps of a window that may come next: robots, units as in the best order, and places in them."""
-        inside = {(step.unit.job, step.place) for step in window}
-        inside |= {(unit.job, place) for unit in far for place in range(2)}
         waiting = [step.unit for step in window if step.place == 0 and step.unit.job not in partial.jobs]
         for robot, begun in enumerate(partial.begun):
             if begun is not None:
@@ -307,7 +324,7 @@ class OrderSearch:
                     yield robot, *begun
                 continue
             room = 0 if partial.node.held[robot] is not None else others
-            seen = dict.fromkeys(range(len(partial.begun)), 0)
+            seen = [0] * len(partial.begun)
             barred: set[int] = set()
             for unit in waiting:
                 limit = own if unit.robot == robot else room
@@ -330,5 +347,5 @@ def _cost(order: Partial) -> float:
     return order.end + _TOTAL * sum(order.free)
 
 
-def _signature(order: Partial) -> tuple[tuple[int, int, int], ...]:
+def _signature(order: Partial) -> Signature:
     return tuple((step.unit.job, step.place, step.unit.robot) for step in order.steps)

@@ -23,6 +23,27 @@ from falsework.robots.schedule.swept_bodies import SweptBodies
 Array = NDArray[np.float64]
 
 
+Box = tuple[float, float, float, float, float, float]
+"""Lower and upper corner of a box whose sides are parallel to the axes, metres."""
+
+
+def box_of(swept: Swept) -> Box:
+    """Return the box around swept bodies."""
+    return (*swept.low.min(axis=0).tolist(), *swept.high.max(axis=0).tolist())
+
+
+def are_far(one: Box, other: Box, margin: float) -> bool:
+    """Return whether two boxes keep a distance along an axis."""
+    return (
+        one[0] > other[3] + margin
+        or one[1] > other[4] + margin
+        or one[2] > other[5] + margin
+        or one[3] < other[0] - margin
+        or one[4] < other[1] - margin
+        or one[5] < other[2] - margin
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class ArmSweep:
     """Swept bodies of an arm in a motion or at rest."""
@@ -36,14 +57,9 @@ class ArmSweep:
     rest: bool
 
     @cached_property
-    def box(self) -> tuple[Array, Array]:
-        """Lower and upper corner of a box around all of it."""
-        return self.swept[0].low.min(axis=0), self.swept[0].high.max(axis=0)
-
-    def is_far(self, other: ArmSweep, margin: float) -> bool:
-        """Return whether its box keeps a distance from that of another."""
-        (low, high), (least, most) = self.box, other.box
-        return bool((low > most + margin).any() or (high < least - margin).any())
+    def box(self) -> Box:
+        """Box around all of it."""
+        return box_of(self.swept[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +97,11 @@ class Unit:
         """Duration of each step without waits."""
         return tuple(sum(variants[0].seconds for variants in step) for step in self.legs)
 
+    @cached_property
+    def duration(self) -> float:
+        """Duration of all steps without waits."""
+        return sum(self.seconds)
+
     @property
     def approaches(self) -> bool:
         """Whether its first motion leads from the last configuration of the robot to the part."""
@@ -95,6 +116,7 @@ class Work:
         self.graph, self.timed = graph, timed
         self.bodies = SweptBodies(graph.world)
         self._rests: dict[tuple[int, bytes, LoadKey | None], ArmSweep] = {}
+        self._boxes: dict[int, Box] = {}
 
     def units(self, root: Node, chain: Sequence[Edge]) -> list[Unit]:
         """Return the units of a plan in the order of their first steps."""
@@ -205,7 +227,7 @@ class Work:
             found = -1.0
             for mine in (leg.body, leg.rest):
                 margin = min(mine.margin, other.margin)
-                if not mine.is_far(other, margin):
+                if not are_far(mine.box, other.box, margin):
                     hit = conflicts(mine.swept, other.swept, margin).any(axis=0)
                     found = max(found, float(other.ends[hit].max(initial=-1.0)))
             leg.waits[other] = found
@@ -223,12 +245,20 @@ class Work:
         if found is None:
             lowest = parts & -parts
             if parts == lowest:
-                place = self.bodies.standing(parts.bit_length() - 1) if parts else None
-                found = place is not None and bool(conflicts(leg.body.swept, (place, place), leg.body.margin).any())
+                found = bool(parts) and self._meets(leg.body, parts.bit_length() - 1)
             else:
                 found = self.blocked(leg, lowest) or self.blocked(leg, parts ^ lowest)
             leg.blocked[parts] = found
         return found
+
+    def _meets(self, body: ArmSweep, part: int) -> bool:
+        """Return whether a motion is in conflict with a part in place."""
+        place = self.bodies.standing(part)
+        if part not in self._boxes:
+            self._boxes[part] = box_of(place)
+        if are_far(body.box, self._boxes[part], body.margin):
+            return False
+        return bool(conflicts(body.swept, (place, place), body.margin).any())
 
     def replan(self, node: Node, unit: Unit, place: int, rests: Sequence[ArmSweep]) -> Leg | None:
         """Return another free motion of a step: to the part from where the arm is, or from the part to the same place.

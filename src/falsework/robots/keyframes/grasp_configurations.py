@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED, States
-from falsework.robots.grasping.grasp import Grasp, grasps
+from falsework.robots.grasping.grasp import Grasp, candidates, clear_grasps
 from falsework.robots.kernels.coordination import Swept, sweep
 from falsework.robots.kernels.kernel_arrays import make_bodies, make_chain
 from falsework.robots.keyframes.failure_report import FailureLog
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import inverse
+from falsework.robots.model.cell import Gripper
 from falsework.robots.motion.collision_world import Scene, grasp_contact
 from falsework.robots.motion.motion_cache import MotionCache
 
@@ -41,6 +42,7 @@ class GraspConfigurations:
         self.cache, self.reasons, self.limit = cache, reasons, limit
         self._grips: dict[tuple[int, int, bytes], list[GraspConfiguration]] = {}
         self._places: dict[int, Array] = {}
+        self._candidates: dict[tuple[int, str, float, float, float], list[Grasp]] = {}
 
     def of(self, robot: int, part: int, state: States) -> list[GraspConfiguration]:
         """Return all grasps of a part by a robot among the parts of a state; other robots are ignored."""
@@ -118,7 +120,7 @@ class GraspConfigurations:
             what = f"{name} weighs {self.parts.mass[part]:.3g} kg, more than the payload of {entry.payload:.3g} kg"
             self.reasons.add("hold", part, robot, what)
             return []
-        found = grasps(self.assembly, self.parts, part, present, entry, limit=self.limit)
+        found = self._grasps(part, present, entry.gripper)
         if not found:
             self.reasons.add("hold", part, robot, "no face that the gripper can grasp")
             return []
@@ -136,6 +138,13 @@ class GraspConfigurations:
         if not clear:
             self.reasons.add("hold", part, robot, "every grasp collides", view.pair(int(hits[-1])))
         return [GraspConfiguration(robot, found[which[row]], values[row]) for row in clear]
+
+    def _grasps(self, part: int, present: NDArray[np.bool_], gripper: Gripper) -> list[Grasp]:
+        """Return grasps of a part among the present parts, best first; the arm is not considered."""
+        key = (part, gripper.kind, gripper.cup, gripper.opening, gripper.depth)
+        if key not in self._candidates:
+            self._candidates[key] = candidates(self.assembly, self.parts, part, gripper)
+        return clear_grasps(self._candidates[key], self.parts, part, present, gripper, limit=self.limit)
 
 
 def _spread(grips: list[GraspConfiguration], count: int) -> list[GraspConfiguration]:

@@ -32,6 +32,8 @@ Array = NDArray[np.float64]
 NO_FLOOR = -1e9
 _OBSTACLE, _ROBOT, _SUPPORT = -1, -2, -3
 """Owners of obstacles that are no parts."""
+_PLACED = 256
+"""Configurations of arms whose pieces are kept."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,6 +209,8 @@ class CollisionWorld:
         self.cell = cell
         self.parts = parts
         self._resting: dict[int, tuple[int, ...]] = {}
+        self._chains = [make_chain(robot.model, robot.base) for robot in cell.robots]
+        self._placed: dict[tuple[int, bytes], list[tuple[str, int, Array]]] = {}
 
     @cached_property
     def _static(self) -> tuple[tuple[str, Pieces], ...]:
@@ -242,8 +246,19 @@ class CollisionWorld:
 
         Index joints + 1 is the gripper, joints + 2 the part.
         """
+        held, values = scene.attached[robot], np.asarray(scene.configurations[robot], dtype=np.float64)
+        if held is not None:
+            return self._moving_pieces(robot, values, scene)
+        key = robot, values.tobytes()
+        if key not in self._placed:
+            if len(self._placed) >= _PLACED:
+                self._placed.clear()
+            self._placed[key] = self._moving_pieces(robot, values, scene)
+        return self._placed[key]
+
+    def _moving_pieces(self, robot: int, values: Array, scene: Scene) -> list[tuple[str, int, Array]]:
         entry = self.cell.robots[robot]
-        poses = link_poses(entry.model, scene.configurations[robot], entry.base)
+        poses = link_poses(entry.model, values, entry.base)
         found = []
         for link in range(1, entry.model.joints + 1):
             name = f"{entry.name} {entry.model.link_names[link]}"
@@ -303,7 +318,7 @@ class CollisionWorld:
             pieces = tuple(move(pose, piece) for piece in self.parts.pieces[part])
             stands.append((f"part {self.parts.names[part]}", part, pieces))
         obstacles, owner = make_obstacles([pieces for _, _, pieces in stands])
-        chain = make_chain(entry.model, entry.base)
+        chain = self._chains[robot]
         links, owners = np.array(kinds), np.array([part for _, part, _ in stands], np.int64)[owner]
         if margin is None:
             margin = self.cell.margins.free

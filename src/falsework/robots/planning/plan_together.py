@@ -78,7 +78,8 @@ def plan_together(
     clock, oracle = Deadline(settings.deadline), oracle or Stability(assembly)
     lines = replace(settings.keyframes, approaches=_APPROACHES, withdrawals=_WITHDRAWALS)
     short = replace(settings, together=True, keyframes=lines)
-    graph = KeyframeGraph(assembly, cell, settings=short.keyframes, seed=settings.seed)
+    present = None if task is None else task.start != REMOVED
+    graph = KeyframeGraph(assembly, cell, settings=short.keyframes, seed=settings.seed, present=present)
     start: dict[str, Any] = {"task": task, "configurations": configurations, "held": held}
 
     def search(limits: HybridSettings, graph: KeyframeGraph, seconds: float) -> HybridResult:
@@ -109,7 +110,9 @@ def plan_together(
         elif _may_exist(result):
             result = search(short, graph, _SHARE * limit)
     if _may_exist(result):
-        graph = KeyframeGraph(assembly, cell, settings=settings.keyframes, seed=settings.seed, parts=graph.parts)
+        graph = KeyframeGraph(
+            assembly, cell, settings=settings.keyframes, seed=settings.seed, parts=graph.parts, present=present
+        )
         again = search(replace(settings, together=True), graph, limit)
         # Without a plan, the longer partial one is kept.
         if again.explanation is None or again.explanation.reached >= _reached(result):
@@ -127,12 +130,19 @@ def plan_together(
 
 
 def second_plan(
-    assembly: Assembly, cell: Cell, *, stability: StabilitySettings, settings: HybridSettings, **start: Any
+    assembly: Assembly,
+    cell: Cell,
+    *,
+    stability: StabilitySettings,
+    settings: HybridSettings,
+    task: Task | None = None,
+    **start: Any,
 ) -> RobotPlan | None:
     """Return the plan of another process, or None."""
-    graph = KeyframeGraph(assembly, cell, settings=settings.keyframes, seed=settings.seed)
+    present = None if task is None else task.start != REMOVED
+    graph = KeyframeGraph(assembly, cell, settings=settings.keyframes, seed=settings.seed, present=present)
     oracle = Stability(assembly, stability)
-    return plan_robots(assembly, cell, oracle=oracle, settings=settings, graph=graph, **start).plan
+    return plan_robots(assembly, cell, task=task, oracle=oracle, settings=settings, graph=graph, **start).plan
 
 
 def _reached(result: HybridResult) -> int:
