@@ -68,7 +68,8 @@ def plan_around_neighbours(
     graph, replaced, before = plan.schedule, 0, plan.makespan
     if graph is not None and not stop() and graph.makespan - _relaxed(graph).makespan > _LEAST_SHARE * graph.makespan:
         search = _Rerouting(plan, graph, world, seed)
-        replaced = search.run(stop)
+        search.run(stop)
+        replaced = sum(old is not new for (*_, old), (*_, new) in zip(plan.moves(), search.plan.moves(), strict=True))
         if replaced:
             graph = solve(search.rows.nodes, search.fixed, search.choices, len(plan.robots), _SOLVER)
             plan = replace(search.plan, schedule=graph)
@@ -98,9 +99,9 @@ class _Rerouting:
             self.rows.nodes, self.fixed, choices(self.rows), len(self.plan.robots), starts
         )
 
-    def run(self, stop: Callable[[], bool]) -> int:
-        """Replace motions until none in a conflict on a critical path can be; return how many were replaced."""
-        found, shorter_now = 0, True
+    def run(self, stop: Callable[[], bool]) -> None:
+        """Replace motions until none in a conflict on a critical path can be, or enough were tried."""
+        shorter_now = True
         while shorter_now:
             shorter_now, order = False, KeptOrder(self.rows, self.graph)
             for node, relaxed in self._candidates():
@@ -108,13 +109,12 @@ class _Rerouting:
                 if motion in self._tried:
                     continue
                 if len(self._tried) == _MOTIONS or stop():
-                    return found
+                    return
                 self._tried.add(motion)
                 other = self._better(Replacement(order, node), node, relaxed)
                 if other is not None and self._take(node, other):
-                    found, shorter_now = found + 1, True
+                    shorter_now = True
                     break
-        return found
 
     def _trajectory(self, node: int) -> Trajectory:
         entry = self.rows.nodes[node]
