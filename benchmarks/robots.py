@@ -18,7 +18,8 @@ memory to a proven plan with timed motions, compilation not counted. The last li
 `--together`: each seed is planned twice, one robot at a time and with robots that move at the same time;
 `makespan_share` is the makespan of the second over the first plan, `extra_seconds` its additional planning time,
 `extra_cpu_seconds` that of all its processes, and the check proves the schedule free of collisions under any delays,
-and `delayed` random runs of it are simulated. `second_plan` tells whether a second plan was there to choose from.
+and `delayed` random runs of it are simulated. `second_plan` tells whether a second plan was there to choose from;
+`replanned_motions` were planned anew around other arms, by which the makespan fell by `replanning_saves` seconds.
 `--plans` writes the plans, so that `falsework robots check` can check them elsewhere.
 `--delays`: each seed is planned with robots that move at the same time, and its schedule checked under any delays, in
 the order of disassembly and reversed: `overlaps` pairs of motions and rests of two arms that can coincide, `early`
@@ -269,6 +270,8 @@ def together(name: str, arguments: Arguments) -> None:
             extra_cpu_seconds=round(extra_cpu[-1], 1),
             search=plan.statistics["search"],
             second_plan=plan.statistics["second_plan"],
+            replanned_motions=plan.statistics["replanned_motions"],
+            replanning_saves=plan.statistics["replanning_saves"],
             **fields,
             seeds=(seed,),
         )

@@ -3,7 +3,7 @@
 The planner for one robot at a time searches, with straight lines as short as possible. Order and robots of its plan are
 then changed so that robots wait less, and its motions overlap as far as that is proven safe. For three robots or more,
 unless there are many parts, a second plan from another seed is found beside it, and the one with the shorter makespan
-is taken.
+is taken. Where waits for space cost much of the makespan, motions are planned anew around those of other robots.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from falsework.robots.cells.cell_file import AnyCell, as_cell
 from falsework.robots.interleaving.search import is_worth_more
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.model.cell import Cell
+from falsework.robots.planning.around_neighbours import plan_around_neighbours
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings, Progress
 from falsework.robots.planning.second_search import SecondSearch
@@ -117,6 +118,10 @@ def plan_together(
         # Without a plan, the longer partial one is kept.
         if again.explanation is None or again.explanation.reached >= _reached(result):
             result, kind = again, "sequential"
+
+    if result.plan is not None:
+        done = plan_around_neighbours(result.plan, graph.world, seed=settings.seed, stop=lambda: clock.passed)
+        result = replace(result, plan=done, statistics=done.statistics)
 
     def scheduled(plan: RobotPlan | None) -> RobotPlan | None:
         if plan is None:

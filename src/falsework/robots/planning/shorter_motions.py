@@ -51,14 +51,15 @@ def shorten_motions(
     found = []
     for k, edge in enumerate(chain):
         segments = tuple(
-            segment if segment in done else _shorter(segment, speed, [seed, k, j])
+            segment if segment in done else shorter(segment, speed, [seed, k, j])
             for j, segment in enumerate(edge.segments)
         )
         found.append(replace(edge, segments=segments))
     return found
 
 
-def _shorter(segment: PathSegment, speed: float, seed: list[int]) -> PathSegment:
+def shorter(segment: PathSegment, speed: float, seed: list[int]) -> PathSegment:
+    """Return a segment with a shorter path if one is found; its view has all that the path keeps clear of."""
     view, path = segment.view, segment.path
     if view is None or len(path) < 3:
         return segment

@@ -59,7 +59,7 @@ def _parts_in_the_way(rows: Itineraries, robot: int) -> list[Precedence]:
             if part is None or present[part] or rows.nodes[mover].robot == robot:
                 continue
             place = rows.bodies.standing(part)
-            hit = np.flatnonzero(conflicts(stretch.swept, (place, place), _margin(rows, stretch))[:, 0])
+            hit = np.flatnonzero(conflicts(stretch.swept, (place, place), margin_of(rows, stretch))[:, 0])
             if len(hit) and apart:
                 found.append(Precedence(mover, 0.0, stretch.node, "part"))
             elif len(hit):
@@ -96,19 +96,20 @@ def conflict_table(rows: Itineraries, one: int, other: int) -> NDArray[np.bool_]
     table = np.zeros(size, dtype=bool)
     for a in rows.rows[one]:
         for b in rows.rows[other]:
-            if a.after >= b.before or b.after >= a.before or _proven(a, b):
+            if a.after >= b.before or b.after >= a.before or is_proven(a, b):
                 continue
-            margin = min(_margin(rows, a), _margin(rows, b))
+            margin = min(margin_of(rows, a), margin_of(rows, b))
             table[a.first : a.first + a.cells, b.first : b.first + b.cells] = rows.conflicts(a, b, margin)
     return table
 
 
-def _margin(rows: Itineraries, stretch: Stretch) -> float:
+def margin_of(rows: Itineraries, stretch: Stretch) -> float:
+    """Return the distance that a motion or rest keeps, metres."""
     margins = rows.world.cell.margins
     return margins.line if stretch.line else margins.free
 
 
-def _proven(one: Stretch, other: Stretch) -> bool:
+def is_proven(one: Stretch, other: Stretch) -> bool:
     """Return whether the planner has proven two segments free of each other: one rests where the other was planned."""
     return (one.node is None or other.node is None) and not one.frames.isdisjoint(other.frames)
 

@@ -110,20 +110,21 @@ class Itineraries:
         frames = set(np.flatnonzero(np.abs(self._configurations[robot] - cell).max(axis=1) <= _SAME).tolist())
         if step is not None and following is not None and self.nodes[following].step == step:  # on the way
             frames.add(step)
-            load = self._load(following)
+            load = self.load(following)
         key = (robot, cell.tobytes(), None if load is None else load.key)
         if key not in self._resting:
             self._resting[key] = self.bodies.resting(robot, values, load)
         found = self._resting[key]
         return Stretch(None, first, 1, after, before, np.zeros(1), (found, found), False, frozenset(frames))
 
-    def _load(self, index: int) -> Load | None:
+    def load(self, index: int) -> Load | None:
+        """Return the load of a robot in a motion."""
         return load_of(self.plan, self.nodes[index].step, self.nodes[index].trajectory)
 
     def _motion(self, index: int, first: int, after: int, before: int) -> Stretch:
         node, trajectory = self.nodes[index], self._trajectory(index)
         if trajectory not in self._cells:
-            self._cells[trajectory] = self.bodies.moving(node.robot, trajectory, self._load(index))
+            self._cells[trajectory] = self.bodies.moving(node.robot, trajectory, self.load(index))
         swept, ends = self._cells[trajectory]
         line = trajectory.kind == "line"
         return Stretch(index, first, len(ends), after, before, ends, swept, line, frozenset({node.step}))
