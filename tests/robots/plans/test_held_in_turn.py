@@ -39,14 +39,19 @@ def channel(x: float, y: float, low: float, under: float, high: float, wall: flo
     return Solid("beam", np.array([(side, *point) for side in (-x, x) for point in outline]), tuple(rings))
 
 
-@pytest.fixture(scope="module")
-def bridge() -> Assembly:
-    """A beam under a lintel, astride two blocks on plinths: it can leave, sideways, only when both have left."""
+def bridge_with(spares: int = 0) -> Assembly:
+    """A beam under a lintel, astride two blocks on plinths: it can leave, sideways, only when both have left.
+
+    Spare blocks stand by themselves on both sides, as many on each.
+    """
     solids = [
         channel(0.3, 0.1, 0.12, 0.2, 0.25, 0.03),
         box("left", (-0.48, -0.07, 0.05), (-0.2, 0.07, 0.2)),
         box("right", (0.2, -0.07, 0.05), (0.48, 0.07, 0.2)),
     ]
+    for k in range(spares):
+        for x in (-0.5, 0.4):
+            solids.append(box("spare", (x, 0.25 + 0.15 * k, 0.0), (x + 0.1, 0.35 + 0.15 * k, 0.15)))
     for name, low, high in (
         ("plinth", (-0.38, -0.07, 0.0), (-0.2, 0.07, 0.05)),
         ("plinth", (0.2, -0.07, 0.0), (0.38, 0.07, 0.05)),
@@ -58,6 +63,12 @@ def bridge() -> Assembly:
         solids.append(box(name, low, high, fixed=True))
     made = gather(solids)
     return Assembly.from_meshes(made.meshes, boundary=made.boundary, density=250.0, name="bridge")
+
+
+@pytest.fixture(scope="module")
+def bridge() -> Assembly:
+    """The beam and its blocks alone."""
+    return bridge_with()
 
 
 @pytest.fixture(scope="module")
