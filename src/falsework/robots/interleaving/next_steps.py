@@ -62,13 +62,11 @@ class NextSteps:
     def step(self, partial: Partial, robot: int, unit: Unit, place: int) -> UnitStep | None:
         """Return a step of a robot after an order; None where it is not possible or not stable."""
         node, edge = partial.node, unit.edges[place]
-        if not grippers_allow(node, edge):
-            return None
         after = node.state if edge.hands_over else state_after(node.state, edge.action)
         if self._stable.get(after.tobytes()) is False:
             return None
         if unit.robot != robot:
-            other = self._replacement(partial, unit, robot)
+            other = None if node.handed is not None else self._replacement(partial, unit, robot)
             if other is None:
                 return None
             unit = other
