@@ -3,17 +3,24 @@
     python benchmarks/support.py --structures dome-37 dome-90 vault --deadline 60
 
 With every part held once, `robots_needed` answers: `robots` is the fewest with which a plan was found, `least` the
-number below which it is proven that none exists. With holding again and with props, a plan for one robot fewer is
-sought, and again for one fewer, each with a deadline; where none is found, `robots` stays, since a plan without them
-is a plan. A single robot that releases a part gains nothing, so holding again alone is not tried with one.
-Where the structure has no floor of its own under most parts that could take a prop, it is put on a ground for all
-questions.
+number below which it is proven that none exists. For large structures `--robots` names a number with which a plan is
+sought first, since that question spends its time on other numbers; it then has a quarter of the deadline. With holding
+again and with props, a plan for one robot fewer is sought, and again for one fewer, each with a deadline; where none is
+found, `robots` stays, since a plan without them is a plan. A single robot that releases a part gains nothing, so
+holding again alone is not tried with one.
+
+`ended` says why there is no answer with fewer robots: `proof` that no plan exists, `deadline`, or `search` where every
+search ended without one. Small structures are searched exhaustively as well, by code that shares only the rules and the
+verdicts with the planner. Where the structure has no floor of its own under most parts that could take a prop, it is
+put on a ground for all questions.
 """
 
 from __future__ import annotations
 
+import resource
 import time
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,7 +31,24 @@ from states import find
 
 from falsework.assembly import Assembly, keep_props, load_structure, prop_places, with_props
 from falsework.errors import AssemblyError
-from falsework.search import PlannerSettings, find_plans, robots_needed, structure_of_plan, validate_plan
+from falsework.search import (
+    ExhaustiveSearch,
+    Outcome,
+    PlannerSettings,
+    SupportEverywhere,
+    find_plans,
+    robots_needed,
+    structure_of_plan,
+    task_of,
+    validate_plan,
+)
+from falsework.search.problem.result import SearchResult
+from falsework.stability import Stability
+
+SMALL = 20
+"""Most parts, fixed ones and places for props included, of a structure that is searched exhaustively."""
+STATES = 100_000
+"""States after which an exhaustive search gives up."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +59,8 @@ class Options:
     """Built-in names, paths, or names of real structures."""
     props: tuple[int, ...] = (1, 2)
     """Numbers of props."""
+    robots: int | None = None
+    """Number of robots with which a plan is sought first."""
     deadline: float = 60.0
     """Seconds per question."""
     seed: int = 0
@@ -53,23 +79,41 @@ def places_of(assembly: Assembly) -> int:
 
 def once(options: Options, assembly: Assembly) -> dict[str, Any]:
     """Find the fewest robots that hold every part once; the plan is checked again."""
-    begun = time.perf_counter()
-    settings = PlannerSettings(seed=options.seed)
-    found = robots_needed(assembly, settings=settings, deadline=options.deadline)
+    begun, settings = time.perf_counter(), PlannerSettings(seed=options.seed)
+    first = None
+    if options.robots is not None:
+        first = find_plans(assembly, robots=options.robots, settings=settings, deadline=options.deadline)
+    share = options.deadline if first is None else options.deadline / 4
+    found = robots_needed(assembly, settings=settings, deadline=share)
+    plan = found.plan
+    if first is not None and first.found and (plan is None or plan.robots > first.plans[0].robots):
+        plan = first.plans[0]
+    robots = None if plan is None else plan.robots
+    proven = found.certain if found.impossible else robots == found.least
     return {
-        "robots": found.robots,
+        "robots": robots,
         "least": found.least,
-        "steps": None if found.plan is None else len(found.plan),
-        "check": None if found.plan is None else validate_plan(found.plan, assembly).good,
-        "verdicts": found.verdicts,
+        "impossible": found.impossible,
+        "refuted": 0 if found.barrier is None else found.barrier.robots,
+        "steps": None if plan is None else len(plan),
+        "check": None if plan is None else validate_plan(plan, assembly).good,
+        "ended": "proof" if proven else "deadline" if found.deadline_passed else "search",
+        "verdicts": found.verdicts + (0 if first is None else first.result.counters.asked),
         "seconds": time.perf_counter() - begun,
     }
 
 
 def fewer(options: Options, assembly: Assembly, known: dict[str, Any], **rules: Any) -> dict[str, Any]:
-    """Search for plans with fewer robots than are known to suffice, as long as there are any."""
-    begun, answer = time.perf_counter(), {key: known[key] for key in ("robots", "steps", "check")} | {"verdicts": 0}
-    while answer["robots"] > 1 and (rules.get("props") or answer["robots"] > 2):
+    """Search for plans with fewer robots than are known to suffice, as long as there are any.
+
+    Sets of parts that some number of robots cannot cross are a proof for parts that are held again as well.
+    """
+    begun, props = time.perf_counter(), rules.get("props", 0)
+    answer = {key: known[key] for key in ("robots", "steps", "check", "ended")} | {"verdicts": 0}
+    while answer["robots"] > 1 and (props or answer["robots"] > 2):
+        if not props and known["refuted"] >= answer["robots"] - 1:
+            answer["ended"] = "proof"
+            break
         found = find_plans(
             assembly,
             robots=answer["robots"] - 1,
@@ -81,12 +125,51 @@ def fewer(options: Options, assembly: Assembly, known: dict[str, Any], **rules: 
         answer["verdicts"] += found.result.counters.asked
         if not found.found:
             answer["reached"] = found.result.reached / found.result.steps
+            answer["ended"] = ending(found.result)
             break
         (plan,) = found.plans
         structure = structure_of_plan(plan, structure=keep_props(assembly, ()))
         good = validate_plan(plan, structure).good
         answer |= {"robots": plan.robots, "steps": len(plan), "check": good}
+    if answer["robots"] == 1:
+        answer["ended"] = "proof"
     return answer | {"seconds": time.perf_counter() - begun}
+
+
+def ending(result: SearchResult) -> str:
+    """Return why a search found no plan."""
+    if result.outcome is Outcome.PROVED_IMPOSSIBLE:
+        return "proof"
+    return "deadline" if result.interrupted else "search"
+
+
+def exhaustively(options: Options, assembly: Assembly, props: int | None) -> int | None:
+    """Return the fewest robots for which an exhaustive search finds the target; None if there is no answer.
+
+    Args:
+        options: the deadline of each search.
+        assembly: the structure.
+        props: props that may be in place; None if every part is held once.
+    """
+    oracle, stop = Stability(assembly), deadline(options.deadline)
+    for robots in range(1, assembly.part_count):
+        if props is None:
+            result = ExhaustiveSearch(task_of(assembly, robots), oracle, state_limit=STATES).run(stop=stop).result
+        else:
+            task = task_of(assembly, robots, support=True, props=props)
+            result = SupportEverywhere(task, oracle, state_limit=STATES).run(stop=stop)
+        if result.found:
+            return robots
+        # Even where a state slides, which is no proof, the search has visited everything that it may.
+        if stop() or result.limit.startswith("gave up"):
+            return None
+    return None
+
+
+def deadline(seconds: float) -> Callable[[], bool]:
+    """Return a function that tells whether some seconds have passed."""
+    end = time.perf_counter() + seconds
+    return lambda: time.perf_counter() > end
 
 
 def measure(options: Options, name: str) -> None:
@@ -97,12 +180,16 @@ def measure(options: Options, name: str) -> None:
     added = own < places_of(grounded) / 2
     assembly = grounded if added else assembly
     places = places_of(assembly)
-    answers = {"once": once(options, assembly)}
+    propped = with_props(assembly, prop_places(assembly)) if places else assembly
+    answers, whole = {"once": once(options, assembly)}, {}
     if answers["once"]["robots"] is not None:
         known = answers["again"] = fewer(options, assembly, answers["once"])
-        propped = with_props(assembly, prop_places(assembly)) if places else assembly
+        if assembly.part_count <= SMALL:
+            whole = {"once": exhaustively(options, assembly, None), "again": exhaustively(options, assembly, 0)}
         for props in options.props if places and known["robots"] > 1 else ():
             known = answers[f"props_{props}"] = fewer(options, propped, known, props=props)
+            if propped.part_count <= SMALL:
+                whole[f"props_{props}"] = exhaustively(options, propped, props)
     report(
         "support robots",
         structure=name,
@@ -112,6 +199,8 @@ def measure(options: Options, name: str) -> None:
         places=places,
         deadline=options.deadline,
         **answers,
+        **({"exhaustive": whole} if whole else {}),
+        memory_gib=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
     )
 
 

@@ -40,15 +40,24 @@ def behind(runs: Runs, _: Runs) -> str:
 
 
 def fewest(rules: str) -> Callable[[Runs, Runs], str]:
-    """Return a column with the fewest robots with which a plan was found under some rules."""
+    """Return a column with the fewest robots with which a plan was found under some rules, and why not with fewer."""
 
     def write(runs: Runs, _: Runs) -> str:
-        answer = next((run[rules] for run in runs if rules in run), None)
-        if answer is None:
+        run = next((run for run in runs if rules in run), None)
+        if run is None:
             return ""
-        return "not found" if answer["robots"] is None else str(answer["robots"])
+        answer = run[rules]
+        robots = answer.get("impossible") or ("none found" if answer["robots"] is None else str(answer["robots"]))
+        ended = {"deadline": "deadline", "search": "searches ended"}.get(answer.get("ended", ""), "")
+        return f"{robots} ({ended})" if ended and not answer.get("impossible") else robots
 
     return write
+
+
+def exhaustive(runs: Runs, _: Runs) -> str:
+    """Write the fewest robots of exhaustive searches under the rules of each question, `open` where they gave up."""
+    answers = next((run["exhaustive"] for run in runs if "exhaustive" in run), {})
+    return ", ".join("open" if robots is None else str(robots) for robots in answers.values())
 
 
 STRUCTURE = (("structure", "{structure}"),)
@@ -726,7 +735,9 @@ TABLES = {
             ("holding again", fewest("again")),
             ("and one prop", fewest("props_1")),
             ("and two props", fewest("props_2")),
+            ("by exhaustive search", exhaustive),
             ("deadline of each question, s", "{deadline}"),
+            ("memory, GiB", "{memory_gib}"),
         ),
         benchmark="support robots",
     ),

@@ -100,13 +100,31 @@ def test_gives_up_honestly(rules: Any) -> None:
 def test_no_proof_on_undecided_verdicts(rules: Any) -> None:
     class Unsure:
         def judge(self, states: Any, *, parents: Any = None) -> Any:
-            stable = np.zeros(len(states), dtype=bool)
+            stable = (states == states[:, 1:2])[:, 1:].all(axis=1)  # of the two ends alone
             return rules.verdicts(stable, ~stable)
 
     census = ExhaustiveSearch(Task.create(rules.ground(4), 1), Unsure()).run()
     assert census.result.outcome is Outcome.NOT_FOUND
     assert census.result.undecided == 3
     assert "neither stable nor unstable" in census.result.limit
+
+
+@pytest.mark.parametrize("sure", [True, False])
+@pytest.mark.parametrize("end", ["start", "target"])
+def test_no_plan_between_ends_that_do_not_stand(rules: Any, end: str, sure: bool) -> None:
+    """Free blocks come apart in any order, but not from or to a state that is not stable itself."""
+    task = Task.create(rules.ground(4), 1)
+
+    class OneEnd:
+        def judge(self, states: Any, *, parents: Any = None) -> Any:
+            wrong = (states == getattr(task, end)).all(axis=1)
+            return rules.verdicts(~wrong, None if sure else wrong)
+
+    census = ExhaustiveSearch(task, OneEnd()).run()
+    assert not census.result.found
+    assert census.plans == 0
+    assert (census.result.outcome is Outcome.PROVED_IMPOSSIBLE) == sure
+    assert census.result.notes[0].startswith(f"the {end} state is")
 
 
 def test_stopped_it_can_be_run_on(rules: Any) -> None:

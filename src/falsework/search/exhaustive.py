@@ -9,7 +9,7 @@ from falsework.errors import InputError
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.beam.settings import BeamSettings
 from falsework.search.problem.oracle import Oracle
-from falsework.search.problem.result import Outcome, Progress, SearchResult, Stop
+from falsework.search.problem.result import Outcome, Progress, SearchResult, Stop, unstable_end
 from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.task import Direction, Task
 
@@ -43,7 +43,8 @@ class ExhaustiveResult:
 class ExhaustiveSearch:
     """Breadth-first search through every stable state that the start leads to.
 
-    It is a beam search of unlimited width that gives up at a limit on the number of states.
+    It is a beam search of unlimited width that gives up at a limit on the number of states. Where the start or the
+    target is not stable, there is no plan and nothing is searched.
     """
 
     def __init__(self, task: Task, oracle: Oracle, *, state_limit: int = 1_000_000, name: str = "") -> None:
@@ -64,7 +65,7 @@ class ExhaustiveSearch:
         self.state_limit = state_limit
         self.name = name
         settings = BeamSettings(width=state_limit, direction=Direction.DISASSEMBLY, diversity="none")
-        self._beam = BeamSearch(task, oracle, settings)
+        self._oracle, self._beam = oracle, BeamSearch(task, oracle, settings)
 
     @property
     def gave_up(self) -> bool:
@@ -79,6 +80,9 @@ class ExhaustiveSearch:
             progress: called after every level.
             stop: called before every level; true stops the search, which can then be run on.
         """
+        failed = unstable_end(self.task, self._oracle)
+        if failed is not None:
+            return ExhaustiveResult(failed, True, StateGraph.build(self.task, self._beam.states(), name=self.name))
         result = self._beam.run(progress=progress, stop=lambda: self.gave_up or (stop is not None and stop()))
         limit, interrupted = result.limit, result.interrupted
         if self.gave_up:

@@ -11,7 +11,6 @@ import pytest
 
 pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'falsework[robots]'")
 
-from falsework.assembly.library.blocks import Solid, box, gather
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, complete_state
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
@@ -25,39 +24,13 @@ from falsework.robots.plans.timeline import event_times, nodes_of
 from falsework.search import Task
 from falsework.search.plans.plan_check import validate_plan
 from falsework.stability import Stability
-
-BEAM, LEFT, RIGHT = 0, 1, 2
-
-
-def channel(x: float, y: float, low: float, under: float, high: float, wall: float) -> Solid:
-    """An inverted channel along the x axis, of half length x and half width y."""
-    inner = y - wall
-    outline = [(-y, low), (-inner, low), (-inner, under), (inner, under), (inner, low), (y, low), (y, high), (-y, high)]
-    ends = [(0, 1, 2), (0, 2, 7), (7, 2, 3), (7, 3, 6), (6, 3, 5), (3, 4, 5)]
-    rings = [tuple(8 + k for k in end) for end in ends] + [end[::-1] for end in ends]
-    rings += [(k, (k + 1) % 8, (k + 1) % 8 + 8, k + 8) for k in range(8)]
-    return Solid("beam", np.array([(side, *point) for side in (-x, x) for point in outline]), tuple(rings))
+from tests.robots.plans.beam_in_turn import BEAM, LEFT, RIGHT, bridge_with
 
 
 @pytest.fixture(scope="module")
 def bridge() -> Assembly:
-    """A beam under a lintel, astride two blocks on plinths: it can leave, sideways, only when both have left."""
-    solids = [
-        channel(0.3, 0.1, 0.12, 0.2, 0.25, 0.03),
-        box("left", (-0.48, -0.07, 0.05), (-0.2, 0.07, 0.2)),
-        box("right", (0.2, -0.07, 0.05), (0.48, 0.07, 0.2)),
-    ]
-    for name, low, high in (
-        ("plinth", (-0.38, -0.07, 0.0), (-0.2, 0.07, 0.05)),
-        ("plinth", (0.2, -0.07, 0.0), (0.38, 0.07, 0.05)),
-        ("lintel", (-0.03, -0.04, 0.27), (0.03, 0.04, 0.30)),
-        ("stop", (-0.36, -0.06, 0.21), (-0.32, 0.06, 0.24)),
-        ("stop", (0.32, -0.06, 0.21), (0.36, 0.06, 0.24)),
-        ("ground", (-0.8, -0.8, -0.05), (0.8, 0.8, 0.0)),
-    ):
-        solids.append(box(name, low, high, fixed=True))
-    made = gather(solids)
-    return Assembly.from_meshes(made.meshes, boundary=made.boundary, density=250.0, name="bridge")
+    """The beam and its blocks alone."""
+    return bridge_with()
 
 
 @pytest.fixture(scope="module")

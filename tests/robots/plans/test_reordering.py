@@ -81,6 +81,16 @@ def test_another_arm_takes_some_parts(case: Case) -> None:
     assert after.makespan < 0.8 * before.makespan
 
 
+def test_an_arm_takes_a_part_of_another_one_that_holds_something(case: Case) -> None:
+    search = case.search()
+    holding, unit = search.best[1], search.units[-1]
+    assert holding.node.held == (search.units[0].part, None)
+    assert search.next.step(holding, 0, unit, 0) is None
+    step = search.next.step(holding, 1, unit, 0)
+    assert step is not None
+    assert (step.unit.robot, step.unit.part) == (1, unit.part)
+
+
 def test_the_end_of_an_order_is_that_of_a_schedule(case: Case) -> None:
     search = case.search()
     planned = search.best[-1]

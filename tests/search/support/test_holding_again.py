@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -125,6 +126,28 @@ def test_beams_find_only_plans(rules: Any, direction: Direction) -> None:
         else:
             assert result.outcome is Outcome.NOT_FOUND
     assert found > 5
+
+
+@pytest.mark.parametrize("direction", list(Direction))
+def test_stopped_within_a_level_a_beam_can_be_run_on(rules: Any, direction: Direction) -> None:
+    """The stops fall between other holds of one level too, and lead to the same route."""
+    within = 0
+    for seed in range(6):
+        oracle = SeesawOracle.random(rules, seed, 7)
+        task = Task.create(rules.ground(7), 2, support=True)
+        whole = SupportBeam(task, oracle, direction, guide=level_guide, width=4).run()
+        search = SupportBeam(task, oracle, direction, guide=level_guide, width=4)
+        for turn in range(100):
+            levels: list[object] = []
+            allowed = iter([False] * (turn if turn % 2 else 1))
+            result = search.run(progress=levels.append, stop=partial(next, allowed, True))
+            within += result.interrupted and not levels
+            if not result.interrupted:
+                break
+        assert result.found == whole.found
+        if whole.found:
+            assert np.array_equal(result.routes[0].states, whole.routes[0].states)
+    assert within
 
 
 @dataclass

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import HELD, States
 from falsework.robots.interleaving.partial_order import Partial, UnitStep
 from falsework.robots.interleaving.work import Leg, Unit, Work
-from falsework.robots.keyframes.keyframes import Edge, state_after
+from falsework.robots.keyframes.keyframes import Edge, Node, state_after
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import CellRobot
 from falsework.stability.oracle import Stability
@@ -63,12 +63,12 @@ class NextSteps:
 
     def step(self, partial: Partial, robot: int, unit: Unit, place: int) -> UnitStep | None:
         """Return a step of a robot after an order; None where it is not possible or not stable."""
-        node = partial.node
-        after = state_after(node.state, unit.edges[place].action)
+        node, edge = partial.node, unit.edges[place]
+        after = node.state if edge.hands_over else state_after(node.state, edge.action)
         if self._stable.get(after.tobytes()) is False:
             return None
         if unit.robot != robot:
-            other = self._replacement(partial, unit, robot)
+            other = None if node.handed is not None else self._replacement(partial, unit, robot)
             if other is None:
                 return None
             unit = other
@@ -102,7 +102,8 @@ class NextSteps:
     def legs(self, partial: Partial, unit: Unit, place: int) -> tuple[Leg, ...] | None:
         """Return motions of a step that are free at the end of an order; None if there are none."""
         node, edge = partial.node, unit.edges[place]
-        if (unit, place, partial.key) in self._refused or not self._allowed(partial, edge):
+        refused = (unit, place, partial.key) in self._refused
+        if refused or not grippers_allow(node, edge) or not self._allowed(partial, edge):
             return None
         groups = list(unit.legs[place])
         if place == 0 and unit.approaches:
@@ -118,7 +119,8 @@ class NextSteps:
         for variants in groups:
             leg = next((leg for leg in variants if self._is_free(partial, unit, leg)), None)
             if leg is None:
-                if len(variants) >= _VARIANTS or (variants and variants[0].segment.kind == "line"):
+                fixed = edge.put_down is not None or (variants and variants[0].segment.kind == "line")
+                if len(variants) >= _VARIANTS or fixed:
                     return None
                 leg = self.work.replan(node, unit, place, partial.rests)
                 if leg is None:
@@ -153,6 +155,19 @@ class NextSteps:
                     return False
         # A part is not withdrawn past one that had left before: free exits may be so narrow that it would jam.
         return not self.work.blocked(leg, partial.present & ~(1 << unit.part))
+
+
+def grippers_allow(node: Node, edge: Edge) -> bool:
+    """Return whether a step may follow a keyframe as far as the parts that the robots hold go.
+
+    One that holds nothing holds a part, or takes over a part that another one holds, which then leaves it at once.
+    """
+    part, mine = edge.action % len(node.state), node.held[edge.robot]
+    if node.handed is not None:
+        return edge.hands_over and part == node.handed and node.holder(part) == edge.robot
+    if mine is not None:
+        return mine == part and not edge.hands_over
+    return edge.action < len(node.state) and edge.hands_over == (part in node.held)
 
 
 def way_out(robot: CellRobot, edge: Edge) -> Array:

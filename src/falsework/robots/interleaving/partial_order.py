@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple, TypeVar
 
-from falsework.assembly.state import HELD
 from falsework.robots.interleaving.work import ArmSweep, Leg, Unit, Work, bits
 from falsework.robots.keyframes.keyframes import Edge, Node
 
@@ -30,16 +30,23 @@ class UnitStep(NamedTuple):
 
     @property
     def action(self) -> int:
-        """Action that it carries out."""
+        """Action that it carries out; in a hand-over the part."""
         return self.unit.edges[self.place].action
+
+    @property
+    def hands_over(self) -> bool:
+        """Whether it is half of a hand-over, which changes no state."""
+        return self.unit.edges[self.place].hands_over
 
     @property
     def edge(self) -> Edge:
         """Edge of the keyframe graph that it executes, with the free motion that was chosen."""
         edge = self.unit.edges[self.place]
+        if edge.put_down is not None:  # whose motions have no variants
+            return edge
         free = next((leg.segment for leg in self.legs if leg.segment.kind == "free"), None)
         segments = tuple(segment if segment.kind == "line" else free for segment in edge.segments)
-        return Edge(edge.action, edge.robot, tuple(s for s in segments if s is not None), edge.node)
+        return replace(edge, segments=tuple(s for s in segments if s is not None))
 
 
 class Partial(NamedTuple):
@@ -161,7 +168,7 @@ def extended(work: Work, partial: Partial, step: UnitStep, owner: Unit) -> Parti
     unit, robot, edge = step.unit, step.unit.robot, step.unit.edges[step.place]
     parts = len(partial.node.state)
     removes = edge.action >= parts
-    opens = not removes and partial.node.state[edge.action] == HELD
+    opens = not removes and partial.node.held[robot] == edge.action
     time, event, rest = partial.free[robot], partial.event, partial.rests[robot]
     mine = list(partial.past[robot])
 

@@ -15,13 +15,23 @@ from numpy.typing import NDArray
 from falsework.assembly.state import States
 from falsework.robots.interleaving.local_optima import leave_local_optima
 from falsework.robots.interleaving.search import OrderSearch, is_worth_more
-from falsework.robots.interleaving.work import Work
+from falsework.robots.interleaving.work import Work, loads_of
 from falsework.robots.kernels.rrt_connect import INTERVALS, edges_free
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment
 from falsework.robots.kinematics.forward import tool_pose
-from falsework.robots.motion.collision_world import LIFT, NO_CONTACT, CollisionQuery, grasp_contact, withdrawal_contact
+from falsework.robots.model.shapes import inverse_pose
+from falsework.robots.motion.collision_world import (
+    LIFT,
+    NO_CONTACT,
+    PUT_DOWN,
+    CollisionQuery,
+    Scene,
+    grasp_contact,
+    withdrawal_contact,
+)
 from falsework.robots.motion.path_planner import plan_free, resolution_of
+from falsework.robots.plans.loads import Load
 from falsework.robots.plans.robot_plan import Trajectory
 from falsework.stability.oracle import Stability
 
@@ -75,6 +85,8 @@ def _follow(graph: KeyframeGraph, root: Node, edges: Sequence[Edge], old: Contai
     """
     node, found = root, []
     for k, edge in enumerate(edges):
+        if not _lies_free(graph, node, edge):
+            return k
         segments = []
         for segment, view in zip(edge.segments, _views(graph, node, edge), strict=True):
             path = _proven(segment, view, k)
@@ -90,20 +102,37 @@ def _follow(graph: KeyframeGraph, root: Node, edges: Sequence[Edge], old: Contai
 
 def _views(graph: KeyframeGraph, node: Node, edge: Edge) -> list[CollisionQuery]:
     """Return for each segment of an edge the collision queries of its scene, with the pairs that may touch."""
-    parts, margins, robot = len(node.state), graph.cell.margins, edge.robot
-    scene, part = node.scene, edge.action % parts
-    contacts = [grasp_contact(part)]
-    if edge.action >= parts:
-        here = node.configurations[robot]
-        tool = tool_pose(graph.cell.robots[robot], here)
-        scene = scene.with_configuration(robot, here).with_attached(robot, part, tool)
-        contacts = [withdrawal_contact(scene), LIFT]
-    found = []
-    for segment in edge.segments:
-        line = segment.kind == "line"
-        contact = contacts.pop(0) if line else NO_CONTACT
+    margins, robot, part = graph.cell.margins, edge.robot, edge.action % len(node.state)
+    found: list[CollisionQuery] = []
+    contacts = [LIFT]
+    for segment, load in zip(edge.segments, loads_of(node, edge), strict=True):
+        scene, line = _with_load(graph, node.scene, robot, load), segment.kind == "line"
+        contact = NO_CONTACT
+        if line and (load is None or load.lies):
+            contact = grasp_contact(part)
+        elif line:
+            contact = contacts.pop() if found else withdrawal_contact(scene)
+        else:
+            contacts = [PUT_DOWN, PUT_DOWN]
         found.append(graph.cache.view(scene, robot, contact, margins.line if line else margins.free))
     return found
+
+
+def _with_load(graph: KeyframeGraph, scene: Scene, robot: int, load: Load | None) -> Scene:
+    if load is None:
+        return scene
+    if load.grip is None:
+        return scene.with_put_down(robot, load.part, load.pose)
+    tool = tool_pose(graph.cell.robots[robot], load.grip)
+    return scene.with_attached(robot, load.part, inverse_pose(load.pose) @ tool)
+
+
+def _lies_free(graph: KeyframeGraph, node: Node, edge: Edge) -> bool:
+    """Return whether the part of an edge, if it is put down on the way, lies free of all that is there."""
+    if edge.put_down is None:
+        return True
+    carried = _with_load(graph, node.scene, edge.robot, loads_of(node, edge)[0])
+    return graph.putting_down.lies_free(carried, edge.action - len(node.state), edge.robot, edge.put_down)
 
 
 def _proven(segment: PathSegment, view: CollisionQuery, seed: int) -> Array | None:

@@ -223,21 +223,21 @@ class OrderSearch:
 
     def _may(self, order: Partial) -> bool:
         """Return whether the replay of an order is not known to end early."""
-        actions = tuple(step.action for step in order.steps)
+        actions = tuple(step.action for step in order.steps if not step.hands_over)
         return all(actions[-len(last) :] != last for last in self._fallen)
 
     def _stands(self, order: Partial) -> bool:
         """Return whether the states and the replay in assembly order of an order are stable; note what is not."""
-        states = [self.root.state]
-        for step in order.steps:
-            states.append(state_after(states[-1], step.action))
+        states, actions = [self.root.state], [step.action for step in order.steps if not step.hands_over]
+        for action in actions:
+            states.append(state_after(states[-1], action))
         if not all(self.next.is_stable(after, before) for before, after in pairwise(states)):
             return False
         replayer = self.oracle.replayer
         row = None if replayer is None else replayer.replay(np.array(states[::-1], dtype=np.uint8)).falls_at
         if row is not None:
             # The same state may stand with other forces from before it, so it is the history that is excluded.
-            self._fallen.add(tuple(step.action for step in order.steps[len(order.steps) - row :]))
+            self._fallen.add(tuple(actions[len(actions) - row :]))
         return row is None
 
     def _completed(
@@ -325,15 +325,14 @@ class OrderSearch:
                 continue
             room = 0 if partial.node.held[robot] is not None else others
             seen = [0] * len(partial.begun)
-            barred: set[int] = set()
+            fixed = False
             for unit in waiting:
-                limit = own if unit.robot == robot else room
-                if unit.robot in barred or seen[unit.robot] >= limit:
+                if seen[unit.robot] >= (own if unit.robot == robot else room):
                     continue
-                if not unit.movable:
-                    barred.add(unit.robot)
-                    if unit.robot != robot or seen[robot]:
-                        continue
+                # Units that stay with their arm stay in their order, too; others pass them.
+                if not unit.movable and (fixed or unit.robot != robot):
+                    continue
+                fixed |= not unit.movable
                 whole = (unit.job, 1) in inside
                 if unit.robot == robot or whole:
                     yield robot, unit, 0

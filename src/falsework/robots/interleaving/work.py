@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import HELD
 from falsework.robots.kernels.coordination import Swept, conflicts
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment
@@ -90,7 +89,8 @@ class Unit:
     legs: tuple[tuple[list[Leg], ...], ...]
     """For each step its motions, each in one or more variants."""
     movable: bool
-    """Whether it is a hold and a removal: others depend on the steps before and after them."""
+    """Whether it is a hold and a removal: others, and those with halves of hand-overs or a part put down on its way,
+    depend on the steps before and after them."""
 
     @cached_property
     def seconds(self) -> tuple[float, ...]:
@@ -125,7 +125,7 @@ class Work:
         begun: dict[int, list[tuple[Edge, tuple[list[Leg], ...]]]] = {}
         for edge in chain:
             robot = edge.robot
-            if (edge.action < parts and node.state[edge.action] != HELD) or robot not in begun:
+            if (edge.action < parts and node.held[robot] != edge.action) or robot not in begun:
                 begun[robot] = []
                 found.append(begun[robot])
             legs = self.legs(node, edge, rests)
@@ -138,6 +138,7 @@ class Work:
     def _unit(self, job: int, steps: Sequence[tuple[Edge, tuple[list[Leg], ...]]], parts: int) -> Unit:
         edges, legs = zip(*steps, strict=True)
         movable = len(edges) == 2 and edges[0].action < parts <= edges[1].action
+        movable = movable and not any(edge.hands_over or edge.put_down is not None for edge in edges)
         return Unit(job, edges[0].robot, edges[0].action % parts, edges, legs, movable)
 
     def replacement(self, job: int, node: Node, part: int, robot: int, rests: Sequence[ArmSweep]) -> Unit | None:
@@ -165,22 +166,29 @@ class Work:
 
     def legs(self, node: Node, edge: Edge, rests: Sequence[ArmSweep]) -> tuple[list[Leg], ...]:
         """Return the motions of an edge out of a keyframe, proven in its scene, as lists of one variant each."""
-        found, grip = [], node.configurations[edge.robot]
-        for k, segment in enumerate(edge.segments):
-            leg = self.leg(edge.robot, segment, grip, node, rests, on_way=k + 1 < len(edge.segments))
+        found = []
+        for k, (segment, load) in enumerate(zip(edge.segments, loads_of(node, edge), strict=True)):
+            leg = self.leg(edge.robot, segment, load, node, rests, on_way=k + 1 < len(edge.segments))
             if leg is not None:
                 found.append([leg])
         return tuple(found)
 
     def leg(
-        self, robot: int, segment: PathSegment, grip: Array, node: Node, rests: Sequence[ArmSweep], *, on_way: bool
+        self,
+        robot: int,
+        segment: PathSegment,
+        load: Load | None,
+        node: Node,
+        rests: Sequence[ArmSweep],
+        *,
+        on_way: bool,
     ) -> Leg | None:
         """Return a motion that was planned at a keyframe; None for one of zero length.
 
         Args:
             robot: the arm.
             segment: its path.
-            grip: configuration in which the part that it carries, if any, was in place.
+            load: the part that it carries or put down.
             node: the keyframe.
             rests: bodies of all arms there, which the motion is known to keep clear of.
             on_way: whether the arm carries the part beyond its end.
@@ -191,9 +199,8 @@ class Work:
         trajectory = self.timed[segment]
         if trajectory is None:
             return None
-        load = None if segment.part is None else Load(segment.part, grip, np.eye(4))
         swept, ends = self.bodies.moving(robot, trajectory, load)
-        absent = bits(~node.present) | (0 if segment.part is None else 1 << segment.part)
+        absent = bits(~node.present) | (0 if load is None else 1 << load.part)
         margin = cell.margins.line if segment.kind == "line" else cell.margins.free
         rest = self.rest(robot, segment.path[-1], load if on_way else None)
         leg = Leg(segment, ArmSweep(swept, ends, margin, False), trajectory.seconds, rest, absent)
@@ -271,16 +278,30 @@ class Work:
         """
         robot, edge = unit.robot, unit.edges[place]
         old, scene, here = next(s for s in edge.segments if s.kind == "free"), node.scene, node.configurations[robot]
-        start, goal = here, old.path[-1]
+        start, goal = here if old is edge.segments[0] else old.path[0], old.path[-1]
         if old.part is not None:
             tool = tool_pose(self.graph.cell.robots[robot], here)
-            scene, start = scene.with_configuration(robot, here).with_attached(robot, old.part, tool), old.path[0]
+            scene = scene.with_configuration(robot, here).with_attached(robot, old.part, tool)
         motion = self.graph.cache.motion(scene, robot, start, goal)
         if motion.path is None:
             return None
         view = self.graph.cache.view(scene, robot, NO_CONTACT, self.graph.cell.margins.free)
         segment = PathSegment("free", motion.path, part=old.part, view=view)
-        return self.leg(robot, segment, here, node, rests, on_way=old.part is None and len(edge.segments) > 1)
+        load = None if old.part is None else Load(old.part, here, np.eye(4))
+        return self.leg(robot, segment, load, node, rests, on_way=old is not edge.segments[-1])
+
+
+def loads_of(node: Node, edge: Edge) -> list[Load | None]:
+    """Return what an arm carries, or has put down, in each motion of an edge out of a keyframe."""
+    carried = [segment.part for segment in edge.segments]
+    if edge.put_down is None:
+        grip = node.configurations[edge.robot]
+        return [None if part is None else Load(part, grip, np.eye(4)) for part in carried]
+    part, empty = edge.action - len(node.state), [k for k, part in enumerate(carried) if part is None]
+    again = edge.segments[empty[-1]].path[-1]
+    before = Load(part, node.configurations[edge.robot], np.eye(4))
+    lying, after = Load(part, None, edge.put_down), Load(part, again, edge.put_down)
+    return [before if k < empty[0] else lying if k <= empty[-1] else after for k in range(len(carried))]
 
 
 def bits(parts: NDArray[np.bool_]) -> int:

@@ -92,7 +92,7 @@ class KeyframeGraph:
         """Dead ends of the search that uses the graph."""
         self._alone: dict[tuple[int, int, bytes, bytes, bool], bool] = {}
         self._withdrawal = Withdrawal(self.cache, self.reasons, settings.withdrawals)
-        self._putting_down = PuttingDown(assembly, self.cache, self.reasons, self._grips, self._retreat)
+        self.putting_down = PuttingDown(assembly, self.cache, self.reasons, self._grips, self._retreat)
         self.exits = ExitDirections(assembly, self.parts.turn, present)
 
     def start(self, state: States, configurations: tuple[Array, ...], held: tuple[int | None, ...]) -> Node:
@@ -352,7 +352,7 @@ class KeyframeGraph:
                 delivered = True
                 yield edge
         for paths, scene in stuck[:_MAX_DETOURS] if self.support and not delivered else ():
-            detour = self._putting_down.detour(part, robot, here, paths[-1][-1], scene)
+            detour = self.putting_down.detour(part, robot, here, paths[-1][-1], scene)
             if detour is not None:
                 lines = tuple(PathSegment("line", path, part=part) for path in paths)
                 action = part + self.assembly.part_count

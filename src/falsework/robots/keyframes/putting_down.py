@@ -115,6 +115,10 @@ class PuttingDown:
         self.reasons.add("remove", part, robot, "no place on the floor from which it can be gripped again")
         return None
 
+    def lies_free(self, scene: Scene, part: int, robot: int, pose: Array) -> bool:
+        """Return whether a part that a robot carries in a scene can lie at a pose relative to its place."""
+        return self._is_free(part, pose, self._fixed(scene, robot))
+
     def _deliverable(self, scene: Scene, part: int, robot: int) -> list[tuple[Grasp, Array]]:
         """Return grasps of the part, each with the drop-off configurations that are free with it, shape (n, joints)."""
         places, alone = self._grips.places(robot), np.zeros(self.parts.part_count, bool)

@@ -364,8 +364,7 @@ class _Search:
             chain = shorten_motions(chain, self.cell.speed, self.settings.seed)
             self._timed(root, chain)
             legal, stop = self.solvability.legal, self.deadline_passed
-            if not any(edge.hands_over or edge.put_down is not None for edge in chain):
-                chain = reorder(self.graph, self.oracle, root, chain, self.timed, legal=legal, stop=stop)
+            chain = reorder(self.graph, self.oracle, root, chain, self.timed, legal=legal, stop=stop)
             chain = shorten_motions(chain, self.cell.speed, self.settings.seed, done=self.timed)
         statistics = self._statistics()
         if why is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from heapq import heappop, heappush
 from typing import TYPE_CHECKING
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from falsework.assembly.state import REMOVED, States
+from falsework.search.problem.deadline import DeadlineExceeded
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.oracle import CountingOracle, Oracle
 from falsework.search.problem.result import (
@@ -124,7 +125,7 @@ class SupportBeam:
                     break
                 if len(self._levels) > self._moves.removals:
                     route = self._to_goal()
-                if route is None and not self._advance() and not self._retreat():
+                if route is None and not self._advance(stop) and not self._retreat():
                     break
                 if progress is not None:
                     seconds = self._seconds + time.perf_counter() - begun
@@ -151,23 +152,31 @@ class SupportBeam:
             sliding=self.judge.sliding,
         )
 
-    def _advance(self) -> bool:
-        """Find the next level, changing holds if needed; return False if there is none."""
+    def _advance(self, stop: Stop | None) -> bool:
+        """Find the next level, changing holds if needed; return False if there is none.
+
+        Raises:
+            DeadlineExceeded: `stop` ended it; the levels are as before.
+        """
         level = self._levels[-1]
         if len(self._levels) > self._moves.removals:
             return False
         self._wrong = []
         found: dict[bytes, bytes] = {}
         ring, seen = list(level), set(level)
+        within: list[_Way] = []
         while ring:
             ways = self._sorted(w for key in ring for w in self._across(key))
-            for way in self._stable(ways, found):
-                found.setdefault(self._presence(way.states[-1]), self._take(way))
+            for place in self._stable(ways, found):
+                found.setdefault(self._presence(ways[place].states[-1]), self._take(ways[place]))
                 if len(found) == self.width:
                     break
             if 4 * len(found) >= self.width:
                 break
-            ring = self._other_holds(seen)
+            within = self._sorted([*within, *(w for key in ring for w in self._within(key))])
+            ring = self._other_holds(within, seen)
+            if ring and stop is not None and stop():
+                raise DeadlineExceeded
         if not found:
             if len(self._levels) > self._farthest:
                 self._rejected = self._wrong
@@ -177,18 +186,25 @@ class SupportBeam:
             self._farthest, self._last = len(self._levels) - 1, self._levels[-1]
         return True
 
-    def _other_holds(self, seen: set[bytes]) -> list[bytes]:
-        """Return more reachable states with the same parts and other holds; none if none is left."""
-        ways = self._sorted(w for key in seen for w in self._within(key) if w.states[-1].tobytes() not in seen)
-        fresh = []
-        for way in self._stable(ways):
-            key = way.states[-1].tobytes()
+    def _other_holds(self, ways: list[_Way], seen: set[bytes]) -> list[bytes]:
+        """Return more reachable states with the same parts and other holds; none if none is left.
+
+        Args:
+            ways: paths to such states, best first; those that need not be tried again are taken out.
+            seen: states that were returned before; the new ones are added.
+        """
+        ways[:] = [way for way in ways if way.states[-1].tobytes() not in seen]
+        fresh, tried = [], len(ways)
+        for place in self._stable(ways):
+            key = ways[place].states[-1].tobytes()
             if key not in seen:
-                self._take(way)
+                self._take(ways[place])
                 seen.add(key)
                 fresh.append(key)
             if len(fresh) == _NEW_HOLDS:
+                tried = place + 1
                 break
+        del ways[:tried]
         return fresh
 
     def _across(self, key: bytes) -> Iterator[_Way]:
@@ -266,16 +282,20 @@ class SupportBeam:
         return _Way(origin, states, score - busy - 1e-3 * len(states))
 
     @staticmethod
-    def _sorted(ways: Iterator[_Way]) -> list[_Way]:
+    def _sorted(ways: Iterable[_Way]) -> list[_Way]:
         return sorted(ways, key=lambda way: -way.score)
 
-    def _stable(self, ways: list[_Way], found: Collection[bytes] = ()) -> Iterator[_Way]:
-        """Yield the paths whose states are all stable, checked in growing batches, except to parts that are `found`."""
+    def _stable(self, ways: list[_Way], found: Collection[bytes] = ()) -> Iterator[int]:
+        """Yield the indices of the paths whose states are all stable, except to parts that are `found`.
+
+        They are checked in growing batches.
+        """
         begin, count = 0, 1
         while begin < len(ways):
-            batch = [way for way in ways[begin : begin + count] if self._presence(way.states[-1]) not in found]
-            self._ask(batch)
-            yield from (way for way in batch if self._presence(way.states[-1]) not in found and self._stands(way))
+            places = range(begin, min(begin + count, len(ways)))
+            batch = [k for k in places if self._presence(ways[k].states[-1]) not in found]
+            self._ask([ways[k] for k in batch])
+            yield from (k for k in batch if self._presence(ways[k].states[-1]) not in found and self._stands(ways[k]))
             begin, count = begin + count, min(2 * count, _MOST_AT_ONCE)
 
     def _ask(self, ways: list[_Way]) -> None:
@@ -342,7 +362,8 @@ class SupportBeam:
                         heappush(ways, (lacking, count, _Way(key, (after,), 0.0)))
             if not ways or count > _MOST_AT_GOAL:
                 break
-            ring = [self._take(way) for way in self._stable([heappop(ways)[2]])]
+            way = heappop(ways)[2]
+            ring = [self._take(way) for _ in self._stable([way])]
         if goal not in self.parent:
             return None
         route = SupportRoute.back_from(goal, self.parent, self.task.part_count)
