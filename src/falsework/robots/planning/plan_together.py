@@ -22,6 +22,7 @@ from falsework.robots.cells.cell_file import AnyCell, as_cell
 from falsework.robots.interleaving.search import is_worth_more
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.model.cell import Cell
+from falsework.robots.planning.end_motions import Continuation
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings, Progress
 from falsework.robots.planning.second_search import SecondSearch
@@ -52,6 +53,8 @@ def plan_together(
     task: Task | None = None,
     configurations: Sequence[ArrayLike] | None = None,
     held: Sequence[int | None] | None = None,
+    gripped: Sequence[ArrayLike | None] | None = None,
+    continued: Continuation | None = None,
     oracle: Stability | None = None,
     guide: Guide | None = None,
     settings: HybridSettings = HybridSettings(),
@@ -64,13 +67,13 @@ def plan_together(
     `search`: `together`, or `sequential` where only the lines of `plan_robots` led to a plan.
 
     Args:
-        assembly, cell, task, configurations, held, oracle, guide, progress: as in `plan_robots`.
+        assembly, cell, task, configurations, held, gripped, continued, oracle, guide, progress: as in `plan_robots`.
         settings: limits of the search.
         assembly_order: schedule the motions in the order of assembly.
 
     Raises:
         InputError: configurations that do not fit the robots, or in which something collides.
-        StateError: held parts that do not go with the start state.
+        StateError: held parts that do not go with the start state, or the target state of a continued assembly.
         DependencyError: OR-Tools is missing.
     """
     import_ortools()
@@ -80,6 +83,7 @@ def plan_together(
     short = replace(settings, together=True, keyframes=lines)
     graph = KeyframeGraph(assembly, cell, settings=short.keyframes, seed=settings.seed)
     start: dict[str, Any] = {"task": task, "configurations": configurations, "held": held}
+    start |= {"gripped": gripped, "continued": continued}
 
     def search(limits: HybridSettings, graph: KeyframeGraph, seconds: float) -> HybridResult:
         # Even where a long motion has used the time up, a search ends by itself, with what it has.

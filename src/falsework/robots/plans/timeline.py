@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from falsework.robots.plans.loads import Load, load_of
+from falsework.robots.plans.loads import Load, load_at_rest, load_of
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.temporal_graph import MotionNode, Precedence, TemporalPlanGraph
 from falsework.search.problem.task import Direction
@@ -148,13 +148,11 @@ def activities_at(plan: RobotPlan, starts: Array, moment: float, factor: Array |
         last = past[-1] if past else None
         running = last is not None and moment < starts[last] + factor[last] * graph.nodes[last].seconds
         following = next((k for k in mine if starts[k] > moment), None)
-        # An arm that rests carries its part if it rests between two motions of one step.
-        on_way = last is not None and following is not None and graph.nodes[last].step == graph.nodes[following].step
-        source = last if running else following if on_way else None
-        load, trajectory, at = None, None, 0 if last is None else graph.nodes[last].step
-        if source is not None:
-            at, number = graph.nodes[source].step, graph.nodes[source].trajectory
-            load = load_of(plan, at, number)
-            trajectory = plan.steps[at].trajectories[number] if running and number is not None else None
+        before, after = (
+            None if k is None else (graph.nodes[k].step, graph.nodes[k].trajectory) for k in (last, following)
+        )
+        at, number = (0, None) if before is None else before
+        trajectory = plan.steps[at].trajectories[number] if running and number is not None else None
+        load = load_of(plan, at, number) if running else load_at_rest(plan, robot, before, after)
         begin, late = (0.0, 1.0) if last is None else (float(starts[last]), float(factor[last]))
         yield ArmActivity(robot, at, trajectory, begin, late, rest, load)
