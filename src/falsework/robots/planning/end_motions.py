@@ -21,13 +21,16 @@ from falsework.robots.keyframes.grasp_configurations import GraspConfiguration
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.keyframes import Carried, Edge, Node, PathSegment, accept_all
 from falsework.robots.kinematics.forward import tool_pose
-from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, Scene, grasp_contact
+from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, Scene, grasp_contact, withdrawal_contact
+from falsework.robots.motion.path_planner import follow_line
 from falsework.search.problem.task import Task
 
 Array = NDArray[np.float64]
 
 _STANDSTILL = 1e-6
 """Joint values that differ by no more are equal, rad or m."""
+_SAME_WAY = 1e-4
+"""Largest difference of joint values, directions and cosines between a line and one that ends where a robot is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,17 +93,19 @@ class Ends:
         robot, why = self._blocked
         raise InputError(f"{self.graph.cell.robots[robot].name} cannot begin: {why}; move it away first")
 
-    def end_at(self, node: Node, insert: Sequence[int]) -> None:
+    def end_at(self, node: Node | None, insert: Sequence[int]) -> None:
         """End plans at a keyframe.
 
         Args:
-            node: the keyframe.
+            node: the keyframe; None: plans end where their last action does.
             insert: robots whose part is inserted first when the assembly goes on; others bring theirs back.
 
         Raises:
             InputError: a robot is too near to something to move.
         """
         graph, self._last, self._insert = self.graph, node, tuple(insert)
+        if node is None:
+            return
         grips = {part: (robot, node.configurations[robot]) for robot, part in enumerate(node.held) if part is not None}
         for robot in insert:
             load = node.load(robot)
@@ -116,7 +121,13 @@ class Ends:
             values = node.configurations[robot]
             pair = self._clear(node, robot).explain(values)
             arms = tuple(f"{entry.name} " for entry in graph.cell.robots)
-            if part is None and pair and not pair[1].startswith(arms) and self._line(node, robot, values) is None:
+            if (
+                part is None
+                and robot not in insert
+                and pair
+                and not pair[1].startswith(arms)
+                and self._line(node, robot, values) is None
+            ):
                 name = graph.cell.robots[robot].name
                 raise InputError(f"{pair[0]} is too near {pair[1]} for a motion; move {name} away first")
 
@@ -221,11 +232,30 @@ class Ends:
         """Return the motions that withdraw a held part and bring it where it is at the end."""
         part, here = load.attached.part, node.configurations[robot]
         ways = self.graph.exits.free(part, node.state)
+        line = self._on_line(node, robot, load, goal, ways)
+        if line is not None:
+            return (line,)
         for paths, scene in self.graph.withdrawal.lines(node.scene, part, robot, here, ways, "way out"):
             free = self._free(scene, robot, paths[-1][-1], goal, part)
             if free is not None:
                 return (*(PathSegment("line", path, part=part) for path in paths), free)
         return None
+
+    def _on_line(self, node: Node, robot: int, load: Carried, goal: Array, ways: Array) -> PathSegment | None:
+        """Return the line on which a held part leaves as far as where it is at the end, if it is on such a line."""
+        part, entry, here = load.attached.part, self.graph.cell.robots[robot], node.configurations[robot]
+        tools = tool_pose(entry, np.array([here, goal]))
+        far = tools[1, :3, 3] - tools[0, :3, 3]
+        length = float(np.linalg.norm(far))
+        turned = np.abs(tools[1, :3, :3] - tools[0, :3, :3]).max() > _SAME_WAY
+        if turned or length < _SAME_WAY or not len(ways) or (ways @ far).max() < (1 - _SAME_WAY) * length:
+            return None
+        scene = node.scene.with_attached(robot, part, tools[0])
+        view = self.graph.cache.view(scene, robot, withdrawal_contact(scene), self.graph.cell.margins.line)
+        path = follow_line(view, here, far / length, length).path
+        if path is None or np.abs(path[-1] - goal).max() > _SAME_WAY:
+            return None
+        return PathSegment("line", np.concatenate([path[:-1], goal[None]]), part=part)
 
     def _fetched(self, node: Node, robot: int, load: Carried, goal: Array) -> tuple[PathSegment, ...] | None:
         """Return the motions that fetch a part from a drop-off pose and bring it where it is at the end."""

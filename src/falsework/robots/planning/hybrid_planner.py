@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.state import REMOVED
+from falsework.errors import InputError
 from falsework.robots.cells.cell_file import AnyCell, as_cell
 from falsework.robots.keyframes.failure_report import Explanation, explain, fall_in_words
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
@@ -100,15 +101,21 @@ def plan_robots(
     last = None
     if continued is not None:
         last = given_keyframe(graph, task.target, continued.configurations, continued.held, continued.gripped)
+    result: HybridResult | None = None
     for insert in inserted_first(last):
         ends = Ends(graph)
         root = first if configurations is None else ends.begin(first)
-        if last is not None:
+        try:
             ends.end_at(last, insert)
+        except InputError:
+            if result is None:
+                raise
+            break
         search = _Search(graph, ends.reached(task), oracle, guide, settings, progress, ends, clock)
         result = search.run(root)
         if result.found or clock.passed:
             break
+    assert result is not None
     return result
 
 

@@ -260,6 +260,14 @@ class RobotPlan:
         """Whether the motions disassemble or assemble."""
         return self.plan.direction
 
+    def grip_of(self, robot: int, part: int) -> Array | None:
+        """Return the configuration in which a robot holds a part at its place, shape (joints,); None if it never does.
+
+        Of several, the last in the order of disassembly, in which it leaves.
+        """
+        frames = self.keyframes if self.direction is Direction.ASSEMBLY else self.keyframes[::-1]
+        return next((frame.configurations[robot] for frame in frames if frame.held[robot] == part), None)
+
     def grip(self, step: int) -> Literal["close", "open"] | None:
         """Return what the gripper of a step does at a part in place; None if the part leaves or comes, or is none."""
         action = int(self.actions[step])
