@@ -118,7 +118,7 @@ class PlanRobots(Command):
         joints, task = parse_joints(self.joints, cell), self._task(assembly, cell, held)
         grips = parse_grips(self.grips, held, task.target if building else task.start, cell, assembly)
         oracle = Stability(assembly, StabilitySettings(criterion=self.criterion))
-        if refuse_unstable(assembly, oracle, task, output):
+        if refuse_unstable(assembly, oracle, task, output, building=building):
             output.record({"robot_plan": None, "found": False})
             return Exit.NO
         guide = self._guide(assembly, task)
