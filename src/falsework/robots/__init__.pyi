@@ -46,8 +46,10 @@ from falsework.robots.plans.temporal_graph import MotionNode as MotionNode
 from falsework.robots.plans.temporal_graph import Precedence as Precedence
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph as TemporalPlanGraph
 from falsework.robots.plans.timeline import ArmShares as ArmShares
+from falsework.robots.plans.timeline import Interruption as Interruption
 from falsework.robots.plans.timeline import arm_shares as arm_shares
 from falsework.robots.plans.timeline import event_times as event_times
+from falsework.robots.plans.timeline import interruption as interruption
 from falsework.robots.plans.timeline import nodes_of as nodes_of
 from falsework.robots.schedule.build import schedule_plan as schedule_plan
 from falsework.robots.schedule.simulation import SimulationReport as SimulationReport

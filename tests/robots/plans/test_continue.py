@@ -30,6 +30,8 @@ from falsework.robots.plans.robot_plan_file import (
     robot_plan_to_dict,
     save_robot_plan,
 )
+from falsework.robots.plans.timeline import interruption
+from falsework.robots.schedule.build import schedule_plan
 from falsework.search import Direction, Task
 from falsework.search.plans.plan_check import validate_plan
 from falsework.stability import Stability
@@ -205,6 +207,26 @@ def test_arms_that_move_at_the_same_time(
     pytest.importorskip("rosbags", reason="bags need rosbags; pip install 'falsework[schedule]'")
     legs = sum(len(entry.trajectories) for entry in rest.steps)
     assert write_bag(rest, tmp_path / "rest.mcap") == 2 * legs + 2 * len(inserting(rest))
+
+
+def test_from_wherever_a_schedule_is_interrupted(
+    building: RobotPlan, go_on: Callable[..., RobotPlan], column: Assembly, cell: Cell
+) -> None:
+    """Arms finish the motions that they have begun; what they hold and carry then is what they begin with."""
+    pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'falsework[schedule]'")
+    plan = schedule_plan(building, column, cell)
+    for share in (0.15, 0.4, 0.65, 0.8):
+        now = interruption(plan, share * plan.makespan)
+        rest = go_on(now.state, now.configurations, now.held, now.gripped)
+        again = interruption(rest, -1.0)
+        np.testing.assert_array_equal(again.state, now.state)
+        assert again.held == now.held
+        np.testing.assert_array_equal(again.configurations, now.configurations)
+        assert [grip is None for grip in again.gripped] == [grip is None for grip in now.gripped]
+        check(rest, column, cell)
+    end = interruption(plan, plan.makespan)
+    np.testing.assert_array_equal(end.state, plan.states[-1])
+    assert set(end.held) == set(end.gripped) == {None}
 
 
 def test_plans_that_do_not_say_what_is_carried(
