@@ -67,6 +67,7 @@ class KeyframeGraph:
         seed: int = 0,
         parts: PartShapes | None = None,
         present: NDArray[np.bool_] | None = None,
+        leaving: NDArray[np.bool_] | None = None,
     ) -> None:
         """Create an empty graph.
 
@@ -77,6 +78,7 @@ class KeyframeGraph:
             seed: seed of the free motions.
             parts: the parts as bodies in the cell, if already available.
             present: parts that are ever in place, all by default, shape (parts,).
+            leaving: parts that are ever removed, all by default, shape (parts,).
         """
         self.assembly, self.cell, self.settings, self.seed = assembly, cell, settings, seed
         self.support = False
@@ -96,7 +98,7 @@ class KeyframeGraph:
         self.withdrawal = Withdrawal(self.cache, self.reasons, settings.withdrawals)
         self.delivery = Delivery(self.cache, self.reasons, self._grips)
         self._putting_down = PuttingDown(assembly, self.cache, self.reasons, self._grips, self.retreat)
-        self.exits = ExitDirections(assembly, self.parts.turn, present)
+        self.exits = ExitDirections(assembly, self.parts.turn, present, leaving)
 
     def start(self, state: States, configurations: tuple[Array, ...], held: tuple[int | None, ...]) -> Node:
         """Return an initial node."""

@@ -10,11 +10,12 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from falsework.assembly.state import HELD, States
+from falsework.assembly.state import HELD, REMOVED, States
 from falsework.errors import InputError
 from falsework.robots.grasping.grasp import Grasp
 from falsework.robots.keyframes.grasp_configurations import GraspConfiguration
@@ -43,6 +44,14 @@ class Continuation:
     """The part that each robot holds in place, or carries."""
     gripped: Sequence[ArrayLike | None] | None = None
     """For each robot that carries a part, the joint values with which it would hold it at its place."""
+
+
+def parts_of(task: Task | None, continued: Continuation | None) -> dict[str, Any]:
+    """Return which parts a keyframe graph for a task has to know: those ever in place, and those that ever leave."""
+    if task is None:
+        return {}
+    present = {"present": task.start != REMOVED}
+    return present if continued is None else present | {"leaving": task.target == REMOVED}
 
 
 def inserted_first(node: Node | None) -> Iterator[tuple[int, ...]]:

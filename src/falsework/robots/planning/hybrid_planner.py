@@ -19,13 +19,12 @@ from numpy.typing import ArrayLike
 
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.state import REMOVED
-from falsework.errors import InputError
 from falsework.robots.cells.cell_file import AnyCell, as_cell
 from falsework.robots.keyframes.failure_report import Explanation, explain, fall_in_words
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.keyframes import DeadEnds, Edge, Node, route_along
 from falsework.robots.planning.action_ranking import ActionRanking, ExecutionHeuristic, FailedActions
-from falsework.robots.planning.end_motions import Continuation, Ends, inserted_first
+from falsework.robots.planning.end_motions import Continuation, Ends, inserted_first, parts_of
 from falsework.robots.planning.hybrid_result import HybridProgress, HybridResult, HybridSettings, Progress
 from falsework.robots.planning.initial_keyframe import given_keyframe, task_in_cell
 from falsework.robots.planning.plan_maker import PlanMaker
@@ -94,9 +93,9 @@ def plan_robots(
         StateError: held parts that do not go with the start state, or the target state of a continued assembly.
     """
     assembly, cell, oracle = as_assembly(assembly), as_cell(cell), oracle or Stability(assembly)
-    keyframes, present = settings.keyframes, None if task is None else task.start != REMOVED
-    graph = graph or KeyframeGraph(assembly, cell, settings=keyframes, seed=settings.seed, present=present)
-    task, clock = task_in_cell(assembly, cell, task, graph.exits), Deadline(settings.deadline)
+    needed, clock = parts_of(task, continued), Deadline(settings.deadline)
+    graph = graph or KeyframeGraph(assembly, cell, settings=settings.keyframes, seed=settings.seed, **needed)
+    task = task_in_cell(assembly, cell, task, graph.exits)
     first = given_keyframe(graph, task.start, configurations, held, gripped)
     last = None
     if continued is not None:
@@ -105,15 +104,11 @@ def plan_robots(
     for insert in inserted_first(last):
         ends = Ends(graph)
         root = first if configurations is None else ends.begin(first)
-        try:
-            ends.end_at(last, insert)
-        except InputError:
-            if result is None:
-                raise
-            break
+        ends.end_at(last, insert)
         search = _Search(graph, ends.reached(task), oracle, guide, settings, progress, ends, clock)
         result = search.run(root)
-        if result.found or clock.passed:
+        # That a carried part cannot be next is no proof for plans that bring it back.
+        if result.explanation is None or (clock.passed and result.explanation.outcome != "proved_impossible"):
             break
     assert result is not None
     return result
@@ -140,7 +135,7 @@ class _Search:
         self.solvability = SolvabilityCheck(
             self.assembly, task, oracle, guide=guide, score=score, seed=settings.seed, joint=self.graph.joint
         )
-        self.ranking = ActionRanking(self.graph, ease, self.solvability)
+        self.ranking = ActionRanking(graph, ease, self.solvability)
         self.abstract: SearchResult | None = None
         self.best: list[Edge] = []
         self.tried: Counter[tuple[str, int]] = Counter()

@@ -22,7 +22,7 @@ from falsework.robots.cells.cell_file import AnyCell, as_cell
 from falsework.robots.interleaving.search import is_worth_more
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.model.cell import Cell
-from falsework.robots.planning.end_motions import Continuation
+from falsework.robots.planning.end_motions import Continuation, parts_of
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings, Progress
 from falsework.robots.planning.second_search import SecondSearch
@@ -81,7 +81,8 @@ def plan_together(
     clock, oracle = Deadline(settings.deadline), oracle or Stability(assembly)
     lines = replace(settings.keyframes, approaches=_APPROACHES, withdrawals=_WITHDRAWALS)
     short = replace(settings, together=True, keyframes=lines)
-    graph = KeyframeGraph(assembly, cell, settings=short.keyframes, seed=settings.seed)
+    needed = {} if continued is None else parts_of(task, continued)
+    graph = KeyframeGraph(assembly, cell, settings=short.keyframes, seed=settings.seed, **needed)
     start: dict[str, Any] = {"task": task, "configurations": configurations, "held": held}
     start |= {"gripped": gripped, "continued": continued}
 
@@ -113,7 +114,8 @@ def plan_together(
         elif _may_exist(result):
             result = search(short, graph, _SHARE * limit)
     if _may_exist(result):
-        graph = KeyframeGraph(assembly, cell, settings=settings.keyframes, seed=settings.seed, parts=graph.parts)
+        keyframes, seed = settings.keyframes, settings.seed
+        graph = KeyframeGraph(assembly, cell, settings=keyframes, seed=seed, parts=graph.parts, **needed)
         again = search(replace(settings, together=True), graph, limit)
         # Without a plan, the longer partial one is kept.
         if again.explanation is None or again.explanation.reached >= _reached(result):
