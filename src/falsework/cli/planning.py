@@ -148,15 +148,26 @@ def writable(path: Path) -> None:
         raise InputError(f"cannot write {path}: no permission in {path.parent}; choose another place")
 
 
-def refuse_unstable(assembly: Assembly, oracle: Stability, task: Task, output: Output) -> bool:
-    """Report a start or target state that is not stable, since then there is no plan."""
+def refuse_unstable(
+    assembly: Assembly, oracle: Stability, task: Task, output: Output, *, building: bool = False
+) -> bool:
+    """Report a start or target state that is not stable, since then there is no plan.
+
+    Args:
+        assembly: the structure.
+        oracle: decides stability.
+        task: the task, as disassembly.
+        output: where to report.
+        building: whether the user's start is the target of the task.
+    """
     import numpy as np
 
     from falsework.assembly.state import complete_state
     from falsework.cli.velocity_text import describe, motions
     from falsework.stability.motion import motion_of
 
-    for name, state in (("start", task.start), ("target", task.target)):
+    names = ("target", "start") if building else ("start", "target")
+    for name, state in zip(names, (task.start, task.target), strict=True):
         verdicts = oracle.check(state)
         if verdicts.stable[0]:
             continue

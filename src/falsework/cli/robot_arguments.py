@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from falsework.cli.arguments import parse_parts
+from falsework.cli.arguments import parse_parts, parse_state
 from falsework.errors import InputError
 from falsework.utils.json_text import parse_json
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
+    from falsework.assembly.state import States
     from falsework.robots.model.cell import Cell
 
 
@@ -31,15 +33,62 @@ def parse_joints(text: str | None, cell: Cell) -> list[Any] | None:
     if text is None:
         return None
     found: list[Any] = list(cell.homes)
-    for name, given in _by_robot(text).items():
+    for name, given in _by_robot(text, "--joints").items():
         robot = _robot(name, cell, "--joints")
-        if given == "home":
-            continue
-        try:
-            found[robot] = [float(value) for value in given.split(",")] if isinstance(given, str) else _numbers(given)
-        except (TypeError, ValueError):
-            raise InputError(f"--joints: {name} is {given!r}; give joint values in rad, or `home`") from None
+        if given != "home":
+            found[robot] = _values(given, f"--joints: {name}", ", or `home`")
     return found
+
+
+def parse_grips(
+    text: str | None, held: Sequence[int | None], state: States, cell: Cell, assembly: Assembly
+) -> list[Any]:
+    """Read the configurations in which robots would hold the parts that they carry at the places of these.
+
+    Args:
+        text: as for `parse_joints`, or the file of a robot plan in which the robots hold these parts.
+        held: the part that each robot holds or carries.
+        state: what is in place, shape (parts,).
+        cell: the robots.
+        assembly: the structure.
+
+    Returns:
+        For every robot joint values, not yet checked against its limits, or None where nothing is given.
+
+    Raises:
+        InputError: a robot that the cell does not have, no numbers, or a plan for another structure or cell.
+    """
+    found: list[Any] = [None] * cell.robot_count
+    if text is None:
+        return found
+    if Path(text).is_file() and isinstance(content := _json_file(text, "--grips"), dict) and "format" in content:
+        from falsework.robots.plans.robot_plan_file import robot_plan_from_dict
+
+        plan = robot_plan_from_dict(content, text)
+        plan.check_identity(assembly, cell)
+        carried = [None if part is None or state[part] else part for part in held]
+        return [None if part is None else plan.grip_of(robot, part) for robot, part in enumerate(carried)]
+    for name, given in _by_robot(text, "--grips").items():
+        found[_robot(name, cell, "--grips")] = _values(given, f"--grips: {name}", "")
+    return found
+
+
+def parse_now(text: str, held: Sequence[int | None], assembly: Assembly) -> States:
+    """Read the state at the start, in which robots hold some parts, shape (parts,)."""
+    from falsework.assembly.state import HELD, REMOVED
+
+    state = parse_state(text, "--start", assembly).copy()
+    for part in held:
+        if part is not None and state[part] != REMOVED:
+            state[part] = HELD
+    return state
+
+
+def _values(given: Any, what: str, other: str) -> list[float]:
+    try:
+        return [float(value) for value in given.split(",")] if isinstance(given, str) else _numbers(given)
+    except (TypeError, ValueError):
+        raise InputError(f"{what} is {given!r}; give joint values in rad{other}") from None
 
 
 def _numbers(values: Any) -> list[float]:
@@ -49,19 +98,23 @@ def _numbers(values: Any) -> list[float]:
     return [float(value) for value in values]
 
 
-def _by_robot(text: str) -> dict[str, Any]:
+def _by_robot(text: str, option: str) -> dict[str, Any]:
     if "=" in text and not Path(text).is_file():
-        pairs = [_pair(piece, "--joints", "left=0,0.1,-0.5,0,1,0;right=home") for piece in text.split(";")]
+        pairs = [_pair(piece, option, "left=0,0.1,-0.5,0,1,0;right=0,0,0,0,0,0") for piece in text.split(";")]
         if len({name for name, _ in pairs}) < len(pairs):
-            raise InputError(f"--joints {text}: a robot has one configuration; name each robot once")
+            raise InputError(f"{option} {text}: a robot has one configuration; name each robot once")
         return dict(pairs)
-    try:
-        content = parse_json(Path(text).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError, ValueError):
-        raise InputError(f"--joints {text}: no JSON file; give one, or values such as left=0,0,0,0,0,0") from None
+    content = _json_file(text, option)
     if not isinstance(content, dict):
-        raise InputError(f"--joints {text} contains no object; give lists of joint values by robot")
+        raise InputError(f"{option} {text} contains no object; give lists of joint values by robot")
     return content
+
+
+def _json_file(text: str, option: str) -> Any:
+    try:
+        return parse_json(Path(text).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError, ValueError):
+        raise InputError(f"{option} {text}: no JSON file; give one, or values such as left=0,0,0,0,0,0") from None
 
 
 def parse_holding(text: str | None, cell: Cell, assembly: Assembly) -> list[int | None]:

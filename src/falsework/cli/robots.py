@@ -15,7 +15,7 @@ from falsework.cli.command import UNSET, Command, LoadOptions, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.output import counted
 from falsework.cli.planning import refuse_unstable, writable
-from falsework.cli.robot_arguments import parse_holding, parse_joints
+from falsework.cli.robot_arguments import parse_grips, parse_holding, parse_joints, parse_now
 from falsework.cli.robot_reports import (
     check_record,
     holds_record,
@@ -52,6 +52,8 @@ class PlanRobots(Command):
         "falsework robots plan my-folder --cell cell.toml --out robot_plan.json",
         "falsework robots plan my-folder --cell cell.toml --policy my-run --robots-seed 3 --deadline 60",
         "falsework robots plan my-folder --cell cell.toml --state 2210 --joints now.json --holding left=3 --support",
+        "falsework robots plan my-folder --cell cell.toml --direction assembly --state 2110 --joints now.json "
+        "--holding left=2,right=3 --grips robot_plan.json --out rest.json",
     )
 
     structure: StructureOptions
@@ -65,17 +67,23 @@ class PlanRobots(Command):
     """Random seed; results are reproducible on one machine."""
     deadline: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint=UNSET)] = None
     """Time limit."""
+    direction: Literal["disassembly", "assembly"] = "disassembly"
+    """`assembly` goes on building from where the robots are: --state, --joints, --holding and --grips describe its
+    start, and the motions are written in the order of assembly. Otherwise they describe the start of disassembly."""
     start: Annotated[
-        str | None, arg(metavar="STATE", help_behavior_hint="(default: complete)", aliases=["--state"])
+        str | None, arg(metavar="STATE", help_behavior_hint="(default: complete or empty)", aliases=["--state"])
     ] = None
-    """State to start from: `complete`, digits such as 2110, or a file."""
+    """State to start from: `complete`, `empty`, digits such as 2110, or a file."""
     joints: Annotated[str | None, arg(metavar="JOINTS", help_behavior_hint="(default: all at home)")] = None
-    """Joint values of the robots in rad at the start of disassembly, such as left=0,0.1,-0.5,0,1,0;right=home, or a
-    JSON file with such lists by robot."""
+    """Joint values of the robots in rad at the start, such as left=0,0.1,-0.5,0,1,0;right=home, or a JSON file with
+    such lists by robot."""
     holding: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
-    """Parts that robots hold at the start of disassembly, such as left=3,right=keystone."""
-    target: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: empty)")] = None
-    """State to end in: `empty`, digits, or a file."""
+    """Parts that robots hold at the start, such as left=3,right=keystone; a part that is not in place is carried."""
+    grips: Annotated[str | None, arg(metavar="GRIPS", help_behavior_hint=UNSET)] = None
+    """For carried parts the joint values with which their robots would hold them at their places, as with --joints, or
+    the file of the robot plan that was under way."""
+    target: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: empty or complete)")] = None
+    """State to end in: `empty`, `complete`, digits, or a file."""
     missing: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
     """Parts not delivered yet, such as 3,4; assembly does without them as long as possible."""
     support: bool = False
@@ -94,6 +102,7 @@ class PlanRobots(Command):
     def run(self, output: Output) -> Exit:
         """Search, save, report."""
         from falsework.robots.cells.cell_file import load_cell
+        from falsework.robots.planning.end_motions import Continuation
         from falsework.robots.planning.hybrid_planner import plan_robots
         from falsework.robots.planning.hybrid_result import HybridSettings
         from falsework.robots.planning.plan_together import plan_together
@@ -104,30 +113,27 @@ class PlanRobots(Command):
         together = not self.sequential and cell.robot_count > 1 and self._can_schedule(output)
         settings = HybridSettings(seed=self.robots_seed, deadline=self.deadline, forces=self.proofs)
         assembly = self.structure.load()
+        building = self.direction == "assembly"
         held = parse_holding(self.holding, cell, assembly)
-        joints = parse_joints(self.joints, cell)
-        task = self._task(assembly, cell, held)
+        joints, task = parse_joints(self.joints, cell), self._task(assembly, cell, held)
+        grips = parse_grips(self.grips, held, task.target if building else task.start, cell, assembly)
         oracle = Stability(assembly, StabilitySettings(criterion=self.criterion))
-        if refuse_unstable(assembly, oracle, task, output):
+        if refuse_unstable(assembly, oracle, task, output, building=building):
             output.record({"robot_plan": None, "found": False})
             return Exit.NO
         guide = self._guide(assembly, task)
-        given: dict[str, Any] = {
-            "task": task,
-            "configurations": joints,
-            "held": held,
-            "oracle": oracle,
-            "guide": guide,
-            "settings": settings,
-        }
+        given: dict[str, Any] = {"task": task, "oracle": oracle, "guide": guide, "settings": settings}
+        now: dict[str, Any] = {"configurations": joints, "held": held, "gripped": grips}
+        given |= {"continued": Continuation(**now)} if building else now
+        assembly_order = self.assembly_order or building
         with output.bar("planning motions") as show:
             given["progress"] = lambda now: show(now.reached, now.steps, f"step {now.reached} of {now.steps}")
             if together:
-                result = plan_together(assembly, cell, assembly_order=self.assembly_order, **given)
+                result = plan_together(assembly, cell, assembly_order=assembly_order, **given)
             else:
                 result = plan_robots(assembly, cell, **given)
         found = result.partial if result.plan is None else result.plan  # a plan without steps is false
-        if found is not None and self.assembly_order and not together:
+        if found is not None and assembly_order and not together:
             found = found.reverse()
         done = self._report(result, found, output)
         heavy = overloads_of(found, assembly, cell) if done is Exit.DONE and found is not None else []
@@ -150,25 +156,17 @@ class PlanRobots(Command):
         return True
 
     def _task(self, assembly: Assembly, cell: Cell, held: Sequence[int | None]) -> Task:
-        from falsework.assembly.state import HELD, complete_state
         from falsework.search.problem.task import Task
 
-        start = None if self.start is None else parse_state(self.start, "--start", assembly)
-        holding = [part for part in held if part is not None]
-        if holding:
-            start = (complete_state(assembly.boundary) if start is None else start).copy()
-            for part in holding:
-                if not start[part]:
-                    raise InputError(
-                        f"--holding: part {assembly.names[part]} is absent at the start; an arm that carries a part "
-                        "must put it down first, for plans begin with parts in place"
-                    )
-                start[part] = HELD
+        building = self.direction == "assembly"
+        now = parse_now(self.start or ("empty" if building else "complete"), held, assembly)
+        end = None if self.target is None else parse_state(self.target, "--target", assembly)
+        start, target = (end, now) if building else (now, end)  # plans are found as disassembly
         return Task.create(
             assembly.boundary,
             cell.robot_count,
             start=start,
-            target=None if self.target is None else parse_state(self.target, "--target", assembly),
+            target=target,
             missing=() if self.missing is None else parse_parts(self.missing, "--missing", assembly.names),
             clearance=assembly.clearance,
             identity=assembly.identity,

@@ -18,6 +18,7 @@ from falsework.robots.model.cell import Obstacle as Obstacle
 from falsework.robots.model.cell import Placement as Placement
 from falsework.robots.model.cell import cell_identity as cell_identity
 from falsework.robots.model.robot_model import RobotModel as RobotModel
+from falsework.robots.planning.end_motions import Continuation as Continuation
 from falsework.robots.planning.hybrid_planner import plan_robots as plan_robots
 from falsework.robots.planning.hybrid_result import HybridProgress as HybridProgress
 from falsework.robots.planning.hybrid_result import HybridResult as HybridResult
@@ -45,8 +46,10 @@ from falsework.robots.plans.temporal_graph import MotionNode as MotionNode
 from falsework.robots.plans.temporal_graph import Precedence as Precedence
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph as TemporalPlanGraph
 from falsework.robots.plans.timeline import ArmShares as ArmShares
+from falsework.robots.plans.timeline import Interruption as Interruption
 from falsework.robots.plans.timeline import arm_shares as arm_shares
 from falsework.robots.plans.timeline import event_times as event_times
+from falsework.robots.plans.timeline import interruption as interruption
 from falsework.robots.plans.timeline import nodes_of as nodes_of
 from falsework.robots.schedule.build import schedule_plan as schedule_plan
 from falsework.robots.schedule.simulation import SimulationReport as SimulationReport

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.geometry.mesh.mesh import triangle_normals
-from falsework.robots.plans.loads import Load, load_of
+from falsework.robots.plans.loads import Load, load_of, loads_at, loads_beside
 from falsework.robots.plans.timeline import activities_at
 from falsework.search.problem.task import Direction
 from falsework.viewer.appearance import Appearance
@@ -153,7 +153,10 @@ class Arms:
     def _still(self, state: int) -> ArmPoses:
         last = state == len(self._plan.plan)
         frame = len(self._plan) if last else self._steps(state).start
-        return ArmPoses(self._poses(self._plan.keyframes[frame].configurations))
+        configurations = self._plan.keyframes[frame].configurations
+        loads = loads_at(self._plan, frame).items()
+        carried = tuple(self._loaded(load, robot, configurations[robot]) for robot, load in loads)
+        return ArmPoses(self._poses(configurations), carried)
 
     def _moving(self, number: int, share: float) -> ArmPoses:
         steps, left = self._steps(number), share * self.seconds(number)
@@ -179,17 +182,21 @@ class Arms:
         part, moves = action % parts, action >= parts
         removing = moves and self.direction is Direction.DISASSEMBLY
         poses = self._poses(configurations)
+        beside = loads_beside(self._plan, index)
+        carried = tuple(self._loaded(other, robot, configurations[robot]) for robot, other in beside.items())
+        if load is not None:
+            carried = (self._loaded(load, step.robot, configurations[step.robot]), *carried)
+        if step.transit:
+            return ArmPoses(poses, carried)
         if not moves or self._plan.rows[index] > number:
             come = part if moves and not removing else None
-            return ArmPoses(poses, arrived=come, gone=part if removing else None)
-        if step.hands_over is not None:
-            return ArmPoses(poses)
-        if load is not None:
-            return ArmPoses(poses, (self._loaded(load, step.robot, configurations[step.robot]),))
+            return ArmPoses(poses, carried, arrived=come, gone=part if removing else None)
+        if step.hands_over is not None or load is not None:
+            return ArmPoses(poses, carried)
         was = any(trajectory.part is not None for trajectory in done)
         arrived = part if was and not removing else None
         gone = part if was and removing else None
-        return ArmPoses(poses, arrived=arrived, gone=gone)
+        return ArmPoses(poses, carried, arrived=arrived, gone=gone)
 
     def _loaded(self, load: Load, robot: int, values: Array) -> CarriedPart:
         """Return the load of a robot whose joint values are given, shape (joints,)."""

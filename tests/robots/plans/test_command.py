@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'falsework[robots]'")
@@ -233,6 +234,30 @@ def test_go_on_from_where_the_arms_are(run: Callable, cell_file: Path, tmp_path:
     assert rest.keyframes[0].held == plan.keyframes[row].held
 
 
+def test_go_on_building(run: Callable, cell_file: Path, tmp_path: Path) -> None:
+    """From where a plan was interrupted: while the arm holds a part in place, and while it carries the next one."""
+    wanted = ("robots", "plan", STACK, "--cell", cell_file, "--criterion", "equilibrium", "--json")
+    assert run(*wanted, "--out", tmp_path / "all.json", "--assembly-order")[0] == 0
+    plan = load_robot_plan(tmp_path / "all.json")
+    row = next(k for k, frame in enumerate(plan.keyframes[1:-1], 1) if frame.held[0] is not None)
+    step = next(k for k in range(row, len(plan)) if plan.actions[k] >= len(plan.plan.boundary))
+    loaded = plan.steps[step].trajectories[0]
+    for k, values, part, grips in (
+        (row, plan.keyframes[row].configurations[0], plan.keyframes[row].held[0], ()),
+        (step, loaded.positions[-1], loaded.part, ("--grips", tmp_path / "all.json")),
+    ):
+        (tmp_path / "now.json").write_text(json.dumps({"arm": values.tolist()}))
+        now = ("--state", "".join(map(str, plan.states[k])), "--joints", tmp_path / "now.json")
+        rest = ("--direction", "assembly", "--holding", f"arm={part}", *grips, "--out", tmp_path / "rest.json")
+        assert run(*wanted, *now, *rest)[0] == 0
+        made = load_robot_plan(tmp_path / "rest.json")
+        assert len(made) == len(plan) - k
+        assert made.states[0].tolist() == plan.states[k].tolist()
+        assert made.states[-1].tolist() == plan.states[-1].tolist()
+        np.testing.assert_allclose(made.keyframes[0].configurations[0], values)
+        assert run("robots", "check", tmp_path / "rest.json", "--motions-only")[0] == 0
+
+
 def test_a_start_that_is_not_stable_is_named_with_what_moves(run: Callable, cell_file: Path, tmp_path: Path) -> None:
     given = ("--cell", cell_file, "--state", "012", "--out", tmp_path / "plan.json", "--json")
     code, records, error = run("robots", "plan", STACK, *given)
@@ -240,6 +265,9 @@ def test_a_start_that_is_not_stable_is_named_with_what_moves(run: Callable, cell
     assert error.startswith("falsework: no plan exists: the start state is unstable; block-1")
     assert records[0]["moving"]
     assert records[-1]["found"] is False
+    code, _, error = run("robots", "plan", STACK, *given, "--direction", "assembly")
+    assert code == 1
+    assert error.startswith("falsework: no plan exists: the start state is unstable; block-1")
 
 
 def test_where_nothing_is_left_to_do_there_is_a_plan_without_steps(
@@ -274,7 +302,10 @@ def test_joint_values_in_a_file_are_numbers(run: Callable, cell_file: Path, tmp_
         (("--holding", "arm=1"), "m away from part block-1, which it should hold"),
         (("--state", "212"), "the robots hold nothing, the start state has part block-0 held"),
         (("--state", "21"), "--start 21: a state of 2 values does not fit 3 parts"),
-        (("--state", "002", "--holding", "arm=0"), "is absent at the start"),
+        (("--state", "002", "--holding", "arm=0"), "carries part block-0, which is not in place"),
+        (("--state", "002", "--holding", "arm=0", "--grips", "arm=0,0,0,0,0,0"), "m away from part block-0"),
+        (("--state", "002", "--holding", "arm=0", "--grips", "arm=home"), "--grips: arm is 'home'; give joint values"),
+        (("--direction", "assembly", "--grips", "arm=0,0,0,0,0,0"), "carries no part, so it has no grip"),
         (("--joints", "arm=1,2,x"), "give joint values in rad"),
         (("--joints", "arm=home;arm=0,0,0,0,0,0"), "name each robot once"),
         (("--joints", "arm=9,0,0,0,0,0"), "outside its limits"),

@@ -16,12 +16,15 @@ from falsework.robots.keyframes.keyframe_graph import KeyframeGraph, KeyframeSet
 from falsework.robots.keyframes.keyframes import Edge, Node
 from falsework.robots.model.cell import Cell, Obstacle, Placement
 from falsework.robots.model.shapes import block
+from falsework.robots.planning.end_motions import Ends
 from falsework.robots.planning.hybrid_planner import _Search, plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
+from falsework.robots.planning.initial_keyframe import task_in_cell
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.search import Direction, Task
 from falsework.search.beam.adaptive import AdaptiveBeam
 from falsework.search.plans.plan_check import validate_plan
+from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.guide import SupportGuide
 from falsework.stability import Stability
 
@@ -208,7 +211,9 @@ def test_a_dead_end_leads_back_to_the_hold_that_causes_it(
 @pytest.fixture
 def search(column: Assembly, cell: Cell, oracle: Stability) -> _Search:
     """A search that restarts after dead ends at two states."""
-    return _Search(column, cell, None, oracle, None, HybridSettings(dead_ends=1), None, None)
+    graph, settings = KeyframeGraph(column, cell), HybridSettings(dead_ends=1)
+    task = task_in_cell(column, cell, None, graph.exits)
+    return _Search(graph, task, oracle, None, settings, None, Ends(graph), Deadline(None))
 
 
 @pytest.mark.parametrize(("parts", "found"), [((1,), True), ((1, 2), False)])

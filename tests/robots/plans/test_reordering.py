@@ -17,7 +17,7 @@ from falsework.robots.interleaving.reordering import _views, reorder
 from falsework.robots.interleaving.search import OrderSearch
 from falsework.robots.interleaving.work import Work
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
-from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment, route_along
+from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment
 from falsework.robots.keyframes.trajectory_assembly import make_robot_plan
 from falsework.robots.model.cell import Cell
 from falsework.robots.planning.initial_keyframe import task_in_cell
@@ -60,8 +60,7 @@ class Case:
 
     def plan(self, chain: list[Edge]) -> RobotPlan:
         """Return the plan of some edges, with a schedule."""
-        route = route_along(self.root, chain)
-        plan = make_robot_plan(self.assembly, self.cell, self.task, self.oracle, route, self.root, chain, forces=False)
+        plan = make_robot_plan(self.assembly, self.cell, self.task, self.oracle, self.root, chain, forces=False)
         return schedule_plan(plan, self.assembly, self.cell)
 
 

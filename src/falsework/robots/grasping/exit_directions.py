@@ -26,13 +26,20 @@ class ExitDirections:
     preferences: it cannot drag a part along the floor for long, nor pull beyond the reach of its arm.
     """
 
-    def __init__(self, assembly: Assembly, turn: Array, present: NDArray[np.bool_] | None = None) -> None:
+    def __init__(
+        self,
+        assembly: Assembly,
+        turn: Array,
+        present: NDArray[np.bool_] | None = None,
+        leaving: NDArray[np.bool_] | None = None,
+    ) -> None:
         """Compute the blocking parts of every part and direction.
 
         Args:
             assembly: the structure.
             turn: rotation from its frame to the world, shape (3, 3).
             present: parts that are ever in place, all by default: others need no fan and block none, shape (parts,).
+            leaving: parts that ever leave, all by default: others need no fan either, shape (parts,).
         """
         known = assembly.clearance
         _, overlap = assembly.contact_settings.lengths(assembly.meshes)
@@ -40,11 +47,14 @@ class ExitDirections:
         fan = _fan() @ turn  # into the frame of the structure
         self._ways: list[tuple[Array, NDArray[np.bool_]]] = []
         exact = known.exact.copy()
+        fanned = ~assembly.boundary
+        for only in (present, leaving):
+            fanned = fanned if only is None else fanned & only
         for part in range(assembly.part_count):
             rows = slice(known.start[part], known.start[part + 1])
             directions = known.directions[rows]
             blockers = unpack(known.blockers[rows])[:, : assembly.part_count].astype(bool)
-            if not assembly.boundary[part] and (present is None or present[part]):
+            if fanned[part]:
                 directions = np.concatenate([directions, fan])
                 blockers = np.concatenate([blockers, sweeper.blocked(part, fan, present)])
             world = directions @ turn.T

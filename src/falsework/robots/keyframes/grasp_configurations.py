@@ -40,12 +40,16 @@ class GraspConfigurations:
         """Try the `limit` best grasps of a part in the scenes of `cache`; log to `reasons` why none is possible."""
         self.assembly, self.cell, self.parts = assembly, cache.world.cell, cache.world.parts
         self.cache, self.reasons, self.limit = cache, reasons, limit
+        self.given: dict[int, GraspConfiguration] = {}
+        """Parts that are held in one way only, as robots hold them when an assembly is continued."""
         self._grips: dict[tuple[int, int, bytes], list[GraspConfiguration]] = {}
         self._places: dict[int, Array] = {}
         self._candidates: dict[tuple[int, str, float, float, float], list[Grasp]] = {}
 
     def of(self, robot: int, part: int, state: States) -> list[GraspConfiguration]:
         """Return all grasps of a part by a robot among the parts of a state; other robots are ignored."""
+        if part in self.given:
+            return [self.given[part]] if self.given[part].robot == robot else []
         present = state != REMOVED
         key = (robot, part, np.packbits(present).tobytes())
         if key not in self._grips:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, States
 from falsework.robots.grasping.exit_directions import ExitDirections
+from falsework.robots.keyframes.delivery import Delivery
 from falsework.robots.keyframes.failure_report import FailureLog
 from falsework.robots.keyframes.grasp_configurations import GraspConfiguration, GraspConfigurations
 from falsework.robots.keyframes.joint_holds import JointHolds
-from falsework.robots.keyframes.keyframes import DeadEnds, Edge, Node, PathSegment
+from falsework.robots.keyframes.keyframes import DeadEnds, Edge, Node, PathSegment, accept_all
 from falsework.robots.keyframes.putting_down import PuttingDown
 from falsework.robots.keyframes.withdrawal import Withdrawal
 from falsework.robots.kinematics.forward import tool_pose
@@ -36,8 +37,6 @@ Array = NDArray[np.float64]
 
 _MAX_DETOURS = 2
 """Withdrawals of a part that cannot be delivered after which it is put down, to be gripped in another way."""
-_MAX_PLACES = 4
-"""Number of free motions to a drop-off pose that are tried."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +67,7 @@ class KeyframeGraph:
         seed: int = 0,
         parts: PartShapes | None = None,
         present: NDArray[np.bool_] | None = None,
+        leaving: NDArray[np.bool_] | None = None,
     ) -> None:
         """Create an empty graph.
 
@@ -78,6 +78,7 @@ class KeyframeGraph:
             seed: seed of the free motions.
             parts: the parts as bodies in the cell, if already available.
             present: parts that are ever in place, all by default, shape (parts,).
+            leaving: parts that are ever removed, all by default, shape (parts,).
         """
         self.assembly, self.cell, self.settings, self.seed = assembly, cell, settings, seed
         self.support = False
@@ -87,13 +88,17 @@ class KeyframeGraph:
         self.reasons = FailureLog()
         self.cache = MotionCache(self.world, nodes=settings.nodes, seed=seed)
         self._grips = GraspConfigurations(assembly, self.cache, self.reasons, limit=settings.grasps)
+        self.given = self._grips.given
         self.joint = JointHolds(self._grips, self._usable)
+        self.accepts: Callable[[Edge], bool] = accept_all
+        """Whether a hold or a removal may be part of a plan."""
         self.dead = DeadEnds()
         """Dead ends of the search that uses the graph."""
-        self._alone: dict[tuple[int, int, bytes, bytes, bool], bool] = {}
-        self._withdrawal = Withdrawal(self.cache, self.reasons, settings.withdrawals)
-        self.putting_down = PuttingDown(assembly, self.cache, self.reasons, self._grips, self._retreat)
-        self.exits = ExitDirections(assembly, self.parts.turn, present)
+        self._alone: dict[tuple[int, int, bytes, bytes, bool, bool], bool] = {}
+        self.withdrawal = Withdrawal(self.cache, self.reasons, settings.withdrawals)
+        self.delivery = Delivery(self.cache, self.reasons, self._grips)
+        self.putting_down = PuttingDown(assembly, self.cache, self.reasons, self._grips, self.retreat)
+        self.exits = ExitDirections(assembly, self.parts.turn, present, leaving)
 
     def start(self, state: States, configurations: tuple[Array, ...], held: tuple[int | None, ...]) -> Node:
         """Return an initial node."""
@@ -104,7 +109,7 @@ class KeyframeGraph:
         parts = self.assembly.part_count
         if action < parts and node.state[action] == HELD:
             return self._release(node, action)
-        return self._remove(node, action - parts) if action >= parts else self._hold(node, action)
+        return filter(self.accepts, self._remove(node, action - parts) if action >= parts else self._hold(node, action))
 
     def take_over(self, node: Node, part: int) -> Iterator[Edge]:
         """Yield edges on which another robot holds a held part as well, so that the robot that holds it can leave.
@@ -254,7 +259,7 @@ class KeyframeGraph:
     ) -> Edge | None:
         robot = grip.robot
         clear = self.cache.view(node.scene, robot, NO_CONTACT, self.cell.margins.free)
-        retreat = self._retreat("hold", part, robot, grip.configuration, -grip.grasp.approach, view, clear)
+        retreat = self.retreat("hold", part, robot, grip.configuration, -grip.grasp.approach, view, clear)
         if retreat is None:
             return None
         # The part must be able to leave with this grasp once its exit is free, unless it is held again before.
@@ -269,7 +274,7 @@ class KeyframeGraph:
         segments = (PathSegment("free", free.path, view=clear), line)
         return Edge(part, robot, segments, node.after(part, robot, grip.configuration), part in node.held)
 
-    def _retreat(
+    def retreat(
         self, action: str, part: int, robot: int, here: Array, way: Array, view: CollisionQuery, clear: CollisionQuery
     ) -> Array | None:
         """Return the line on which a gripper leaves a part until it is clear of everything; None if it is blocked."""
@@ -290,18 +295,20 @@ class KeyframeGraph:
 
         With releases it need not be able to leave.
         """
-        key = (grip.robot, part, grip.configuration.tobytes(), state.tobytes(), self.support)
+        key = (grip.robot, part, grip.configuration.tobytes(), state.tobytes(), self.support, part in self.given)
         if key not in self._alone:
             alone = self.start(state, self.cell.homes, (None,) * self.cell.robot_count)
             view = self.cache.view(alone.scene, grip.robot, grasp_contact(part), self.cell.margins.line)
             clear = self.cache.view(alone.scene, grip.robot, NO_CONTACT, self.cell.margins.free)
             here, way = grip.configuration, -grip.grasp.approach
-            self._alone[key] = self._retreat("hold", part, grip.robot, here, way, view, clear) is not None and (
+            self._alone[key] = self.retreat("hold", part, grip.robot, here, way, view, clear) is not None and (
                 self.support or self._can_leave_later(alone, part, grip)
             )
         return self._alone[key]
 
     def _can_leave_later(self, node: Node, part: int, grip: GraspConfiguration) -> bool:
+        if part in self.given:  # held to the end
+            return True
         later, ways = self.way_out(part, node.state)
         values = tuple(
             np.asarray(grip.configuration)
@@ -310,7 +317,7 @@ class KeyframeGraph:
             for robot, (entry, held) in enumerate(zip(self.cell.robots, node.held, strict=True))
         )
         scene = Scene(values, later != REMOVED, (None,) * len(values))
-        lines = self._withdrawal.lines(scene, part, grip.robot, grip.configuration, ways, "later withdrawal")
+        lines = self.withdrawal.lines(scene, part, grip.robot, grip.configuration, ways, "later withdrawal")
         return next(lines, None) is not None
 
     # Releasing
@@ -321,7 +328,7 @@ class KeyframeGraph:
         here, entry = node.configurations[robot], self.cell.robots[robot]
         view = self._view(node, robot, self.cell.margins.line)
         clear = self.cache.view(node.scene, robot, NO_CONTACT, self.cell.margins.free)
-        path = self._retreat("release", part, robot, here, -tool_pose(entry, here)[:3, 2], view, clear)
+        path = self.retreat("release", part, robot, here, -tool_pose(entry, here)[:3, 2], view, clear)
         if path is None:
             return
         line = PathSegment("line", path, touches=part)
@@ -344,7 +351,7 @@ class KeyframeGraph:
             return
         stuck: list[tuple[tuple[Array, ...], Scene]] = []
         delivered = False
-        for paths, scene in self._withdrawal.lines(node.scene, part, robot, here, ways, "way out"):
+        for paths, scene in self.withdrawal.lines(node.scene, part, robot, here, ways, "way out"):
             edge = self._carry(node, part, robot, paths, scene)
             if edge is None:
                 stuck.append((paths, scene))
@@ -360,29 +367,12 @@ class KeyframeGraph:
                 yield Edge(action, robot, (*lines, *detour.segments), after, put_down=detour.pose)
 
     def _carry(self, node: Node, part: int, robot: int, paths: tuple[Array, ...], scene: Scene) -> Edge | None:
-        entry = self.cell.robots[robot]
-        view = self.cache.view(scene, robot, NO_CONTACT, self.cell.margins.free)
-        end = paths[-1][-1]
-        places = self._grips.places(robot)
-        if not len(places):
-            self.reasons.add("remove", part, robot, "no drop-off pose is within reach")
+        away = self.delivery.path(part, robot, paths[-1][-1], scene)
+        if away is None:
             return None
-        hits = view.hits(places)
-        clear = places[hits < 0]
-        if not len(clear):
-            self.reasons.add("remove", part, robot, "every drop-off pose collides", view.pair(int(hits[0])), places[0])
-        way = np.abs(clear - end).max(axis=1)
-        for goal in clear[np.argsort(way, kind="stable")[:_MAX_PLACES]]:
-            free = self.cache.motion(scene, robot, end, goal)
-            if free.path is None:
-                what = f"to {entry.name}'s drop-off: {free.reason}"
-                self.reasons.add("remove", part, robot, what, free.pair, free.at)
-                continue
-            lines = tuple(PathSegment("line", path, part=part) for path in paths)
-            segments = (*lines, PathSegment("free", free.path, part=part, view=view))
-            action = self.assembly.part_count + part
-            return Edge(action, robot, segments, node.after(action, robot, goal))
-        return None
+        lines = tuple(PathSegment("line", path, part=part) for path in paths)
+        action = self.assembly.part_count + part
+        return Edge(action, robot, (*lines, away), node.after(action, robot, away.path[-1]))
 
     # Helpers of all
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States
-from falsework.robots.motion.collision_world import CollisionQuery, Scene
+from falsework.robots.motion.collision_world import Attached, CollisionQuery, Scene
 from falsework.search.problem.result import Route
 
 Array = NDArray[np.float64]
@@ -20,6 +20,15 @@ _MOST_HAND_OVERS = 2
 """Hand-overs of a part between two removals: to another robot, and back with another grasp."""
 _MOST_REPEATS = 2
 """Dead ends with the same arms at the same parts, after which other grasps of these arms are not tried."""
+
+
+@dataclass(frozen=True, eq=False)
+class Carried:
+    """Part in a gripper away from its place, at the start or the end of a plan."""
+
+    attached: Attached
+    gripped: Array
+    """Configuration in which the robot would hold it at its place, shape (joints,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +43,8 @@ class Node:
     changed: frozenset[tuple[int, bytes]] = frozenset()
     """Parts held or released since a part was last removed; those released, or handed over, with the grip that they
     had."""
+    carried: tuple[Carried | None, ...] = ()
+    """What each robot carries; empty: none carries anything."""
 
     @cached_property
     def present(self) -> NDArray[np.bool_]:
@@ -50,7 +61,10 @@ class Node:
     @property
     def scene(self) -> Scene:
         """The node as a scene of the collision world."""
-        return Scene(self.configurations, self.present, (None,) * len(self.configurations))
+        carried = self.carried or (None,) * len(self.configurations)
+        return Scene(
+            self.configurations, self.present, tuple(None if load is None else load.attached for load in carried)
+        )
 
     def can_release(self, part: int) -> bool:
         """Return whether a part is held since before a part was last removed; others need not have been held."""
@@ -79,6 +93,17 @@ class Node:
         """Return whether a part was released, or handed over, since a part was last removed."""
         return any(part == other and grip for other, grip in self.changed)
 
+    def load(self, robot: int) -> Carried | None:
+        """Return what a robot carries."""
+        return self.carried[robot] if self.carried else None
+
+    def moved(self, robot: int, values: Array, load: Carried | None) -> Node:
+        """Return the keyframe with one robot in another configuration, shape (joints,), and with another load."""
+        configurations, carried = list(self.configurations), list(self.carried or (None,) * len(self.held))
+        configurations[robot], carried[robot] = np.asarray(values), load
+        kept = tuple(carried) if any(entry is not None for entry in carried) else ()
+        return replace(self, configurations=tuple(configurations), carried=kept)
+
     def after(self, action: int, robot: int, values: Array) -> Node:
         """Return the keyframe after an action, or after half of a hand-over of a part that another robot holds.
 
@@ -93,13 +118,13 @@ class Node:
             giver = self.holder(action)
             held[robot] = action if held[robot] is None else None
             given = (action, _grip(giver, self.configurations[giver]))
-            return Node(self.state, tuple(configurations), tuple(held), self.changed | {given})
+            return Node(self.state, tuple(configurations), tuple(held), self.changed | {given}, self.carried)
         part, state = action % len(self.state), state_after(self.state, action)
         held[robot] = part if state[part] == HELD else None
         changed: frozenset[tuple[int, bytes]] = frozenset()
         if state[part] != REMOVED:
             changed = self.changed | {(part, b"" if state[part] == HELD else _grip(robot, self.configurations[robot]))}
-        return Node(state, tuple(configurations), tuple(held), changed)
+        return Node(state, tuple(configurations), tuple(held), changed, self.carried)
 
 
 @dataclass(eq=False)
@@ -158,6 +183,8 @@ class Edge:
     """Whether it is half of a hand-over, which changes no state: `action` is the part."""
     put_down: Array | None = None
     """Where the part lies while its robot changes its grasp: displacement from its place, shape (4, 4)."""
+    transit: bool = False
+    """Whether the robot only goes to another place; the action is -1."""
 
 
 def _grip(robot: int, values: Array) -> bytes:
@@ -172,8 +199,13 @@ def state_after(state: States, action: int) -> States:
     return after
 
 
+def accept_all(_: Edge) -> bool:
+    """Accept every edge."""
+    return True
+
+
 def route_along(root: Node, chain: Sequence[Edge]) -> Route:
-    """Return the states and actions of a chain of edges, hand-overs left out."""
-    chain = [edge for edge in chain if not edge.hands_over]
+    """Return the states and actions of a chain of edges, hand-overs and transits left out."""
+    chain = [edge for edge in chain if not (edge.hands_over or edge.transit)]
     states: States = np.array([root.state, *(edge.node.state for edge in chain)], dtype=np.uint8)
     return Route(states, np.array([edge.action for edge in chain], dtype=np.int64))

@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.robots.kernels.speed_profile import thin
-from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment
+from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment, route_along
 from falsework.robots.model.cell import Cell, cell_identity
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.motion.timing import time_path
 from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Trajectory, records_of
 from falsework.search.find import plan_of
-from falsework.search.problem.result import Route
 from falsework.search.problem.task import Task
 from falsework.stability.oracle import Stability
 
@@ -33,49 +32,54 @@ def make_robot_plan(
     cell: Cell,
     task: Task,
     oracle: Stability,
-    route: Route,
     root: Node,
     chain: Sequence[Edge],
     *,
     forces: bool = False,
     timed: dict[PathSegment, Trajectory | None] | None = None,
 ) -> RobotPlan:
-    """Certify the states of a route and compute the trajectories along it.
+    """Certify the states along a chain of edges and compute its trajectories.
 
     Args:
         assembly: the structure.
         cell: the robots.
         task: the planned task.
         oracle: stability oracle that proves the states.
-        route: states and actions.
         root: the first keyframe.
-        chain: an edge for every action, and two for each hand-over.
+        chain: an edge for every action and every transit, and two for each hand-over.
         forces: whether to keep the contact forces in the plan.
         timed: cache of trajectories; missing ones are added.
 
     Raises:
         PlanError: a state that cannot be proved stable.
     """
-    abstract = plan_of(route, assembly, task, oracle, forces=forces)
+    abstract = plan_of(route_along(root, chain), assembly, task, oracle, forces=forces)
     timed = {} if timed is None else timed
     steps = []
-    for edge in chain:
+    nodes = (root, *(edge.node for edge in chain))
+    for before, edge in zip(nodes, chain, strict=False):
         model = cell.robots[edge.robot].model
         for segment in edge.segments:
             if segment not in timed:
                 timed[segment] = timed_leg(model, segment, cell.speed)
         legs = (timed[segment] for segment in edge.segments)
         handed = edge.action if edge.hands_over else None
-        steps.append(RobotStep(edge.robot, tuple(leg for leg in legs if leg is not None), handed, edge.put_down))
-    nodes = (root, *(edge.node for edge in chain))
+        made = tuple(leg for leg in legs if leg is not None)
+        load = (before.load(edge.robot) or edge.node.load(edge.robot)) if edge.transit else None
+        gripped = None if load is None else load.gripped
+        steps.append(RobotStep(edge.robot, made, handed, edge.put_down, edge.transit, gripped))
     return RobotPlan(
         plan=abstract,
-        keyframes=tuple(Keyframe(node.configurations, node.held) for node in nodes),
+        keyframes=tuple(Keyframe(node.configurations, node.held, _loads(node)) for node in nodes),
         steps=tuple(steps),
         robots=records_of(cell),
         cell_name=cell.name,
         cell_identity=cell_identity(cell),
     )
+
+
+def _loads(node: Node) -> tuple[int | None, ...]:
+    return tuple(None if load is None else load.attached.part for load in node.carried)
 
 
 def timed_leg(model: RobotModel, segment: PathSegment, speed: float) -> Trajectory | None:

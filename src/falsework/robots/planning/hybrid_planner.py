@@ -18,22 +18,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from falsework.assembly.load import AnyStructure, as_assembly
-from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED
 from falsework.robots.cells.cell_file import AnyCell, as_cell
-from falsework.robots.interleaving.reordering import reorder
 from falsework.robots.keyframes.failure_report import Explanation, explain, fall_in_words
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
-from falsework.robots.keyframes.keyframes import DeadEnds, Edge, Node, PathSegment, route_along
-from falsework.robots.keyframes.trajectory_assembly import make_robot_plan
-from falsework.robots.model.cell import Cell
+from falsework.robots.keyframes.keyframes import DeadEnds, Edge, Node, route_along
 from falsework.robots.planning.action_ranking import ActionRanking, ExecutionHeuristic, FailedActions
-from falsework.robots.planning.early_approach import approach_early
+from falsework.robots.planning.end_motions import Continuation, Ends, inserted_first, parts_of
 from falsework.robots.planning.hybrid_result import HybridProgress, HybridResult, HybridSettings, Progress
-from falsework.robots.planning.initial_keyframe import first_keyframe, task_in_cell
-from falsework.robots.planning.shorter_motions import shorten_motions
+from falsework.robots.planning.initial_keyframe import given_keyframe, task_in_cell
+from falsework.robots.planning.plan_maker import PlanMaker
 from falsework.robots.planning.solvability import SolvabilityCheck
-from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
+from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.guide import Guide, MemoizedGuide
 from falsework.search.problem.result import Outcome, SearchResult
@@ -65,6 +61,8 @@ def plan_robots(
     task: Task | None = None,
     configurations: Sequence[ArrayLike] | None = None,
     held: Sequence[int | None] | None = None,
+    gripped: Sequence[ArrayLike | None] | None = None,
+    continued: Continuation | None = None,
     oracle: Stability | None = None,
     guide: Guide | None = None,
     settings: HybridSettings = HybridSettings(),
@@ -79,7 +77,11 @@ def plan_robots(
         task: start and target states, and rules; by default the complete structure is disassembled. Its number of
             robots is that of the cell, and every removed part needs a free exit direction, not downwards.
         configurations: joint values of the robots at the start, shape (joints,) each; by default their home.
-        held: the part that each robot holds at the start; needed if the start state has held parts.
+        held: the part that each robot holds at the start, or carries; needed if the start state has held parts.
+        gripped: for each robot that carries a part then, which is delivered first, the joint values with which it would
+            hold it at its place.
+        continued: the robots when the target state stands: the plan ends where they are, so that reversed it continues
+            an assembly from there; by default it ends where the last action does.
         oracle: decides stability; pass an existing one to reuse its cache.
         guide: action heuristic, such as a trained policy, added to the ease of execution by the arms.
         settings: limits of the search.
@@ -88,11 +90,28 @@ def plan_robots(
 
     Raises:
         InputError: configurations that do not fit the robots, or in which something collides.
-        StateError: held parts that do not go with the start state.
+        StateError: held parts that do not go with the start state, or the target state of a continued assembly.
     """
-    assembly, cell = as_assembly(assembly), as_cell(cell)
-    search = _Search(assembly, cell, task, oracle or Stability(assembly), guide, settings, progress, graph)
-    return search.run(first_keyframe(search.graph, search.task, configurations, held))
+    assembly, cell, oracle = as_assembly(assembly), as_cell(cell), oracle or Stability(assembly)
+    needed, clock = parts_of(task, continued), Deadline(settings.deadline)
+    graph = graph or KeyframeGraph(assembly, cell, settings=settings.keyframes, seed=settings.seed, **needed)
+    task = task_in_cell(assembly, cell, task, graph.exits)
+    first = given_keyframe(graph, task.start, configurations, held, gripped)
+    last = None
+    if continued is not None:
+        last = given_keyframe(graph, task.target, continued.configurations, continued.held, continued.gripped)
+    result: HybridResult | None = None
+    for insert in inserted_first(last):
+        ends = Ends(graph)
+        root = first if configurations is None else ends.begin(first)
+        ends.end_at(last, insert)
+        search = _Search(graph, ends.reached(task), oracle, guide, settings, progress, ends, clock)
+        result = search.run(root)
+        # That a carried part cannot be next is no proof for plans that bring it back.
+        if result.explanation is None or (clock.passed and result.explanation.outcome != "proved_impossible"):
+            break
+    assert result is not None
+    return result
 
 
 class _Search:
@@ -100,38 +119,33 @@ class _Search:
 
     def __init__(
         self,
-        assembly: Assembly,
-        cell: Cell,
-        task: Task | None,
+        graph: KeyframeGraph,
+        task: Task,
         oracle: Stability,
         guide: Guide | None,
         settings: HybridSettings,
         progress: Progress | None,
-        graph: KeyframeGraph | None,
+        ends: Ends,
+        clock: Deadline,
     ) -> None:
-        self.clock = Deadline(settings.deadline)
-        self.assembly, self.cell, self.oracle = assembly, cell, oracle
-        self.settings, self.progress = settings, progress
-        keyframes, present = settings.keyframes, None if task is None else task.start != REMOVED
-        self.graph = graph or KeyframeGraph(assembly, cell, settings=keyframes, seed=settings.seed, present=present)
-        self.task = task_in_cell(assembly, cell, task, self.graph.exits)
+        self.graph, self.task, self.oracle, self.ends, self.clock = graph, task, oracle, ends, clock
+        self.assembly, self.cell, self.settings, self.progress = graph.assembly, graph.cell, settings, progress
         ease = ExecutionHeuristic(self.graph, None if guide is None else MemoizedGuide(guide))
         score = None if guide is None else ease
         self.solvability = SolvabilityCheck(
-            assembly, self.task, oracle, guide=guide, score=score, seed=settings.seed, joint=self.graph.joint
+            self.assembly, task, oracle, guide=guide, score=score, seed=settings.seed, joint=self.graph.joint
         )
-        self.ranking = ActionRanking(self.graph, ease, self.solvability)
+        self.ranking = ActionRanking(graph, ease, self.solvability)
         self.abstract: SearchResult | None = None
         self.best: list[Edge] = []
         self.tried: Counter[tuple[str, int]] = Counter()
         self.dead = self.graph.dead = DeadEnds()
         self.failures = FailedActions(self.graph, self.solvability)
-        self.timed: dict[PathSegment, Trajectory | None] = {}
+        self.maker = PlanMaker(self.graph, oracle, self.solvability, ends, settings, self.deadline_passed)
         self.counts: Counter[str] = Counter()
         self.attempt = 0
         self.unreachable: list[int] | None = None
-        self.fallen = ""
-        """Where the replay of the last rejected plan fails, in words."""
+        self.fallen = ""  # where the replay of the last rejected plan fails, in words
         self._reported = 0.0
 
     def run(self, root: Node) -> HybridResult:
@@ -354,34 +368,17 @@ class _Search:
             unreachable=self.unreachable or [],
             abstract=self.abstract is not None and not self.abstract.found,
         )
-        partial = None
-        if self.best and self.solvability.falls(route_along(root, self.best)) is None:
-            partial = self._plan(root, self.best, why)
-        return HybridResult(None, partial, why, self._statistics() if partial is None else partial.statistics)
+        part = None  # the beginning of a disassembly is no beginning of a continued assembly
+        if self.best and not self.ends.fixed and self.solvability.falls(route_along(root, self.best)) is None:
+            part = self._plan(root, self.best, why)
+        return HybridResult(None, part, why, self._statistics() if part is None else part.statistics)
 
     def _plan(self, root: Node, chain: list[Edge], why: Explanation | None = None) -> RobotPlan:
-        if self.settings.together and why is None:  # a partial plan is scheduled as it is
-            chain = shorten_motions(chain, self.cell.speed, self.settings.seed)
-            self._timed(root, chain)
-            legal, stop = self.solvability.legal, self.deadline_passed
-            chain = reorder(self.graph, self.oracle, root, chain, self.timed, legal=legal, stop=stop)
-            chain = shorten_motions(chain, self.cell.speed, self.settings.seed, done=self.timed)
-        statistics = self._statistics()
-        if why is not None:
-            statistics["failure"] = why.to_dict()
-        plan = self._timed(root, chain)
-        if self.settings.together:
-            plan = approach_early(plan, chain, self.cell, self.graph.world)
-        statistics["seconds"] = round(self.clock.seconds, 3)
-        replay = plan.plan.replay
-        plan.statistics.update(statistics, replay=None if replay is None else asdict(replay))
+        statistics = self._statistics() | ({} if why is None else {"failure": why.to_dict()})
+        plan = self.maker.plan(root, chain, whole=why is None)
+        replay = None if plan.plan.replay is None else asdict(plan.plan.replay)
+        plan.statistics.update(statistics, seconds=round(self.clock.seconds, 3), replay=replay)
         return plan
-
-    def _timed(self, root: Node, chain: list[Edge]) -> RobotPlan:
-        route, task, forces = route_along(root, chain), self.solvability.task, self.settings.forces
-        return make_robot_plan(
-            self.assembly, self.cell, task, self.oracle, route, root, chain, forces=forces, timed=self.timed
-        )
 
     def _statistics(self) -> dict[str, Any]:
         return {

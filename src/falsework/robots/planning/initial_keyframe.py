@@ -1,20 +1,25 @@
-"""Initial keyframe: the task of a cell, and the initial configurations of the robots."""
+"""Given keyframes: the task of a cell, and the robots as they are at the start, or when an assembly is continued."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD
+from falsework.assembly.state import HELD, REMOVED, States
 from falsework.errors import InputError, StateError
 from falsework.robots.grasping.exit_directions import ExitDirections
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
-from falsework.robots.keyframes.keyframes import Node
+from falsework.robots.keyframes.keyframes import Carried, Node
+from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import GRIP_DISTANCE, Cell
+from falsework.robots.model.shapes import inverse_pose
+from falsework.robots.motion.collision_world import Attached
 from falsework.search.problem.task import STAGE, Task
+
+Array = NDArray[np.float64]
 
 
 def task_in_cell(assembly: Assembly, cell: Cell, task: Task | None, exits: ExitDirections) -> Task:
@@ -44,53 +49,86 @@ def task_in_cell(assembly: Assembly, cell: Cell, task: Task | None, exits: ExitD
     )
 
 
-def first_keyframe(
+def given_keyframe(
     graph: KeyframeGraph,
-    task: Task,
+    state: States,
     configurations: Sequence[ArrayLike] | None,
     held: Sequence[int | None] | None,
+    gripped: Sequence[ArrayLike | None] | None = None,
 ) -> Node:
-    """Return the validated initial keyframe.
+    """Return the validated keyframe of given configurations.
 
     Args:
         graph: keyframes of the structure in the cell.
-        task: task whose start state is used.
+        state: what stands, and is held; shape (parts,).
         configurations: joint values of the robots, shape (joints,) each; by default their home.
-        held: the part that each robot holds.
+        held: the part that each robot holds in place, or carries if it is not in place.
+        gripped: for each robot that carries a part, the joint values with which it would hold it at its place.
 
     Raises:
         InputError: configurations that do not fit the robots, or in which something collides or a gripper is not at
             the part that it holds.
-        StateError: held parts that do not go with the start state.
+        StateError: held parts that do not go with the state.
     """
-    robots = graph.cell.robots
+    robots, names = graph.cell.robots, graph.assembly.names
     values = graph.cell.homes if configurations is None else tuple(configurations)
     held = (None,) * len(robots) if held is None else tuple(held)
-    if len(values) != len(robots) or len(held) != len(robots):
+    gripped = (None,) * len(robots) if gripped is None else tuple(gripped)
+    if not len(values) == len(held) == len(gripped) == len(robots):
         raise InputError(f"{graph.cell.name} has {len(robots)} robots; give configuration and held part of each")
     checked = tuple(
         robot.model.check_configuration(entry, f"configuration of {robot.name}")
         for robot, entry in zip(robots, values, strict=True)
     )
-    names = graph.assembly.names
-    wanted = np.flatnonzero((task.start == HELD) & ~graph.assembly.boundary).tolist()
     named = sorted(part for part in held if part is not None)
     if len(set(named)) < len(named):
         raise StateError("two robots hold one part, as within a hand-over; finish that first, then plan from there")
+    carried = tuple(
+        None if part is None or state[part] != REMOVED else _load(graph, robot, part, gripped[robot])
+        for robot, part in enumerate(held)
+    )
+    for robot, load, grip in zip(robots, carried, gripped, strict=True):
+        if load is None and grip is not None:
+            raise InputError(f"{robot.name} carries no part, so it has no grip to give; leave it out")
+    held = tuple(part if load is None else None for part, load in zip(held, carried, strict=True))
+    named = sorted(part for part in held if part is not None)
+    wanted = np.flatnonzero((state == HELD) & ~graph.assembly.boundary).tolist()
     if named != wanted:
         has, needs = (", ".join(f"part {names[part]}" for part in parts) or "nothing" for parts in (named, wanted))
         raise StateError(
             f"the robots hold {has}, the start state has {needs} held; give the part that each robot holds"
         )
     for robot, part in enumerate(held):
-        if part is not None and (far := graph.world.grip_distance(robot, checked[robot], part)) > GRIP_DISTANCE:
-            raise InputError(
-                f"the gripper of {robots[robot].name} is {far:.3g} m away from part {names[part]}, which it should "
-                "hold; give the configuration in which it holds the part"
-            )
-    node = graph.start(task.start, checked, held)
+        if part is not None:
+            _check_grip(graph, robot, part, checked[robot])
+    node = graph.start(state, checked, held)
+    for robot, load in enumerate(carried):
+        if load is not None:
+            node = node.moved(robot, checked[robot], load)
     for robot in range(len(robots)):
         pair = graph.collision(node, robot)
         if pair is not None:
             raise InputError(f"at the start {pair[0]} is too near {pair[1]}; move {robots[robot].name} away first")
     return node
+
+
+def _check_grip(graph: KeyframeGraph, robot: int, part: int, values: Array) -> None:
+    far = graph.world.grip_distance(robot, values, part)
+    if far > GRIP_DISTANCE:
+        raise InputError(
+            f"the gripper of {graph.cell.robots[robot].name} is {far:.3g} m away from part "
+            f"{graph.assembly.names[part]}, which it should hold; give the configuration in which it holds the part"
+        )
+
+
+def _load(graph: KeyframeGraph, robot: int, part: int, gripped: ArrayLike | None) -> Carried:
+    """Return the load of a robot that would hold a part at its place in a configuration, shape (joints,)."""
+    entry, name = graph.cell.robots[robot], graph.assembly.names[part]
+    if gripped is None:
+        raise InputError(
+            f"{entry.name} carries part {name}, which is not in place; give the joint values with which it would hold "
+            "it at its place"
+        )
+    values = entry.model.check_configuration(gripped, f"grip of {entry.name}")
+    _check_grip(graph, robot, part, values)
+    return Carried(Attached(part, inverse_pose(tool_pose(entry, values))), values)

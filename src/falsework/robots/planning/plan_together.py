@@ -23,6 +23,7 @@ from falsework.robots.interleaving.search import is_worth_more
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.model.cell import Cell
 from falsework.robots.planning.around_neighbours import plan_around_neighbours
+from falsework.robots.planning.end_motions import Continuation, parts_of
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings, Progress
 from falsework.robots.planning.second_search import SecondSearch
@@ -53,6 +54,8 @@ def plan_together(
     task: Task | None = None,
     configurations: Sequence[ArrayLike] | None = None,
     held: Sequence[int | None] | None = None,
+    gripped: Sequence[ArrayLike | None] | None = None,
+    continued: Continuation | None = None,
     oracle: Stability | None = None,
     guide: Guide | None = None,
     settings: HybridSettings = HybridSettings(),
@@ -65,13 +68,13 @@ def plan_together(
     `search`: `together`, or `sequential` where only the lines of `plan_robots` led to a plan.
 
     Args:
-        assembly, cell, task, configurations, held, oracle, guide, progress: as in `plan_robots`.
+        assembly, cell, task, configurations, held, gripped, continued, oracle, guide, progress: as in `plan_robots`.
         settings: limits of the search.
         assembly_order: schedule the motions in the order of assembly.
 
     Raises:
         InputError: configurations that do not fit the robots, or in which something collides.
-        StateError: held parts that do not go with the start state.
+        StateError: held parts that do not go with the start state, or the target state of a continued assembly.
         DependencyError: OR-Tools is missing.
     """
     import_ortools()
@@ -79,9 +82,10 @@ def plan_together(
     clock, oracle = Deadline(settings.deadline), oracle or Stability(assembly)
     lines = replace(settings.keyframes, approaches=_APPROACHES, withdrawals=_WITHDRAWALS)
     short = replace(settings, together=True, keyframes=lines)
-    present = None if task is None else task.start != REMOVED
-    graph = KeyframeGraph(assembly, cell, settings=short.keyframes, seed=settings.seed, present=present)
+    needed = parts_of(task, continued)
+    graph = KeyframeGraph(assembly, cell, settings=short.keyframes, seed=settings.seed, **needed)
     start: dict[str, Any] = {"task": task, "configurations": configurations, "held": held}
+    start |= {"gripped": gripped, "continued": continued}
 
     def search(limits: HybridSettings, graph: KeyframeGraph, seconds: float) -> HybridResult:
         # Even where a long motion has used the time up, a search ends by itself, with what it has.
@@ -111,9 +115,8 @@ def plan_together(
         elif _may_exist(result):
             result = search(short, graph, _SHARE * limit)
     if _may_exist(result):
-        graph = KeyframeGraph(
-            assembly, cell, settings=settings.keyframes, seed=settings.seed, parts=graph.parts, present=present
-        )
+        keyframes, seed = settings.keyframes, settings.seed
+        graph = KeyframeGraph(assembly, cell, settings=keyframes, seed=seed, parts=graph.parts, **needed)
         again = search(replace(settings, together=True), graph, limit)
         # Without a plan, the longer partial one is kept.
         if again.explanation is None or again.explanation.reached >= _reached(result):
@@ -140,14 +143,15 @@ def second_plan(
     *,
     stability: StabilitySettings,
     settings: HybridSettings,
-    task: Task | None = None,
+    task: Task | None,
+    continued: Continuation | None,
     **start: Any,
 ) -> RobotPlan | None:
     """Return the plan of another process, or None."""
-    present = None if task is None else task.start != REMOVED
-    graph = KeyframeGraph(assembly, cell, settings=settings.keyframes, seed=settings.seed, present=present)
-    oracle = Stability(assembly, stability)
-    return plan_robots(assembly, cell, task=task, oracle=oracle, settings=settings, graph=graph, **start).plan
+    needed, oracle = parts_of(task, continued), Stability(assembly, stability)
+    graph = KeyframeGraph(assembly, cell, settings=settings.keyframes, seed=settings.seed, **needed)
+    start |= {"task": task, "continued": continued}
+    return plan_robots(assembly, cell, oracle=oracle, settings=settings, graph=graph, **start).plan
 
 
 def _reached(result: HybridResult) -> int:

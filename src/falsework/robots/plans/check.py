@@ -21,7 +21,15 @@ from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.model.shapes import inverse_pose, move
 from falsework.robots.plans.check_delays import DelayReport, check_delays
 from falsework.robots.plans.check_schedule import check_schedule
-from falsework.robots.plans.loads import Load, load_of, lying_motions, put_down_fault
+from falsework.robots.plans.loads import (
+    Load,
+    load_of,
+    loads_at,
+    loads_beside,
+    lying_motions,
+    put_down_fault,
+    transit_fault,
+)
 from falsework.robots.plans.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
@@ -126,12 +134,16 @@ class _Checker:
         if removes:
             present = present.copy()
             present[part] = False
-        if fault := self.plan.fault(index) or put_down_fault(self.plan, index):
+        if fault := self.plan.fault(index) or put_down_fault(self.plan, index) or transit_fault(self.plan, index):
             self.say(index, robot, fault)
+            if step.transit:
+                return
+        elif step.gripped is not None:
+            self._gripped(index, step.gripped)
         elif step.put_down is not None:
             self._put_down(index, part, step.put_down, present)
         for other, (old, new) in enumerate(zip(before.held, after.held, strict=True)):
-            if (old != new) != (other == robot):
+            if (old != new) != (other == robot and not step.transit):
                 self.say(index, other, "its held part does not change according to the action")
         values = before.configurations[robot]
         for order, trajectory in enumerate(step.trajectories):
@@ -150,8 +162,11 @@ class _Checker:
     def start(self) -> None:
         """Check that the initial configurations are free of collisions."""
         frame, present = self.plan.keyframes[0], self.plan.states[0] != REMOVED
+        loads = loads_at(self.plan, 0)
         for robot, values in enumerate(frame.configurations):
-            move = self.judge.prepare(robot, frame.configurations, present, touches=frame.held[robot])
+            others = {other: load for other, load in loads.items() if other != robot}
+            given = {"touches": frame.held[robot], "load": loads.get(robot), "loads": others}
+            move = self.judge.prepare(robot, frame.configurations, present, **given)
             pair = move.hits(values)
             if pair is not None:
                 self.say(0, robot, f"at the start {pair[0]} collides with {pair[1]}", pair=pair)
@@ -160,7 +175,7 @@ class _Checker:
         """Return the part of an action, and whether it leaves or enters the structure in the gripper."""
         parts = len(self.boundary)
         action = int(self.plan.actions[index])
-        return action % parts, action >= parts
+        return -1 if action < 0 else action % parts, action >= parts
 
     def _grip(self, index: int, robot: int) -> Array:
         """Return the configuration in which the part of a removal, or an insertion, is gripped in place."""
@@ -172,13 +187,27 @@ class _Checker:
 
         A part that was put down is not carried, and may be touched on the lines too.
         """
-        robot, removes = self.plan.steps[index].robot, self._action(index)[1]
+        step, removes = self.plan.steps[index], self._action(index)[1]
+        robot = step.robot
+        if step.transit:  # of which `transit_fault` has checked the parts
+            if trajectory.touches is not None and trajectory.kind != "line":
+                self.say(index, robot, f"motion {order + 1} may not touch part {trajectory.touches}")
+            return
         removes &= load is None or not load.lies
         wanted = part if removes else None
         if trajectory.part != wanted:
             self.say(index, robot, f"motion {order + 1} carries part {trajectory.part}, the action needs {wanted}")
         if trajectory.touches is not None and (removes or trajectory.touches != part or trajectory.kind != "line"):
             self.say(index, robot, f"motion {order + 1} may not touch part {trajectory.touches}")
+
+    def _gripped(self, index: int, values: Array) -> None:
+        """Check that the gripper is at a part that it carries in a transit."""
+        robot = self.plan.steps[index].robot
+        part = next(leg.part for leg in self.plan.steps[index].trajectories if leg.part is not None)
+        far = self.judge.grip_distance(robot, values, part)
+        if far > GRIP_DISTANCE:
+            name = self.judge.parts.names[part]
+            self.say(index, robot, f"the gripper is {1000 * far:.1f} mm away from {name}, which it should carry")
 
     def _put_down(self, index: int, part: int, pose: Array, present: NDArray[np.bool_]) -> None:
         """Check that a part lies free and at rest on the floor, where its robot has it, within reach of the gripper.
@@ -255,6 +284,7 @@ class _Checker:
             load=load,
             touches=trajectory.touches,
             at_place=load is not None and trajectory.kind == "line",
+            loads=loads_beside(self.plan, index),
         )
         for moment, values in zip(moments, samples, strict=True):
             pair = move.hits(values)

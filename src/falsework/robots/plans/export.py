@@ -149,8 +149,10 @@ def _ros(plan: RobotPlan, kind: Literal["json", "yaml"]) -> Iterator[Written]:
 
 
 def _part(plan: RobotPlan, index: int) -> str:
-    parts = len(plan.plan.boundary)
-    return plan.plan.part_names[int(plan.actions[index]) % parts]
+    part = int(plan.actions[index]) % len(plan.plan.boundary)
+    if plan.steps[index].transit:
+        part = next(leg.part for leg in plan.steps[index].trajectories if leg.part is not None)
+    return plan.plan.part_names[part]
 
 
 def _duration(seconds: float) -> dict[str, int]:

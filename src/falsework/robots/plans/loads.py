@@ -1,4 +1,4 @@
-"""Loads of robots: parts in their grippers, and parts put down on the way to be gripped in another way."""
+"""Loads of robots: parts in their grippers, in transits too, and parts put down to be gripped in another way."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.assembly.state import REMOVED
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.search.problem.task import Direction
 
@@ -47,6 +48,9 @@ def load_of(plan: RobotPlan, step: int, motion: int | None) -> Load | None:
         motion: index of the trajectory; None for an action of the gripper.
     """
     entry, part = plan.steps[step], int(plan.actions[step]) - len(plan.plan.boundary)
+    if entry.transit and motion is not None and (carried := entry.trajectories[motion].part) is not None:
+        assert entry.gripped is not None
+        return Load(carried, entry.gripped, np.eye(4))
     if motion is None or part < 0:
         return None
     apart = plan.direction is Direction.DISASSEMBLY
@@ -61,6 +65,45 @@ def load_of(plan: RobotPlan, step: int, motion: int | None) -> Load | None:
     assert entry.put_down is not None
     first, last = entry.trajectories[lying.start], entry.trajectories[lying.stop - 1]
     return Load(part, last.positions[-1] if apart else first.positions[0], entry.put_down)
+
+
+def load_at_rest(
+    plan: RobotPlan, robot: int, last: tuple[int, int | None] | None, following: tuple[int, int | None] | None
+) -> Load | None:
+    """Return the load of a robot that rests between two motions or actions of its gripper; None without one.
+
+    Args:
+        plan: the robot plan.
+        robot: the robot.
+        last: step and trajectory before the rest, None as the trajectory of an action of the gripper; None at the
+            start.
+        following: the same after the rest; None at the end.
+    """
+    if following is None:
+        return None if last is None or plan.keyframes[-1].load(robot) is None else load_of(plan, *last)
+    on_way = last is not None and last[0] == following[0]
+    carries = on_way or plan.keyframes[following[0]].load(robot) is not None
+    return load_of(plan, *following) if carries else None
+
+
+def loads_at(plan: RobotPlan, keyframe: int) -> dict[int, Load]:
+    """Return the parts that robots carry at a keyframe, by robot."""
+    found = {}
+    for robot in range(len(plan.robots)):
+        if plan.keyframes[keyframe].load(robot) is None:
+            continue
+        own = [k for k, entry in enumerate(plan.steps) if entry.robot == robot and entry.trajectories]
+        later = [(k, 0) for k in own if k >= keyframe][:1]
+        place = later or [(k, len(plan.steps[k].trajectories) - 1) for k in own][-1:]
+        load = load_of(plan, *place[0]) if place else None
+        if load is not None:
+            found[robot] = load
+    return found
+
+
+def loads_beside(plan: RobotPlan, step: int) -> dict[int, Load]:
+    """Return the parts that other robots carry while they rest during a step, by robot."""
+    return {robot: load for robot, load in loads_at(plan, step).items() if robot != plan.steps[step].robot}
 
 
 def lying_motions(plan: RobotPlan, step: int) -> range:
@@ -97,4 +140,34 @@ def put_down_fault(plan: RobotPlan, step: int) -> str:
         return f"the gripper must leave {name}, and take it again, on a line on which it may touch it"
     if any(motions[k].kind != "line" for k in (lying.start - 1, lying.stop)):
         return f"{name} must be put down, and lifted again, on a line"
+    return ""
+
+
+def transit_fault(plan: RobotPlan, step: int) -> str:
+    """Return why a step is no transit, though it says so, or carries a part otherwise than the keyframes say."""
+    entry, before, after = plan.steps[step], plan.keyframes[step], plan.keyframes[step + 1]
+    for robot in range(len(plan.robots)):
+        old, new = before.load(robot), after.load(robot)
+        if old != new and robot != entry.robot:
+            return f"{plan.robots[robot].name} comes to carry another part without a motion"
+        if any(part is not None and (plan.states[k][part] != REMOVED) for k, part in ((step, old), (step + 1, new))):
+            return f"{plan.robots[robot].name} carries a part that is in place"
+    ends = before.load(entry.robot), after.load(entry.robot)
+    parts = [trajectory.part for trajectory in entry.trajectories]
+    removal = int(plan.actions[step]) >= len(plan.plan.boundary)
+    if ends != (None, None) and not (entry.transit or removal):
+        return "a robot that carries a part can neither hold nor release one"
+    if any(end is not None and part != end for end, part in zip(ends, (*parts[:1], *parts[-1:]), strict=False)):
+        return "the part that its robot carries at the keyframe is not in its gripper in the motion"
+    if not entry.transit:
+        return "" if entry.gripped is None else "it has a grip of a part although it is no transit"
+    carried = {part for part in (*parts, *ends) if part is not None}
+    if entry.hands_over is not None or entry.put_down is not None or not parts:
+        return "a transit is motions only, without a part handed over or put down"
+    if before.held != after.held or before.held[entry.robot] is not None:
+        return "its robot must hold no part, and no held part change"
+    if len(carried) > 1 or (entry.gripped is None) == bool(carried):
+        return "a transit carries one part with a grip, or none without"
+    if any(leg.part is not None and leg.kind == "line" for leg in entry.trajectories):
+        return "a part is carried on a line although it is neither inserted nor removed"
     return ""

@@ -27,7 +27,7 @@ from falsework.robots.kinematics.forward import flange_pose
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.shapes import inverse_pose, move
-from falsework.robots.plans.loads import Load, load_of, lying_motions
+from falsework.robots.plans.loads import Load, load_of, loads_at
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.timeline import schedule_of
 from falsework.search.problem.task import Direction
@@ -154,20 +154,23 @@ def write_bag(plan: RobotPlan, path: Path, placed: PlacedParts | None = None) ->
     bag, count = _Bag(), 0
     graph = schedule_of(plan)
     nodes, starts = graph.nodes, graph.starts()
-    parts = len(plan.plan.boundary)
     if placed is not None:
         bag.write("/planning_scene", _first_scene(bag, plan, placed), 0.0)
         count += 1
+    for robot, load in loads_at(plan, 0).items():
+        bag.write("/planning_scene", _difference(bag, plan, robot, load.part, 0.0, load, placed=placed), 0.0)
+        count += 1
     for index in np.argsort(starts, kind="stable").tolist():
         node, now = nodes[index], float(starts[index])
-        step, action = plan.steps[node.step], int(plan.actions[node.step])
-        name, last = plan.robots[node.robot].name, len(step.trajectories) - 1
+        step, name, robot = plan.steps[node.step], plan.robots[node.robot].name, node.robot
         if node.trajectory is None:
             continue
-        carries, lying = action >= parts, lying_motions(plan, node.step)
-        if carries and node.trajectory in (0, lying.stop if lying else 0):
+        carried = [plan.keyframes[node.step].load(robot), *(leg.part for leg in step.trajectories)]
+        carried.append(plan.keyframes[node.step + 1].load(robot))
+        part = carried[node.trajectory + 1]
+        if part is not None and carried[node.trajectory] is None:
             load = load_of(plan, node.step, node.trajectory)
-            bag.write("/planning_scene", _difference(bag, plan, node.step, now, load, placed=placed), now)
+            bag.write("/planning_scene", _difference(bag, plan, robot, part, now, load, placed=placed), now)
             count += 1
         message = _trajectory(bag, plan, node.robot, step.trajectories[node.trajectory], now)
         whole = bag.make(
@@ -180,10 +183,10 @@ def write_bag(plan: RobotPlan, path: Path, placed: PlacedParts | None = None) ->
         bag.write(f"/{name}/joint_trajectory", message, now)
         bag.write(f"/{name}/robot_trajectory", whole, now)
         count += 2
-        if carries and node.trajectory in (last, lying.start - 1 if lying else last):
-            end = now + node.seconds
-            gone = node.trajectory == last and plan.direction is Direction.DISASSEMBLY
-            bag.write("/planning_scene", _difference(bag, plan, node.step, end, None, gone=gone), end)
+        if part is not None and carried[node.trajectory + 2] is None:
+            end, last = now + node.seconds, node.trajectory + 1 == len(step.trajectories)
+            gone = step.transit or (last and plan.direction is Direction.DISASSEMBLY)
+            bag.write("/planning_scene", _difference(bag, plan, robot, part, end, None, gone=gone), end)
             count += 1
     data = bag.finish()
     write_whole(path, lambda file: file.write(data))
@@ -225,7 +228,8 @@ def _first_scene(bag: _Bag, plan: RobotPlan, placed: PlacedParts) -> Any:
 def _difference(
     bag: _Bag,
     plan: RobotPlan,
-    step: int,
+    robot: int,
+    part: int,
     now: float,
     load: Load | None,
     *,
@@ -237,13 +241,13 @@ def _difference(
     Args:
         bag: the bag.
         plan: the robot plan.
-        step: index of the step.
+        robot: index of the robot.
+        part: the part.
         now: time, seconds.
         load: what the gripper picks up; None: it puts the part down.
         placed: the parts with their shapes.
         gone: whether the part leaves the scene.
     """
-    robot, part = plan.steps[step].robot, int(plan.actions[step]) % len(plan.plan.boundary)
     flange, operation = f"{plan.robots[robot].name}_tool0", _REMOVE if load is None else _ADD
     mesh = None
     if placed is not None and load is not None:

@@ -65,18 +65,29 @@ Command = Wait | Grip | PublishCount | Begin | Trajectory
 def events_of(plan: RobotPlan, step: int) -> Iterator[Trajectory | Grip]:
     """Yield the motions of a step and the gripper actions before or after them, in time."""
     grip, apart = plan.grip(step), plan.direction is Direction.DISASSEMBLY
+    robot, moves = plan.steps[step].robot, plan.steps[step].trajectories
+    before, after = plan.keyframes[step].load(robot) is not None, plan.keyframes[step + 1].load(robot) is not None
+    if plan.steps[step].transit:
+        has = [before, *(leg.part is not None for leg in moves), after]
+        for k, leg in enumerate((*moves, None)):
+            if has[k] != has[k + 1]:
+                yield Grip(has[k + 1])
+            if leg is not None:
+                yield leg
+        return
     # Disassembly: hold = approach, close; release = open, retreat; remove = leave, carry, open. Assembly mirrors it.
     # A hand-over is a hold by one robot, then a release by the other. A part put down is gripped again on the way.
+    # A part that is carried at a keyframe was gripped before, or stays in the gripper.
     first = not apart if grip is None else grip == "open"
     closes = not apart if grip is None else grip == "close"
-    if first:
+    if first and not before:
         yield Grip(closes)
     lying = lying_motions(plan, step)
-    for number, trajectory in enumerate(plan.steps[step].trajectories):
+    for number, trajectory in enumerate(moves):
         if number in (lying.start, lying.stop) and lying:
             yield Grip(number == lying.stop)
         yield trajectory
-    if not first:
+    if not first and not after:
         yield Grip(closes)
 
 

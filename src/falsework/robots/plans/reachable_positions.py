@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED
 from falsework.errors import PlanError
-from falsework.robots.plans.loads import Load, load_of
+from falsework.robots.plans.loads import Load, load_at_rest, load_of
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.timeline import Event, nodes_of
 
@@ -107,9 +107,8 @@ class ReachablePositions:
         plan, graph, own = self.plan, self.graph, self._own[robot]
         values, last = plan.keyframes[0].configurations[robot], None
         for place, index in enumerate((*own, None)):
-            on_way = last is not None and index is not None and graph.nodes[last].step == graph.nodes[index].step
             step = 0 if last is None else graph.nodes[last].step
-            load = self._load(index) if on_way and index is not None else None
+            load = load_at_rest(plan, robot, self._motion(last), self._motion(index))
             yield Segment(robot, step, last, 2.0 * place, 2.0 * place, None, values, load)
             if index is None:
                 return
@@ -120,6 +119,9 @@ class ReachablePositions:
             trajectory = plan.steps[step].trajectories[number]
             values, begin = trajectory.positions[-1], 2.0 * place + 1
             yield Segment(robot, step, index, begin, begin + 1, trajectory, values, self._load(index))
+
+    def _motion(self, index: int | None) -> tuple[int, int | None] | None:
+        return None if index is None else (self.graph.nodes[index].step, self.graph.nodes[index].trajectory)
 
     def _load(self, index: int) -> Load | None:
         return load_of(self.plan, self.graph.nodes[index].step, self.graph.nodes[index].trajectory)

@@ -158,6 +158,12 @@ class RobotStep:
     put_down: Array | None = None
     """Where the part of a removal, or an insertion, lies on the floor while the robot grips it in another way: its
     displacement from its place in the structure, shape (4, 4). None: it stays in the gripper."""
+    transit: bool = False
+    """Whether the robot only goes to another place, without an action: from where it is when an assembly is continued,
+    to where its first action begins. The state of the structure and the held parts stay."""
+    gripped: Array | None = None
+    """Configuration in which the robot would hold the part of a transit at its place in the structure, shape (joints,);
+    None: it carries no part."""
 
     @property
     def seconds(self) -> float:
@@ -176,6 +182,12 @@ class Keyframe:
     """Joint values of every robot."""
     held: tuple[int | None, ...]
     """The installed part that each robot holds."""
+    carried: tuple[int | None, ...] = ()
+    """The part that each robot has in its gripper, away from its place in the structure; empty: none has one."""
+
+    def load(self, robot: int) -> int | None:
+        """Return the part that a robot carries."""
+        return self.carried[robot] if self.carried else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,7 +213,7 @@ class RobotPlan:
     keyframes: tuple[Keyframe, ...]
     """One keyframe before each step, and one after the last."""
     steps: tuple[RobotStep, ...]
-    """One step for every action of the plan, and two for each hand-over."""
+    """One step for every action of the plan, two for each hand-over, and one for each transit."""
     robots: tuple[RobotRecord, ...]
     cell_name: str
     cell_identity: str
@@ -214,11 +226,11 @@ class RobotPlan:
     """Schedule of simultaneous motions; None: one after the other."""
 
     def __post_init__(self) -> None:
-        actions = sum(step.hands_over is None for step in self.steps)
+        actions = sum(acts(step) for step in self.steps)
         if len(self.keyframes) != len(self.steps) + 1 or actions != len(self.plan):
             raise PlanError(
                 f"{len(self.keyframes)} keyframes and {len(self.steps)} steps, {len(self.steps) - actions} of them "
-                f"hand-overs, do not match a plan of {len(self.plan)} actions; plan again"
+                f"hand-overs or transits, do not match a plan of {len(self.plan)} actions; plan again"
             )
 
     def __len__(self) -> int:
@@ -227,7 +239,7 @@ class RobotPlan:
     @cached_property
     def rows(self) -> NDArray[np.int64]:
         """Index of the state of the plan at each keyframe, shape (keyframes,)."""
-        return np.cumsum([0, *(step.hands_over is None for step in self.steps)])
+        return np.cumsum([0, *(acts(step) for step in self.steps)])
 
     @cached_property
     def states(self) -> States:
@@ -236,10 +248,14 @@ class RobotPlan:
 
     @cached_property
     def actions(self) -> NDArray[np.int64]:
-        """Action of each step as in `Plan.actions`; half a hand-over has its part, like a hold. Shape (steps,)."""
-        given = [step.hands_over for step in self.steps]
-        rows = self.rows.tolist()
-        found = [int(self.plan.actions[row]) if part is None else part for row, part in zip(rows, given, strict=False)]
+        """Action of each step as in `Plan.actions`; half a hand-over has its part, like a hold, and a transit -1.
+
+        Shape (steps,).
+        """
+        found = [
+            int(self.plan.actions[row]) if acts(step) else -1 if step.hands_over is None else step.hands_over
+            for row, step in zip(self.rows.tolist(), self.steps, strict=False)
+        ]
         return np.array(found, dtype=np.int64)
 
     @property
@@ -257,10 +273,18 @@ class RobotPlan:
         """Whether the motions disassemble or assemble."""
         return self.plan.direction
 
+    def grip_of(self, robot: int, part: int) -> Array | None:
+        """Return the configuration in which a robot holds a part at its place, shape (joints,); None if it never does.
+
+        Of several, the last in the order of disassembly, in which it leaves.
+        """
+        frames = self.keyframes if self.direction is Direction.ASSEMBLY else self.keyframes[::-1]
+        return next((frame.configurations[robot] for frame in frames if frame.held[robot] == part), None)
+
     def grip(self, step: int) -> Literal["close", "open"] | None:
-        """Return what the gripper of a step does at a part in place; None if the part leaves or comes."""
+        """Return what the gripper of a step does at a part in place; None if the part leaves or comes, or is none."""
         action = int(self.actions[step])
-        if action >= len(self.plan.boundary):
+        if action >= len(self.plan.boundary) or action < 0:
             return None
         if self.steps[step].hands_over is not None:
             return "close" if self.keyframes[step + 1].held[self.steps[step].robot] == action else "open"
@@ -269,6 +293,9 @@ class RobotPlan:
     def does(self, step: int) -> str:
         """Describe what a step does, such as `remove keystone` or `take keystone over from left`."""
         entry = self.steps[step]
+        if entry.transit:
+            carried = next((leg.part for leg in entry.trajectories if leg.part is not None), None)
+            return "go to another place" if carried is None else f"carry {self.plan.part_names[carried]}"
         if entry.hands_over is None:
             what = self.plan.describe(int(self.rows[step]))
             return what if entry.put_down is None else f"{what}, put down and gripped again on the way"
@@ -335,6 +362,11 @@ class RobotPlan:
                 f"the robot plan is for another cell {self.cell_name} than this {cell.name}: something in it differs; "
                 "give the cell that it was made for, or plan again"
             )
+
+
+def acts(step: RobotStep) -> bool:
+    """Return whether a step has an action of the plan: it is neither half of a hand-over nor a transit."""
+    return step.hands_over is None and not step.transit
 
 
 def records_of(cell: Cell) -> tuple[RobotRecord, ...]:

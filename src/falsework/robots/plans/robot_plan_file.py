@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import PlanError
-from falsework.robots.plans.loads import put_down_fault
+from falsework.robots.plans.loads import put_down_fault, transit_fault
 from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotRecord, RobotStep, Trajectory
 from falsework.robots.plans.temporal_graph import MotionNode, Precedence, Reason, TemporalPlanGraph
 from falsework.robots.plans.timeline import nodes_of
@@ -74,7 +74,11 @@ def robot_plan_to_dict(plan: RobotPlan) -> dict[str, Any]:
         },
         "plan": plan_to_dict(plan.plan, proofs=plan.plan.proof_arrays() is not None),
         "keyframes": [
-            {"configurations": [rounded(values) for values in keyframe.configurations], "held": list(keyframe.held)}
+            {
+                "configurations": [rounded(values) for values in keyframe.configurations],
+                "held": list(keyframe.held),
+                **({"carried": list(keyframe.carried)} if keyframe.carried else {}),
+            }
             for keyframe in plan.keyframes
         ],
         "steps": [
@@ -83,6 +87,8 @@ def robot_plan_to_dict(plan: RobotPlan) -> dict[str, Any]:
                 "robot": step.robot,
                 **({} if step.hands_over is None else {"hands_over": step.hands_over}),
                 **({} if step.put_down is None else {"put_down": rounded(step.put_down)}),
+                **({"transit": True} if step.transit else {}),
+                **({} if step.gripped is None else {"gripped": rounded(step.gripped)}),
                 "trajectories": [
                     {
                         "kind": trajectory.kind,
@@ -248,9 +254,9 @@ class _Reader(Reader):
         )
 
     def _keyframe(self, data: Any, place: str, joints: list[int], parts: int) -> Keyframe:
-        self._keys(data, {"configurations", "held"}, place)
-        values, held = data["configurations"], data["held"]
-        if any(not isinstance(entry, list) or len(entry) != len(joints) for entry in (values, held)):
+        self._keys(data, {"configurations", "held"}, place, frozenset({"carried"}))
+        values, held, carried = data["configurations"], data["held"], data.get("carried", [None] * len(joints))
+        if any(not isinstance(entry, list) or len(entry) != len(joints) for entry in (values, held, carried)):
             self._fail(f"{place} does not have {len(joints)} robots")
         return Keyframe(
             tuple(
@@ -258,18 +264,24 @@ class _Reader(Reader):
                 for k, (entry, count) in enumerate(zip(values, joints, strict=True))
             ),
             tuple(self._part(part, parts, f"{place}: held") for part in held),
+            tuple(self._part(part, parts, f"{place}: carried") for part in carried if "carried" in data),
         )
 
     def _step(self, data: Any, place: str, joints: list[int], parts: int) -> RobotStep:
-        self._keys(data, {"do", "robot", "trajectories"}, place, frozenset({"hands_over", "put_down"}))
+        others = frozenset({"hands_over", "put_down", "transit", "gripped"})
+        self._keys(data, {"do", "robot", "trajectories"}, place, others)
         robot = data["robot"]
         if type(robot) is not int or not 0 <= robot < len(joints):
             self._fail(f"{place}: robot is {robot!r}", f"it must be a number from 0 to {len(joints) - 1}")
         found = self._list(data["trajectories"], f"{place}: trajectories")
         handed = self._part(data["hands_over"], parts, f"{place}: hands_over") if "hands_over" in data else None
         pose = self._array(data["put_down"], (4, 4), f"{place}: put_down") if "put_down" in data else None
+        grip = self._array(data["gripped"], (joints[robot],), f"{place}: gripped") if "gripped" in data else None
+        transit = data.get("transit", False)
+        if not isinstance(transit, bool):
+            self._fail(f"{place}: transit is {transit!r}", "it must be true or false")
         moves = tuple(self._trajectory(entry, place, joints[robot], parts) for entry in found)
-        return RobotStep(robot, moves, handed, pose)
+        return RobotStep(robot, moves, handed, pose, transit, grip)
 
     def _trajectory(self, data: Any, place: str, joints: int, parts: int) -> Trajectory:
         self._keys(data, {"kind", "part", "touches", "times", "positions", "velocities"}, place)
@@ -292,7 +304,7 @@ class _Reader(Reader):
         """Check hand-overs, parts put down, and that trajectories lead from a keyframe to the next without jumps."""
         for index, (before, after) in enumerate(pairwise(plan.keyframes)):
             step, place = plan.steps[index], f"step {index + 1} ({plan.does(index)})"
-            if fault := plan.fault(index) or put_down_fault(plan, index):
+            if fault := plan.fault(index) or put_down_fault(plan, index) or transit_fault(plan, index):
                 self._fail(f"{place}: {fault}")
             values = before.configurations[step.robot]
             for trajectory in step.trajectories:

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from falsework.robots.plans.loads import Load, load_of
+from falsework.assembly.state import States
+from falsework.robots.plans.loads import Load, load_at_rest, load_of
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.temporal_graph import MotionNode, Precedence, TemporalPlanGraph
 from falsework.search.problem.task import Direction
@@ -148,13 +149,55 @@ def activities_at(plan: RobotPlan, starts: Array, moment: float, factor: Array |
         last = past[-1] if past else None
         running = last is not None and moment < starts[last] + factor[last] * graph.nodes[last].seconds
         following = next((k for k in mine if starts[k] > moment), None)
-        # An arm that rests carries its part if it rests between two motions of one step.
-        on_way = last is not None and following is not None and graph.nodes[last].step == graph.nodes[following].step
-        source = last if running else following if on_way else None
-        load, trajectory, at = None, None, 0 if last is None else graph.nodes[last].step
-        if source is not None:
-            at, number = graph.nodes[source].step, graph.nodes[source].trajectory
-            load = load_of(plan, at, number)
-            trajectory = plan.steps[at].trajectories[number] if running and number is not None else None
+        before, after = (
+            None if k is None else (graph.nodes[k].step, graph.nodes[k].trajectory) for k in (last, following)
+        )
+        at, number = (0, None) if before is None else before
+        trajectory = plan.steps[at].trajectories[number] if running and number is not None else None
+        load = load_of(plan, at, number) if running else load_at_rest(plan, robot, before, after)
         begin, late = (0.0, 1.0) if last is None else (float(starts[last]), float(factor[last]))
         yield ArmActivity(robot, at, trajectory, begin, late, rest, load)
+
+
+@dataclass(frozen=True, eq=False)
+class Interruption:
+    """Structure and arms where a plan was interrupted between motions."""
+
+    state: States
+    """What stands, and is held; shape (parts,)."""
+    configurations: tuple[Array, ...]
+    """Joint values of every arm."""
+    held: tuple[int | None, ...]
+    """The part that each arm holds in place, or carries."""
+    gripped: tuple[Array | None, ...]
+    """For each arm that carries a part, the configuration in which it would hold it at its place."""
+
+
+def interruption(plan: RobotPlan, seconds: float) -> Interruption:
+    """Return where a plan stands that is interrupted at a time; motions that have begun then are finished.
+
+    Args:
+        plan: the robot plan; without a schedule its motions come one after the other.
+        seconds: time from its start.
+    """
+    graph = schedule_of(plan)
+    begun = graph.starts() <= seconds
+    row = int(sum(begun[event.node] for event in nodes_of(plan)[1]))  # a motion begins after the events before its own
+    frame = plan.keyframes[row]
+    configurations, held = list(frame.configurations), list(frame.held)
+    grips: list[Array | None] = [None] * graph.robots
+    for robot in range(graph.robots):
+        mine = graph.of_robot(robot)
+        last = next((k for k in reversed(mine) if begun[k]), None)
+        following = next((k for k in mine if not begun[k]), None)
+        moved = [k for k in mine if begun[k] and graph.nodes[k].trajectory is not None]
+        configurations[robot] = plan.keyframes[0].configurations[robot]
+        if moved:
+            node = graph.nodes[moved[-1]]
+            assert node.trajectory is not None
+            configurations[robot] = plan.steps[node.step].trajectories[node.trajectory].positions[-1]
+        places = (None if k is None else (graph.nodes[k].step, graph.nodes[k].trajectory) for k in (last, following))
+        load = load_at_rest(plan, robot, *places)
+        if load is not None:
+            held[robot], grips[robot] = load.part, load.grip
+    return Interruption(plan.states[row], tuple(configurations), tuple(held), tuple(grips))

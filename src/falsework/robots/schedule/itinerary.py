@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import REMOVED
 from falsework.robots.kernels.coordination import Swept, conflicts
 from falsework.robots.motion.collision_world import CollisionWorld
-from falsework.robots.plans.loads import Load, LoadKey, load_of
+from falsework.robots.plans.loads import Load, LoadKey, load_at_rest, load_of
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.timeline import nodes_of
 from falsework.robots.schedule.swept_bodies import SweptBodies
@@ -106,16 +106,18 @@ class Itineraries:
     ) -> Stretch:
         cell = np.asarray(values, dtype=np.float64)[None]
         step = None if last is None else self.nodes[last].step
-        load = None
+        load = load_at_rest(self.plan, robot, self._place(last), self._place(following))
         frames = set(np.flatnonzero(np.abs(self._configurations[robot] - cell).max(axis=1) <= _SAME).tolist())
         if step is not None and following is not None and self.nodes[following].step == step:  # on the way
             frames.add(step)
-            load = self.load(following)
         key = (robot, cell.tobytes(), None if load is None else load.key)
         if key not in self._resting:
             self._resting[key] = self.bodies.resting(robot, values, load)
         found = self._resting[key]
         return Stretch(None, first, 1, after, before, np.zeros(1), (found, found), False, frozenset(frames))
+
+    def _place(self, index: int | None) -> tuple[int, int | None] | None:
+        return None if index is None else (self.nodes[index].step, self.nodes[index].trajectory)
 
     def load(self, index: int) -> Load | None:
         """Return the load of a robot in a motion."""

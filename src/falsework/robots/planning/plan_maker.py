@@ -1,0 +1,71 @@
+"""Timed robot plan of a chain of edges, arranged for robots that move at the same time where that is wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from falsework.robots.interleaving.reordering import reorder
+from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
+from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment
+from falsework.robots.keyframes.trajectory_assembly import make_robot_plan
+from falsework.robots.planning.early_approach import approach_early
+from falsework.robots.planning.end_motions import Ends
+from falsework.robots.planning.hybrid_result import HybridSettings
+from falsework.robots.planning.shorter_motions import shorten_motions
+from falsework.robots.planning.solvability import SolvabilityCheck
+from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
+from falsework.stability.oracle import Stability
+
+
+class PlanMaker:
+    """Plans of the chains of one search; trajectories are computed once."""
+
+    def __init__(
+        self,
+        graph: KeyframeGraph,
+        oracle: Stability,
+        solvability: SolvabilityCheck,
+        ends: Ends,
+        settings: HybridSettings,
+        stop: Callable[[], bool],
+    ) -> None:
+        """Make plans of the edges of `graph`.
+
+        Args:
+            graph: keyframes of the structure in the cell.
+            oracle: decides stability.
+            solvability: the task, and the actions that its rules allow.
+            ends: motions before and after the chains.
+            settings: whether robots move at the same time, and the seed.
+            stop: tells when to end with the order found so far.
+        """
+        self.graph, self.oracle, self.solvability = graph, oracle, solvability
+        self.ends, self.settings, self.stop = ends, settings, stop
+        self._timed: dict[PathSegment, Trajectory | None] = {}
+
+    def plan(self, root: Node, chain: list[Edge], *, whole: bool) -> RobotPlan:
+        """Certify the states along a chain of edges and compute its trajectories.
+
+        Args:
+            root: the first keyframe.
+            chain: the edges.
+            whole: whether the chain reaches the target; a partial plan is scheduled as it is.
+        """
+        speed, seed = self.graph.cell.speed, self.settings.seed
+        if self.settings.together and whole:
+            chain = shorten_motions(chain, speed, seed)
+            self._make(root, chain)
+            legal = self.solvability.legal
+            other = reorder(self.graph, self.oracle, root, chain, self._timed, legal=legal, stop=self.stop)
+            chain = other if not other or self.graph.accepts(other[-1]) else chain
+            root, chain = self.ends.around(root, chain)
+            chain = shorten_motions(chain, speed, seed, done=self._timed)
+        else:
+            root, chain = self.ends.around(root, chain)
+        plan = self._make(root, chain)
+        return approach_early(plan, chain, self.graph.cell, self.graph.world) if self.settings.together else plan
+
+    def _make(self, root: Node, chain: list[Edge]) -> RobotPlan:
+        task, forces = self.ends.whole(self.solvability.task), self.settings.forces
+        cell, assembly = self.graph.cell, self.graph.assembly
+        return make_robot_plan(assembly, cell, task, self.oracle, root, chain, forces=forces, timed=self._timed)
