@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ from falsework.search import (
 from falsework.search.fewest_robots import stuck_parts
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.hold_bound import HoldBound
+from falsework.search.settings import PlannerSettings
 from falsework.stability import Stability, StabilitySettings
 from falsework.stability.settings import EQUILIBRIUM
 
@@ -118,6 +120,15 @@ def test_a_start_that_falls_has_no_number(small_arch: Assembly) -> None:
     assert answer.robots is None
     assert answer.impossible == "the start state is unstable"
     assert answer.proven
+
+
+def test_the_deadline_ends_the_choice_among_many_plans() -> None:
+    blocks = load_structure("wall:bricks=3,courses=3")
+    begun = time.process_time()
+    planning = find_plans(blocks, settings=PlannerSettings(alternatives=100_000), deadline=1.0)
+    assert planning.deadline_passed
+    assert planning.plans
+    assert time.process_time() - begun < 6
 
 
 @pytest.mark.parametrize("deadline", [0, -1, float("nan")])

@@ -205,7 +205,12 @@ def test_no_plan_found_is_not_no_plan(rules: Any) -> None:
 
 @pytest.mark.parametrize(
     ("settings", "message"),
-    [({"width": 0}, "width 0"), ({"directions": ()}, "no direction"), ({"alternatives": 0}, "0 alternatives")],
+    [
+        ({"width": 0}, "width 0"),
+        ({"directions": ()}, "no direction"),
+        ({"alternatives": 0}, "0 alternatives"),
+        ({"seed": -1}, "a seed is not negative"),
+    ],
 )
 def test_bad_settings(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):

@@ -101,7 +101,8 @@ def report(answer: RobotsNeeded, path: Path | None, output: Output) -> Exit:
     elif answer.impossible:
         output.note(f"falsework: no number of robots suffices: {answer.impossible}")
     else:
-        found = [f"no plan was found; at least {answer.least} robots are needed", *fewer]
+        least = "at least 1 robot is" if answer.least == 1 else f"at least {answer.least} robots are"
+        found = [f"no plan was found; {least} needed", *fewer]
         output.note(f"falsework: {'; '.join(found)} ({spent})")
     if answer.interrupted:
         output.note("interrupted; this is the best so far")

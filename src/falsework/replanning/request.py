@@ -13,6 +13,7 @@ from falsework.assembly.state import HELD, REMOVED, States, as_states, complete_
 from falsework.errors import InputError, StateError
 from falsework.search.problem.deadline import check_deadline
 from falsework.search.problem.task import STAGE, Direction, Task
+from falsework.search.settings import check_seed
 
 MOST_PLANS = 1000
 """Alternatives that can be asked for."""
@@ -83,6 +84,7 @@ class Request:
             limits = f"at least 1 and at most {MOST_PLANS}"
             raise InputError(f"{self.alternatives} alternatives is not a number of plans; ask for {limits}")
         check_deadline(self.deadline)
+        check_seed(self.seed)
         state = _state(self.state, assembly, "state")
         target = None if self.target is None else _state(self.target, assembly, "target")
         way = self.way(assembly)

@@ -50,6 +50,8 @@ _BOUND_AFTER = 10.0
 """Seconds of processor time without a plan after which a search pauses to try to prove that robots are too few ..."""
 _BOUND_SECONDS = 5.0
 """... for so many seconds at most."""
+_CHOICE_SECONDS = 1.0
+"""Seconds in which to choose among plans where the deadline leaves less."""
 
 
 class TaskRules(TypedDict, total=False):
@@ -157,7 +159,8 @@ def find_plans(
             fallen = plan_of(planner.fallen[0], assembly, task, oracle, forces=forces)
         return Planning(result, (), Alternatives.of([]), fallen, result.interrupted and clock.passed)
     late = result.interrupted and clock.passed
-    chosen = choose_plans(planner, settings, assembly.name)
+    choice = Deadline(max(clock.left, _CHOICE_SECONDS))
+    chosen = _choose(planner, settings, assembly.name, lambda: choice.passed)
     plans = tuple(
         plan_of(route, assembly, task, oracle, forces=forces, replay=planner.replays.get(route.states.tobytes()))
         for route in chosen.routes
@@ -260,21 +263,15 @@ def plan_of(
     return replace(plan, replay=replay or PlanReplay.of(oracle.replayer.replay(plan.assembly_states)))
 
 
-def choose_plans(planner: Planner | SupportPlanner, settings: PlannerSettings, name: str = "") -> Alternatives:
-    """Choose the requested number of plans, as different as possible, from all that a planner has found.
-
-    Args:
-        planner: with at least one route.
-        settings: how many, and the seed.
-        name: of the structure, for the state graph.
-    """
+def _choose(planner: Planner | SupportPlanner, settings: PlannerSettings, name: str, stop: Stop) -> Alternatives:
+    """Choose the requested number of plans, as different as possible, from all that a planner has found."""
     if settings.alternatives == 1 or isinstance(planner, SupportPlanner):
         return Alternatives.of(planner.routes)
     task = planner.task.postpone(planner.postponed)
     graph = StateGraph.build(
         task, np.concatenate([planner.states, *(route.states for route in planner.routes)]), name=name
     )
-    return choose_alternatives(graph, settings.alternatives, given=planner.routes, seed=settings.seed)
+    return choose_alternatives(graph, settings.alternatives, given=planner.routes, seed=settings.seed, stop=stop)
 
 
 def _run(

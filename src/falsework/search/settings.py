@@ -24,6 +24,16 @@ _COMPACT_DEATHS = 64
 """... and times that this one dies before the first goes on."""
 
 
+def check_seed(seed: int) -> None:
+    """Raise unless a number can be a random seed.
+
+    Raises:
+        InputError: it is negative.
+    """
+    if seed < 0:
+        raise InputError(f"a seed is not negative; {seed} was given")
+
+
 @dataclass(frozen=True)
 class Attempt:
     """Search with beams up to a width from one end."""
@@ -61,6 +71,7 @@ class PlannerSettings:
             raise InputError("no direction to search in; give assembly, disassembly or both")
         if self.alternatives < 1:
             raise InputError(f"{self.alternatives} alternatives is not a number of plans; ask for at least 1")
+        check_seed(self.seed)
 
     def attempts(self, stage: str = "plan", *, compact: bool = False) -> tuple[Attempt, ...]:
         """Return attempts in their order.

@@ -160,6 +160,17 @@ def test_another_abstract_plan_costs_a_bounded_number_of_verdicts(monkeypatch: p
     assert len(solvability) == known
 
 
+def test_the_deadline_ends_later_searches_too() -> None:
+    oracle, late = Stability(ARCH), False
+    solvability = SolvabilityCheck(ARCH, TASK, oracle)
+    assert solvability.prepare(lambda: late).found
+    late, known, asked = True, len(solvability), oracle.counters.asked
+    solvability.perturb(1)
+    solvability.relax(0.5)
+    assert oracle.counters.asked == asked
+    assert len(solvability) == known
+
+
 def test_ways_that_are_never_found_cost_little_more_than_those_that_are() -> None:
     solvability = SolvabilityCheck(ARCH, TASK, Stability(ARCH))
     assert solvability.prepare().found

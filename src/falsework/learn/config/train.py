@@ -11,6 +11,7 @@ from falsework.errors import InputError
 from falsework.learn.config.imitation import ImitationPhase
 from falsework.learn.config.policy import PolicySettings
 from falsework.learn.config.ppo import COMPLETE, PAPER, PpoPhase
+from falsework.search.settings import check_seed
 
 Phase = ImitationPhase | PpoPhase
 Method = Literal["default", "imitation", "paper", "complete"]
@@ -80,8 +81,7 @@ class TrainSettings:
             raise InputError(f"unknown criterion {self.criterion!r}; choose {' or '.join(get_args(Criterion))}")
         if self.minutes < 0 or self.steps < 0:
             raise InputError("minutes and steps are not negative; leave them out for the defaults")
-        if self.seed < 0:
-            raise InputError("seeds are not negative")
+        check_seed(self.seed)
         last = self.phases[-1]
         if self.policy.goal_conditioned and isinstance(last, PpoPhase) and last.starts == "complete":
             raise InputError("PPO from the complete structure supports no goals; choose mixed starts or the curriculum")

@@ -23,6 +23,7 @@ from falsework.search.problem.hashing import StateIndex
 from falsework.search.problem.result import Stop
 from falsework.search.problem.state_graph import criterion_of, read_criterion
 from falsework.search.problem.task import Direction, Task
+from falsework.search.settings import check_seed
 from falsework.stability.verdict import Criterion
 from falsework.utils.archive import read_archive, write_archive
 from falsework.utils.distributed import ProcessGroup
@@ -62,8 +63,7 @@ class DataSettings:
         for width in (self.train_width, self.test_width, *self.widths):
             if width < 1:
                 raise InputError(f"a search of width {width} finds nothing; give at least 1")
-        if self.seed < 0:
-            raise InputError(f"a seed is not negative; {self.seed} was given")
+        check_seed(self.seed)
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,7 @@ from falsework.search.device.oracle import TensorOracle, tensor_oracle, without_
 from falsework.search.device.rules import TensorRules
 from falsework.search.problem.state_graph import StateGraph, criterion_of, read_criterion
 from falsework.search.problem.task import Direction, Task
+from falsework.search.settings import check_seed
 from falsework.utils.archive import read_archive, write_archive
 from falsework.utils.distributed import ProcessGroup
 from falsework.utils.tensors import choose_device
@@ -70,8 +71,7 @@ class GoalDataSettings:
                 raise InputError(f"a search of width {width} finds nothing; give at least 1")
         if self.pairs < 1 or self.test_pairs < 1:
             raise InputError("pairs and test_pairs are counts; give at least 1")
-        if self.seed < 0:
-            raise InputError(f"a seed is not negative; {self.seed} was given")
+        check_seed(self.seed)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ from falsework.robots.keyframes.failure_report import Explanation
 from falsework.robots.keyframes.keyframe_graph import KeyframeSettings
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.search.problem.deadline import check_deadline
+from falsework.search.settings import check_seed
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,7 @@ class HybridSettings:
         if min(self.attempts, self.dead_ends) < 1:
             raise InputError("a search needs at least one attempt and dead end; give numbers from 1 on")
         check_deadline(self.deadline)
+        check_seed(self.seed)
 
 
 @dataclass(frozen=True, eq=False)

@@ -97,12 +97,14 @@ class SolvabilityCheck:
         self._not_found: set[bytes] = set()
         self._forbidden: set[bytes] = set()
         self._moves: dict[bytes, list[int]] = {}
+        self._stop: Stop = lambda: False
 
     def __len__(self) -> int:
         return len(self._solvable)
 
     def prepare(self, stop: Stop | None = None) -> SearchResult:
         """Find one abstract plan, with releases where no other is found; of missing parts the latest step of each."""
+        self._stop = stop or self._stop  # what is searched later ends with it too
         settings = PlannerSettings(width=_FIRST_BEAM_WIDTH, seed=self._seed)
         planner = Planner(replace(self.task, support=False), self.oracle, settings, guide=self._guide)
         route = self.roll_out(None, stop) or self.roll_out(np.random.default_rng(self._seed), stop)
@@ -124,7 +126,7 @@ class SolvabilityCheck:
     def perturb(self, seed: int) -> None:
         """Find another abstract plan to follow, with a perturbed guide score; the old one stays known."""
         rng = np.random.default_rng([self._seed, seed])
-        route = self.roll_out(rng)
+        route = self.roll_out(rng, self._stop)
         if route is not None:
             self._follow([route])
             return
@@ -211,10 +213,10 @@ class SolvabilityCheck:
         self._preferred = {state: place for state, place in self._preferred.items() if state in left}
 
     def _search(self, beam: AdaptiveBeam, widest: int, verdicts: float = np.inf) -> Sequence[Route]:
-        """Return routes of a beam search with successful replays; none if it finds none within so many verdicts."""
+        """Return routes of a beam search with successful replays; none if time or verdicts do not suffice."""
 
         def stop() -> bool:
-            return beam.search.counters.asked >= verdicts
+            return beam.search.counters.asked >= verdicts or self._stop()
 
         for _ in range(_MAX_FALLEN_REPLAYS):
             if self._forbidden:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from falsework.errors import InputError, PlanError
 from falsework.robots.plans.reachable_positions import ReachablePositions
 from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.search.settings import check_seed
 
 Array = NDArray[np.float64]
 
@@ -53,7 +54,7 @@ def simulate(plan: RobotPlan, *, runs: int = 1000, most: float = 1.0, seed: int 
 
     Raises:
         PlanError: the plan has no schedule.
-        InputError: a share that is negative or not finite, or no runs.
+        InputError: a share that is negative or not finite, no runs, or a negative seed.
     """
     graph = plan.schedule
     if graph is None:
@@ -63,6 +64,7 @@ def simulate(plan: RobotPlan, *, runs: int = 1000, most: float = 1.0, seed: int 
             f"cannot simulate {runs} runs with delays of up to {most:g} times each motion; give at least 1 run and a "
             "finite share, not negative"
         )
+    check_seed(seed)
     reachable, rng = ReachablePositions(plan), np.random.default_rng(seed)
     node = np.array([event.node for event in reachable.events], dtype=np.int64)
     at_end = np.array([event.at_end for event in reachable.events])

@@ -7,6 +7,7 @@ from typing import Literal
 
 from falsework.errors import InputError
 from falsework.search.problem.task import Direction
+from falsework.search.settings import check_seed
 
 Diversity = Literal["k-means", "none"]
 
@@ -58,3 +59,4 @@ class BeamSettings:
             raise InputError(f"random preferences cannot spread by {self.disorder}; give 0 or more")
         if self.pool < 1:
             raise InputError("the pool of a beam search must hold at least one number")
+        check_seed(self.seed)

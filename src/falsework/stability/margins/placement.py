@@ -63,6 +63,8 @@ def placement_curve(
         raise InputError(f"placement errors are {list(tolerances)} m; give numbers above zero")
     if draws < 1:
         raise InputError(f"the number of draws is {draws}; give at least 1")
+    if seed < 0:
+        raise InputError(f"a seed is not negative; {seed} was given")
     if assembly.contacts_given:
         raise InputError(
             "contacts of this structure were given, or have fasteners or studs, so they cannot be detected again for "
