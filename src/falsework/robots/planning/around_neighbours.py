@@ -24,14 +24,14 @@ from falsework.robots.model.shapes import inverse_pose
 from falsework.robots.motion.collision_world import BESIDE, Attached, CollisionQuery, CollisionWorld, Scene
 from falsework.robots.motion.path_planner import plan_free, resolution_of
 from falsework.robots.planning.shorter_motions import shorter
-from falsework.robots.plans.loads import load_of
+from falsework.robots.plans.loads import loads_beside
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph
 from falsework.robots.schedule.conflicts import choices, fixed_precedences
 from falsework.robots.schedule.itinerary import Itineraries
 from falsework.robots.schedule.kept_order import KeptOrder, Replacement
 from falsework.robots.schedule.occupancy import occupied
-from falsework.robots.schedule.solver import ScheduleSettings, as_scheduled, solve
+from falsework.robots.schedule.solver import as_scheduled, solve
 
 Array = NDArray[np.float64]
 
@@ -49,7 +49,6 @@ _POINTS = 24
 """Points of a path that is deformed."""
 _FARTHEST = (0.3, 0.15, 0.08)
 """Standard deviations of deformations, rad or m."""
-_SOLVER = ScheduleSettings(workers=1)
 
 
 def plan_around_neighbours(
@@ -71,7 +70,7 @@ def plan_around_neighbours(
         search.run(stop)
         replaced = sum(old is not new for (*_, old), (*_, new) in zip(plan.moves(), search.plan.moves(), strict=True))
         if replaced:
-            graph = solve(search.rows.nodes, search.fixed, search.choices, len(plan.robots), _SOLVER)
+            graph = solve(search.rows.nodes, search.fixed, search.choices, len(plan.robots))
             plan = replace(search.plan, schedule=graph)
     gain = {"replanned_motions": replaced, "replanning_saves": round(before - plan.makespan, 3)}
     return replace(plan, statistics={**plan.statistics, **gain})
@@ -203,11 +202,11 @@ class _Rerouting:
         """Return the scene in which a motion was planned."""
         plan, entry = self.plan, self.rows.nodes[node]
         attached: list[Attached | None] = [None] * len(plan.robots)
-        load = load_of(plan, entry.step, entry.trajectory)
-        if load is not None:
-            assert load.grip is not None
-            tool = tool_pose(self.world.cell.robots[entry.robot], load.grip)
-            attached[entry.robot] = Attached(load.part, inverse_pose(tool) @ load.pose)
+        for robot, load in (loads_beside(plan, entry.step) | {entry.robot: self.rows.load(node)}).items():
+            if load is not None:
+                assert load.grip is not None
+                tool = tool_pose(self.world.cell.robots[robot], load.grip)
+                attached[robot] = Attached(load.part, inverse_pose(tool) @ load.pose)
         return Scene(plan.keyframes[entry.step].configurations, self.rows.present(node), tuple(attached))
 
     def _take(self, node: int, motion: Trajectory) -> bool:
