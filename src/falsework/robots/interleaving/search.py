@@ -101,6 +101,9 @@ class OrderSearch:
         self._hold = sum(holds) / max(len(holds), 1)
         many = len(root.configurations) >= MANY
         self._width, self._turns = (_WIDTH, len(LENGTHS) + _FAR_TURNS) if many else (_NARROW, _FEW_TURNS)
+        if any(edge.hands_over or edge.put_down is not None for edge in chain):
+            # What pays once such a step is done looks worse before it, and narrow beams drop it.
+            self._width = _WIDTH
         self.best = self._as_planned(chain)
         """Beginnings of the best order, from that without steps to the complete one."""
         self._planned = list(self.units), self.best
