@@ -56,6 +56,10 @@ def test_wrong_parameters_of_a_built_in(spec: str, refused: Callable[..., None])
     refused("block" if "blok" not in spec else "bloks", spec)
 
 
+def test_a_negative_seed(refused: Callable[..., None]) -> None:
+    refused("a seed is not negative", "arch:blocks=7", "--seed", "-1")
+
+
 def test_folder_without_meshes(refused: Callable[..., None], tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     refused("empty", tmp_path / "empty")

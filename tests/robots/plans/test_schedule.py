@@ -139,6 +139,13 @@ def test_delays_that_are_none(scheduled: RobotPlan, most: float) -> None:
         simulate(scheduled, most=most)
 
 
+def test_a_seed_that_is_none(scheduled: RobotPlan) -> None:
+    with pytest.raises(InputError, match="a seed is not negative"):
+        simulate(scheduled, seed=-1)
+    with pytest.raises(InputError, match="a seed is not negative"):
+        HybridSettings(seed=-1)
+
+
 def test_a_plan_without_a_schedule(planned: RobotPlan) -> None:
     assert planned.makespan == planned.seconds
     with pytest.raises(PlanError, match="no schedule to simulate"):

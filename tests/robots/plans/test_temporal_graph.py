@@ -54,6 +54,17 @@ def test_reversed_graphs_keep_every_order(graph: TemporalPlanGraph) -> None:
     assert back.makespan == 6.0  # what overlapped by a part of a motion waits for all of it
 
 
+def test_only_the_work_of_an_arm_bounds_both_directions() -> None:
+    """The end of one motion is in the way of the other: that costs its arm a wait in one direction only."""
+    nodes = (MotionNode(0, 0, 0, 4.0), MotionNode(1, 1, 0, 3.0))
+    there = TemporalPlanGraph(nodes, (Precedence(0, 3.5, 1, "volume"),), 2, 6.5)
+    back = TemporalPlanGraph(there.reverse().nodes, (Precedence(0, 0.5, 1, "volume"),), 2, 4.5)
+    assert there.makespan == 6.5
+    assert there.reverse().lower_bound <= back.makespan == 4.5
+    assert there.reverse().lower_bound == 4.0
+    assert TemporalPlanGraph((), (), 2, 0.0).reverse().lower_bound == 0.0
+
+
 @pytest.mark.parametrize("stretch", [[0.5, 1, 1], [np.nan, 1, 1], [np.inf, 1, 1], [1, 1]])
 def test_delays_that_are_none(graph: TemporalPlanGraph, stretch: list[float]) -> None:
     with pytest.raises(InputError, match="finite and not negative"):

@@ -156,7 +156,8 @@ class TemporalPlanGraph:
     def reverse(self) -> TemporalPlanGraph:
         """Return the graph of the reverse plan: a wait for part of a motion becomes a wait for all of it.
 
-        It is as safe, and may be slower than a graph made for that direction.
+        It is as safe, and may be slower than a graph made for that direction. A wait that costs much in one direction
+        may cost nothing in the other, so that of the lower bound only the work of the busiest arm remains proven.
         """
         last = len(self.nodes) - 1
         steps = max((node.step for node in self.nodes), default=0)
@@ -176,4 +177,5 @@ class TemporalPlanGraph:
             Precedence(last - edge.after, self.nodes[edge.after].seconds, last - edge.before, edge.why)
             for edge in reversed(self.edges)
         )
-        return TemporalPlanGraph(nodes, edges, self.robots, self.lower_bound)
+        work = (sum(node.seconds for node in nodes if node.robot == robot) for robot in range(self.robots))
+        return TemporalPlanGraph(nodes, edges, self.robots, max(work, default=0.0))
