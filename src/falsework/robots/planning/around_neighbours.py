@@ -77,7 +77,10 @@ def plan_around_neighbours(
 
 
 def _relaxed(graph: TemporalPlanGraph, node: int | None = None) -> TemporalPlanGraph:
-    """Return a schedule without waits for space: of all motions, or of and for one of them."""
+    """Return a schedule without waits for space: of all motions, or of and for one of them.
+
+    A graph has only the longest wait between two nodes, so a shorter one of another kind may be missing here.
+    """
     kept = (e for e in graph.edges if e.why != "volume" or not (node is None or node in (e.before, e.after)))
     return TemporalPlanGraph(graph.nodes, tuple(kept), graph.robots, 0.0)
 

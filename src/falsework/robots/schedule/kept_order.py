@@ -23,7 +23,11 @@ _NEVER: _Wait = (0, np.inf, 0)
 
 
 class KeptOrder:
-    """Schedule whose conflicts are decided: of each two motions or rests of two arms one goes first."""
+    """Schedule whose conflicts are decided: of each two motions or rests of two arms one goes first.
+
+    A graph has only the longest wait between two nodes. Where that is one for space, a shorter one of another kind is
+    missing here, and a makespan with another motion may come out too short: it is an estimate.
+    """
 
     def __init__(self, rows: Itineraries, graph: TemporalPlanGraph) -> None:
         """Find the waits of all pairs of motions and rests.
