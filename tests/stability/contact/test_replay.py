@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly import library, load_structure
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, complete_state
+from falsework.assembly.state import complete_state
 from falsework.errors import InputError
 from falsework.search import find_plans
 from falsework.search.find import task_of
@@ -180,19 +180,3 @@ def test_parts_that_settle_first_near_a_change_end_where_the_whole_would(dome: A
     scale = whole.largest
     for one, other in zip(near.histories, whole.histories, strict=True):
         assert np.abs(one.displacement - other.displacement).max() <= 0.02 * scale
-
-
-def test_increments_that_go_on_as_the_last_moved_end_where_those_from_where_it_was_do() -> None:
-    """A robot lets go of one part of a complete vault, in increments with the parts nearby first, and from rest."""
-    vault = load_structure("vault:parts=125")
-    replayer, plain = Replayer(vault), Replayer(vault)
-    plain._options = plain._options._replace(near_steps=0)
-    complete = complete_state(vault.boundary)
-    for part in np.flatnonzero(~vault.boundary)[::24]:
-        states = np.stack([complete, complete])
-        states[0, part] = HELD
-        following, whole = replayer.replay(states), plain.replay(states)
-        assert following.good
-        assert whole.good
-        before, after, other = (history.displacement for history in (*following.histories, whole.histories[-1]))
-        assert np.abs(after - other).max() <= 1e-4 * np.abs(after - before).max()
