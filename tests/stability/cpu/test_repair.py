@@ -10,8 +10,11 @@ from falsework.assembly import library
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, complete_state
 from falsework.stability import Stability, Verdict, verify_certificates
-from falsework.stability.cpu.repair import REPAIR_RINGS, repair_range
+from falsework.stability.cpu.layout import add_wrenches, make_scratch, restrict
+from falsework.stability.cpu.neighbourhood import hold_beside_corridor
+from falsework.stability.cpu.repair import CORRIDORS, REPAIR_RINGS, repair_range
 from falsework.stability.cpu.solver import CpuSolver
+from falsework.stability.cpu.units import scale_units
 from falsework.stability.problem import build_problem
 from falsework.stability.settings import EQUILIBRIUM
 
@@ -39,8 +42,8 @@ def test_repaired_forces_prove_the_state(vault: Assembly, released: tuple[NDArra
     counts = np.zeros((2, len(states)), np.int32)
     assert known.forces is not None
     forces = known.forces.copy()
-    kernel = solver.structure, states, before, known.stable, REPAIR_RINGS, solver._options
-    left = repair_range(*kernel, forces, verdict, residual, *counts)
+    kernel = solver.structure, states, before, known.stable, REPAIR_RINGS, CORRIDORS
+    left = repair_range(*kernel, solver._options, solver._along, forces, verdict, residual, *counts)
     good = np.flatnonzero(verdict == Verdict.STABLE)
     assert len(good) == len(states) - left > 0
     checked = solver.check(states)[good]
@@ -49,6 +52,59 @@ def test_repaired_forces_prove_the_state(vault: Assembly, released: tuple[NDArra
     assert verify_certificates(vault, states[good], checked, EQUILIBRIUM.claim).all()
     changed = (forces[good] != known.forces[good]).any(axis=2)
     assert (changed.sum(axis=1) < changed.shape[1]).any()  # forces farther away are those of before
+
+
+def test_a_corridor_alone_balances_a_part_that_is_let_go_of(vault: Assembly, released: tuple[NDArray, NDArray]) -> None:
+    states, before = released
+    solver = CpuSolver(build_problem(vault))
+    known = solver.check(before)
+    assert known.forces is not None
+    verdict, residual = np.zeros(len(states), np.int8), np.full(len(states), np.nan)
+    forces, nowhere = known.forces.copy(), REPAIR_RINGS[:0]
+    counts = np.zeros((2, len(states)), np.int32)
+    kernel = solver.structure, states, before, known.stable, nowhere, np.array([1, 3]), solver._options, solver._along
+    repair_range(*kernel, forces, verdict, residual, *counts)
+    good = np.flatnonzero((verdict == Verdict.STABLE) & (counts[0] > 0))
+    assert len(good)
+    checked = solver.check(states)[good]
+    assert checked.forces is not None
+    checked.forces[:] = forces[good]
+    assert verify_certificates(vault, states[good], checked, EQUILIBRIUM.claim).all()
+
+
+def test_corridors_lead_from_the_change_to_a_support(vault: Assembly, released: tuple[NDArray, NDArray]) -> None:
+    states, before = released
+    structure, near = CpuSolver(build_problem(vault)).structure, np.empty(states.shape[1], np.uint8)
+    links = [set[int]() for _ in near]
+    for a, b in structure.pair_parts.tolist():
+        links[a].add(b)
+        links[b].add(a)
+    for state, parent in zip(states, before, strict=True):
+        kept, free = hold_beside_corridor(structure, state, parent, 0, near)
+        assert free == (state == INSTALLED).sum()
+        corridor = set(np.flatnonzero(near == INSTALLED).tolist())
+        assert len(corridor) == kept
+        ahead = reached = set(np.flatnonzero(state != parent).tolist())
+        while ahead:
+            ahead = {other for part in ahead for other in links[part] & corridor} - reached
+            reached = reached | ahead
+        assert reached == corridor
+        assert any(state[other] == HELD for part in reached for other in links[part])
+
+
+def test_units_leave_wrenches_as_they_are(vault: Assembly) -> None:
+    solver, state = CpuSolver(build_problem(vault)), complete_state(vault.boundary)
+    work = make_scratch(solver.structure)
+    pairs, _ = restrict(solver.structure, state, work)
+    rng = np.random.default_rng(0)
+    work.u[:] = rng.normal(size=work.u.shape) * 10.0 ** rng.uniform(-3, 3, (len(work.u), 1))
+    known, wrenches = work.u * work.force_scale[:, None], np.zeros((2, *work.load.shape))
+    add_wrenches(solver.structure, work, pairs, work.u, wrenches[0])
+    scale_units(work, pairs)
+    add_wrenches(solver.structure, work, pairs, work.u, wrenches[1])
+    assert np.ptp(work.unit[:pairs]) > 1.0
+    np.testing.assert_allclose(wrenches[1], wrenches[0], rtol=1e-9, atol=1e-9 * np.abs(wrenches).max())
+    np.testing.assert_allclose(work.u * work.force_scale[:, None], known, rtol=1e-12)
 
 
 def test_forces_of_another_state_do_not_mislead(vault: Assembly, released: tuple[NDArray, NDArray]) -> None:

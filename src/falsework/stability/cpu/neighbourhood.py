@@ -1,4 +1,4 @@
-"""Local instability test: a search for a mechanism near the changed part before the whole state is solved.
+"""Regions near a change, and a search for a mechanism there before the whole state is solved.
 
 A state differs from a stable one in a part or two, and if it is unstable, the mechanism is mostly near them. So hold
 every part that is more than a few contacts away and check the rest: if that is unstable, then so is the
@@ -21,38 +21,87 @@ RINGS = (1, 3)
 
 
 @njit(cache=True)
+def _measure_ways(structure, state, seeds, count, limit, depth):
+    """Write how many contacts each free part is away from the parts `seeds[:count]`, -1 beyond a limit.
+
+    `seeds` has room for all parts and is overwritten.
+    """
+    first, pair, parts = structure.neighbour_start, structure.neighbour_pair, structure.pair_parts
+    depth[:] = -1
+    for k in range(count):
+        depth[seeds[k]] = 0
+    head, tail = 0, count
+    while head < tail:
+        i = seeds[head]
+        head += 1
+        if depth[i] == limit:
+            break
+        for k in range(first[i], first[i + 1]):
+            q = pair[k]
+            other = parts[q, 0] + parts[q, 1] - i
+            if depth[other] < 0 and state[other] == 1:
+                depth[other] = depth[i] + 1
+                seeds[tail] = other
+                tail += 1
+
+
+@njit(cache=True)
+def _changed_parts(state, parent, changed):
+    """Write the parts in which two states differ; return their number."""
+    count = 0
+    for i in range(len(state)):
+        if state[i] != parent[i]:
+            changed[count] = i
+            count += 1
+    return count
+
+
+@njit(cache=True)
 def hold_far_parts(structure, state, parent, rings, near):
     """Copy `state` to `near`, holding free parts over `rings` contacts from where it differs from `parent`.
 
     Returns:
         Number of parts that stay free, and number of free parts before.
     """
-    first, pair, parts = structure.neighbour_start, structure.neighbour_pair, structure.pair_parts
-    depth = np.full(len(state), -1, np.int32)
-    queue = np.empty(len(state), np.int32)
-    head, tail, free, kept = 0, 0, 0, 0
+    depth, queue = np.empty(len(state), np.int32), np.empty(len(state), np.int32)
+    _measure_ways(structure, state, queue, _changed_parts(state, parent, queue), rings, depth)
+    kept, free = 0, 0
     for i in range(len(state)):
-        near[i] = 2 if state[i] == 1 else state[i]
+        near[i] = 2 if state[i] == 1 and depth[i] < 0 else state[i]
+        kept += near[i] == 1
         free += state[i] == 1
-        if state[i] != parent[i]:
-            depth[i] = 0
-            queue[tail] = i
-            tail += 1
-    while head < tail:
-        i = queue[head]
-        head += 1
-        if state[i] == 1:
-            near[i] = 1
-            kept += 1
-        if depth[i] == rings:
-            continue
-        for k in range(first[i], first[i + 1]):
-            q = pair[k]
-            other = parts[q, 0] + parts[q, 1] - i
-            if depth[other] < 0 and state[other] == 1:
-                depth[other] = depth[i] + 1
-                queue[tail] = other
-                tail += 1
+    return kept, free
+
+
+@njit(cache=True)
+def hold_beside_corridor(structure, state, parent, detour, near):
+    """Copy `state` to `near`, holding free parts away from the shortest ways from the change to what is fixed.
+
+    Those on ways that are longer than the shortest by up to `detour` contacts stay free, and those as far from where it
+    differs from `parent`.
+
+    Returns:
+        Number of parts that stay free, and number of free parts before.
+    """
+    parts = len(state)
+    queue, away, down = np.empty(parts, np.int32), np.empty(parts, np.int32), np.empty(parts, np.int32)
+    fixed, shortest = 0, parts
+    for i in range(parts):
+        if state[i] == 2:
+            queue[fixed] = i
+            fixed += 1
+    _measure_ways(structure, state, queue, fixed, parts, down)
+    changed = _changed_parts(state, parent, queue)
+    for k in range(changed):
+        if down[queue[k]] >= 0:
+            shortest = min(shortest, down[queue[k]])
+    _measure_ways(structure, state, queue, changed, shortest + detour, away)
+    kept, free = 0, 0
+    for i in range(parts):
+        beside = away[i] < 0 or (away[i] > detour and (down[i] < 0 or away[i] + down[i] > shortest + detour))
+        near[i] = 2 if state[i] == 1 and beside else state[i]
+        kept += near[i] == 1
+        free += state[i] == 1
     return kept, free
 
 

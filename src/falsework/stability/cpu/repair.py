@@ -2,8 +2,9 @@
 
 A state differs from a stable one, whose forces are known, in a part or two. Forces that balance it differ from those
 mostly near by. So keep every force more than a few contacts away, take those at the border as loads, and balance the
-parts inside: the work of a few parts however large the structure is. Failure proves nothing, since forces may have to
-change farther away: the weight of a part that is let go of has to reach a support.
+parts inside: the work of a few parts however large the structure is. The weight of a part that is let go of has to
+reach a support, so regions along the ways to supports come after those around the change. Failure proves nothing, since
+forces may have to change elsewhere.
 """
 
 from __future__ import annotations
@@ -23,12 +24,16 @@ from falsework.stability.cpu.layout import (
     set_gravity,
     store_forces,
 )
-from falsework.stability.cpu.neighbourhood import hold_far_parts
-from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED, residual_of_part
+from falsework.stability.cpu.neighbourhood import hold_beside_corridor, hold_far_parts
+from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED, UNSTABLE, residual_of_part
+from falsework.stability.cpu.units import scale_units
 from falsework.utils.kernels import njit
 
-REPAIR_RINGS = (2, 4, 8)
+REPAIR_RINGS = np.array([2, 4, 8])
 """Distances from a changed part in contacts within which forces may change, tried in turn."""
+CORRIDORS = np.array([3, 9])
+"""Contacts by which the ways from a changed part to a support may be longer than the shortest one, tried after that;
+forces as far from the part may change too."""
 _ROUNDING = 1e-12
 """Distance of forces from their cones, as a share of them, that is left to rounding."""
 
@@ -115,13 +120,15 @@ def _accept_forces(structure, state, options, residual, forces):
 
 
 @njit(cache=True)
-def repair_state(structure, state, parent, rings, options, work, near, forces):
+def repair_state(structure, state, parent, rings, corridors, options, along, work, near, forces):
     """Balance a state with forces of its parent that change only near their difference.
 
     Args:
         structure, options, work: `KernelArrays`, `Options` and `Scratch`.
         state, parent: shape (parts,).
         rings: distances from the difference, tried in turn.
+        corridors: detours of ways from there to a support, tried after those; see `hold_beside_corridor`.
+        along: options of these.
         near: scratch, shape (parts,).
         forces: in: contact forces in N that balance the parent; out: of the state, or a guess at them if undecided.
             Shape (points, 3).
@@ -133,25 +140,35 @@ def repair_state(structure, state, parent, rings, options, work, near, forces):
     residual = _accept_forces(structure, state, options, work.residual, forces)
     if residual < bound:
         return STABLE, residual, spent, taken
-    for ring in rings:
-        kept, free = hold_far_parts(structure, state, parent, ring, near)
-        if kept == 0 or 2 * kept > free:
+    for k in range(len(rings) + len(corridors)):
+        around = k < len(rings)
+        if around:
+            kept, free = hold_far_parts(structure, state, parent, rings[k], near)
+        else:
+            kept, free = hold_beside_corridor(structure, state, parent, corridors[k - len(rings)], near)
+        if kept == 0:
             break
+        if 2 * kept > free:
+            continue
         pairs, _ = restrict(structure, near, work)
         pairs, grounded = _keep_border(structure, state, near, work, pairs, forces)
         if not grounded:
             continue
         load_forces(structure, work, pairs, forces, work.u)
-        if not factor_admm(structure, work, pairs, options.rho):
+        chosen = options if around else along
+        if chosen.scaled:
+            scale_units(work, pairs)
+        if not factor_admm(structure, work, pairs, chosen.rho):
             break
-        verdict, _, iterations = run_admm(structure, work, pairs, options)
+        verdict, _, iterations = run_admm(structure, work, pairs, chosen)
         spent += iterations
-        if verdict == UNDECIDED and options.interior_steps > 0:
-            verdict, _, steps = run_interior(structure, work, pairs, options)
+        if verdict == UNDECIDED and chosen.interior_steps > 0:
+            verdict, _, steps = run_interior(structure, work, pairs, chosen)
             taken += steps
+        if verdict != UNSTABLE:  # a start for the next region, and for the whole
+            store_forces(structure, work, pairs, forces)
         if verdict != STABLE:
             continue
-        store_forces(structure, work, pairs, forces)
         residual = _accept_forces(structure, state, options, work.residual, forces)
         if residual < bound:
             return STABLE, residual, spent, taken
@@ -160,7 +177,21 @@ def repair_state(structure, state, parent, rings, options, work, near, forces):
 
 
 @njit(nogil=True, cache=True)
-def repair_range(structure, states, parents, known, rings, options, forces, verdict, residual, iterations, steps):
+def repair_range(
+    structure,
+    states,
+    parents,
+    known,
+    rings,
+    corridors,
+    options,
+    along,
+    forces,
+    verdict,
+    residual,
+    iterations,
+    steps,
+):
     """Balance states whose `verdict` is `UNDECIDED` with the forces of their parents, where those are `known`.
 
     Arrays as in `solve_range`.
@@ -175,7 +206,8 @@ def repair_range(structure, states, parents, known, rings, options, forces, verd
         if verdict[i] != UNDECIDED:
             continue
         if known[i]:
-            v, r, k, s = repair_state(structure, states[i], parents[i], rings, options, work, near, forces[i])
+            beside = states[i], parents[i], rings, corridors
+            v, r, k, s = repair_state(structure, *beside, options, along, work, near, forces[i])
             verdict[i] = v
             residual[i] = r
             iterations[i] += k

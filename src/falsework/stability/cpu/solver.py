@@ -12,7 +12,7 @@ from falsework.assembly.state import States
 from falsework.stability.cpu.kernel import solve_range
 from falsework.stability.cpu.layout import COMPILED_LAYOUT, build_structure
 from falsework.stability.cpu.neighbourhood import RINGS, fall_range
-from falsework.stability.cpu.repair import REPAIR_RINGS, repair_range
+from falsework.stability.cpu.repair import CORRIDORS, REPAIR_RINGS, repair_range
 from falsework.stability.cpu.termination import UNDECIDED, Options
 from falsework.stability.problem import Problem
 from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
@@ -23,9 +23,13 @@ _TASK = 16
 """States per task of a thread: few enough to balance the load, enough to hide the cost of a call."""
 _LARGE = 200
 """Parts from which ADMM, where it begins with forces of a state near by, has these options ..."""
-_FROM_FORCES = {"rho": 3e-4, "relaxation": 1.6, "iterations": 150, "interior_steps": 0}
+_FROM_FORCES = {"rho": 1e-4, "relaxation": 1.5, "iterations": 150, "interior_steps": 0, "scaled": True}
 """... so that interior point steps, each with a factorization, are mostly not needed. From there they often fail: they
 follow forces that grow beyond their bound."""
+_ALONG = {**_FROM_FORCES, "iterations": 100}
+"""Options of repairs along the ways to supports, in structures of any size."""
+_LARGER = 400
+"""Parts from which those take the place of the widest repair around a change."""
 _FROM_REST = {"iterations": 10, "interior_steps": 60}
 """Options of a second attempt, from zero forces: interior point steps from near the middle of the cones."""
 
@@ -41,6 +45,7 @@ def kernel_options(settings: StabilitySettings) -> Options:
         interior_steps=cpu.interior_steps,
         tolerance=settings.tolerance,
         force_bound=settings.force_bound,
+        scaled=False,
     )
 
 
@@ -77,6 +82,8 @@ class CpuSolver:
         self._options = kernel_options(settings)
         large = problem.parts >= _LARGE
         self._from_forces = self._options._replace(**_FROM_FORCES) if large else self._options
+        self._along = self._options._replace(**_ALONG)
+        self._rings = REPAIR_RINGS if problem.parts < _LARGER else REPAIR_RINGS[:-1]
         self._from_rest = self._options._replace(**_FROM_REST) if large else self._options
         self._workers = Workers(settings.cpu.threads)
 
@@ -126,7 +133,7 @@ class CpuSolver:
                 along = certificates and guess is not None
                 if not along and not fall_range(*kernel, beside, RINGS, self._options, motion, *found):
                     return
-                near = beside, known[rows], REPAIR_RINGS, self._options, force
+                near = beside, known[rows], self._rings, CORRIDORS, self._options, self._along, force
                 if known[rows].any() and not repair_range(*kernel, *near, *found):
                     return
             solve_range(*kernel, self._from_forces if warm else self._options, force, motion, warm, *found)

@@ -28,6 +28,8 @@ class Options(NamedTuple):
     interior_steps: int
     tolerance: float
     force_bound: float
+    scaled: bool
+    """Whether known forces set the units of force of ADMM; see `units.py`."""
 
 
 @njit(inline="always", fastmath=FAST)
