@@ -81,7 +81,8 @@ def solve(
                 model.add_bool_or([literal.negated()])
                 continue
             for edge in edges:
-                ready = begin[edge.before] + round(edge.offset * _TICKS)
+                # At least a tick, or motions could wait for each other in a circle that takes no time.
+                ready = begin[edge.before] + max(round(edge.offset * _TICKS), 1)
                 model.add(begin[edge.after] >= ready).only_enforce_if(literal)
         model.add_hint(second, bool(choice.planned))
     planned = _chosen(nodes, fixed, choices, [choice.planned for choice in choices], robots, 0.0)
