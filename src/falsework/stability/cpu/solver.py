@@ -29,7 +29,8 @@ follow forces that grow beyond their bound."""
 _ALONG = {**_FROM_FORCES, "iterations": 100}
 """Options of repairs along the ways to supports, in structures of any size."""
 _LARGER = 400
-"""Parts from which those take the place of the widest repair around a change."""
+"""Parts from which those take the place of the widest repair around a change, and of interior point steps in the others:
+the regions are a small share then, and what they leave open is cheaper along the ways."""
 _FROM_REST = {"iterations": 10, "interior_steps": 60}
 """Options of a second attempt, from zero forces: interior point steps from near the middle of the cones."""
 
@@ -83,7 +84,9 @@ class CpuSolver:
         large = problem.parts >= _LARGE
         self._from_forces = self._options._replace(**_FROM_FORCES) if large else self._options
         self._along = self._options._replace(**_ALONG)
-        self._rings = REPAIR_RINGS if problem.parts < _LARGER else REPAIR_RINGS[:-1]
+        self._around, self._rings = self._options, REPAIR_RINGS
+        if problem.parts >= _LARGER:
+            self._around, self._rings = self._options._replace(interior_steps=0), REPAIR_RINGS[:-1]
         self._from_rest = self._options._replace(**_FROM_REST) if large else self._options
         self._workers = Workers(settings.cpu.threads)
 
@@ -133,7 +136,7 @@ class CpuSolver:
                 along = certificates and guess is not None
                 if not along and not fall_range(*kernel, beside, RINGS, self._options, motion, *found):
                     return
-                near = beside, known[rows], self._rings, CORRIDORS, self._options, self._along, force
+                near = beside, known[rows], self._rings, CORRIDORS, self._around, self._along, force
                 if known[rows].any() and not repair_range(*kernel, *near, *found):
                     return
             solve_range(*kernel, self._from_forces if warm else self._options, force, motion, warm, *found)
