@@ -23,7 +23,7 @@ import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 import tyro
@@ -53,7 +53,7 @@ _OTHER_SEED = 1000
 class Arguments:
     """Benchmark and its settings."""
 
-    what: Annotated[tyro.conf.Positional[Literal["dome-37", "bottle-12"]], tyro.conf.arg(metavar="WHAT")]
+    what: tyro.conf.Positional[Literal["dome-37", "bottle-12"]]
     seeds: int = 5
     first_seed: int = 0
     interruptions: int = 4

@@ -23,7 +23,7 @@ _MOST_REPEATS = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Carried:
+class CarriedLoad:
     """Part in a gripper away from its place, at the start or the end of a plan."""
 
     attached: Attached
@@ -43,7 +43,7 @@ class Node:
     changed: frozenset[tuple[int, bytes]] = frozenset()
     """Parts held or released since a part was last removed; those released, or handed over, with the grip that they
     had."""
-    carried: tuple[Carried | None, ...] = ()
+    carried: tuple[CarriedLoad | None, ...] = ()
     """What each robot carries; empty: none carries anything."""
 
     @cached_property
@@ -93,11 +93,11 @@ class Node:
         """Return whether a part was released, or handed over, since a part was last removed."""
         return any(part == other and grip for other, grip in self.changed)
 
-    def load(self, robot: int) -> Carried | None:
+    def load(self, robot: int) -> CarriedLoad | None:
         """Return what a robot carries."""
         return self.carried[robot] if self.carried else None
 
-    def moved(self, robot: int, values: Array, load: Carried | None) -> Node:
+    def moved(self, robot: int, values: Array, load: CarriedLoad | None) -> Node:
         """Return the keyframe with one robot in another configuration, shape (joints,), and with another load."""
         configurations, carried = list(self.configurations), list(self.carried or (None,) * len(self.held))
         configurations[robot], carried[robot] = np.asarray(values), load

@@ -20,7 +20,7 @@ from falsework.errors import InputError
 from falsework.robots.grasping.grasp import Grasp
 from falsework.robots.keyframes.grasp_configurations import GraspConfiguration
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
-from falsework.robots.keyframes.keyframes import Carried, Edge, Node, PathSegment, accept_all
+from falsework.robots.keyframes.keyframes import CarriedLoad, Edge, Node, PathSegment, accept_all
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, Scene, grasp_contact, withdrawal_contact
 from falsework.robots.motion.path_planner import follow_line
@@ -237,7 +237,7 @@ class Ends:
         free = self._free(node.scene, robot, start, goal if line is None else line.path[0])
         return None if free is None else (free,) if line is None else (free, line)
 
-    def _taken_out(self, node: Node, robot: int, load: Carried, goal: Array) -> tuple[PathSegment, ...] | None:
+    def _taken_out(self, node: Node, robot: int, load: CarriedLoad, goal: Array) -> tuple[PathSegment, ...] | None:
         """Return the motions that withdraw a held part and bring it where it is at the end."""
         part, here = load.attached.part, node.configurations[robot]
         ways = self.graph.exits.free(part, node.state)
@@ -250,7 +250,7 @@ class Ends:
                 return (*(PathSegment("line", path, part=part) for path in paths), free)
         return None
 
-    def _on_line(self, node: Node, robot: int, load: Carried, goal: Array, ways: Array) -> PathSegment | None:
+    def _on_line(self, node: Node, robot: int, load: CarriedLoad, goal: Array, ways: Array) -> PathSegment | None:
         """Return the line on which a held part leaves as far as where it is at the end, if it is on such a line."""
         part, entry, here = load.attached.part, self.graph.cell.robots[robot], node.configurations[robot]
         tools = tool_pose(entry, np.array([here, goal]))
@@ -266,7 +266,7 @@ class Ends:
             return None
         return PathSegment("line", np.concatenate([path[:-1], goal[None]]), part=part)
 
-    def _fetched(self, node: Node, robot: int, load: Carried, goal: Array) -> tuple[PathSegment, ...] | None:
+    def _fetched(self, node: Node, robot: int, load: CarriedLoad, goal: Array) -> tuple[PathSegment, ...] | None:
         """Return the motions that fetch a part from a drop-off pose and bring it where it is at the end."""
         carried = node.moved(robot, goal, load).scene
         away = self.graph.delivery.path(load.attached.part, robot, goal, carried)

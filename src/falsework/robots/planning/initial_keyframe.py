@@ -12,7 +12,7 @@ from falsework.assembly.state import HELD, REMOVED, States
 from falsework.errors import InputError, StateError
 from falsework.robots.grasping.exit_directions import ExitDirections
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
-from falsework.robots.keyframes.keyframes import Carried, Node
+from falsework.robots.keyframes.keyframes import CarriedLoad, Node
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import GRIP_DISTANCE, Cell
 from falsework.robots.model.shapes import inverse_pose
@@ -121,7 +121,7 @@ def _check_grip(graph: KeyframeGraph, robot: int, part: int, values: Array) -> N
         )
 
 
-def _load(graph: KeyframeGraph, robot: int, part: int, gripped: ArrayLike | None) -> Carried:
+def _load(graph: KeyframeGraph, robot: int, part: int, gripped: ArrayLike | None) -> CarriedLoad:
     """Return the load of a robot that would hold a part at its place in a configuration, shape (joints,)."""
     entry, name = graph.cell.robots[robot], graph.assembly.names[part]
     if gripped is None:
@@ -131,4 +131,4 @@ def _load(graph: KeyframeGraph, robot: int, part: int, gripped: ArrayLike | None
         )
     values = entry.model.check_configuration(gripped, f"grip of {entry.name}")
     _check_grip(graph, robot, part, values)
-    return Carried(Attached(part, inverse_pose(tool_pose(entry, values))), values)
+    return CarriedLoad(Attached(part, inverse_pose(tool_pose(entry, values))), values)
