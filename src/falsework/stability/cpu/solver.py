@@ -29,8 +29,8 @@ follow forces that grow beyond their bound."""
 _ALONG = {**_FROM_FORCES, "iterations": 100}
 """Options of repairs along the ways to supports, in structures of any size."""
 _LARGER = 400
-"""Parts from which those take the place of the widest repair around a change, and of interior point steps in the others:
-the regions are a small share then, and what they leave open is cheaper along the ways."""
+"""Parts from which those take the place of the widest repair around a change and of interior point steps in the others:
+these regions are a small share then, and what they leave open is cheaper along the ways."""
 _FROM_REST = {"iterations": 10, "interior_steps": 60}
 """Options of a second attempt, from zero forces: interior point steps from near the middle of the cones."""
 
