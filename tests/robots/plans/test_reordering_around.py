@@ -19,7 +19,7 @@ from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.keyframes import Edge, Node
 from falsework.robots.model.cell import Cell
 from falsework.robots.motion.collision_world import CollisionQuery
-from falsework.robots.planning import hybrid_planner
+from falsework.robots.planning import plan_maker
 from falsework.robots.planning.hybrid_result import HybridSettings
 from falsework.robots.planning.plan_together import plan_together
 from falsework.robots.plans.check import check_robot_plan
@@ -62,7 +62,7 @@ def planned(request: pytest.FixtureRequest, cell_of: Callable[..., Cell]) -> Pla
             return reorder(graph, oracle, root, chain, timed, legal=legal, stop=stop) if change else list(chain)
 
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(hybrid_planner, "reorder", ordered)
+            patch.setattr(plan_maker, "reorder", ordered)
             plans.append(plan_together(assembly, cell, task=task, settings=HybridSettings(attempts=4)).plan)
     better, as_found = plans
     assert better is not None

@@ -143,8 +143,8 @@ def second_plan(
     *,
     stability: StabilitySettings,
     settings: HybridSettings,
-    task: Task | None,
-    continued: Continuation | None,
+    task: Task | None = None,
+    continued: Continuation | None = None,
     **start: Any,
 ) -> RobotPlan | None:
     """Return the plan of another process, or None."""
