@@ -63,6 +63,7 @@ def exhaustive(runs: Runs, _: Runs) -> str:
 STRUCTURE = (("structure", "{structure}"),)
 STRUCTURE_AND_ROBOTS = (("structure", "{structure}"), ("robots", "{robots}"))
 SEARCHES_COMPARED = (
+    ("commit before", "{before_commit}"),
     ("verdicts", "{verdicts}"),
     ("before", "{before.verdicts}"),
     ("CPU time, s", "{cpu_seconds}"),
@@ -257,14 +258,14 @@ TABLES = {
     ),
     "search-compare": Table(
         "search_compare",
-        (*STRUCTURE_AND_ROBOTS, ("before", "{before_commit}")),
+        STRUCTURE_AND_ROBOTS,
         SEARCHES_COMPARED,
         benchmark="search_compare plans",
         where=lambda record: record.get("criterion") != "equilibrium",
     ),
     "search-compare-equilibrium": Table(
         "search_compare",
-        (*STRUCTURE_AND_ROBOTS, ("before", "{before_commit}")),
+        STRUCTURE_AND_ROBOTS,
         SEARCHES_COMPARED,
         benchmark="search_compare plans",
         where=lambda record: record.get("criterion") == "equilibrium",

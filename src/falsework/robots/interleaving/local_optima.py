@@ -13,7 +13,7 @@ _TRIES = 640
 """Windows that are searched for another order."""
 _MOST = 40
 """Orders from which better ones are searched."""
-_PATIENCE = 16
+_PATIENCE = 24
 """Orders in succession from which none is better than the best one, after which the search ends."""
 _WORSE = 0.02
 """Share by which such an order may be worse."""
