@@ -45,7 +45,7 @@ class PlanRobots(Command):
     Actions and motions are planned together: every state is stable, a replay in assembly order succeeds, every motion
     is collision-free. Then motions of different robots are scheduled to take place at the same time wherever that is
     proven safe, whatever the delays. Exit code 1 if no plan was found; the report lists parts out of reach, obstacles,
-    and the progress of the search. A partial plan is saved in any case.
+    and the progress of the search. A partial plan is saved, except where an assembly is continued.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
