@@ -139,20 +139,19 @@ class _Rerouting:
 
     def _better(self, place: Replacement, node: int, relaxed: TemporalPlanGraph) -> Trajectory | None:
         """Return a motion with which the schedule is shorter."""
-        limit, best = self.graph.makespan - _LEAST_GAIN, None
+        limit = self.graph.makespan - _LEAST_GAIN
+        old = self._best = self._trajectory(node)
         for motion in self._motions(node, relaxed):
             makespan = place.makespan(motion, limit)
             if makespan < limit:
-                limit, best = makespan, motion
-                self._best = motion
-        return best
+                limit, self._best = makespan, motion
+        return None if self._best is old else self._best
 
     def _motions(self, node: int, relaxed: TemporalPlanGraph) -> Iterator[Trajectory]:
         """Yield motions between the same configurations: one around neighbours, and deformations of the best so far."""
         old, scene = self._trajectory(node), self._scene(node)
         robot = self.rows.nodes[node].robot
         model, speed = self.world.cell.robots[robot].model, self.world.cell.speed
-        self._best = old
 
         def timed(path: Array) -> Trajectory | None:
             return timed_leg(model, PathSegment("free", path, old.part, old.touches), speed)

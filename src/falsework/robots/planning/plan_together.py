@@ -138,20 +138,10 @@ def plan_together(
 
 
 def second_plan(
-    assembly: Assembly,
-    cell: Cell,
-    *,
-    stability: StabilitySettings,
-    settings: HybridSettings,
-    task: Task | None = None,
-    continued: Continuation | None = None,
-    **start: Any,
+    assembly: Assembly, cell: Cell, *, stability: StabilitySettings, settings: HybridSettings, **start: Any
 ) -> RobotPlan | None:
     """Return the plan of another process, or None."""
-    needed, oracle = parts_of(task, continued), Stability(assembly, stability)
-    graph = KeyframeGraph(assembly, cell, settings=settings.keyframes, seed=settings.seed, **needed)
-    start |= {"task": task, "continued": continued}
-    return plan_robots(assembly, cell, oracle=oracle, settings=settings, graph=graph, **start).plan
+    return plan_robots(assembly, cell, oracle=Stability(assembly, stability), settings=settings, **start).plan
 
 
 def _reached(result: HybridResult) -> int:
