@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Set
+import time
+from collections.abc import Sequence, Set
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,11 +12,25 @@ import pytest
 
 from falsework.assembly.state import States
 from falsework.search import Direction, Outcome, Planner, PlannerSettings, Task
+from falsework.search.beam import replays
+from falsework.search.beam.beam import BeamSearch
+from falsework.search.beam.settings import BeamSettings
+from falsework.search.problem.deadline import Deadline
+from falsework.search.problem.timed_replayer import DeadlineReplayer
 from falsework.stability import StabilitySettings
 from falsework.stability.contact.newton import FIRST_STEP
 from falsework.stability.contact.replay import History, Replay, ReplaySettings
 from falsework.stability.contact.varied_replay import RobustReplayer
 from falsework.utils.cores import core_count
+
+
+@pytest.fixture(autouse=True, params=["one core", "two cores"])
+def cores(request: Any, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Replays come after the verdicts, or run in another thread while these are sought."""
+    monkeypatch.setattr(replays, "_MANY_PARTS", 1)
+    monkeypatch.setattr(replays, "_PATIENCE", 1e-4)
+    monkeypatch.setattr(replays, "core_count", lambda: ["one core", "two cores"].index(request.param) + 1)
+    return request.param
 
 
 class RuleReplayer:
@@ -24,14 +39,21 @@ class RuleReplayer:
     problem: Any = SimpleNamespace(parts=1, points=1)
     settings = StabilitySettings()
 
-    def __init__(self, falls: Set[tuple[int, ...]], varied: Set[tuple[int, ...]] = frozenset()) -> None:
+    def __init__(
+        self, falls: Set[tuple[int, ...]], varied: Set[tuple[int, ...]] = frozenset(), slow: Sequence[float] = ()
+    ) -> None:
         self.falls = falls
+        self.slow = list(slow)
+        """Seconds that steps take, one after the other."""
         self.varied = varied
         """States in which the structure falls with a thicker medium alone."""
         self.replayed = 0
 
     def vary(self, settings: StabilitySettings, replay: ReplaySettings) -> RuleReplayer:
         return RuleReplayer(self.falls | self.varied if replay.first_step < FIRST_STEP else self.falls)
+
+    def unlimited(self) -> RuleReplayer:
+        return self
 
     def replay(self, states: Any, history: History | None = None) -> Replay:
         self.replayed += 1
@@ -44,6 +66,8 @@ class RuleReplayer:
         return Replay(stands, zeros, zeros.astype(np.int32) - 1, zeros, 1.0, (none,) * reached)
 
     def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
+        if self.slow:
+            time.sleep(self.slow.pop())
         return tuple(after.tolist()) not in self.falls, history
 
 
@@ -87,6 +111,52 @@ def test_a_search_ends_where_every_replay_falls(rules: Any, direction: Direction
         assert planner.fallen is not None
         route, step = planner.fallen
         assert tuple(route.states[::-1][step].tolist()) in bars
+
+
+def test_a_search_does_not_depend_on_how_long_replays_take(
+    rules: Any, cores: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = PlannerSettings(directions=(Direction.ASSEMBLY,))
+    task, oracle = tower(rules, set())
+    easy = Planner(task, oracle, settings).run()
+    begun, ahead = [], replays.Replays._replay_ahead
+
+    def counted(*each: Any) -> Any:
+        begun.append(result := ahead(*each))
+        return result
+
+    monkeypatch.setattr(replays.Replays, "_replay_ahead", counted)
+    falls = {tuple(easy.routes[0].states[::-1][row].tolist()) for row in (2, 4, 6)}
+    found = []
+    for seed in range(4):
+        oracle.replayer = RuleReplayer(falls, slow=np.random.default_rng(seed).choice([0.0, 0.01], 500).tolist())
+        planner = Planner(task, oracle, settings)
+        result = planner.run()
+        assert result.found
+        assert not falls & set(map(tuple, result.routes[0].states.tolist()))
+        found.append((result.routes[0].states.tobytes(), result.counters.asked))
+        assert list(planner.replays) == [result.routes[0].states.tobytes()]
+    assert len(set(found)) == 1
+    assert any(result is not None for result in begun) == (cores == "two cores")
+
+
+def test_what_a_replay_raises_reaches_the_search(rules: Any, cores: str) -> None:
+    class BrokenReplayer(RuleReplayer):
+        def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
+            raise ArithmeticError("broken")
+
+    task, oracle = tower(rules, set())
+    oracle.replayer = BrokenReplayer(set())
+    with pytest.raises(ArithmeticError, match="broken"):
+        Planner(task, oracle, PlannerSettings(directions=(Direction.ASSEMBLY,))).run()
+
+
+def test_a_deadline_is_kept_between_replays(rules: Any) -> None:
+    task, oracle = tower(rules, set())
+    clock = Deadline(1e-6)
+    oracle.replayer = DeadlineReplayer(RuleReplayer(set()), clock)  # type: ignore[arg-type]
+    search = BeamSearch(task, oracle, BeamSettings(width=4, direction=Direction.ASSEMBLY, lookahead=8))
+    assert search.run().interrupted
 
 
 def test_without_a_replayer_nothing_is_replayed(rules: Any) -> None:

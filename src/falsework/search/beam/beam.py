@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import HELD, Mask, States, held_count
+from falsework.assembly.state import HELD, States, held_count
 from falsework.errors import InputError
 from falsework.search.beam.failures import FailureMemory
 from falsework.search.beam.frontier import Frontier, Level, expand, pack
-from falsework.search.beam.histories import Histories
 from falsework.search.beam.level_search import LevelSearch
 from falsework.search.beam.scores import Scores
 from falsework.search.beam.selection import Selector
 from falsework.search.beam.settings import BeamSettings
+from falsework.search.beam.ways import Ways
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.hashing import StateHash
 from falsework.search.problem.oracle import CountingOracle, Oracle
@@ -57,7 +57,7 @@ class BeamSearch(LevelSearch):
         """For each level after the first, and for the attempt at the next if dead: no stable state was left out."""
         self._judge = CountingOracle(oracle)
         replayer = getattr(oracle, "replayer", None) if settings.direction is Direction.ASSEMBLY else None
-        self._histories = None if replayer is None else Histories(replayer, self.levels)
+        self._ways = Ways(self.levels, self._judge, replayer)
         self._failures = None if task.neighbours is None else FailureMemory(task.neighbours)
         self._guide = guide
         self._hash = StateHash.for_parts(task.part_count)
@@ -103,16 +103,9 @@ class BeamSearch(LevelSearch):
         scores = self._scores(frontier, level.score)
         rng = np.random.default_rng((settings.seed, self._retried, len(self.levels)))
         how = settings.diversity == "k-means", settings.pool, rng
-        selector = Selector(frontier, scores, *how, self._standing(), self._failures)
-        doubt = False
+        selector = Selector(frontier, scores, *how, self._ways.stable_before(), self._failures)
+        confirmed = self._ways.confirmation(frontier)
         if settings.lookahead > 0:
-
-            def confirmed(rows: NDArray[np.int64]) -> Mask:
-                nonlocal doubt
-                good = self._confirmed(frontier, rows)
-                doubt = doubt or not good.all()
-                return good
-
             choice = selector.most_promising(
                 self._judge,
                 settings.width,
@@ -131,7 +124,7 @@ class BeamSearch(LevelSearch):
             self._deepest = level.states[:_REPORTED_STATES]
             self._rejected = frontier.states(choice.rejected[:_REPORTED_STATES])
         # A state refused because of the way to it may be reached by another, which was merged with this one.
-        self._whole = [*self._whole[: len(self.levels) - 1], choice.exhaustive and not doubt]
+        self._whole = [*self._whole[: len(self.levels) - 1], choice.exhaustive and not confirmed.refused]
         if self._dead:
             return False
         kept = choice.kept
@@ -139,12 +132,12 @@ class BeamSearch(LevelSearch):
         columns = (frontier.states(kept), frontier.parent(kept), frontier.action(kept), scores.of(kept))
         self.levels[-1] = pack(level)
         self.levels.append(Level(*columns, np.where(waits, 0, 1).astype(np.int8)))
-        if self.found and not self._ground(np.arange(len(kept))).any():
+        if self.found and not self._ways.stable(np.arange(len(kept))).any():
             self.levels.pop()
             self._dead = True
             return False
-        if self._histories is not None:
-            self._histories.keep(kept)
+        if self._ways.replays is not None:
+            self._ways.replays.keep(kept)
         return True
 
     def _scores(self, frontier: Frontier, before: NDArray[np.float64]) -> Scores:
@@ -172,58 +165,14 @@ class BeamSearch(LevelSearch):
         Returns:
             None where no histories are kept.
         """
-        return None if self._histories is None or not self.found else self._histories.largest_movement(0)
+        replays = self._ways.replays
+        return None if replays is None or not self.found else replays.histories.largest_movement(0)
 
     def _beside(self, parts: tuple[int, ...]) -> NDArray[np.intp]:
         """Return the parts in contact with some others, those left out."""
         if self.task.neighbours is None or not parts:
             return np.empty(0, dtype=np.intp)
         return np.setdiff1d(np.flatnonzero(self.task.neighbours[list(parts)].any(axis=0)), parts)
-
-    def _standing(self) -> States:
-        """Return for each state of the last level the nearest on the way to it that is known to be stable."""
-        states = self.levels[-1].states.copy()
-        at = np.arange(len(states))
-        left = at.copy()
-        for here, before in zip(self.levels[:0:-1], self.levels[-2::-1], strict=True):
-            left = left[here.grounded[at[left]] <= 0]
-            if not len(left):
-                break
-            at[left] = here.parent[at[left]]
-            states[left] = before.states[at[left]]
-        return states
-
-    def _confirmed(self, frontier: Frontier, rows: NDArray[np.int64]) -> Mask:
-        """Return whether each stable candidate is reached through stable states only. Shape (rows,)."""
-        good = self._ground(frontier.parent(rows))
-        if self._histories is not None and good.any():
-            rows = rows[good]
-            stands = self._histories.standing(rows, frontier.parent(rows), frontier.states(rows))
-            self._judge.sliding += int((~stands).sum())
-            good[good] = stands
-        return good
-
-    def _ground(self, rows: NDArray[np.int64], level: int = -1) -> Mask:
-        """Request the deferred verdicts on the paths to states of a level; return which paths are stable.
-
-        Args:
-            rows: states of the level.
-            level: index of the level.
-
-        Returns:
-            Shape (rows,).
-        """
-        here = self.levels[level]
-        waiting = np.unique(rows[here.grounded[rows] == 0])
-        if len(waiting):
-            below = self._ground(here.parent[waiting], level - 1)
-            here.grounded[waiting[~below]] = -1
-            waiting = waiting[below]
-            if len(waiting):
-                parents = self.levels[level - 1].states[here.parent[waiting]]
-                stable = self._judge.stable(here.states[waiting], parents)
-                here.grounded[waiting] = np.where(stable, 1, -1)
-        return here.grounded[rows] > 0
 
     def binding(self) -> list[tuple[int, int]]:
         """Return where the parts were fixed that all states of the last level hold.
@@ -272,9 +221,9 @@ class BeamSearch(LevelSearch):
         """
         if settings.direction is not self.settings.direction or not 0 <= level < len(self.levels):
             raise InputError(f"cannot rewind a beam search of {len(self.levels)} levels to level {level}")
+        if self._ways.replays is not None:
+            self._ways.replays.rewind(level)
         del self.levels[level + 1 :]
-        if self._histories is not None:
-            self._histories.rewind(level)
         self.settings = settings
         del self._whole[level:]
         self._dead = False

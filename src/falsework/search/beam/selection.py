@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,22 @@ from falsework.search.beam.scores import Promise, Scores
 from falsework.search.problem.oracle import CountingOracle
 from falsework.search.problem.task import Direction
 
-Confirmed = Callable[[Rows], Mask]
+
+class Confirmation(Protocol):
+    """Second test of candidates with a stable verdict."""
+
+    def __call__(self, rows: Rows) -> Mask:
+        """Return which candidates are reached by states that are stable too, and come to rest. Shape (rows,)."""
+        ...
+
+    def expect(self, row: int) -> None:
+        """Prepare the test of a candidate, whose verdict is sought meanwhile."""
+        ...
+
+    def dismiss(self) -> None:
+        """Give up what `expect` prepared and no call asked for."""
+        ...
+
 
 _ENOUGH = 4
 """Moves that failed before are tried where fewer than one in so many of the states wanted is found without them."""
@@ -103,7 +119,7 @@ class Selector:
         judge: CountingOracle,
         width: int,
         lookahead: int,
-        confirmed: Confirmed,
+        confirmed: Confirmation,
         *,
         commit: bool,
         in_turn: bool = False,
@@ -118,8 +134,7 @@ class Selector:
             width: states to keep among those that a removal, or in assembly a release, leads to.
             ahead: states to keep among those that fixing a part leads to; their verdicts wait until a descendant is
                 kept.
-            confirmed: which candidates with a stable verdict are reached by states that are stable too, and come to
-                rest with the contact history of that way.
+            confirmed: second test of candidates with a stable verdict.
             commit: once `width` are found, drop states that keep more robots busy than these.
             in_turn: take those in which every robot holds a part in turn over the states of the level.
             compact: fix only parts near those that robots hold, wherever they hold any.
@@ -196,7 +211,7 @@ class Selector:
             count *= _FARTHER
 
     def _likely_ones(
-        self, judge: CountingOracle, waiting: Rows, wanted: int, confirmed: Confirmed, *, later: bool
+        self, judge: CountingOracle, waiting: Rows, wanted: int, confirmed: Confirmation, *, later: bool
     ) -> tuple[Rows, Rows]:
         """As `_stable_ones`; moves that failed before are tried only where too few of the others are stable.
 
@@ -225,7 +240,7 @@ class Selector:
         return many and int((state != REMOVED).sum() + (state == INSTALLED).sum()) % _TRIED_AGAIN_EVERY > 0
 
     def _stable_ones(
-        self, judge: CountingOracle, waiting: Rows, wanted: int, confirmed: Confirmed
+        self, judge: CountingOracle, waiting: Rows, wanted: int, confirmed: Confirmation
     ) -> tuple[Rows, Rows]:
         """The first stable candidates of a list, about `wanted` of them, and those found not stable on the way."""
         frontier = self.frontier
@@ -234,9 +249,14 @@ class Selector:
         position = 0
         while wanted > 0 and position < len(waiting):
             batch = waiting[position : position + (max(wanted, _VERDICT_BATCH) if position else wanted)]
-            stable = judge.stable(frontier.states(batch), self.standing[frontier.parent(batch)])
-            if stable.any():
-                stable[stable] = confirmed(batch[stable])
+            if len(batch) == 1:
+                confirmed.expect(int(batch[0]))
+            try:
+                stable = judge.stable(frontier.states(batch), self.standing[frontier.parent(batch)])
+                if stable.any():
+                    stable[stable] = confirmed(batch[stable])
+            finally:
+                confirmed.dismiss()
             kept.append(batch[stable])
             rejected.append(batch[~stable])
             position += len(batch)

@@ -96,6 +96,10 @@ class DeadlineReplayer:
         """Return a replayer of the same structure under other settings, with the same clock."""
         return DeadlineReplayer(self._replayer.vary(settings, replay), self._clock, self._between)
 
+    def unlimited(self) -> Replayer:
+        """Return the replayer that does not look at the deadline, for another thread."""
+        return self._replayer
+
     def replay(self, states: ArrayLike, history: History | None = None) -> Replay:
         """Replay as `Replayer.replay`, without histories unless a single state is replayed.
 

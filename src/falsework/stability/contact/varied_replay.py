@@ -27,6 +27,15 @@ class AnyReplayer(Protocol):
         """Contact problem of the structure."""
         ...
 
+    @property
+    def settings(self) -> StabilitySettings:
+        """Settings of the verdicts."""
+        ...
+
+    def unlimited(self) -> AnyReplayer:
+        """Return a replayer that looks at no deadline, which another thread may use."""
+        ...
+
     def replay(self, states: ArrayLike, history: History | None = None) -> Replay:
         """Replay consecutive states in assembly order."""
         ...
@@ -38,11 +47,6 @@ class AnyReplayer(Protocol):
 
 class VariableReplayer(AnyReplayer, Protocol):
     """Interface of a `Replayer`, or of one that checks a deadline between steps."""
-
-    @property
-    def settings(self) -> StabilitySettings:
-        """Settings of the verdicts."""
-        ...
 
     def vary(self, settings: StabilitySettings, replay: ReplaySettings) -> Self:
         """Return a replayer of the same structure under other settings."""
@@ -114,6 +118,15 @@ class RobustReplayer:
     def problem(self) -> Problem:
         """Contact problem of the structure."""
         return self._replayer.problem
+
+    @property
+    def settings(self) -> StabilitySettings:
+        """Settings of the verdicts."""
+        return self._replayer.settings
+
+    def unlimited(self) -> AnyReplayer:
+        """Return a replayer under the settings themselves that looks at no deadline."""
+        return self._replayer.unlimited()
 
     def replay(self, states: ArrayLike, history: History | None = None) -> Replay:
         """Replay under the settings, and a complete plan under every variation too.
