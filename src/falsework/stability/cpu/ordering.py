@@ -11,9 +11,9 @@ from heapq import heapify, heappop, heappush
 
 Graph = dict[int, set[int]]
 
-_DISSECTED = 700
+_DISSECTED = 300
 """Parts from which nested dissection may fill less than minimum degree."""
-_LEAF = 60
+_LEAF = 30
 """Parts that are not dissected further."""
 _UNEVEN = 2.0
 """Cost of uneven sides: the share of its size by which a separator costs more for each share of the parts that the
