@@ -41,7 +41,7 @@ class WholeMemory(OrderedDict[bytes, NDArray[np.floating]]):
 class StateMemory:
     """Arrays of shape (rows, width), for example contact forces, by key; the first stored are forgotten first.
 
-    An array shares the blocks that are, bit by bit, those of the array that was stored or looked up last, as a rule that
+    An array shares the blocks that are, bit by bit, those of the array that was stored or looked up last, mostly that
     of a neighbouring state.
     """
 
