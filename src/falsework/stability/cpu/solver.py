@@ -30,7 +30,8 @@ _ALONG = {**_FROM_FORCES, "iterations": 100}
 """Options of repairs along the ways to supports, in structures of any size."""
 _LARGER = 400
 """Parts from which those take the place of the widest repair around a change and of interior point steps in the others:
-these regions are a small share then, and what they leave open is cheaper along the ways."""
+these regions are a small share then, and what they leave open is cheaper along the ways. A wider corridor is a small
+share too, and what the whole leaves open is begun again along the ways before it is begun again as a whole."""
 _FROM_REST = {"iterations": 10, "interior_steps": 60}
 """Options of a second attempt, from zero forces: interior point steps from near the middle of the cones."""
 
@@ -84,10 +85,11 @@ class CpuSolver:
         large = problem.parts >= _LARGE
         self._from_forces = self._options._replace(**_FROM_FORCES) if large else self._options
         self._along = self._options._replace(**_ALONG)
-        self._around, self._rings = self._options, REPAIR_RINGS
+        self._around, self._rings, self._corridors = self._options, REPAIR_RINGS, CORRIDORS[:-1]
         self._larger = problem.parts >= _LARGER
         if self._larger:
             self._around, self._rings = self._options._replace(interior_steps=0), REPAIR_RINGS[:-1]
+            self._corridors = CORRIDORS
         self._from_rest = self._options._replace(**_FROM_REST) if large else self._options
         self._workers = Workers(settings.cpu.threads)
 
@@ -137,7 +139,7 @@ class CpuSolver:
                 along = certificates and guess is not None
                 if not along and not fall_range(*kernel, beside, RINGS, self._options, motion, *found):
                     return
-                near = beside, known[rows], self._rings, CORRIDORS, self._around, self._along, warm, force
+                near = beside, known[rows], self._rings, self._corridors, self._around, self._along, warm, force
                 before = force.copy() if self._larger else force  # repairs write to `force`
                 if known[rows].any() and not repair_range(*kernel, *near, *found):
                     return
