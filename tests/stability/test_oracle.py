@@ -176,7 +176,9 @@ def test_a_displacement_that_proves_nothing_is_not_passed_on(arch: Assembly) -> 
     fallen = states[0].copy()
     fallen[3] = 0
     assert stability.check(fallen).unstable[0]
-    stability._guesses[fallen.tobytes()] = stability._guesses[states[0].tobytes()]
+    known = stability._guesses.get(states[0].tobytes())
+    assert known is not None
+    stability._guesses[fallen.tobytes()] = known
     assert stability.check_again(fallen[None]).undecided[0]
 
 

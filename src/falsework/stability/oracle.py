@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Sequence
 from functools import cached_property
 from itertools import product
@@ -26,14 +25,13 @@ from falsework.stability.margins.prober import Prober
 from falsework.stability.margins.state_margins import StateMargins
 from falsework.stability.problem import build_problem
 from falsework.stability.settings import StabilitySettings
+from falsework.stability.state_memory import WholeMemory, remembered_forces
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 
 if TYPE_CHECKING:
     from falsework.stability.reference.clarabel import ExactSolver
     from falsework.stability.reference.gurobi import GurobiSolver
 
-_GUESSES = 256 * 1024 * 1024
-"""Memory for contact forces, which rounding would leave unbalanced, or displacements that warm starts use, bytes."""
 _BATCH = 32 * 1024 * 1024
 """Memory for contact forces or displacements of one batch, bytes."""
 _WORTH_A_GPU = 8
@@ -61,8 +59,9 @@ class Stability:
         self._cpu, self._gpu = self._make_cpu(), self._make_gpu()
         self._cache = VerdictCache(holds_keep_stable=not self._contact)
         self._guess_shape = (self.problem.parts, 6) if self._contact else (self.problem.points, 3)
-        self._guesses: OrderedDict[bytes, NDArray[np.floating]] = OrderedDict()
-        self._guesses_limit = _GUESSES // max(self._guess_bytes, 1)
+        self._guesses = remembered_forces(self.problem.points)
+        if self._contact:
+            self._guesses = WholeMemory(8 * 6 * self.problem.parts)
 
     @cached_property
     def exact(self) -> ExactSolver:
@@ -377,14 +376,13 @@ class Stability:
     def _pass_on(self, states: States, origins: States) -> None:
         """Let states that were cached as stable share the guess of their parents."""
         for state, origin in zip(states, origins, strict=True):
-            if (known := self._guess_of(origin)) is not None:
-                self._guesses.setdefault(state.tobytes(), known)
+            key = state.tobytes()
+            if key not in self._guesses and (known := self._guess_of(origin)) is not None:
+                self._guesses[key] = known
 
     def _remember(self, states: States, found: NDArray[np.float64]) -> None:
         for state, guess in zip(states, found, strict=True):
             self._guesses[state.tobytes()] = guess.astype(np.float32 if self._contact else np.float64)
-        while len(self._guesses) > self._guesses_limit:
-            self._guesses.popitem(last=False)
 
     def _put(self, states: States, verdicts: Verdicts) -> None:
         """Count checked verdicts and store them in the cache."""

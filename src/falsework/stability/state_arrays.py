@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_BLOCK = 32
+BLOCK = 32
 """Rows of a block: small, since a repair changes few contacts, and large beside the four bytes of its number."""
 _GROWTH = 1.125
 """Factor by which the memory for blocks grows."""
@@ -21,7 +21,7 @@ class _Blocks:
     def __init__(self, width: int) -> None:
         """Begin with one block of zeros."""
         self.count = 1
-        self.values = np.zeros((1, _BLOCK, width))
+        self.values = np.zeros((1, BLOCK, width))
 
     def add(self, blocks: Array) -> NDArray[np.int32]:
         """Store blocks, shape (some, block, width), and return their numbers."""
@@ -45,7 +45,7 @@ class StateArrays:
         """Begin with zeros."""
         self._rows = rows
         self._blocks = _Blocks(width)
-        self._number = np.zeros((states, -(-rows // _BLOCK)), dtype=np.int32)
+        self._number = np.zeros((states, -(-rows // BLOCK)), dtype=np.int32)
         self._known = np.zeros(states, dtype=bool)
 
     @property
@@ -89,7 +89,7 @@ class StateArrays:
     def _put(self, state: int, array: Array) -> None:
         """Store the array of one state; blocks that are, bit by bit, those of the last stored before it are shared."""
         count, rows, width = self._number.shape[1], *self.shape[1:]
-        blocks = np.zeros((count, _BLOCK, width))
+        blocks = np.zeros((count, BLOCK, width))
         blocks.reshape(-1, width)[:rows] = array
         before = np.flatnonzero(self._known[:state])
         number = self._number[before[-1]].copy() if len(before) else np.zeros(count, dtype=np.int32)

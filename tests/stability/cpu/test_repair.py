@@ -43,7 +43,7 @@ def test_repaired_forces_prove_the_state(vault: Assembly, released: tuple[NDArra
     assert known.forces is not None
     forces = known.forces.copy()
     kernel = solver.structure, states, before, known.stable, REPAIR_RINGS, CORRIDORS
-    left = repair_range(*kernel, solver._options, solver._along, forces, verdict, residual, *counts)
+    left = repair_range(*kernel, solver._options, solver._along, True, forces, verdict, residual, *counts)
     good = np.flatnonzero(verdict == Verdict.STABLE)
     assert len(good) == len(states) - left > 0
     checked = solver.check(states)[good]
@@ -63,7 +63,7 @@ def test_a_corridor_alone_balances_a_part_that_is_let_go_of(vault: Assembly, rel
     forces, nowhere = known.forces.copy(), REPAIR_RINGS[:0]
     counts = np.zeros((2, len(states)), np.int32)
     kernel = solver.structure, states, before, known.stable, nowhere, np.array([1, 3]), solver._options, solver._along
-    repair_range(*kernel, forces, verdict, residual, *counts)
+    repair_range(*kernel, True, forces, verdict, residual, *counts)
     good = np.flatnonzero((verdict == Verdict.STABLE) & (counts[0] > 0))
     assert len(good)
     checked = solver.check(states)[good]
@@ -131,7 +131,8 @@ def test_forces_are_passed_on_by_holds(vault: Assembly) -> None:
 def test_forces_are_kept_as_they_were_accepted(vault: Assembly) -> None:
     oracle, complete = Stability(vault, EQUILIBRIUM), complete_state(vault.boundary)
     assert oracle.judge(complete[None], parents=complete[None]).stable.all()
-    kept = oracle._guesses[complete.tobytes()]
+    kept = oracle._guesses.get(complete.tobytes())
+    assert kept is not None
     assert (kept != kept.astype(np.float32)).any()  # rounded, they may leave parts out of balance
     again = oracle.check_again(complete[None])
     assert again.forces is not None

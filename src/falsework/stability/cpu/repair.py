@@ -26,12 +26,12 @@ from falsework.stability.cpu.layout import (
 )
 from falsework.stability.cpu.neighbourhood import hold_beside_corridor, hold_far_parts
 from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED, UNSTABLE, residual_of_part
-from falsework.stability.cpu.units import scale_units
+from falsework.stability.cpu.units import start_forces
 from falsework.utils.kernels import njit
 
 REPAIR_RINGS = np.array([2, 4, 8])
 """Distances from a changed part in contacts within which forces may change, tried in turn."""
-CORRIDORS = np.array([3, 9])
+CORRIDORS = np.array([3, 9, 18])
 """Contacts by which the ways from a changed part to a support may be longer than the shortest one, tried after that;
 forces as far from the part may change too."""
 _ROUNDING = 1e-12
@@ -120,7 +120,7 @@ def _accept_forces(structure, state, options, residual, forces):
 
 
 @njit(cache=True)
-def repair_state(structure, state, parent, rings, corridors, options, along, work, near, forces):
+def repair_state(structure, state, parent, rings, corridors, options, along, warm, work, near, forces):
     """Balance a state with forces of its parent that change only near their difference.
 
     Args:
@@ -129,6 +129,7 @@ def repair_state(structure, state, parent, rings, corridors, options, along, wor
         rings: distances from the difference, tried in turn.
         corridors: detours of ways from there to a support, tried after those; see `hold_beside_corridor`.
         along: options of these.
+        warm: whether to begin with the forces of the parent inside regions too, rather than with none.
         near: scratch, shape (parts,).
         forces: in: contact forces in N that balance the parent; out: of the state, or a guess at them if undecided.
             Shape (points, 3).
@@ -154,10 +155,8 @@ def repair_state(structure, state, parent, rings, corridors, options, along, wor
         pairs, grounded = _keep_border(structure, state, near, work, pairs, forces)
         if not grounded:
             continue
-        load_forces(structure, work, pairs, forces, work.u)
         chosen = options if around else along
-        if chosen.scaled:
-            scale_units(work, pairs)
+        start_forces(structure, work, pairs, forces, warm, chosen.scaled)
         if not factor_admm(structure, work, pairs, chosen.rho):
             break
         verdict, _, iterations = run_admm(structure, work, pairs, chosen)
@@ -172,7 +171,7 @@ def repair_state(structure, state, parent, rings, corridors, options, along, wor
         residual = _accept_forces(structure, state, options, work.residual, forces)
         if residual < bound:
             return STABLE, residual, spent, taken
-        break  # the forces farther away do not balance their parts
+        # What smaller regions passed on may lie farther away than this one reaches.
     return UNDECIDED, np.nan, spent, taken
 
 
@@ -186,6 +185,7 @@ def repair_range(
     corridors,
     options,
     along,
+    warm,
     forces,
     verdict,
     residual,
@@ -207,7 +207,7 @@ def repair_range(
             continue
         if known[i]:
             beside = states[i], parents[i], rings, corridors
-            v, r, k, s = repair_state(structure, *beside, options, along, work, near, forces[i])
+            v, r, k, s = repair_state(structure, *beside, options, along, warm, work, near, forces[i])
             verdict[i] = v
             residual[i] = r
             iterations[i] += k

@@ -30,7 +30,8 @@ _ALONG = {**_FROM_FORCES, "iterations": 100}
 """Options of repairs along the ways to supports, in structures of any size."""
 _LARGER = 400
 """Parts from which those take the place of the widest repair around a change and of interior point steps in the others:
-these regions are a small share then, and what they leave open is cheaper along the ways."""
+these regions are a small share then, and what they leave open is cheaper along the ways. A wider corridor is a small
+share too, and what the whole leaves open is begun again along the ways before it is begun again as a whole."""
 _FROM_REST = {"iterations": 10, "interior_steps": 60}
 """Options of a second attempt, from zero forces: interior point steps from near the middle of the cones."""
 
@@ -84,9 +85,11 @@ class CpuSolver:
         large = problem.parts >= _LARGE
         self._from_forces = self._options._replace(**_FROM_FORCES) if large else self._options
         self._along = self._options._replace(**_ALONG)
-        self._around, self._rings = self._options, REPAIR_RINGS
-        if problem.parts >= _LARGER:
+        self._around, self._rings, self._corridors = self._options, REPAIR_RINGS, CORRIDORS[:-1]
+        self._larger = problem.parts >= _LARGER
+        if self._larger:
             self._around, self._rings = self._options._replace(interior_steps=0), REPAIR_RINGS[:-1]
+            self._corridors = CORRIDORS
         self._from_rest = self._options._replace(**_FROM_REST) if large else self._options
         self._workers = Workers(settings.cpu.threads)
 
@@ -129,18 +132,27 @@ class CpuSolver:
         def work(rows: slice) -> None:
             found = verdicts.verdict[rows], verdicts.residual[rows], verdicts.iterations[rows], steps[rows]
             chosen, motion, force, warm = states[rows], velocity[rows], forces[rows], guess is not None
-            kernel = self.structure, chosen
+            kernel, before = (self.structure, chosen), force
             if parents is not None:
                 beside = parents[rows]
                 # Proofs along a plan are requested for stable states.
                 along = certificates and guess is not None
                 if not along and not fall_range(*kernel, beside, RINGS, self._options, motion, *found):
                     return
-                near = beside, known[rows], self._rings, CORRIDORS, self._around, self._along, force
+                near = beside, known[rows], self._rings, self._corridors, self._around, self._along, warm, force
+                before = force.copy() if self._larger else force  # repairs write to `force`
                 if known[rows].any() and not repair_range(*kernel, *near, *found):
                     return
             solve_range(*kernel, self._from_forces if warm else self._options, force, motion, warm, *found)
-            if warm and (found[0] == UNDECIDED).any():
+            left = found[0] == UNDECIDED
+            # From no forces: first along the ways to supports, with the forces of the parent farther away.
+            if warm and parents is not None and self._larger and left.any():
+                near = parents[rows], known[rows], REPAIR_RINGS[:0], CORRIDORS[1:], self._around, self._from_rest
+                repair_range(*kernel, *near, not warm, before, *found)
+                repaired = left & (found[0] != UNDECIDED)
+                force[repaired] = before[repaired]
+                left &= ~repaired
+            if warm and left.any():
                 solve_range(*kernel, self._from_rest, force, motion, not warm, *found)
 
         self._workers.run(work, batch)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from falsework.stability.cpu.layout import FAST
+from falsework.stability.cpu.layout import FAST, load_forces
 from falsework.utils.kernels import njit
 
 _LEAST = 0.4
@@ -45,3 +45,15 @@ def scale_units(work, pairs):
             stick[j] *= share
             for k in range(3):
                 u[j, k] *= share
+
+
+@njit(cache=True)
+def start_forces(structure, work, pairs, forces, warm, scaled):
+    """Write the start of ADMM to `work.u`: contact forces in N where `warm`, in their units if `scaled`, else none."""
+    if warm:
+        load_forces(structure, work, pairs, forces, work.u)
+        if scaled:
+            scale_units(work, pairs)
+        return
+    for j in range(work.start[pairs]):
+        work.u[j, 0], work.u[j, 1], work.u[j, 2] = work.pull[j], 0.0, 0.0

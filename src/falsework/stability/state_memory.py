@@ -1,0 +1,116 @@
+"""Memory of arrays by state: whole, or with blocks that several states share stored once."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.stability.state_arrays import BLOCK, Array
+
+_GROWTH = 1.25
+"""Factor by which the memory for blocks grows."""
+_WHOLE = 256 * 1024 * 1024
+"""Memory for arrays stored whole, bytes."""
+_SHARED = 1024 * 1024 * 1024
+"""Memory for blocks, bytes: nearly all forces of a plan of some thousand parts, which takes as much for its proofs."""
+_LARGE = 4096
+"""Contact points from which blocks are shared; below, the forces of all states are mostly in memory whole."""
+
+
+def remembered_forces(points: int) -> WholeMemory | StateMemory:
+    """Return a memory for the contact forces of states of a structure."""
+    return StateMemory(points, 3, _SHARED) if points >= _LARGE else WholeMemory(8 * 3 * points)
+
+
+class WholeMemory(OrderedDict[bytes, NDArray[np.floating]]):
+    """Arrays by key; the first stored are forgotten first."""
+
+    def __init__(self, size: int) -> None:
+        """Begin empty, for arrays of so many bytes."""
+        super().__init__()
+        self._most = _WHOLE // max(size, 1)
+
+    def __setitem__(self, key: bytes, array: NDArray[np.floating]) -> None:
+        super().__setitem__(key, array)
+        while len(self) > self._most:
+            self.popitem(last=False)
+
+
+class StateMemory:
+    """Arrays of shape (rows, width), for example contact forces, by key; the first stored are forgotten first.
+
+    An array shares the blocks that are, bit by bit, those of the array that was stored or looked up last, mostly that
+    of a neighbouring state.
+    """
+
+    def __init__(self, rows: int, width: int, limit: int) -> None:
+        """Begin empty.
+
+        Args:
+            rows: of each array.
+            width: of each row.
+            limit: bytes; one array is kept whatever it takes.
+        """
+        self._rows, self._limit = rows, limit
+        self._values = np.zeros((1, BLOCK, width))
+        self._users = np.ones(1, dtype=np.int64)
+        """Arrays that have each block; the first block is zero, and never given up."""
+        self._count, self._free = 1, np.zeros(0, dtype=np.int32)
+        self._numbers: OrderedDict[bytes, NDArray[np.int32]] = OrderedDict()
+        self._last = self._nothing = np.zeros(-(-rows // BLOCK), dtype=np.int32)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that the arrays take, without room for more."""
+        block = self._values[0].nbytes + self._users.itemsize
+        return (self._count - len(self._free)) * block + len(self) * self._nothing.nbytes
+
+    def __len__(self) -> int:
+        return len(self._numbers)
+
+    def __contains__(self, key: bytes) -> bool:
+        return key in self._numbers
+
+    def get(self, key: bytes) -> Array | None:
+        """Return a copy of an array, shape (rows, width); None where it is not known."""
+        number = self._numbers.get(key)
+        if number is None:
+            return None
+        self._last = number
+        return self._values[number].reshape(-1, self._values.shape[2])[: self._rows]
+
+    def __setitem__(self, key: bytes, array: NDArray[np.floating]) -> None:
+        """Store an array, shape (rows, width)."""
+        blocks = np.zeros((len(self._nothing), *self._values.shape[1:]))
+        blocks.reshape(-1, blocks.shape[2])[: self._rows] = array
+        new = (blocks.view(np.uint64) != self._values[self._last].view(np.uint64)).any(axis=(1, 2))
+        number = self._last.copy()
+        number[new] = self._room(int(new.sum()))
+        self._values[number[new]] = blocks[new]
+        self._users[number] += 1  # the zero block alone may be there twice
+        if key in self:
+            self._give_up(self._numbers[key])
+        self._numbers[key] = self._last = number
+        while self.nbytes > self._limit and len(self) > 1:
+            self._give_up(self._numbers.popitem(last=False)[1])
+
+    def _room(self, count: int) -> NDArray[np.int32]:
+        """Return numbers of blocks that no array has."""
+        reused, self._free = self._free[:count], self._free[count:]
+        first, self._count = self._count, self._count + count - len(reused)
+        if self._count > len(self._values):
+            # In place, so that old and new memory are never both in use.
+            size = max(self._count, int(_GROWTH * len(self._values)))
+            self._values.resize((size, *self._values.shape[1:]), refcheck=False)
+            self._users.resize(size, refcheck=False)
+        return np.concatenate([reused, np.arange(first, self._count, dtype=np.int32)])
+
+    def _give_up(self, number: NDArray[np.int32]) -> None:
+        """Give up the blocks of an array that no other has."""
+        self._users[number] -= 1
+        self._users[0] = 1
+        self._free = np.concatenate([self._free, number[(self._users[number] == 0) & (number > 0)]])
+        if self._last is number:
+            self._last = self._nothing
