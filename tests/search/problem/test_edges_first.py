@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,10 +13,12 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.search import PlannerSettings, find_plans
 from falsework.search.find import task_of
+from falsework.search.planner import Planner
 from falsework.search.problem.edge_rows import edge_rows
 from falsework.search.problem.guide import SupportGuide
 from falsework.search.problem.task import Direction
 from falsework.search.settings import EDGES
+from falsework.stability import Stability
 
 _LENGTH, _COURSES = 12, 13
 
@@ -103,3 +106,14 @@ def test_three_robots_build_a_vault_from_its_edges(vault: Assembly) -> None:
     free = ~vault.boundary
     means = [placed[free & (rows == row)].mean() for row in range(rows.max() + 1)]
     assert (np.diff(means) > 0).all()
+
+
+def test_resuming_a_search_from_the_edges_changes_nothing(vault: Assembly, tmp_path: Path) -> None:
+    oracle, task, guide = Stability(vault), task_of(vault, 3), SupportGuide(vault)
+    expected = Planner(task, oracle, guide=guide).run()
+    planner, path = Planner(task, oracle, guide=guide), tmp_path / "planner.npz"
+    calls = iter(range(60))
+    assert planner.run(stop=lambda: next(calls, None) is None).interrupted
+    planner.save(path)
+    result = Planner.load(path, task, oracle, guide=guide).run()
+    assert np.array_equal(result.routes[0].states, expected.routes[0].states)
