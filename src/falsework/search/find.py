@@ -117,7 +117,8 @@ def find_plans(
         robots: parts that can be held at a time; 2 where no task says it.
         oracle: decides stability; pass an existing one to reuse its cache.
         settings: effort of the search, and number of plans.
-        guide: scores actions; by default parts with much support are inserted first.
+        guide: scores actions; by default parts with much support are inserted first, and where three robots or more
+            build a shell, its free edges.
         progress: called after every level of every attempt.
         stop: called before every level; true ends the search with the plans found so far.
         deadline: seconds after which the search ends with the best that it has; the plans are proved after that.

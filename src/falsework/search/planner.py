@@ -28,10 +28,10 @@ from falsework.search.problem.result import (
     unstable_end,
 )
 from falsework.search.problem.task import Direction, Task
-from falsework.search.settings import Attempt, PlannerSettings
+from falsework.search.settings import EDGES, Attempt, PlannerSettings
 from falsework.utils.archive import read_archive, write_archive
 
-FORMAT = "falsework.planner/6"
+FORMAT = "falsework.planner/7"
 
 _MOST_FALLS = 64
 """Number of routes with a failing replay before an attempt is given up."""
@@ -78,6 +78,8 @@ class Planner:
         self._keeps = getattr(oracle, "keeps", None)
         self._forbidden, self._falls = self.states[:0], 0
         self._guide = guide
+        edges_first = None if self._replayer is None else getattr(guide, "edges_first", None)
+        self._edge_guide: Guide | None = None if edges_first is None else edges_first(task)
         self._stage = "plan"
         self._attempt = 0
         self._beams: dict[str, AdaptiveBeam] = {}
@@ -212,18 +214,18 @@ class Planner:
         task = self.task.postpone(self._trial)
         for name, packed in header["beams"].items():
             inner = {key.removeprefix(f"{name}_"): array for key, array in arrays.items() if key.startswith(f"{name}_")}
-            beam = AdaptiveBeam.unpack(packed, inner, task, self._oracle, guide=self._beam_guide())
+            beam = AdaptiveBeam.unpack(packed, inner, task, self._oracle, guide=self._beam_guide(name))
             self._beams[name] = beam
 
     def _advance(self, report: Progress, stop: Stop | None) -> bool:
         """Run the current attempt to its end and decide on the next; True if it was interrupted."""
         attempt = self._attempts[self._attempt]
-        key = "compact" if attempt.compact else attempt.direction.value
+        key = attempt.beam
         if key not in self._beams:
             narrowest = min(_NOVEL_WIDTH if self._stage == "alternatives" else 1, self.settings.width)
             settings = AdaptiveSettings(attempt.direction, narrowest, attempt.compact, self.settings.seed)
             task = self.task.postpone(self._trial)
-            self._beams[key] = AdaptiveBeam(task, self._oracle, settings, guide=self._beam_guide())
+            self._beams[key] = AdaptiveBeam(task, self._oracle, settings, guide=self._beam_guide(key))
         beam = self._beams[key]
         result = beam.run(attempt.width, deaths=attempt.deaths, progress=report, stop=stop)
         if result.interrupted:
@@ -318,7 +320,7 @@ class Planner:
     def _attempts(self) -> tuple[Attempt, ...]:
         # A single robot is nowhere near another, and what is near is known from the contacts.
         compact = self.task.robots > 1 and self.task.neighbours is not None
-        return self.settings.attempts(self._stage, compact=compact)
+        return self.settings.attempts(self._stage, compact=compact, edges=self._edge_guide is not None)
 
     def _last_attempt_failed(self) -> bool:
         return self._attempt == len(self._attempts)
@@ -350,7 +352,9 @@ class Planner:
         if self.settings.alternatives == 1:
             self._finish()
 
-    def _beam_guide(self) -> Guide | None:
+    def _beam_guide(self, beam: str) -> Guide | None:
+        if beam == EDGES:
+            return self._edge_guide
         return NoveltyGuide(self._guide, self.routes) if self._stage == "alternatives" else self._guide
 
     def _result(self, interrupted: bool) -> SearchResult:

@@ -7,6 +7,9 @@ from dataclasses import dataclass, replace
 from falsework.errors import InputError
 from falsework.search.problem.task import Direction
 
+EDGES = "edges"
+"""Name of the beam that closes free edges first."""
+
 _BOTH = (Direction.ASSEMBLY, Direction.DISASSEMBLY)
 _FIRST_WIDTH = 1
 """Beams grow to this width from one end before the other end is tried, which is often easier ..."""
@@ -18,8 +21,10 @@ _TRIAL_WIDTH = 4
 """Widest beam for a plan with missing parts later: independent of the width for the first plan."""
 
 
+_EDGE_DEATHS = 16
+"""Times that a beam which closes free edges first dies before the beam that is first elsewhere begins."""
 _FREE_DEATHS = 16
-"""Times that the first beam dies before one is tried in which robots work in one place ..."""
+"""Times that this one dies before one is tried in which robots work in one place ..."""
 _COMPACT_DEATHS = 64
 """... and times that this one dies before the first goes on."""
 
@@ -44,8 +49,15 @@ class Attempt:
     """Widest beam."""
     compact: bool = False
     """Let robots work in one place, see `BeamSettings`."""
+    edges: bool = False
+    """Close free edges first, see `EdgeGuide`."""
     deaths: int | None = None
     """Times that the beam dies before the next attempt; another attempt may go on with it."""
+
+    @property
+    def beam(self) -> str:
+        """Name of the beam; attempts with the same name go on with it."""
+        return EDGES if self.edges else "compact" if self.compact else self.direction.value
 
 
 @dataclass(frozen=True)
@@ -73,12 +85,13 @@ class PlannerSettings:
             raise InputError(f"{self.alternatives} alternatives is not a number of plans; ask for at least 1")
         check_seed(self.seed)
 
-    def attempts(self, stage: str = "plan", *, compact: bool = False) -> tuple[Attempt, ...]:
+    def attempts(self, stage: str = "plan", *, compact: bool = False, edges: bool = False) -> tuple[Attempt, ...]:
         """Return attempts in their order.
 
         Args:
             stage: `plan`, `postpone` or `alternatives`.
             compact: in stage `plan`, have a beam in which robots work in one place try early on.
+            edges: in stage `plan`, begin with a beam that closes free edges first.
         """
         first = {"plan": _FIRST_WIDTH, "postpone": _TRIAL_WIDTH, "alternatives": _OTHER_WIDTH}[stage]
         widths = [min(first, self.width)]
@@ -89,8 +102,11 @@ class PlannerSettings:
             # Disassembly leaves more freedom in the order of removal than assembly.
             directions = tuple(sorted(directions, key=lambda direction: direction is not Direction.DISASSEMBLY))
         attempts = [Attempt(direction, width) for width in widths for direction in directions]
-        if compact and stage == "plan" and Direction.ASSEMBLY in directions:
+        if stage == "plan" and Direction.ASSEMBLY in directions:
             free = directions.index(Direction.ASSEMBLY)
             first_beam = replace(attempts[free], deaths=_FREE_DEATHS)
-            attempts[free:free] = [first_beam, replace(first_beam, compact=True, deaths=_COMPACT_DEATHS)]
+            if compact:
+                attempts[free:free] = [first_beam, replace(first_beam, compact=True, deaths=_COMPACT_DEATHS)]
+            if edges:
+                attempts[:0] = [replace(first_beam, edges=True, deaths=_EDGE_DEATHS)]
         return tuple(attempts)

@@ -47,7 +47,8 @@ def vault(
 
     It stands with a quarter of the usual friction to spare, and under `equilibrium` two robots can build it at every
     size: row by row round the free edges, one robot holding the tip of the row, then the next ring inwards. Under
-    `contact` a free edge may slide before it is closed, at some sizes in every order that was tried.
+    `contact` a free edge may slide before it is closed, at some sizes in every order that was tried with two robots;
+    four have closed it first, up to 510 parts.
     """
     if rise > span / 2:
         raise InputError(f"rise {rise:g} m is more than half of span {span:g} m; make the vault flatter")

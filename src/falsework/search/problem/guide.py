@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED, Mask, States
+from falsework.search.problem.edge_rows import edge_rows
 from falsework.search.problem.result import Route
-from falsework.search.problem.task import Direction
+from falsework.search.problem.task import Direction, Task
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -18,6 +19,13 @@ if TYPE_CHECKING:
 
 _SMALL = 300
 """Parts up to which a product with a dense matrix takes less time than looking up neighbours."""
+_EDGE = 1.0
+"""Shares of support that a place at a free edge counts as, on top of its row."""
+_ROW, _STRICT_ROW = 0.3, 3.0
+"""Shares of support that each row nearer to the edge counts as: with few robots, where a row that does not close waits
+for what is behind it, and with many, which would hold the ends of all these rows."""
+_FEWEST_ROBOTS, _MANY_ROBOTS = 3, 5
+"""Robots from which on free edges are closed first, and from which on rows are."""
 
 
 class Guide(Protocol):
@@ -47,6 +55,7 @@ class SupportGuide:
     def __init__(self, assembly: Assembly) -> None:
         """Read the contacts of an assembly."""
         parts, pairs = assembly.part_count, assembly.contacts.parts
+        self._pairs, self._boundary = pairs, assembly.boundary
         ends = np.concatenate([pairs, pairs[:, ::-1]])
         first, back = np.unique(ends, axis=0, return_inverse=True)
         area = np.bincount(back.ravel(), np.tile(assembly.contacts.areas, 2), len(first))
@@ -76,6 +85,17 @@ class SupportGuide:
             support = -support
         return np.concatenate([support, support], axis=1)
 
+    def edges_first(self, task: Task) -> EdgeGuide | None:
+        """Return a heuristic that closes free edges first; None where it is of no use for a task.
+
+        Two robots are too few to close the edge of a large shell before anything else, and an edge that stands already
+        need not be closed.
+        """
+        if task.robots < _FEWEST_ROBOTS or (task.target[~task.boundary] != REMOVED).any():
+            return None
+        rows = edge_rows(self._pairs, self._boundary)
+        return None if rows is None else EdgeGuide(self, rows, _STRICT_ROW if task.robots >= _MANY_ROBOTS else _ROW)
+
     def _sparse(self, states: States) -> NDArray[np.float32]:
         """Return the shares of all parts; states of a level mostly differ from the first near a few parts only."""
         batch, parts = states.shape
@@ -97,6 +117,31 @@ class SupportGuide:
         for k in range(self._other.shape[1]):
             support += self._share[parts, k] * present[rows, self._other[parts, k]]
         return support
+
+
+class EdgeGuide:
+    """Heuristic that prefers parts at free edges, then row by row those behind them, on top of another heuristic.
+
+    A free edge is an arch without anything beside it on one side. It closes while nothing leans on it; between what was
+    built before it does not.
+    """
+
+    def __init__(self, base: Guide, rows: NDArray[np.integer], weight: float) -> None:
+        """Prefer parts by their rows.
+
+        Args:
+            base: heuristic to add to.
+            rows: row of each part, 0 at the edge, shape (parts,).
+            weight: of a row, relative to the scores of `base`.
+        """
+        self._base = base
+        worth = (rows == 0) * _EDGE - weight * rows
+        self._worth = np.concatenate([worth, worth]).astype(np.float32)
+
+    def __call__(self, states: States, actions: Mask, direction: Direction) -> NDArray[np.floating]:
+        """See `Guide`."""
+        worth = -self._worth if direction is Direction.DISASSEMBLY else self._worth
+        return self._base(states, actions, direction) + worth
 
 
 class NoveltyGuide:

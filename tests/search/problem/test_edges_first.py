@@ -1,0 +1,119 @@
+"""Rows behind free edges, and the heuristic that closes these first."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from falsework.assembly import load_structure
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import complete_state
+from falsework.search import PlannerSettings, find_plans
+from falsework.search.find import task_of
+from falsework.search.planner import Planner
+from falsework.search.problem.edge_rows import edge_rows
+from falsework.search.problem.guide import SupportGuide
+from falsework.search.problem.task import Direction
+from falsework.search.settings import EDGES
+from falsework.stability import Stability
+
+_LENGTH, _COURSES = 12, 13
+
+
+def _shell(*, supports: tuple[int, ...], closed: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    """Return contacts and supports of a shell of staggered courses; `closed` courses are rings."""
+    pairs = []
+    for course in range(_COURSES):
+        for place in range(_LENGTH):
+            own = course * _LENGTH + place
+            beside = [(course, place + 1), (course + 1, place), (course + 1, place + (1 if course % 2 else -1))]
+            for row, column in beside:
+                if row < _COURSES and (closed or 0 <= column < _LENGTH):
+                    pairs.append((own, row * _LENGTH + column % _LENGTH))
+    boundary = np.zeros(_COURSES * _LENGTH, dtype=bool)
+    boundary[list(supports)] = True
+    return np.array(pairs), boundary
+
+
+def test_rows_count_contacts_from_the_edges_of_a_shell() -> None:
+    corners = (0, _LENGTH - 1, (_COURSES - 1) * _LENGTH, _COURSES * _LENGTH - 1)
+    rows = edge_rows(*_shell(supports=corners))
+    assert rows is not None
+    course, place = np.divmod(np.arange(len(rows)), _LENGTH)
+    inner = ~_shell(supports=corners)[1]
+    expected = np.minimum.reduce([course, _COURSES - 1 - course, place, _LENGTH - 1 - place])
+    assert np.array_equal(rows[inner], expected[inner])
+
+
+def test_an_edge_between_fewer_than_two_supports_is_no_arch() -> None:
+    assert edge_rows(*_shell(supports=(0,))) is None
+    assert edge_rows(*_shell(supports=tuple(range(_LENGTH)), closed=True)) is None
+
+
+def test_a_wall_has_no_rows() -> None:
+    arch = load_structure("arch")
+    assert edge_rows(arch.contacts.parts, arch.boundary) is None
+
+
+@pytest.fixture(scope="module")
+def vault() -> Assembly:
+    return load_structure("vault:parts=125")
+
+
+def test_parts_at_edges_are_inserted_first_and_removed_last(vault: Assembly) -> None:
+    base, task = SupportGuide(vault), task_of(vault, 3)
+    guide, rows = base.edges_first(task), edge_rows(vault.contacts.parts, vault.boundary)
+    assert guide is not None
+    assert rows is not None
+    state = complete_state(vault.boundary)[None]
+    actions = np.ones((1, 2 * vault.part_count), dtype=bool)
+    added = guide(state, actions, Direction.ASSEMBLY) - base(state, actions, Direction.ASSEMBLY)
+    assert np.array_equal(added[0, : vault.part_count], added[0, vault.part_count :])
+    assert all(np.unique(added[0, : vault.part_count][rows == row]).size == 1 for row in range(rows.max() + 1))
+    assert (np.diff([added[0, np.flatnonzero(rows == row)[0]] for row in range(rows.max() + 1)]) < 0).all()
+    back = guide(state, actions, Direction.DISASSEMBLY) - base(state, actions, Direction.DISASSEMBLY)
+    assert np.allclose(back, -added, atol=1e-5)
+
+
+def test_two_robots_and_standing_parts_leave_the_guide_as_it_is(vault: Assembly) -> None:
+    guide = SupportGuide(vault)
+    assert guide.edges_first(task_of(vault, 2)) is None
+    target = complete_state(vault.boundary)
+    target[np.flatnonzero(~vault.boundary)[3:]] = 0
+    assert guide.edges_first(task_of(vault, 3, target=target)) is None
+
+
+def test_the_beam_that_closes_edges_comes_first_and_dies_a_few_times_at_most() -> None:
+    first, *rest = PlannerSettings().attempts(compact=True, edges=True)
+    assert first.beam == EDGES
+    assert first.deaths
+    assert tuple(rest) == PlannerSettings().attempts(compact=True)
+    assert replace(first, edges=False).beam == Direction.ASSEMBLY.value
+    backwards = PlannerSettings(directions=(Direction.DISASSEMBLY,))
+    assert backwards.attempts(edges=True) == backwards.attempts()
+    assert PlannerSettings().attempts("alternatives", edges=True) == PlannerSettings().attempts("alternatives")
+
+
+def test_three_robots_build_a_vault_from_its_edges(vault: Assembly) -> None:
+    planning = find_plans(vault, robots=3, forces=False)
+    assert planning.found
+    placed = (planning.plans[0].assembly_states != 0).argmax(axis=0)
+    rows = edge_rows(vault.contacts.parts, vault.boundary)
+    assert rows is not None
+    free = ~vault.boundary
+    means = [placed[free & (rows == row)].mean() for row in range(rows.max() + 1)]
+    assert (np.diff(means) > 0).all()
+
+
+def test_resuming_a_search_from_the_edges_changes_nothing(vault: Assembly, tmp_path: Path) -> None:
+    oracle, task, guide = Stability(vault), task_of(vault, 3), SupportGuide(vault)
+    expected = Planner(task, oracle, guide=guide).run()
+    planner, path = Planner(task, oracle, guide=guide), tmp_path / "planner.npz"
+    calls = iter(range(60))
+    assert planner.run(stop=lambda: next(calls, None) is None).interrupted
+    planner.save(path)
+    result = Planner.load(path, task, oracle, guide=guide).run()
+    assert np.array_equal(result.routes[0].states, expected.routes[0].states)
