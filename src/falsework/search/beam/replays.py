@@ -102,7 +102,7 @@ class Replays:
             ahead.wanted = False
             ahead.decided.set()
             ahead.result.cancel()
-            with self.histories.lock:
+            with self.histories.lock:  # its thread may be on its way to the first history
                 return
 
     def keep(self, rows: NDArray[np.int64]) -> None:
