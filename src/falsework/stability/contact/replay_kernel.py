@@ -2,8 +2,7 @@
 
 Between two steps the structure keeps the positions of its parts and the spring forces of its contact points. Parts are
 inserted unstressed. When a robot releases a part, or a part is removed, the wrenches that are then missing are
-transferred to the contacts in equal increments; after each, points that slid keep their friction force. Iterations of
-an increment begin from the movement of the last.
+transferred to the contacts in equal increments; after each, points that slid keep their friction force.
 """
 
 from __future__ import annotations
