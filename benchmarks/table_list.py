@@ -69,6 +69,8 @@ SEARCHES_COMPARED = (
     ("CPU time, s", "{cpu_seconds}"),
     ("before", "{before.cpu_seconds}"),
     ("ratio", "{cpu_ratio}"),
+    ("time, s", "{seconds}"),
+    ("before", "{before.seconds}"),
     ("plans found", "{found}"),
     ("before", "{before.found}"),
     ("memory, GiB", "{memory_gib}"),
