@@ -16,7 +16,7 @@ from falsework.search.beam.level_search import LevelSearch
 from falsework.search.beam.scores import Scores
 from falsework.search.beam.selection import Selector
 from falsework.search.beam.settings import BeamSettings
-from falsework.search.beam.ways import Ways
+from falsework.search.beam.ways import BeamWays
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.hashing import StateHash
 from falsework.search.problem.oracle import CountingOracle, Oracle
@@ -57,7 +57,7 @@ class BeamSearch(LevelSearch):
         """For each level after the first, and for the attempt at the next if dead: no stable state was left out."""
         self._judge = CountingOracle(oracle)
         replayer = getattr(oracle, "replayer", None) if settings.direction is Direction.ASSEMBLY else None
-        self._ways = Ways(self.levels, self._judge, replayer)
+        self._ways = BeamWays(self.levels, self._judge, replayer)
         self._failures = None if task.neighbours is None else FailureMemory(task.neighbours)
         self._guide = guide
         self._hash = StateHash.for_parts(task.part_count)

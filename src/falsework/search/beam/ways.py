@@ -1,4 +1,4 @@
-"""Ways by which a beam reaches its states: deferred verdicts, and contact histories."""
+"""BeamWays by which a beam reaches its states: deferred verdicts, and contact histories."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from falsework.stability.contact.varied_replay import AnyReplayer
 
 
-class Ways:
-    """Ways to the states of a beam."""
+class BeamWays:
+    """BeamWays to the states of a beam."""
 
     def __init__(self, levels: list[Level | PackedLevel], judge: CountingOracle, replayer: AnyReplayer | None) -> None:
         """Begin with nothing.
@@ -73,7 +73,7 @@ class Ways:
 class WayConfirmation:
     """Test of stable candidates: their ways are stable too, and come to rest with contact history."""
 
-    def __init__(self, ways: Ways, frontier: Frontier, judge: CountingOracle) -> None:
+    def __init__(self, ways: BeamWays, frontier: Frontier, judge: CountingOracle) -> None:
         self.refused = False
         """Whether a candidate failed the test."""
         self._ways, self._frontier, self._judge = ways, frontier, judge
@@ -103,4 +103,4 @@ class WayConfirmation:
             self._ways.replays.dismiss()
 
 
-__all__ = ["WayConfirmation", "Ways"]
+__all__ = ["WayConfirmation", "BeamWays"]
