@@ -1,4 +1,4 @@
-"""BeamWays by which a beam reaches its states: deferred verdicts, and contact histories."""
+"""Ways by which a beam reaches its states: deferred verdicts, and contact histories."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class BeamWays:
-    """BeamWays to the states of a beam."""
+    """Ways to the states of a beam."""
 
     def __init__(self, levels: list[Level | PackedLevel], judge: CountingOracle, replayer: AnyReplayer | None) -> None:
         """Begin with nothing.
@@ -103,4 +103,4 @@ class WayConfirmation:
             self._ways.replays.dismiss()
 
 
-__all__ = ["WayConfirmation", "BeamWays"]
+__all__ = ["BeamWays", "WayConfirmation"]
