@@ -59,9 +59,8 @@ class Stability:
         self._cpu, self._gpu = self._make_cpu(), self._make_gpu()
         self._cache = VerdictCache(holds_keep_stable=not self._contact)
         self._guess_shape = (self.problem.parts, 6) if self._contact else (self.problem.points, 3)
-        self._guesses = remembered_forces(self.problem.points)
-        if self._contact:
-            self._guesses = WholeMemory(8 * 6 * self.problem.parts)
+        points = self.problem.points
+        self._guesses = WholeMemory(self._guess_bytes) if self._contact else remembered_forces(points)
 
     @cached_property
     def exact(self) -> ExactSolver:

@@ -82,8 +82,13 @@ class Replays:
                 stands[i], self._next[row] = True, history
         return stands
 
+    @property
+    def run_ahead(self) -> bool:
+        """Whether a replay that begins while the verdict is sought saves time."""
+        return self._cores > 1
+
     def expect(self, row: int, parent: int, state: States) -> None:
-        """Begin the replay of a candidate while the verdict on it is sought, where that saves time.
+        """Begin the replay of a candidate while the verdict on it is sought.
 
         Args:
             row: number of the candidate.
@@ -91,9 +96,8 @@ class Replays:
             state: shape (parts,).
         """
         self.dismiss()
-        if self._cores > 1:
-            self._ahead = ahead = _Ahead(row)
-            ahead.result = self._pool.submit(self._replay_ahead, ahead, len(self._levels) - 1, parent, state)
+        self._ahead = ahead = _Ahead(row)
+        ahead.result = self._pool.submit(self._replay_ahead, ahead, len(self._levels) - 1, parent, state)
 
     def dismiss(self) -> None:
         """Give up the replay that `expect` began; its thread reads no level from now on."""

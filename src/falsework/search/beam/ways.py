@@ -91,8 +91,8 @@ class WayConfirmation:
         return good
 
     def expect(self, row: int) -> None:
-        """Begin the replay of a candidate."""
-        if self._ways.replays is not None:
+        """Begin the replay of a candidate, where that saves time."""
+        if self._ways.replays is not None and self._ways.replays.run_ahead:
             rows = np.array([row])
             parent, state = self._frontier.parent(rows), self._frontier.states(rows)
             self._ways.replays.expect(row, int(parent[0]), state[0])
