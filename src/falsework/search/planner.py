@@ -31,7 +31,7 @@ from falsework.search.problem.task import Direction, Task
 from falsework.search.settings import EDGES, Attempt, PlannerSettings
 from falsework.utils.archive import read_archive, write_archive
 
-FORMAT = "falsework.planner/7"
+FORMAT = "falsework.planner/8"
 
 _MOST_FALLS = 64
 """Number of routes with a failing replay before an attempt is given up."""

@@ -64,7 +64,12 @@ class AdaptiveSettings:
     """Same seed, same machine, same result."""
 
     def beam(
-        self, retreats: int = 0, number: int = 0, avoided: tuple[int, ...] = (), preferred: tuple[int, ...] = ()
+        self,
+        retreats: int = 0,
+        number: int = 0,
+        avoided: tuple[int, ...] = (),
+        preferred: tuple[int, ...] = (),
+        early: tuple[int, ...] = (),
     ) -> BeamSettings:
         """Return settings of the beam after so many retreats from one place, and `number` deaths altogether."""
         widened, trial = self.trial(retreats)
@@ -80,6 +85,7 @@ class AdaptiveSettings:
             disorder=_DISORDER * trial,
             avoided=avoided,
             preferred=preferred,
+            early=early,
             number=number,
             seed=self.seed,
         )
@@ -114,6 +120,8 @@ class AdaptiveBeam:
         """Parts that were fixed and led nowhere, by the state before."""
         self._left: dict[int, list[tuple[int, int]]] = {}
         """Parts not yet let go of that bound robots where the beam died: hard places, and levels."""
+        self._gaps: list[int] = []
+        """Parts that filled gaps and could not be let go of; the beam came back to place them before those around."""
 
     @property
     def infeasible(self) -> bool:
@@ -166,6 +174,7 @@ class AdaptiveBeam:
             "adaptive": own,
             "tried": self._tried,
             "left": list(self._left.items()),
+            "gaps": self._gaps,
             "base": self.settings.width,
             "base_seed": self.settings.seed,
             "base_compact": self.settings.compact,
@@ -193,6 +202,7 @@ class AdaptiveBeam:
         for name in _PLACE:
             setattr(beam, f"_{name}", int(header["adaptive"][name]))
         beam._tried = {state: [int(part) for part in parts] for state, parts in header["tried"].items()}
+        beam._gaps = [int(part) for part in header["gaps"]]
         beam._left = {int(part): [(int(a), int(b)) for a, b in places] for part, places in header["left"]}
         return beam
 
@@ -208,6 +218,8 @@ class AdaptiveBeam:
         late = self._left_too_long(level)
         if late >= 0:
             self._return_before(late)
+            return True
+        if self._close_gaps():
             return True
         (begun, part), binding = search.chain(), search.binding()
         early = sum(fixed < begun for fixed, _ in binding)
@@ -227,19 +239,19 @@ class AdaptiveBeam:
             tried.append(part)
         self._turns = self._turns + 1 if turned else 0
         self._failures += not turned
-        avoided, preferred = tuple(tried), search.settings.preferred
+        avoided, preferred, early = tuple(tried), search.settings.preferred, search.settings.early
         if again or self._failures > _CHAINS:
             retreats = self._retreats + 1
             widened, trial = self.settings.trial(retreats)
             if self.settings.width * _WIDENING_FACTOR**widened > widest:
                 return False
-            self._failures, self._retreats, avoided = 0, retreats, ()
+            self._failures, self._retreats, avoided, early = 0, retreats, (), ()
             back = begun - _RETREAT_LEVELS * _RETREAT_FACTOR ** (widened + trial)
             preferred = (*preferred, *(each for each in tried if each not in preferred)) if trial else ()
         self._farthest, self._chain_from = max(self._farthest, level), begun
         self._deaths += 1
         self._easy_from = self._farthest + 2 * _RETREAT_LEVELS
-        search.rewind(max(back, 0), self.settings.beam(self._retreats, self._deaths, avoided, preferred))
+        search.rewind(max(back, 0), self.settings.beam(self._retreats, self._deaths, avoided, preferred, early))
         return True
 
     def _left_too_long(self, level: int) -> int:
@@ -268,6 +280,25 @@ class AdaptiveBeam:
         self._easy_from = level + 2 * _RETREAT_LEVELS
         back = level - _RETREAT_LEVELS * _RETREAT_FACTOR**2
         self.search.rewind(max(back, 0), self.settings.beam(self._retreats, self._deaths))
+
+    def _close_gaps(self) -> bool:
+        """Come back to place parts before those around them; False where none came too late.
+
+        A part that fills a gap between parts that stand without it gets no thrust from them, and may slide.
+        """
+        search = self.search
+        late = {part: level for part, level in search.gaps().items() if part not in self._gaps}
+        if not late:
+            return False
+        self._gaps += late
+        self._farthest = max(self._farthest, len(search.levels) - 1)
+        self._easy_from = self._farthest + 2 * _RETREAT_LEVELS
+        self._deaths += 1
+        self._failures = self._turns = 0
+        early = (*search.settings.early, *late)
+        settings = self.settings.beam(self._retreats, self._deaths, preferred=search.settings.preferred, early=early)
+        search.rewind(min(late.values()), settings)
+        return True
 
     def _tried_from(self, level: int) -> list[int]:
         """Return the parts that led nowhere from the state at a level on the way to the best scored one."""

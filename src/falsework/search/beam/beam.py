@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import HELD, States, held_count
+from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, held_count
 from falsework.errors import InputError
 from falsework.search.beam.failures import FailureMemory
 from falsework.search.beam.frontier import Frontier, Level, expand, pack
@@ -114,6 +114,7 @@ class BeamSearch(LevelSearch):
                 commit=settings.commit,
                 in_turn=settings.number > 0,
                 compact=settings.compact,
+                early=settings.early,
             )
         else:
             choice = selector.all_judged(self._judge, settings.width)
@@ -205,6 +206,31 @@ class BeamSearch(LevelSearch):
                 begun, part, fewest = number, action % self.task.part_count, held
             action, row = int(level.action[row]), int(level.parent[row])
         return begun, part
+
+    def gaps(self) -> dict[int, int]:
+        """Return the parts that robots hold though all parts around them were there before and stand without them.
+
+        Returns:
+            For each of them, on the way to the best scored state of the last level of an assembly, the level before the
+            first of those around it was placed.
+        """
+        neighbours = self.task.neighbours
+        if neighbours is None or self.settings.direction is not Direction.ASSEMBLY:
+            return {}
+        last, row = self.levels[-1].states[0], 0
+        placed = np.full(self.task.part_count, -1)
+        for number in range(len(self.levels) - 1, 0, -1):
+            part = int(self.levels[number].action[row]) % self.task.part_count
+            row = int(self.levels[number].parent[row])
+            if self.levels[number - 1].states[row, part] == REMOVED:
+                placed[part] = number - 1
+        found = {}
+        for part in np.flatnonzero((last == HELD) & (placed >= 0)).tolist():
+            around = neighbours[part]
+            when = placed[around]
+            if (last[around] == INSTALLED).all() and (when < placed[part]).all() and (when >= 0).any():
+                found[part] = int(when[when >= 0].min())
+        return found
 
     def before(self, number: int) -> States:
         """Return the state at a level on the way to the best scored one, shape (parts,)."""

@@ -39,6 +39,8 @@ class BeamSettings:
     """Parts that are fixed after all others where the guide would fix them: robots could not let go of them again."""
     preferred: tuple[int, ...] = ()
     """Parts that are fixed before all others: what is there without them has no room for them."""
+    early: tuple[int, ...] = ()
+    """Parts that are placed before those around them; none of these is fixed while one of the former is absent."""
     number: int = 0
     """Draws the preferences, together with the seed."""
     seed: int = 0
@@ -47,7 +49,7 @@ class BeamSettings:
     """Bound on candidates times parts that are written down and clustered at once; beyond it a random sample is."""
 
     def __post_init__(self) -> None:
-        for name in ("avoided", "preferred"):  # lists where they were read from a file
+        for name in ("avoided", "preferred", "early"):  # lists where they were read from a file
             object.__setattr__(self, name, tuple(getattr(self, name)))
         if self.width < 1:
             raise InputError(f"a beam of width {self.width} keeps nothing; give at least 1")
