@@ -68,6 +68,14 @@ def test_no_number_of_robots(falsework: Run) -> None:
     assert "no number of robots suffices" in finished.error
 
 
+def test_a_structure_that_slides_is_not_said_to_be_impossible(falsework: Run) -> None:
+    """That it slides is a numerical finding, not a proof."""
+    finished = falsework("robots-needed", "vault:parts=50,rise=1.5")
+    assert finished.code == 1
+    assert "no plan was found with any number of robots" in finished.error
+    assert "suffices" not in finished.error
+
+
 def test_the_deadline_leaves_a_search_to_resume(falsework: Run, tmp_path: Path) -> None:
     out = tmp_path / "plan.json"
     finished = falsework("plan", "vault", "--deadline", "0.2", "--out", out, "--json")

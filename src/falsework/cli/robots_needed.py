@@ -99,7 +99,8 @@ def report(answer: RobotsNeeded, path: Path | None, output: Output) -> Exit:
         if path is not None:
             output.say(f"the plan is in {path}")
     elif answer.impossible:
-        output.note(f"falsework: no number of robots suffices: {answer.impossible}")
+        word = "no number of robots suffices" if answer.certain else "no plan was found with any number of robots"
+        output.note(f"falsework: {word}: {answer.impossible}")
     else:
         least = "at least 1 robot is" if answer.least == 1 else f"at least {answer.least} robots are"
         found = [f"no plan was found; {least} needed", *fewer]

@@ -102,10 +102,11 @@ class AdaptiveBeam:
     Robots mostly hold a chain of parts, one after the other, until it closes and all can be let go of; which chain
     closes is seen only at its end. Where the beam dies, it comes back before the part that no robot can let go of, and,
     after a few turns, before the chain, to begin another: a depth-first search for chains that close. Parts that led
-    nowhere from a state are fixed there after all others. Where no chain closes, it comes back from farther with the
-    parts first in which those began, and with other random preferences; and after some trials wider. Once it is well
-    past the place, it follows its guide again, and is narrow. Verdicts asked before are in the oracle's memory, so
-    going over the same ground costs little.
+    nowhere from a state are fixed there after all others. A part that filled a gap between parts that stand without it,
+    and cannot be let go of, is placed before those around it on the next way. Where no chain closes, the beam comes
+    back from farther with the parts first in which those began, and with other random preferences; and after some
+    trials wider. Once it is well past the place, it follows its guide again, and is narrow. Verdicts asked before are
+    in the oracle's memory, so going over the same ground costs little.
     """
 
     def __init__(self, task: Task, oracle: Oracle, settings: AdaptiveSettings, *, guide: Guide | None = None) -> None:
