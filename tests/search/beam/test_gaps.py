@@ -44,8 +44,9 @@ def _die(beam: AdaptiveBeam) -> None:
         assert search.step()
         level = search.levels[-1]
         row = int(np.flatnonzero(level.states[:, part] == value)[0])
-        columns = level.states, level.parent, level.action, level.score, level.grounded
-        search.levels[-1] = Level(*(column[[row]] for column in columns))
+        one = slice(row, row + 1)
+        columns = level.states[one], level.parent[one], level.action[one], level.score[one], level.grounded[one]
+        search.levels[-1] = Level(*columns)
 
 
 def test_a_gap_is_filled_last_and_binds_a_robot(beam: AdaptiveBeam) -> None:
