@@ -13,6 +13,7 @@ from falsework.errors import InputError
 from falsework.search.beam.failures import FailureMemory
 from falsework.search.beam.frontier import Frontier, Level, expand, pack
 from falsework.search.beam.level_search import LevelSearch
+from falsework.search.beam.open_places import OpenPlaces, cannot_come_last
 from falsework.search.beam.scores import Scores
 from falsework.search.beam.selection import Selector
 from falsework.search.beam.settings import BeamSettings
@@ -59,6 +60,10 @@ class BeamSearch(LevelSearch):
         replayer = getattr(oracle, "replayer", None) if settings.direction is Direction.ASSEMBLY else None
         self._ways = BeamWays(self.levels, self._judge, replayer)
         self._failures = None if task.neighbours is None else FailureMemory(task.neighbours)
+        self._places: OpenPlaces | None = None
+        if replayer is not None and task.neighbours is not None:
+            wedges = cannot_come_last(task, oracle, replayer.problem)
+            self._places = OpenPlaces(task.neighbours, wedges) if len(wedges) else None
         self._guide = guide
         self._hash = StateHash.for_parts(task.part_count)
         self._candidates = 0
@@ -100,6 +105,7 @@ class BeamSearch(LevelSearch):
             return False
         settings, level = self.settings, self.levels[-1]
         frontier = expand(self.task, settings.direction, level.states, self._hash)
+        left_out = self._places is not None and self._places.keep(frontier)
         scores = self._scores(frontier, level.score)
         rng = np.random.default_rng((settings.seed, self._retried, len(self.levels)))
         how = settings.diversity == "k-means", settings.pool, rng
@@ -125,7 +131,8 @@ class BeamSearch(LevelSearch):
             self._deepest = level.states[:_REPORTED_STATES]
             self._rejected = frontier.states(choice.rejected[:_REPORTED_STATES])
         # A state refused because of the way to it may be reached by another, which was merged with this one.
-        self._whole = [*self._whole[: len(self.levels) - 1], choice.exhaustive and not confirmed.refused]
+        whole = choice.exhaustive and not confirmed.refused and not left_out
+        self._whole = [*self._whole[: len(self.levels) - 1], whole]
         if self._dead:
             return False
         kept = choice.kept
