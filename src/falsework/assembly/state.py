@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from falsework.errors import InputError, StateError
 
 REMOVED, INSTALLED, HELD = 0, 1, 2
+MOST_ROBOTS = 1_000_000
+"""More robots than any structure has parts; a plan file could not hold any number."""
 
 States = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
@@ -70,9 +72,11 @@ def as_states(states: ArrayLike, boundary: Mask) -> States:
 
 
 def check_robots(robots: int) -> int:
-    """Return the number of robots, or raise `InputError` if it is below one."""
+    """Return the number of robots, or raise `InputError` if it is below one or above `MOST_ROBOTS`."""
     if robots < 1:
         raise InputError(f"{robots} robots cannot hold anything; give at least 1")
+    if robots > MOST_ROBOTS:
+        raise InputError(f"{robots} robots are too many; give at most {MOST_ROBOTS}")
     return int(robots)
 
 

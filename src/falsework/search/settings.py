@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 from falsework.errors import InputError
 from falsework.search.problem.task import Direction
+from falsework.utils.quantity import check_seed
 
 EDGES = "edges"
 """Name of the beam that closes free edges first."""
@@ -27,16 +28,6 @@ _FREE_DEATHS = 16
 """Times that this one dies before one is tried in which robots work in one place ..."""
 _COMPACT_DEATHS = 64
 """... and times that this one dies before the first goes on."""
-
-
-def check_seed(seed: int) -> None:
-    """Raise unless a number can be a random seed.
-
-    Raises:
-        InputError: it is negative.
-    """
-    if seed < 0:
-        raise InputError(f"a seed is not negative; {seed} was given")
 
 
 @dataclass(frozen=True)
