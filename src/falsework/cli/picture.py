@@ -74,9 +74,9 @@ class MakePicture(JudgingCommand):
         out = self.out.with_suffix(".svg") if self.svg and self.out == Path("picture.png") else self.out
         if self.svg != (out.suffix.lower() == ".svg") and not (self.gantt and not self.svg):
             raise InputError(f"{out} and {'--svg' if self.svg else 'no --svg'} do not fit; name a file that does")
-        check_picture(self.width, self.frames, self.columns)
         if self.gantt:
             return self._gantt(out, output)
+        check_picture(out, self.width, self.frames, self.columns)
         subject = self.subject.open().with_policy(self.policy)
         drawn = picture(
             subject,
