@@ -105,8 +105,6 @@ def open_file(
             return _robot_plan(load_robot_plan(file), file, structure, cell, direction, options)
         if form and not form.startswith("falsework.assembly/"):
             raise InputError(f"{file} has format {form!r}, which cannot be shown; give a plan or a structure")
-        if file.name == "assembly.json":
-            path = file.parent
     elif file.is_file() and file.suffix.lower() == ".npz":
         return _graph(load_state_graph(file), str(file), structure, direction, options)
     elif file.is_dir() and (file / "run.json").is_file():
