@@ -8,6 +8,7 @@ Actions are indices in `[0, 2 parts)`: `i` holds part `i`, `parts + i` removes p
 from __future__ import annotations
 
 from collections.abc import Sequence
+from operator import index
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -72,12 +73,16 @@ def as_states(states: ArrayLike, boundary: Mask) -> States:
 
 
 def check_robots(robots: int) -> int:
-    """Return the number of robots, or raise `InputError` if it is below one or above `MOST_ROBOTS`."""
+    """Return the number of robots, or raise `InputError` if it is no whole number from one to `MOST_ROBOTS`."""
+    try:
+        robots = index(robots)
+    except TypeError:
+        raise InputError(f"the number of robots is {robots!r}; give a whole number") from None
     if robots < 1:
         raise InputError(f"{robots} robots cannot hold anything; give at least 1")
     if robots > MOST_ROBOTS:
         raise InputError(f"{robots} robots are too many; give at most {MOST_ROBOTS}")
-    return int(robots)
+    return robots
 
 
 def held_count(states: States, boundary: Mask) -> NDArray[np.int64]:

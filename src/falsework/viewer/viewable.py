@@ -150,6 +150,10 @@ def viewable_of(
         return _graph(subject, "the graph", structure, direction, options)
     if isinstance(subject, Assembly):
         return Viewable("structure", subject, _still(subject, complete_state(subject.boundary), robots, direction))
+    if not (isinstance(subject, (list, tuple)) or hasattr(subject, "__array__")):
+        raise InputError(
+            f"{type(subject).__name__} cannot be shown; give a plan, structure, state graph, state or file"
+        )
     if structure is None:
         raise InputError("a state alone does not say which structure it is of; give the structure too")
     assembly = as_assembly(structure, **options)

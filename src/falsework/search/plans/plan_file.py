@@ -64,8 +64,10 @@ def save_plan(plan: Plan, path: Path | str, *, proofs: bool = False) -> None:
 
     Raises:
         PlanError: proofs are requested and the plan has none.
-        InputError: the file cannot be written.
+        InputError: something other than a plan, or a file that cannot be written.
     """
+    if not isinstance(plan, Plan):
+        raise InputError(f"save_plan writes a Plan, not {type(plan).__name__}; results have theirs in plans")
     if proofs and plan.proof_arrays() is None:
         raise PlanError("the plan carries no displacements or contact forces to write; save it without proofs")
     write_json(path, plan_to_dict(plan, proofs=proofs), spread=("steps",))

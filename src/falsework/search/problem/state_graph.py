@@ -105,6 +105,9 @@ class StateGraph:
     def __len__(self) -> int:
         return len(self.states)
 
+    def __repr__(self) -> str:
+        return f"<StateGraph of {self.name or 'a structure'}: {len(self)} states, {len(self.source)} actions>"
+
     @property
     def criterion(self) -> Criterion:
         """Stability criterion of its states."""
