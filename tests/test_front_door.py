@@ -27,6 +27,8 @@ from falsework.search import Outcome, plan_to_dict, save_state_graph, structure_
 REPOSITORY = Path(__file__).resolve().parents[1]
 ROOMS = ("assembly", "geometry", "interop", "learn", "replanning", "robots", "search", "service", "stability", "viewer")
 FUNCTIONS = ("animate", "export", "open_file", "picture", "replan", "train", "view")
+UNTYPED: Any = fw
+"""The package as those see it who check no types."""
 OPTIONAL = ("torch", "viser", "fastapi", "uvicorn", "gymnasium", "matplotlib", "PIL", "safetensors")
 
 
@@ -347,12 +349,12 @@ def test_results_print_as_one_line(arch: Assembly, plan: fw.Plan) -> None:
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda arch, plan: fw.find_plans(arch, robots="2"), "robots is '2'; give a whole number"),
-        (lambda arch, plan: fw.find_plans(arch, robots=2.5), "robots is 2.5; give a whole number"),
-        (lambda arch, plan: fw.find_plans(arch, missing=["voussoir-3"]), "give a list of part numbers"),
-        (lambda arch, plan: fw.save_plan([plan], "plan.json"), "writes a Plan, not list"),
-        (lambda arch, plan: fw.validate_plan([plan], arch), "checks a Plan, not list"),
-        (lambda arch, plan: fw.picture(fw.Stability(arch), "arch.png"), "Stability cannot be shown"),
+        (lambda arch, plan: UNTYPED.find_plans(arch, robots="2"), "robots is '2'; give a whole number"),
+        (lambda arch, plan: UNTYPED.find_plans(arch, robots=2.5), "robots is 2.5; give a whole number"),
+        (lambda arch, plan: UNTYPED.find_plans(arch, missing=["voussoir-3"]), "give a list of part numbers"),
+        (lambda arch, plan: UNTYPED.save_plan([plan], "plan.json"), "writes a Plan, not list"),
+        (lambda arch, plan: UNTYPED.validate_plan([plan], arch), "checks a Plan, not list"),
+        (lambda arch, plan: UNTYPED.picture(fw.Stability(arch), "arch.png"), "Stability cannot be shown"),
     ],
 )
 def test_wrong_types_get_one_line(arch: Assembly, plan: fw.Plan, call: Callable[..., Any], words: str) -> None:
@@ -361,4 +363,4 @@ def test_wrong_types_get_one_line(arch: Assembly, plan: fw.Plan, call: Callable[
 
 
 def test_numbers_of_numpy_are_numbers(arch: Assembly) -> None:
-    assert fw.find_plans(arch, robots=np.int64(2), missing=np.array([2])).found
+    assert UNTYPED.find_plans(arch, robots=np.int64(2), missing=np.array([2])).found
