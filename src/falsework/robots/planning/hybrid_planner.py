@@ -295,9 +295,9 @@ class _Search:
                 if (probes <= 0 and worked) or verdicts > _LAST_VERDICTS:
                     continue
                 probes -= 1
-            spent = self.solvability.spent
+            spent = self.solvability.joining.spent
             solvable = self.solvability.solvable(node.state, action)
-            verdicts += self.solvability.spent - spent
+            verdicts += self.solvability.joining.spent - spent
             if not solvable:
                 self.counts["unsolvable"] += 1
                 continue
