@@ -172,7 +172,8 @@ def picture(
         DependencyError: Pillow or matplotlib is not installed, or torch for a policy.
     """
     path = Path(path)
-    check_picture(path, width, frames, columns)
+    check_suffix(path, ".png", ".svg")
+    check_sizes(width, frames, columns)
     shown = viewable_of(subject, structure, **options).with_policy(policy)
     if shown.graph is not None and step is None:
         return _picture_graph(shown, path, title)
@@ -237,13 +238,12 @@ def _nearness(shown: Viewable, place: int, criterion: Criterion) -> NDArray[np.f
     return nearness_to_limit(shown.assembly, state, verdicts.forces[0])
 
 
-def check_picture(path: Path, width: int, frames: int, columns: int) -> None:
-    """Refuse the format and the sizes of a picture before anything is loaded.
+def check_sizes(width: int, frames: int, columns: int) -> None:
+    """Refuse sizes of a picture before anything is loaded.
 
     Raises:
-        InputError: a suffix other than those of PNG and SVG, or a number out of range.
+        InputError: a number out of range.
     """
-    check_suffix(path, ".png", ".svg")
     if not (width == 0 or 80 <= width <= 8000):
         raise InputError(f"a picture {width} pixels across cannot be drawn; give 80 to 8000")
     if frames < 1 or columns < 1:
