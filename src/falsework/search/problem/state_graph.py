@@ -245,7 +245,7 @@ def load_state_graph(path: Path | str) -> StateGraph:
             identity=header["identity"],
         ).postpone(header["postponed"])
         task = replace(task, holds_keep_stable=criterion == "equilibrium")
-    except TypeError as error:
+    except (InputError, TypeError) as error:
         raise InputError(f"{path} is damaged ({error}); build the graph again") from None
     graph = StateGraph(
         arrays["states"],
