@@ -27,6 +27,8 @@ from falsework.search import Outcome, plan_to_dict, save_state_graph, structure_
 REPOSITORY = Path(__file__).resolve().parents[1]
 ROOMS = ("assembly", "geometry", "interop", "learn", "replanning", "robots", "search", "service", "stability", "viewer")
 FUNCTIONS = ("animate", "export", "open_file", "picture", "replan", "train", "view")
+UNTYPED: Any = fw
+"""The package as those see it who check no types."""
 OPTIONAL = ("torch", "viser", "fastapi", "uvicorn", "gymnasium", "matplotlib", "PIL", "safetensors")
 
 
@@ -321,3 +323,44 @@ def test_a_plan_is_shown_by_one_call(arch: Assembly, plan: fw.Plan) -> None:
         page.close()
     with pytest.raises(InputError, match="no port"):
         fw.view(plan, arch, port=70000)
+
+
+def test_results_print_as_one_line(arch: Assembly, plan: fw.Plan) -> None:
+    """What a notebook shows has the numbers that matter and no arrays."""
+    planning, oracle = fw.find_plans(arch, robots=1), fw.Stability(arch)
+    lines = {
+        repr(arch): "7 parts, 2 of them boundary, 6 contacts",
+        repr(arch.meshes[0]): "voussoir-0: 8 vertices",
+        repr(arch.contacts): "6 with 24 points",
+        repr(plan): "disassembly in 10 steps with 2 robots, criterion contact",
+        repr(planning): "proved_impossible",
+        repr(fw.find_plans(arch, robots=2)): "found, (<Plan",
+        repr(oracle.check(plan.states)): "11 states: 11 stable",
+        repr(oracle.check(plan.states[:1] * 0 + 2 * arch.boundary)): "1 state",
+        repr(fw.load_cell("bottle-12", check=False)): "robots front, back",
+    }
+    for line, words in lines.items():
+        assert line.startswith("<")
+        assert words in line
+        assert len(line) < 200
+        assert "\n" not in line
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda arch, plan: UNTYPED.find_plans(arch, robots="2"), "robots is '2'; give a whole number"),
+        (lambda arch, plan: UNTYPED.find_plans(arch, robots=2.5), "robots is 2.5; give a whole number"),
+        (lambda arch, plan: UNTYPED.find_plans(arch, missing=["voussoir-3"]), "give a list of part numbers"),
+        (lambda arch, plan: UNTYPED.save_plan([plan], "plan.json"), "writes a Plan, not list"),
+        (lambda arch, plan: UNTYPED.validate_plan([plan], arch), "checks a Plan, not list"),
+        (lambda arch, plan: UNTYPED.picture(fw.Stability(arch), "arch.png"), "Stability cannot be shown"),
+    ],
+)
+def test_wrong_types_get_one_line(arch: Assembly, plan: fw.Plan, call: Callable[..., Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        call(arch, plan)
+
+
+def test_numbers_of_numpy_are_numbers(arch: Assembly) -> None:
+    assert UNTYPED.find_plans(arch, robots=np.int64(2), missing=np.array([2])).found

@@ -126,6 +126,8 @@ def test_one_file_with_its_description_beside_it(tmp_path: Path):
         ({"unit": "furlong"}, "unknown unit 'furlong'"),
         ({"unit": 3}, "unit in"),
         ({"parts": 4}, "has 3 meshes, but assembly.json says 4"),
+        ({"frictoin": 0.3}, "has the entry 'frictoin', which is unknown; write 'friction'"),
+        ({"load": []}, "has the entry 'load', which is unknown; write 'loads'"),
         ({"names": ["a", "b"]}, "names in assembly.json must be 3"),
         ({"names": ["a", "a", "b"]}, "names in assembly.json must be 3"),
         ({"names": [1, 2, 3]}, "must be strings"),

@@ -187,6 +187,29 @@ def test_fewer_than_one_robot(robots: str, refused: Callable[..., None], stack: 
     refused(("robots", "1"), stack, "--robots", robots)
 
 
+def test_robots_that_no_plan_file_could_hold(refused: Callable[..., None], stack: Path) -> None:
+    refused(("robots are too many", "1000000"), stack, "--robots", str(2**64))
+
+
+def test_a_plan_in_place_of_a_structure(refused: Callable[..., None], tmp_path: Path) -> None:
+    (tmp_path / "old.json").write_text('{"format": "falsework.plan/2"}')
+    refused(("old.json", "falsework.plan/2, not a structure"), tmp_path / "old.json")
+    (tmp_path / "list.json").write_text("[]")
+    refused(("list.json", "a structure is a folder"), tmp_path / "list.json")
+
+
+def test_the_description_stands_for_its_folder(falsework: Run, stack: Path) -> None:
+    finished = falsework("stability", stack / "assembly.json")
+    assert finished.code == 0, finished.error
+
+
+@pytest.mark.parametrize(("name", "hint"), [("folder", "Is a directory"), ("picture.png", "it is no text")])
+def test_no_plan(name: str, hint: str, falsework: Run, tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "picture.png").write_bytes(b"\x89PNG\xff")
+    expect(falsework("check", tmp_path / name), 2, name, hint, "`falsework plan`")
+
+
 @pytest.mark.parametrize(
     ("option", "value", "hint"),
     [

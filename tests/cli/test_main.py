@@ -107,6 +107,9 @@ def test_wrong_usage_is_one_line(arguments: list[str], hint: str, capsys: pytest
         ("plan arch --friction x", "--friction is 'x'; give a number; for help, see falsework plan --help"),
         ("robots-needed arch --props 1.5", "--props is '1.5'; give a whole number"),
         ("plan arch --robots", "--robots has no value; give one"),
+        ("train arch --policy cnn", "--policy is 'cnn'; choose gat, mlp, resmlp, transformer; for help"),
+        ("paln arch", "there is no subcommand 'paln'; perhaps you meant: plan; for all, run falsework --help"),
+        ("robot plan", "there is no subcommand 'robot'; perhaps you meant: robots plan; for all"),
     ],
 )
 def test_wrong_usage_names_options_without_their_help(

@@ -18,7 +18,7 @@ from falsework.assembly import load_structure
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, complete_state, empty_state
 from falsework.errors import FalseworkError, InputError, StateError
 from falsework.replanning.replanner import Replanner, ReplanSettings, Request, Stage, replan
-from falsework.search import ExhaustiveSearch, Outcome, find_plans
+from falsework.search import ExhaustiveSearch, Outcome, Plan, find_plans
 from falsework.search.planner import Planner
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.problem.task import Direction
@@ -317,11 +317,10 @@ def test_confidences_are_probabilities(guided: Replanner, goal_conditioned: Repl
     assert guided.replan(COMPLETE).confidences == ()
 
 
-def test_a_perfect_policy_decides_alone(alone: Replanner) -> None:
-    """A policy that knows a plan by heart is believed, once every state of it is proved."""
+def knowing(plan: Plan) -> Any:
+    """A policy that knows a plan by heart."""
     import torch
 
-    plan = find_plans(ARCH, oracle=alone.oracle, forces=False).plans[0]
     book = {state.tobytes(): int(action) for state, action in zip(plan.states, plan.actions, strict=False)}
 
     class Knowing(torch.nn.Module):
@@ -332,7 +331,13 @@ def test_a_perfect_policy_decides_alone(alone: Replanner) -> None:
                     logits[row, book[state.tobytes()]] = 50.0
             return logits, torch.zeros(len(states))
 
-    answer = Replanner(ARCH, Knowing(), alone.oracle).replan(COMPLETE, confidences=True)
+    return Knowing()
+
+
+def test_a_perfect_policy_decides_alone(alone: Replanner) -> None:
+    """A policy that knows a plan by heart is believed, once every state of it is proved."""
+    plan = find_plans(ARCH, oracle=alone.oracle, forces=False).plans[0]
+    answer = Replanner(ARCH, knowing(plan), alone.oracle).replan(COMPLETE, confidences=True)
     assert answer.decided_by is Stage.GREEDY
     np.testing.assert_array_equal(answer.plans[0].actions, plan.actions)
     assert answer.confidences[0][np.arange(len(plan)), plan.actions].min() > 0.99
@@ -389,21 +394,9 @@ def test_a_plan_whose_replay_falls_is_not_delivered(policy: bool, alternatives: 
 
 
 def test_a_policy_whose_plan_falls_does_not_decide(alone: Replanner) -> None:
-    import torch
-
     plan = find_plans(ARCH, oracle=alone.oracle, forces=False).plans[0]
-    book = {state.tobytes(): int(action) for state, action in zip(plan.states, plan.actions, strict=False)}
-
-    class Knowing(torch.nn.Module):
-        def forward(self, states: torch.Tensor, targets: torch.Tensor | None = None) -> Any:
-            logits = torch.zeros(len(states), 2 * ARCH.part_count)
-            for row, state in enumerate(states.numpy()):
-                if state.tobytes() in book:
-                    logits[row, book[state.tobytes()]] = 50.0
-            return logits, torch.zeros(len(states))
-
     oracle = falling(lambda state: state.tobytes() == plan.states[4].tobytes())
-    answer = Replanner(ARCH, Knowing(), oracle).replan(COMPLETE)
+    answer = Replanner(ARCH, knowing(plan), oracle).replan(COMPLETE)
     assert answer.found
     assert answer.decided_by is not Stage.GREEDY
     assert answer.replays[0].stands is True

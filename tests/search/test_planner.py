@@ -25,6 +25,7 @@ from falsework.search import (
     validate_proofs,
 )
 from falsework.search.planner import insertion_steps
+from falsework.search.settings import COMPACT
 from falsework.stability import Stability
 
 
@@ -111,13 +112,13 @@ def test_resuming_a_search_in_one_place_changes_nothing(
 def test_a_beam_in_one_place_has_its_turn_where_the_first_died_often() -> None:
     attempts = PlannerSettings().attempts(compact=True)
     first, second, third = attempts[:3]
-    assert (first.direction, first.width, first.compact) == (Direction.ASSEMBLY, 1, False)
-    assert second == replace(first, compact=True, deaths=second.deaths)
+    assert (first.direction, first.width, first.beam) == (Direction.ASSEMBLY, 1, "assembly")
+    assert second == replace(first, beam=COMPACT, deaths=second.deaths)
     assert third == replace(first, deaths=None)
     assert attempts[2:] == PlannerSettings().attempts()
     backwards = PlannerSettings(directions=(Direction.DISASSEMBLY,))
     assert backwards.attempts(compact=True) == backwards.attempts()
-    assert not any(attempt.compact for attempt in PlannerSettings().attempts("alternatives", compact=True))
+    assert not any(attempt.beam == COMPACT for attempt in PlannerSettings().attempts("alternatives", compact=True))
 
 
 def test_a_checkpoint_of_another_search_is_refused(rules: Any, tmp_path: Path) -> None:

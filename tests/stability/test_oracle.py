@@ -23,6 +23,7 @@ from falsework.stability import (
     Verdicts,
     verify_certificates,
 )
+from falsework.stability.certificate import CONTACT
 
 
 @pytest.fixture(scope="module")
@@ -58,6 +59,18 @@ def balanced(stability: Stability) -> bool:
     counters = stability.counters.to_dict()
     answered = sum(count for name, count in counters.items() if name not in ("asked", "rejected", "warm"))
     return counters["asked"] == answered
+
+
+def test_verdicts_are_verified_under_their_own_criterion(arch: Assembly, states: NDArray) -> None:
+    stability = Stability(arch)
+    verdicts = stability.check(states)
+    assert stability.settings.claim == CONTACT
+    stable = verdicts.stable
+    assert stable.any()
+    assert verify_certificates(arch, states, verdicts).all()
+    assert verdicts.displacement is not None
+    moved = replace(verdicts, displacement=0.5 * verdicts.displacement)
+    assert not verify_certificates(arch, states, moved)[stable].any(), "forces alone prove nothing under `contact`"
 
 
 def test_check_returns_proofs_that_hold(arch: Assembly, states: NDArray, expected: NDArray) -> None:

@@ -12,7 +12,7 @@ pytest.importorskip("viser", reason="the page needs viser; pip install 'falsewor
 import viser
 
 from falsework.cli.main import main
-from falsework.errors import DependencyError
+from falsework.errors import DependencyError, InputError
 from falsework.viewer.page.origin_guard import OriginGuard, start_server
 from falsework.viewer.page.page import Page
 from falsework.viewer.page.viewer_state import ViewerState
@@ -110,6 +110,12 @@ def test_a_server_on_all_interfaces_answers_to_addresses_but_not_to_names() -> N
     assert "not given" in str(guard.refusal([], []))
     assert guard.refusal(["localhost", "localhost"], []) is not None
     assert guard.refusal(["[broken"], []) is not None
+
+
+@pytest.mark.parametrize("host", ["999.1.1.1", "192.0.2.1"])  # no address; one for documentation, of no machine
+def test_an_address_of_no_machine_is_refused_at_once(host: str, timeline: Timeline) -> None:
+    with pytest.raises(InputError, match=f"cannot listen at {host}"):
+        Page(ViewerState(timeline), host=host, port=PORT)
 
 
 def test_a_server_that_the_guard_does_not_reach_is_stopped() -> None:

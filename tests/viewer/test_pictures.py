@@ -129,6 +129,13 @@ def test_a_round_structure_has_no_line_drawing(run: Run, tmp_path: Path) -> None
     assert not (tmp_path / "dome.svg").exists()
 
 
+def test_a_name_that_promises_another_format(plan_file: Path, run: Run, tmp_path: Path) -> None:
+    code, error = run("picture", plan_file, "--out", tmp_path / "plan.jpg")
+    assert code == 2
+    assert "pictures are written as .png or .svg" in error
+    assert not (tmp_path / "plan.jpg").exists()
+
+
 def test_names_are_escaped(arch) -> None:
     from dataclasses import replace
 

@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 
 from falsework.assembly.draft import Block, Draft
 from falsework.assembly.interfaces import InterfaceComparison, compare_interfaces, interface_contacts
-from falsework.assembly.load import LOAD_OPTIONS, described_options, read_draft
+from falsework.assembly.load import LOAD_OPTIONS, check_meshes_path, described_options, read_draft
 from falsework.assembly.model import Assembly
 from falsework.assembly.store import read_description
 from falsework.errors import AssemblyError, InputError, MeshError
@@ -185,6 +185,7 @@ def _read(path: Path, unit: str | None) -> tuple[Draft, dict[str, Any]]:
     draft = read_draft(path, chosen)
     if draft is not None:
         return draft, {key: value for key, value in options.items() if key not in LOAD_OPTIONS}
+    check_meshes_path(path)
     described = read_description(path)
     chosen = unit or described.get("unit", "m")
     options = {key: described[key] for key in ("density", "friction", "boundary") if key in described}

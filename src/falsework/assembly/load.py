@@ -54,8 +54,8 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
     """Load a structure by the name of a built-in one, such as `arch:blocks=15`, or by its path.
 
     A path is a folder or file of meshes, with or without `assembly.json`, or a file of another format: COMPAS data,
-    Rhino, STEP, bricks; `assembly.json` beside it is read too. A bare name that is both means the built-in structure;
-    `./arch` is the folder.
+    Rhino, STEP, bricks; `assembly.json` beside it is read too, and stands for its folder. A bare name that is both
+    means the built-in structure; `./arch` is the folder.
 
     Args:
         structure: name of a built-in structure with its parameters, or a folder or file.
@@ -69,12 +69,14 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
     """
     from falsework.assembly import library
     from falsework.assembly.fasteners import furnish
-    from falsework.assembly.store import load_assembly
+    from falsework.assembly.store import FILE, load_assembly
 
     text = str(structure)
     given = {key: value for key, value in options.items() if value is not None}
     if isinstance(structure, Path) or not library.is_built_in(text):
         path = Path(text)
+        if path.name == FILE and path.is_file():
+            path = path.parent
         if not path.exists() and path.name == text:
             names = ", ".join(entry.name for entry in library.structures())
             raise InputError(f"there is no folder, file or built-in structure {text!r}; built in are {names}")
@@ -85,6 +87,7 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
                 return furnish(_resolve(reader)(path, **options), **acting)
         if given.pop("interfaces", "found") != "found":
             raise InputError(f"{text} is made of meshes and stores no interfaces; leave out --interfaces")
+        check_meshes_path(path)
         return load_assembly(path, **given)
     if given.pop("interfaces", "found") != "found":
         raise InputError(f"{text} is a built-in structure and stores no interfaces; leave out --interfaces")
@@ -131,6 +134,26 @@ def described_options(path: Path) -> dict[str, Any]:
     described["contact_settings"] = described.pop("contact")
     options = ("unit", "density", "friction", "boundary", "contact_settings", *LOAD_OPTIONS)
     return {name: described[name] for name in options if name in described}
+
+
+def check_meshes_path(path: Path) -> None:
+    """Raise for a file that neither a registered reader nor the reader of meshes knows.
+
+    Raises:
+        InputError: such a file; the message says what it is instead, if that is known.
+    """
+    from falsework.geometry.mesh.read import SUFFIXES
+    from falsework.utils.json_file import read_format
+
+    if not path.is_file() or path.suffix.lower() in SUFFIXES:
+        return
+    form = read_format(path) if path.suffix.lower() == ".json" else ""
+    if form.startswith("falsework."):
+        raise InputError(f"{path} is a file of format {form}, not a structure; give the structure that it belongs to")
+    raise InputError(
+        f"cannot read {path}; a structure is a folder of meshes or one file: {', '.join(SUFFIXES)}, .3dm, .step, "
+        "COMPAS data (.json) or bricks (.ldr, .txt)"
+    )
 
 
 def _resolve(place: str) -> Callable[..., Any]:

@@ -127,6 +127,13 @@ class Assembly:
             )
         return assembly
 
+    def __repr__(self) -> str:
+        fixed = int(self.boundary.sum())
+        return (
+            f"<Assembly {self.name}: {self.part_count} parts, {fixed} of them boundary, {len(self.contacts)} contacts, "
+            f"friction {self.friction:g}>"
+        )
+
     @property
     def warnings(self) -> tuple[str, ...]:
         """One line for all joints that were resolved, and one for each pair that touches along lines or at points only.

@@ -8,6 +8,7 @@ Actions are indices in `[0, 2 parts)`: `i` holds part `i`, `parts + i` removes p
 from __future__ import annotations
 
 from collections.abc import Sequence
+from operator import index
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from falsework.errors import InputError, StateError
 
 REMOVED, INSTALLED, HELD = 0, 1, 2
+MOST_ROBOTS = 1_000_000
+"""More robots than any structure has parts; a plan file could not hold any number."""
 
 States = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
@@ -70,10 +73,16 @@ def as_states(states: ArrayLike, boundary: Mask) -> States:
 
 
 def check_robots(robots: int) -> int:
-    """Return the number of robots, or raise `InputError` if it is below one."""
+    """Return the number of robots, or raise `InputError` if it is no whole number from one to `MOST_ROBOTS`."""
+    try:
+        robots = index(robots)
+    except TypeError:
+        raise InputError(f"the number of robots is {robots!r}; give a whole number") from None
     if robots < 1:
         raise InputError(f"{robots} robots cannot hold anything; give at least 1")
-    return int(robots)
+    if robots > MOST_ROBOTS:
+        raise InputError(f"{robots} robots are too many; give at most {MOST_ROBOTS}")
+    return robots
 
 
 def held_count(states: States, boundary: Mask) -> NDArray[np.int64]:

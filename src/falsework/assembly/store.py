@@ -7,6 +7,7 @@ import shutil
 import tempfile
 from collections.abc import Mapping
 from dataclasses import asdict, fields, replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,25 @@ from falsework.utils.json_text import parse_json
 
 FORMAT = "falsework.assembly/1"
 FILE = "assembly.json"
+_ENTRIES: dict[str, tuple[type, ...]] = {
+    "format": (str,),
+    "name": (str,),
+    "unit": (str,),
+    "friction": (int, float),
+    "density": (int, float, list),
+    "boundary": (list,),
+    "parts": (int,),
+    "names": (list,),
+    "contact": (dict,),
+    "loads": (list,),
+    "earthquake": (int, float, list),
+    "materials": (str, list),
+    "joints": (list,),
+    "fasteners": (list,),
+}
+"""Entries of `assembly.json` and their types. Others are notes, unless their names are nearly one of these."""
+_ALIKE = 0.8
+"""Similarity from which the name of an entry is taken for a misspelt one."""
 
 
 def load_assembly(
@@ -170,21 +190,10 @@ def read_description(source: Path) -> dict[str, Any]:
         version = described.get("format", FORMAT)
         if version != FORMAT:
             raise AssemblyError(f"{file} is of format {version!r}; this version reads {FORMAT!r}")
-        for key, kinds in (
-            ("name", (str,)),
-            ("unit", (str,)),
-            ("friction", (int, float)),
-            ("density", (int, float, list)),
-            ("boundary", (list,)),
-            ("parts", (int,)),
-            ("names", (list,)),
-            ("contact", (dict,)),
-            ("loads", (list,)),
-            ("earthquake", (int, float, list)),
-            ("materials", (str, list)),
-            ("joints", (list,)),
-            ("fasteners", (list,)),
-        ):
+        for key in set(described) - set(_ENTRIES):
+            if near := get_close_matches(key, _ENTRIES, n=1, cutoff=_ALIKE):
+                raise AssemblyError(f"{file} has the entry {key!r}, which is unknown; write {near[0]!r}")
+        for key, kinds in _ENTRIES.items():
             if key in described and (not isinstance(described[key], kinds) or isinstance(described[key], bool)):
                 raise AssemblyError(
                     f"{key} in {file} is {described[key]!r}; expected {' or '.join(k.__name__ for k in kinds)}"

@@ -90,8 +90,7 @@ def read_states(path: Path) -> Any:
             return np.load(path, allow_pickle=False)
         content = parse_json(path.read_text(encoding="utf-8"))
     except Exception as error:  # NumPy fails in many ways on a damaged file
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise StateError(f"{path} contains no states: {reason}; give a JSON list of states or a .npy array") from error
+        raise StateError(f"{path} cannot be read; give a JSON list of states or a .npy array") from error
     if not isinstance(content, list):
         raise StateError(f"{path} contains no list; give a JSON list of states such as [[2, 1, 0], [2, 2, 0]]")
     return content

@@ -50,7 +50,10 @@ class Doctor(Command):
         from falsework.cli.planning import writable
 
         if self.picture is not None:
+            from falsework.viewer.pictures.contact_sheet import check_suffix
+
             writable(self.picture)
+            check_suffix(self.picture, ".png")
         found = diagnose(self.path, self.unit)
         output.record(found.to_dict())
         for line in _lines(found):
@@ -74,14 +77,14 @@ def _lines(found: Diagnosis) -> list[str]:
         text = f"{counted(len(found.parts), 'part')} ({fixed} boundary), {min(sizes):.3g} to {max(sizes):.3g} m long"
         if volumes:
             text += f", {min(volumes):.3g} to {max(volumes):.3g} m3, {sum(volumes):.3g} m3 in all"
-        lines += [text, f"{found.contacts} contacts"]
+        lines += [text, counted(found.contacts, "contact")]
     if found.stored is not None:
         lines.append(f"stored interfaces: {found.stored}")
     lines += list(found.remarks)
     mended = [report for report in found.parts if report.mended]
     for title, listed in (("mended", mended), ("doubtful", found.doubtful)):
         if listed:
-            lines.append(f"{title}: {len(listed)} parts")
+            lines.append(f"{title}: {counted(len(listed), 'part')}")
         for report in listed[:_LISTED]:
             lines.append(f"  part {report.name} {report.mended if title == 'mended' else '; '.join(report.doubts)}")
         if len(listed) > _LISTED:

@@ -107,6 +107,8 @@ _PLAIN_WORDS = (
     (r"missing value for argument '(\S+)'\. Expected 1 values", r"\1 has no value; give one"),
 )
 """Messages of tyro that name types of Python, and what they say to a user."""
+_CHOICES = re.compile(r"invalid choice ('.*?') for argument '(\S+)'\. Expected one of \((.*?)\)")
+"""Message of tyro for a value that is none of the choices, which it gives in any order and with `None` among them."""
 
 
 class _UsageError(Exception):
@@ -128,6 +130,8 @@ def _parse(arguments: list[str]) -> Command | None:
         kind: Any = _command_class(named)
         _spell_unions_out(kind)
         about, program, rest = _help_text(kind), f"falsework {named}", arguments[len(named.split()) :]
+    elif not arguments or not (arguments[0].startswith("-") or arguments[0] in {name.split()[0] for name in COMMANDS}):
+        raise _UsageError(_no_subcommand(arguments))
     else:
         group = [name for name in COMMANDS if " " in name and name.split()[:1] == arguments[:1]]
         classes = [
@@ -145,6 +149,16 @@ def _parse(arguments: list[str]) -> Command | None:
         if exit_request.code in (None, 0):
             return None
         raise _UsageError(_one_line(complaint.getvalue()) or f"wrong options; see {program} --help") from None
+
+
+def _no_subcommand(arguments: list[str]) -> str:
+    if not arguments:
+        return f"give a subcommand: {', '.join(COMMANDS)}; for help, run falsework --help"
+    from difflib import get_close_matches
+
+    near = get_close_matches(" ".join(arguments[:2]), COMMANDS, 1) or get_close_matches(arguments[0], COMMANDS, 1)
+    meant = f"perhaps you meant: {', '.join(near)}; " if near else ""
+    return f"there is no subcommand {arguments[0]!r}; {meant}for all, run falsework --help"
 
 
 def _spell_unions_out(kind: Any) -> None:
@@ -220,7 +234,13 @@ def _one_line(box: str) -> str:
     line = "; ".join(text[0].lower() + text[1:] for text in texts if text).replace("for full helptext,", "for help,")
     for pattern, words in _PLAIN_WORDS:
         line = re.sub(pattern, words, line)
-    return line
+    return _CHOICES.sub(_choices, line)
+
+
+def _choices(found: re.Match[str]) -> str:
+    value, option, listed = found.groups()
+    choices = sorted(set(re.findall(r"'(.*?)'", listed)) - {"None"})
+    return f"{option} is {value}; choose {', '.join(choices)}"
 
 
 def _explain(error: Exception) -> str:

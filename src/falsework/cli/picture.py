@@ -68,15 +68,17 @@ class MakePicture(JudgingCommand):
 
     def run(self, output: Output) -> Exit:
         """Open, draw, write."""
-        from falsework.viewer.show import check_picture, picture
+        from falsework.viewer.pictures.contact_sheet import check_suffix
+        from falsework.viewer.show import check_sizes, picture
 
         writable(self.out)
         out = self.out.with_suffix(".svg") if self.svg and self.out == Path("picture.png") else self.out
         if self.svg != (out.suffix.lower() == ".svg") and not (self.gantt and not self.svg):
             raise InputError(f"{out} and {'--svg' if self.svg else 'no --svg'} do not fit; name a file that does")
-        check_picture(self.width, self.frames, self.columns)
+        check_sizes(self.width, self.frames, self.columns)
         if self.gantt:
             return self._gantt(out, output)
+        check_suffix(out, ".png", ".svg")
         subject = self.subject.open().with_policy(self.policy)
         drawn = picture(
             subject,

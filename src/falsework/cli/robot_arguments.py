@@ -77,7 +77,7 @@ def parse_now(text: str, held: Sequence[int | None], assembly: Assembly) -> Stat
     """Read the state at the start, in which robots hold some parts, shape (parts,)."""
     from falsework.assembly.state import HELD, REMOVED
 
-    state = parse_state(text, "--start", assembly).copy()
+    state = parse_state(text, "--state", assembly).copy()
     for part in held:
         if part is not None and state[part] != REMOVED:
             state[part] = HELD

@@ -13,7 +13,7 @@ from falsework.assembly.state import HELD, REMOVED, States, as_states, complete_
 from falsework.errors import InputError, StateError
 from falsework.search.problem.deadline import check_deadline
 from falsework.search.problem.task import STAGE, Direction, Task
-from falsework.search.settings import check_seed
+from falsework.utils.quantity import check_seed
 
 MOST_PLANS = 1000
 """Alternatives that can be asked for."""

@@ -88,6 +88,9 @@ class Planning:
     deadline_passed: bool = False
     """Whether the deadline ended the search; `result` and `plans` are the best that it had by then."""
 
+    def __repr__(self) -> str:
+        return f"<Planning: {self.result.outcome.value}, {self.plans if self.found else self.result}>"
+
     @property
     def found(self) -> bool:
         """Whether there is at least one plan."""

@@ -28,7 +28,7 @@ from falsework.search.problem.result import (
     unstable_end,
 )
 from falsework.search.problem.task import Direction, Task
-from falsework.search.settings import EDGES, Attempt, PlannerSettings
+from falsework.search.settings import COMPACT, EDGES, Attempt, PlannerSettings
 from falsework.utils.archive import read_archive, write_archive
 
 FORMAT = "falsework.planner/8"
@@ -220,13 +220,13 @@ class Planner:
     def _advance(self, report: Progress, stop: Stop | None) -> bool:
         """Run the current attempt to its end and decide on the next; True if it was interrupted."""
         attempt = self._attempts[self._attempt]
-        key = attempt.beam
-        if key not in self._beams:
+        name = attempt.beam
+        if name not in self._beams:
             narrowest = min(_NOVEL_WIDTH if self._stage == "alternatives" else 1, self.settings.width)
-            settings = AdaptiveSettings(attempt.direction, narrowest, attempt.compact, self.settings.seed)
+            settings = AdaptiveSettings(attempt.direction, narrowest, name == COMPACT, self.settings.seed)
             task = self.task.postpone(self._trial)
-            self._beams[key] = AdaptiveBeam(task, self._oracle, settings, guide=self._beam_guide(key))
-        beam = self._beams[key]
+            self._beams[name] = AdaptiveBeam(task, self._oracle, settings, guide=self._beam_guide(name))
+        beam = self._beams[name]
         result = beam.run(attempt.width, deaths=attempt.deaths, progress=report, stop=stop)
         if result.interrupted:
             return True

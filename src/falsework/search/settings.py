@@ -6,9 +6,11 @@ from dataclasses import dataclass, replace
 
 from falsework.errors import InputError
 from falsework.search.problem.task import Direction
+from falsework.utils.quantity import check_seed
 
-EDGES = "edges"
-"""Name of the beam that closes free edges first."""
+COMPACT, EDGES = "compact", "edges"
+"""Names of the beam in which robots work in one place (see `BeamSettings`), and of the one that closes free edges first
+(see `EdgeGuide`); others are named after their direction."""
 
 _BOTH = (Direction.ASSEMBLY, Direction.DISASSEMBLY)
 _FIRST_WIDTH = 1
@@ -19,24 +21,12 @@ _OTHER_WIDTH = 16
 """Widest beam for a plan unlike others."""
 _TRIAL_WIDTH = 4
 """Widest beam for a plan with missing parts later: independent of the width for the first plan."""
-
-
 _EDGE_DEATHS = 16
 """Times that a beam which closes free edges first dies before the beam that is first elsewhere begins."""
 _FREE_DEATHS = 16
 """Times that this one dies before one is tried in which robots work in one place ..."""
 _COMPACT_DEATHS = 64
 """... and times that this one dies before the first goes on."""
-
-
-def check_seed(seed: int) -> None:
-    """Raise unless a number can be a random seed.
-
-    Raises:
-        InputError: it is negative.
-    """
-    if seed < 0:
-        raise InputError(f"a seed is not negative; {seed} was given")
 
 
 @dataclass(frozen=True)
@@ -47,17 +37,10 @@ class Attempt:
     """Which end to begin at."""
     width: int
     """Widest beam."""
-    compact: bool = False
-    """Let robots work in one place, see `BeamSettings`."""
-    edges: bool = False
-    """Close free edges first, see `EdgeGuide`."""
+    beam: str
+    """Name of the beam; attempts with the same name go on with it."""
     deaths: int | None = None
     """Times that the beam dies before the next attempt; another attempt may go on with it."""
-
-    @property
-    def beam(self) -> str:
-        """Name of the beam; attempts with the same name go on with it."""
-        return EDGES if self.edges else "compact" if self.compact else self.direction.value
 
 
 @dataclass(frozen=True)
@@ -101,12 +84,12 @@ class PlannerSettings:
         if stage == "alternatives":
             # Disassembly leaves more freedom in the order of removal than assembly.
             directions = tuple(sorted(directions, key=lambda direction: direction is not Direction.DISASSEMBLY))
-        attempts = [Attempt(direction, width) for width in widths for direction in directions]
+        attempts = [Attempt(direction, width, direction.value) for width in widths for direction in directions]
         if stage == "plan" and Direction.ASSEMBLY in directions:
             free = directions.index(Direction.ASSEMBLY)
             first_beam = replace(attempts[free], deaths=_FREE_DEATHS)
             if compact:
-                attempts[free:free] = [first_beam, replace(first_beam, compact=True, deaths=_COMPACT_DEATHS)]
+                attempts[free:free] = [first_beam, replace(first_beam, beam=COMPACT, deaths=_COMPACT_DEATHS)]
             if edges:
-                attempts[:0] = [replace(first_beam, edges=True, deaths=_EDGE_DEATHS)]
+                attempts[:0] = [replace(first_beam, beam=EDGES, deaths=_EDGE_DEATHS)]
         return tuple(attempts)

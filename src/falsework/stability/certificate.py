@@ -58,8 +58,12 @@ class StabilityCriterion:
     """Ratio of tangential to normal contact stiffness, under the criterion `contact`."""
 
 
+CONTACT = StabilityCriterion(cone="quadratic", criterion="contact")
+"""The default criterion of verdicts, plans and replays."""
+
+
 def verify_certificates(
-    assembly: Assembly, states: States, verdicts: Verdicts, claim: StabilityCriterion = StabilityCriterion()
+    assembly: Assembly, states: States, verdicts: Verdicts, claim: StabilityCriterion | None = None
 ) -> NDArray[np.bool_]:
     """Return whether each verdict is proven by its certificate.
 
@@ -67,7 +71,8 @@ def verify_certificates(
         assembly: the structure.
         states: shape (batch, parts).
         verdicts: with forces and velocity, under `contact` with displacement.
-        claim: criterion, cone, gravity, tolerance and force bound.
+        claim: criterion, cone, gravity, tolerance and force bound; if not given, those that `Stability` has by default
+            under `contact`, for verdicts with displacements, or under `equilibrium`, for others.
 
     Returns:
         Shape (batch,); an undecided verdict is never accepted. Of a sliding state, only the proof that forces in
@@ -78,6 +83,8 @@ def verify_certificates(
     """
     if verdicts.forces is None or verdicts.velocity is None:
         raise InputError("these verdicts carry no certificates; get verdicts from Stability.check, which returns them")
+    if claim is None:
+        claim = StabilityCriterion() if verdicts.displacement is None else CONTACT
     batch, parts = states.shape
     shapes = [
         ("states", states.shape, (len(verdicts), len(assembly.meshes))),

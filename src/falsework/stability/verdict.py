@@ -124,6 +124,11 @@ class Verdicts:
     def __len__(self) -> int:
         return len(self.verdict)
 
+    def __repr__(self) -> str:
+        counts = ((int((self.verdict == kind).sum()), kind.name.lower()) for kind in Verdict)
+        found = ", ".join(f"{count} {name}" for count, name in counts if count)
+        return f"<Verdicts of {len(self)} state{'s' * (len(self) != 1)}{found and f': {found}'}>"
+
     def __getitem__(self, index: int | slice | NDArray) -> Verdicts:
         """Return verdicts of selected states, as a batch."""
         if isinstance(index, (int, np.integer)):

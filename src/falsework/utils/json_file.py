@@ -59,8 +59,10 @@ class Reader:
             return parse_json(path.read_text(encoding="utf-8"))
         except FileNotFoundError:
             raise PlanError(f"there is no {cls.kind} file {path}") from None
-        except (OSError, UnicodeDecodeError) as error:
-            raise PlanError(f"{path} cannot be read as a {cls.kind} ({type(error).__name__}); plan again") from None
+        except OSError as error:
+            raise PlanError(f"{path} cannot be read: {error.strerror}; name a file of `{cls.command}`") from None
+        except UnicodeDecodeError:
+            raise PlanError(f"{path} is not a {cls.kind}: it is no text; name a file of `{cls.command}`") from None
         except json.JSONDecodeError:
             raise PlanError(f"{path} is not valid JSON; it may be truncated; plan again") from None
         except ValueError as error:
@@ -103,7 +105,11 @@ def read_format(path: Path | str) -> str:
         content = parse_json(Path(path).read_text(encoding="utf-8"))
     except json.JSONDecodeError:
         raise PlanError(f"{path} is not valid JSON; it may be truncated; write it again") from None
-    except (OSError, ValueError) as error:
+    except OSError as error:
+        raise PlanError(f"{path} cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise PlanError(f"{path} is not valid JSON: it is no text; write it again") from None
+    except ValueError as error:
         raise PlanError(f"{path} cannot be read: {error}; write it again") from None
     form = content.get("format") if isinstance(content, dict) else None
     return form if isinstance(form, str) else ""

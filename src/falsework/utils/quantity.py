@@ -1,4 +1,4 @@
-"""Quantities with units, as options of the command line give them."""
+"""Numbers that users give: quantities with units, and random seeds."""
 
 from __future__ import annotations
 
@@ -43,3 +43,13 @@ def parse_quantity(text: str, kind: str, option: str) -> float:
     if not (math.isfinite(number) and number > 0):
         raise InputError(f"{option}: {text!r} is not above zero; give {wanted}")
     return number * units[unit]
+
+
+def check_seed(seed: int) -> None:
+    """Raise unless a number can be a random seed.
+
+    Raises:
+        InputError: it is negative.
+    """
+    if seed < 0:
+        raise InputError(f"a seed is not negative; {seed} was given")

@@ -20,7 +20,15 @@ from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Criterion
 from falsework.viewer.page.viewer_state import ViewerState
-from falsework.viewer.pictures.contact_sheet import caption, check_places, contact_sheet, legend, one_state, write_png
+from falsework.viewer.pictures.contact_sheet import (
+    caption,
+    check_places,
+    check_suffix,
+    contact_sheet,
+    legend,
+    one_state,
+    write_png,
+)
 from falsework.viewer.pictures.drawing import drawing, write_svg
 from falsework.viewer.pictures.render import Camera
 from falsework.viewer.pictures.video import frame_places, frame_times, write_film
@@ -163,8 +171,9 @@ def picture(
             cannot be written.
         DependencyError: Pillow or matplotlib is not installed, or torch for a policy.
     """
-    check_picture(width, frames, columns)
     path = Path(path)
+    check_suffix(path, ".png", ".svg")
+    check_sizes(width, frames, columns)
     shown = viewable_of(subject, structure, **options).with_policy(policy)
     if shown.graph is not None and step is None:
         return _picture_graph(shown, path, title)
@@ -229,7 +238,7 @@ def _nearness(shown: Viewable, place: int, criterion: Criterion) -> NDArray[np.f
     return nearness_to_limit(shown.assembly, state, verdicts.forces[0])
 
 
-def check_picture(width: int, frames: int, columns: int) -> None:
+def check_sizes(width: int, frames: int, columns: int) -> None:
     """Refuse sizes of a picture before anything is loaded.
 
     Raises:

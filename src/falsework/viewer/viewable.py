@@ -105,8 +105,6 @@ def open_file(
             return _robot_plan(load_robot_plan(file), file, structure, cell, direction, options)
         if form and not form.startswith("falsework.assembly/"):
             raise InputError(f"{file} has format {form!r}, which cannot be shown; give a plan or a structure")
-        if file.name == "assembly.json":
-            path = file.parent
     elif file.is_file() and file.suffix.lower() == ".npz":
         return _graph(load_state_graph(file), str(file), structure, direction, options)
     elif file.is_dir() and (file / "run.json").is_file():
@@ -152,6 +150,10 @@ def viewable_of(
         return _graph(subject, "the graph", structure, direction, options)
     if isinstance(subject, Assembly):
         return Viewable("structure", subject, _still(subject, complete_state(subject.boundary), robots, direction))
+    if not (isinstance(subject, (list, tuple)) or hasattr(subject, "__array__")):
+        raise InputError(
+            f"{type(subject).__name__} cannot be shown; give a plan, structure, state graph, state or file"
+        )
     if structure is None:
         raise InputError("a state alone does not say which structure it is of; give the structure too")
     assembly = as_assembly(structure, **options)

@@ -310,6 +310,9 @@ def test_without_tensorboard_there_is_a_note(arch: Any, tmp_path: Path, monkeypa
     monkeypatch.setitem(sys.modules, "wandb", None)
     with pytest.raises(DependencyError, match="--log wandb needs wandb"):
         train(arch, replace(SMALL, steps=5), folder=tmp_path / "other", device="cpu", logs=("wandb",))
+    with pytest.raises(InputError, match="unknown log 'csv'; choose tensorboard or wandb"):
+        train(arch, replace(SMALL, steps=5), folder=tmp_path / "other", device="cpu", logs=("csv",))
+    assert not (tmp_path / "other").exists()
 
 
 def test_folders_that_are_taken_and_runs_that_are_not_there(arch: Any, tmp_path: Path) -> None:

@@ -301,7 +301,7 @@ def test_joint_values_in_a_file_are_numbers(run: Callable, cell_file: Path, tmp_
         (("--holding", "arm=0-1"), "a robot holds one part; name one"),
         (("--holding", "arm=1"), "m away from part block-1, which it should hold"),
         (("--state", "212"), "the robots hold nothing, the start state has part block-0 held"),
-        (("--state", "21"), "--start 21: a state of 2 values does not fit 3 parts"),
+        (("--state", "21"), "--state 21: a state of 2 values does not fit 3 parts"),
         (("--state", "002", "--holding", "arm=0"), "carries part block-0, which is not in place"),
         (("--state", "002", "--holding", "arm=0", "--grips", "arm=0,0,0,0,0,0"), "m away from part block-0"),
         (("--state", "002", "--holding", "arm=0", "--grips", "arm=home"), "--grips: arm is 'home'; give joint values"),

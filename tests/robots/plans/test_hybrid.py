@@ -17,8 +17,9 @@ from falsework.robots.keyframes.keyframes import Edge, Node
 from falsework.robots.model.cell import Cell, Obstacle, Placement
 from falsework.robots.model.shapes import block
 from falsework.robots.planning.end_motions import Ends
-from falsework.robots.planning.hybrid_planner import _Search, plan_robots
+from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
+from falsework.robots.planning.hybrid_search import HybridSearch
 from falsework.robots.planning.initial_keyframe import task_in_cell
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.search import Direction, Task
@@ -209,16 +210,16 @@ def test_a_dead_end_leads_back_to_the_hold_that_causes_it(
 
 
 @pytest.fixture
-def search(column: Assembly, cell: Cell, oracle: Stability) -> _Search:
+def search(column: Assembly, cell: Cell, oracle: Stability) -> HybridSearch:
     """A search that restarts after dead ends at two states."""
     graph, settings = KeyframeGraph(column, cell), HybridSettings(dead_ends=1)
     task = task_in_cell(column, cell, None, graph.exits)
-    return _Search(graph, task, oracle, None, settings, None, Ends(graph), Deadline(None))
+    return HybridSearch(graph, task, oracle, None, settings, None, Ends(graph), Deadline(None))
 
 
 @pytest.mark.parametrize(("parts", "found"), [((1,), True), ((1, 2), False)])
 def test_dead_ends_at_one_state_count_once(
-    search: _Search, column: Assembly, parts: tuple[int, ...], found: bool, monkeypatch: pytest.MonkeyPatch
+    search: HybridSearch, column: Assembly, parts: tuple[int, ...], found: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Ten grips of each part lead nowhere; after those of one part the search goes on, after those of two it ends."""
     homes, nobody = search.cell.homes, (None,) * search.cell.robot_count
@@ -243,7 +244,7 @@ def test_dead_ends_at_one_state_count_once(
 
 @pytest.mark.parametrize("solvable", [True, False])
 def test_where_nothing_leads_on_the_steps_back_grow(
-    search: _Search, column: Assembly, solvable: bool, monkeypatch: pytest.MonkeyPatch
+    search: HybridSearch, column: Assembly, solvable: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     homes, nobody = search.cell.homes, (None,) * search.cell.robot_count
     nodes = [search.graph.start(complete_state(column.boundary), homes, nobody) for _ in range(60)]

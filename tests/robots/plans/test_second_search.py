@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import sys
 from collections.abc import Callable
 from multiprocessing.connection import wait
@@ -84,6 +85,11 @@ def test_a_second_plan_is_taken_where_the_first_search_finds_none(
 def test_a_search_that_fails_is_no_plan() -> None:
     with SecondSearch(math.sqrt, {"no": "number"}) as beside:  # type: ignore[arg-type]
         assert beside.plan(60.0) is None
+
+
+def test_what_is_printed_stays_out_of_the_answer() -> None:
+    with SecondSearch(os.system, {"command": "echo noise"}) as beside:  # type: ignore[arg-type]
+        assert beside.plan(60) == 0
 
 
 def test_the_process_ends_with_the_search_that_it_is_beside() -> None:

@@ -174,9 +174,9 @@ def test_the_deadline_ends_later_searches_too() -> None:
 def test_ways_that_are_never_found_cost_little_more_than_those_that_are() -> None:
     solvability = SolvabilityCheck(ARCH, TASK, Stability(ARCH))
     assert solvability.prepare().found
-    first, state = solvability._allowance(), complete_state(ARCH.boundary)
-    solvability._costs = [1] * 20
-    assert solvability._allowance() < first
+    first, state = solvability.joining.allowance, complete_state(ARCH.boundary)
+    solvability.joining._costs = [1] * 20
+    assert solvability.joining.allowance < first
     assert any(solvability.solvable(state, action) for action in solvability.legal(state))
 
 

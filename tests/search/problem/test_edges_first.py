@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -91,7 +90,7 @@ def test_the_beam_that_closes_edges_comes_first_and_dies_a_few_times_at_most() -
     assert first.beam == EDGES
     assert first.deaths
     assert tuple(rest) == PlannerSettings().attempts(compact=True)
-    assert replace(first, edges=False).beam == Direction.ASSEMBLY.value
+    assert first.direction is Direction.ASSEMBLY
     backwards = PlannerSettings(directions=(Direction.DISASSEMBLY,))
     assert backwards.attempts(edges=True) == backwards.attempts()
     assert PlannerSettings().attempts("alternatives", edges=True) == PlannerSettings().attempts("alternatives")

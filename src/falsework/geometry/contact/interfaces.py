@@ -52,6 +52,9 @@ class Contacts:
     def __len__(self) -> int:
         return len(self.parts)
 
+    def __repr__(self) -> str:
+        return f"<Contacts: {len(self)} with {len(self.points)} points>"
+
     @property
     def contact_of_point(self) -> NDArray[np.int32]:
         """Contact that each contact point belongs to, shape (points,)."""

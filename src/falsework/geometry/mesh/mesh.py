@@ -22,6 +22,9 @@ class TriangleMesh:
     faces: NDArray[np.int32]
     """Shape (faces, 3), counter-clockwise seen from outside, read-only."""
 
+    def __repr__(self) -> str:
+        return f"<TriangleMesh {self.name}: {len(self.vertices)} vertices, {len(self.faces)} faces>"
+
     @staticmethod
     def from_arrays(name: str, vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh:
         """Copy arrays into a mesh after checking shapes and indices only.

@@ -7,11 +7,12 @@ from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from types import UnionType
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
+from falsework.assembly.state import check_robots
 from falsework.errors import InputError
 from falsework.learn.config.imitation import ImitationPhase
 from falsework.learn.config.policy import PolicySettings
 from falsework.learn.config.ppo import COMPLETE, PAPER, PpoPhase
-from falsework.search.settings import check_seed
+from falsework.utils.quantity import check_seed
 
 Phase = ImitationPhase | PpoPhase
 Method = Literal["default", "imitation", "paper", "complete"]
@@ -85,8 +86,7 @@ class TrainSettings:
         last = self.phases[-1]
         if self.policy.goal_conditioned and isinstance(last, PpoPhase) and last.starts == "complete":
             raise InputError("PPO from the complete structure supports no goals; choose mixed starts or the curriculum")
-        if self.robots < 1:
-            raise InputError(f"{self.robots} robots cannot hold anything; give at least 1")
+        check_robots(self.robots)
 
     def resolved(self, parts: int, device: str) -> TrainSettings:
         """Return the settings with all defaults that depend on structure and device.

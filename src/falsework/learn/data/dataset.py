@@ -23,10 +23,10 @@ from falsework.search.problem.hashing import StateIndex
 from falsework.search.problem.result import Stop
 from falsework.search.problem.state_graph import criterion_of, read_criterion
 from falsework.search.problem.task import Direction, Task
-from falsework.search.settings import check_seed
 from falsework.stability.verdict import Criterion
 from falsework.utils.archive import read_archive, write_archive
 from falsework.utils.distributed import ProcessGroup
+from falsework.utils.quantity import check_seed
 from falsework.utils.tensors import choose_device
 
 if TYPE_CHECKING:

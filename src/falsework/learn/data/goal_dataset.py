@@ -20,9 +20,9 @@ from falsework.search.device.oracle import TensorOracle, tensor_oracle, without_
 from falsework.search.device.rules import TensorRules
 from falsework.search.problem.state_graph import StateGraph, criterion_of, read_criterion
 from falsework.search.problem.task import Direction, Task
-from falsework.search.settings import check_seed
 from falsework.utils.archive import read_archive, write_archive
 from falsework.utils.distributed import ProcessGroup
+from falsework.utils.quantity import check_seed
 from falsework.utils.tensors import choose_device
 
 if TYPE_CHECKING:

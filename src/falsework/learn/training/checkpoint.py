@@ -97,6 +97,8 @@ def read_run(folder: Path) -> dict[str, Any]:
         InputError: no such folder, no run in it, damaged, or of another version.
     """
     path = folder / FILE
+    if folder.is_file():
+        raise InputError(f"{folder} is a file; a run is the folder that falsework train writes")
     if not folder.is_dir():
         raise InputError(f"there is no folder {folder}; falsework train STRUCTURE --out {folder} makes a run")
     try:

@@ -12,6 +12,8 @@ from falsework.errors import DependencyError, InputError
 
 PROGRESS = "progress.jsonl"
 TENSORBOARD = "tensorboard"
+LOGS = ("tensorboard", "wandb")
+"""Logs that may be asked for, beside `progress.jsonl`."""
 
 
 class Writer(Protocol):
@@ -89,12 +91,10 @@ class WeightsAndBiases:
         Raises:
             DependencyError: wandb is not installed.
         """
-        try:
-            import wandb
-        except ImportError:
-            raise DependencyError("--log wandb needs wandb; pip install 'falsework[wandb]', or leave it out") from None
         name = folder.resolve().name
-        self._run = wandb.init(project="falsework", id=name, name=name, resume="allow", config=dict(configuration))
+        self._run = _import_wandb().init(
+            project="falsework", id=name, name=name, resume="allow", config=dict(configuration)
+        )
 
     def write(self, step: int, values: Mapping[str, Any]) -> None:
         """See `Writer`."""
@@ -126,7 +126,6 @@ class Journal:
 
         Raises:
             DependencyError: wandb was asked for and is not installed.
-            InputError: an unknown kind of log.
         """
         self.notes: list[str] = []
         self._writers: list[Writer] = [Progress(folder, resumed_at)]
@@ -136,10 +135,8 @@ class Journal:
                     self._writers.append(TensorBoard(folder, resumed_at))
                 except DependencyError as error:
                     self.notes.append(f"{error}; going on without")
-            elif name == "wandb":
-                self._writers.append(WeightsAndBiases(folder, configuration or {}))
             else:
-                raise InputError(f"unknown log {name!r}; choose tensorboard or wandb")
+                self._writers.append(WeightsAndBiases(folder, configuration or {}))
 
     def write(self, step: int, values: Mapping[str, Any]) -> None:
         """Note numbers that belong to a step."""
@@ -150,6 +147,28 @@ class Journal:
         """Nothing more comes."""
         for writer in self._writers:
             writer.close()
+
+
+def check_logs(logs: Sequence[str]) -> None:
+    """Refuse logs that cannot be written, before anything is computed.
+
+    Raises:
+        DependencyError: wandb was asked for and is not installed.
+        InputError: an unknown kind of log.
+    """
+    for name in logs:
+        if name not in LOGS:
+            raise InputError(f"unknown log {name!r}; choose {' or '.join(LOGS)}")
+    if "wandb" in logs:
+        _import_wandb()
+
+
+def _import_wandb() -> Any:
+    try:
+        import wandb
+    except ImportError:
+        raise DependencyError("--log wandb needs wandb; pip install 'falsework[wandb]', or leave it out") from None
+    return wandb
 
 
 def read_progress(folder: Path) -> list[dict[str, Any]]:

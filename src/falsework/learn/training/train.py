@@ -20,6 +20,7 @@ from falsework.errors import InputError
 from falsework.learn.config.train import TrainSettings
 from falsework.learn.data.dataset import Dataset
 from falsework.learn.training.checkpoint import FILE, check_structure, read_run, settings_of
+from falsework.learn.training.logger import check_logs
 from falsework.learn.training.trainer import Report, Trainer
 from falsework.learn.training.trainer import TrainResult as TrainResult
 from falsework.utils.collectives import summed
@@ -60,6 +61,7 @@ def train(
     if source is None and (isinstance(assembly, Path) or (isinstance(assembly, str) and not is_built_in(assembly))):
         source = {"path": str(Path(assembly).resolve())}
     assembly = as_assembly(assembly)
+    check_logs(logs)
     with init_distributed(device) as (shards, where):
         place = None if folder is None else Path(folder)
         begun = time.perf_counter()

@@ -128,6 +128,9 @@ class Cell:
     speed: float = 1.0
     """Share of the robots' velocity limits that motions may use; of acceleration limits its square."""
 
+    def __repr__(self) -> str:
+        return f"<Cell {self.name}: robots {', '.join(robot.name for robot in self.robots)}>"
+
     @property
     def robot_count(self) -> int:
         """Number of robots."""

@@ -11,7 +11,7 @@ from falsework.robots.keyframes.failure_report import Explanation
 from falsework.robots.keyframes.keyframe_graph import KeyframeSettings
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.search.problem.deadline import check_deadline
-from falsework.search.settings import check_seed
+from falsework.utils.quantity import check_seed
 
 
 @dataclass(frozen=True)

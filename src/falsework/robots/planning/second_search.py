@@ -94,7 +94,8 @@ class SecondSearch:
 def answer() -> None:
     """Carry out the request at the standard input; the main program of the other process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interrupt is for the process that waits, which ends this one
-    out, sys.stdout = sys.stdout.buffer, sys.stderr
+    out = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # whatever libraries print, compiled ones too, stays out of the answer
     search, given = pickle.load(sys.stdin.buffer)
     Thread(target=_watch, daemon=True).start()
     out.write(pickle.dumps(search(**given)))

@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, REMOVED, Mask, States
+from falsework.assembly.state import HELD, Mask, States
 from falsework.robots.keyframes.joint_holds import HoldingOracle, JointHolds
 from falsework.robots.keyframes.keyframes import state_after
+from falsework.robots.planning.joining_search import JoiningSearch
 from falsework.search.beam.adaptive import AdaptiveBeam, AdaptiveSettings
 from falsework.search.planner import Planner
 from falsework.search.problem.guide import Guide, SupportGuide
@@ -29,20 +30,11 @@ from falsework.search.problem.rollout import roll_out
 from falsework.search.problem.task import Direction, Task
 from falsework.search.settings import PlannerSettings
 from falsework.search.support.planner import SupportPlanner, planner_for
-from falsework.stability.cache import unique_rows
 from falsework.stability.oracle import Stability
 
 ActionScore = Callable[[States, Mask], NDArray[np.floating]]
 """Score of the actions out of states, like a `falsework.search.problem.guide.Guide` in disassembly."""
 
-_JOIN_LEVELS = 8
-"""Lookahead of the joining search, in steps."""
-_JOIN_WIDTH = 6
-"""Beam width of the joining search."""
-_JOIN_VERDICTS = 48
-"""Verdict budget of the joining search: states that do not join soon rarely do."""
-_FEWEST_JOIN_VERDICTS = 12
-"""Least verdict budget, where the successful searches so far took fewer."""
 _FIRST_BEAM_WIDTH = 256
 """Widest beam for the first plan."""
 _VARIED_BEAM_WIDTH = 16
@@ -88,10 +80,8 @@ class SolvabilityCheck:
         self.postponed: tuple[int, ...] = ()
         self.fallen: tuple[Route, int] | None = None
         """Where `prepare` finds nothing: the plan that got farthest in its replay, and the state of its collapse."""
-        self._left = 0
-        self._costs: list[int] = []  # verdicts spent on each path found to a solvable state
-        self.spent = 0
-        """Number of verdicts spent on paths to solvable states."""
+        self.joining = JoiningSearch(self.oracle, self._guide)
+        """Searches for paths to solvable states."""
         self._preferred: dict[bytes, int] = {}  # states of the plan to follow, with their places in it
         self._solvable: set[bytes] = {task.target.tobytes()}
         self._not_found: set[bytes] = set()
@@ -324,76 +314,8 @@ class SolvabilityCheck:
 
     def _join(self, start: States) -> bool:
         """Search forwards from a stable state until a solvable one is reached; all on the path then are."""
-        refused: set[bytes] = set()
-        while (way := self._way_to_solvable(start, refused)) is not None:
-            # Holds rarely fail, and most searches reach nothing: holds are checked only on a path that was found.
-            holds = way[1:][(way[1:] != REMOVED).sum(axis=1) == (way[:-1] != REMOVED).sum(axis=1)]
-            if not self.oracle.holds_keep_stable and len(holds):
-                fallen = holds[~self.oracle.stable(holds)]
-                refused |= {state.tobytes() for state in fallen}
-                if len(fallen):
-                    continue
-            self._solvable |= {state.tobytes() for state in way}
-            self._costs.append(self._allowance() - self._left)
-            return True
-        return False
-
-    def _allowance(self) -> int:
-        """Return the verdict budget of a search for a path: somewhat more than most successful ones took."""
-        if len(self._costs) < _JOIN_LEVELS:
-            return _JOIN_VERDICTS
-        usual = 1.5 * float(np.percentile(self._costs, 75))
-        return int(np.clip(usual, _FEWEST_JOIN_VERDICTS, _JOIN_VERDICTS))
-
-    def _way_to_solvable(self, start: States, refused: set[bytes]) -> States | None:
-        """Return states from a stable one to the last before a solvable one; none is refused, holds are not checked."""
-        self._left = self._allowance()
-        ways: States = start[None, None]
-        judged: States = start[None]  # on each path, the last state that has a verdict
-        for _ in range(_JOIN_LEVELS):
-            states = ways[:, -1]
-            rows, actions = np.nonzero(self.task.moves(states, Direction.DISASSEMBLY))
-            if not len(rows):
-                return None
-            after = self.task.follow(states[rows], actions, Direction.DISASSEMBLY)
-            first = np.sort(unique_rows(after)[0])
-            rows, actions, after = rows[first], actions[first], after[first]
-            hit = next((k for k, state in enumerate(after) if state.tobytes() in self._solvable), None)
-            if hit is not None:  # solvable states are stable, so the step to one needs no verdict
-                return ways[rows[hit]]
-            kept = self._stable_few(states[rows], judged[rows], after, actions, refused)
-            if not len(kept):
-                return None
-            removed = actions[kept] >= self.task.part_count
-            judged = np.where(removed[:, None], after[kept], judged[rows[kept]])
-            ways = np.concatenate([ways[rows[kept]], after[kept][:, None]], axis=1)
-        return None
-
-    def _stable_few(
-        self, before: States, judged: States, after: States, actions: NDArray[np.intp], refused: set[bytes]
-    ) -> NDArray[np.intp]:
-        """Return the most promising successors: few held, then the guide's score; after removals only stable ones."""
-        removal = actions >= self.task.part_count
-        mask = np.zeros((len(before), 2 * self.task.part_count), dtype=bool)
-        mask[np.arange(len(before)), actions] = True
-        score = np.asarray(self._guide(before, mask, Direction.DISASSEMBLY))[np.arange(len(before)), actions]
-        held = ((after == HELD) & ~self.task.boundary).sum(axis=1)
-        order = np.lexsort((-score, held))
-        ruled_out = self._forbidden | refused
-        order = order[[after[k].tobytes() not in ruled_out for k in order]]
-        # Successors beyond the limits on holds and verdicts are dropped.
-        number = np.where(removal[order], removal[order].cumsum(), (~removal[order]).cumsum())
-        order = order[number <= np.where(removal[order], self._left, 2 * _JOIN_WIDTH)]
-        kept: list[NDArray[np.intp]] = []
-        room = 3 * _JOIN_WIDTH
-        while room and len(order):
-            batch, order = order[:room], order[room:]
-            asked = batch[removal[batch]]
-            self._left -= len(asked)
-            self.spent += len(asked)
-            good = ~removal[batch]
-            if len(asked):
-                good[~good] = self.oracle.stable(after[asked], parents=judged[asked])
-            kept.append(batch[good])
-            room -= int(good.sum())
-        return np.concatenate([np.empty(0, np.intp), *kept])
+        way = self.joining.way(self.task, start, self._solvable, self._forbidden)
+        if way is None:
+            return False
+        self._solvable |= {state.tobytes() for state in way}
+        return True

@@ -236,6 +236,11 @@ class RobotPlan:
     def __len__(self) -> int:
         return len(self.steps)
 
+    def __repr__(self) -> str:
+        by = ", ".join(robot.name for robot in self.robots)
+        what = f"{self.direction.value} in {len(self)} steps by {by}, {self.makespan:.1f} s"
+        return f"<RobotPlan of {self.plan.name} in {self.cell_name}: {what}>"
+
     @cached_property
     def rows(self) -> NDArray[np.int64]:
         """Index of the state of the plan at each keyframe, shape (keyframes,)."""

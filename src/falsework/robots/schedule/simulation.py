@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from falsework.errors import InputError, PlanError
 from falsework.robots.plans.reachable_positions import ReachablePositions
 from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.search.settings import check_seed
+from falsework.utils.quantity import check_seed
 
 Array = NDArray[np.float64]
 

@@ -133,7 +133,7 @@ class Selector:
         Args:
             judge: asked in the order of promise.
             width: states to keep among those that a removal, or in assembly a release, leads to.
-            ahead: states to keep among those that fixing a part leads to; their verdicts wait until a descendant is
+            lookahead: states to keep among those that fixing a part leads to; their verdicts wait until a descendant is
                 kept.
             confirmed: second test of candidates with a stable verdict.
             commit: once `width` are found, drop states that keep more robots busy than these.

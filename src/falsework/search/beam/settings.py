@@ -7,7 +7,7 @@ from typing import Literal
 
 from falsework.errors import InputError
 from falsework.search.problem.task import Direction
-from falsework.search.settings import check_seed
+from falsework.utils.quantity import check_seed
 
 Diversity = Literal["k-means", "none"]
 

@@ -162,6 +162,12 @@ class Plan:
     def __len__(self) -> int:
         return len(self.actions)
 
+    def __repr__(self) -> str:
+        return (
+            f"<Plan of {self.name}: {self.direction.value} in {len(self)} steps with {self.robots} "
+            f"robot{'s' * (self.robots > 1)}, criterion {self.claim.criterion}>"
+        )
+
     @property
     def immovable(self) -> Mask:
         """Parts that never move and that no robot holds, boundary and props; shape (parts,)."""

@@ -12,7 +12,7 @@ import numpy as np
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, States, action_mask, apply_actions, held_count, undo_actions, undo_mask
-from falsework.errors import PlanError
+from falsework.errors import InputError, PlanError
 from falsework.search.margins.demands import DemandingStability, Demands
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_source import structure_of_plan
@@ -157,7 +157,10 @@ def validate_plan(
 
     Raises:
         PlanError: the plan is for another structure.
+        InputError: something other than a plan.
     """
+    if not isinstance(plan, Plan):
+        raise InputError(f"validate_plan checks a Plan, not {type(plan).__name__}; results have theirs in plans")
     if not isinstance(assembly, Assembly):
         assembly = structure_of_plan(plan, structure=as_assembly(assembly))
     check_identity(plan, assembly)

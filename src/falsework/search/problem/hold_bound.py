@@ -55,14 +55,14 @@ class Barrier:
     @property
     def text(self) -> str:
         """The same in words."""
-        several = f"{self.parts} parts" if self.parts > 1 else "one part"
-        what = f"with {several} {'removed' if self.end is Direction.DISASSEMBLY else 'placed'}"
-        hold = f"{self.robots - 1} held" if self.robots > 1 else "none held"
+        moved = "removed" if self.end is Direction.DISASSEMBLY else "placed"
+        held = f"at most {self.robots - 1} held" if self.robots > 1 else "none held"
         if self.core:
             some = ", ".join(map(str, self.core[:_NAMED])) + (", ..." if len(self.core) > _NAMED else "")
-            what += f" of the {len(self.core)} parts {some}"
-            return f"{what}, none of these sets is in equilibrium with {hold}, whatever else is there"
-        return f"{what}, nothing is in equilibrium with {hold}, whichever parts they are"
+            counted = f"{self.parts if self.parts > 1 else 'one'} of the {len(self.core)} parts {some}"
+            return f"no state with {counted} {moved} and {held} is in equilibrium, whichever others are there"
+        counted = f"{self.parts} parts" if self.parts > 1 else "one part"
+        return f"no state with {counted} {moved} and {held} is in equilibrium"
 
     def to_dict(self) -> dict[str, Any]:
         """Return the barrier as a JSON object."""

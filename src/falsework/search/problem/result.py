@@ -41,6 +41,9 @@ class Route:
         holds = states[np.arange(1, len(states)), part] == HELD
         return cls(states, np.where(holds, part, part + states.shape[1]).astype(np.int64))
 
+    def __repr__(self) -> str:
+        return f"<Route of {len(self.actions)} steps>"
+
     def removal_rank(self) -> NDArray[np.int64]:
         """Return for each part the number removed before it, or -1 if it stays. Shape (parts,)."""
         parts = self.states.shape[1]
@@ -149,6 +152,9 @@ class SearchResult:
     """Rejected states that slide under the criterion `contact`: forces in equilibrium exist, and no displacement was
     found that produces them. Above 0 they forbid a proof of impossibility too."""
     notes: tuple[str, ...] = field(default=())
+
+    def __repr__(self) -> str:
+        return f"<SearchResult: {self.outcome.value}, step {self.reached} of {self.steps} reached>"
 
     @property
     def found(self) -> bool:

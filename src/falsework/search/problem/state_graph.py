@@ -105,6 +105,9 @@ class StateGraph:
     def __len__(self) -> int:
         return len(self.states)
 
+    def __repr__(self) -> str:
+        return f"<StateGraph of {self.name or 'a structure'}: {len(self)} states, {len(self.source)} actions>"
+
     @property
     def criterion(self) -> Criterion:
         """Stability criterion of its states."""
@@ -242,7 +245,7 @@ def load_state_graph(path: Path | str) -> StateGraph:
             identity=header["identity"],
         ).postpone(header["postponed"])
         task = replace(task, holds_keep_stable=criterion == "equilibrium")
-    except TypeError as error:
+    except (InputError, TypeError) as error:
         raise InputError(f"{path} is damaged ({error}); build the graph again") from None
     graph = StateGraph(
         arrays["states"],

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
+from operator import index
 from typing import Protocol
 
 import numpy as np
@@ -342,7 +343,10 @@ def _one_state(state: ArrayLike, boundary: Mask, name: str) -> States:
 
 
 def _part_numbers(parts: Sequence[int], boundary: Mask, name: str, *, boundary_allowed: bool) -> tuple[int, ...]:
-    numbers = tuple(int(part) for part in parts)
+    try:
+        numbers = tuple(index(part) for part in parts)
+    except TypeError:
+        raise InputError(f"{name} parts are {parts!r}; give a list of part numbers, such as [3, 4]") from None
     for part in numbers:
         if not 0 <= part < len(boundary):
             raise InputError(f"{name} part {part} does not exist; parts are numbered 0 to {len(boundary) - 1}")

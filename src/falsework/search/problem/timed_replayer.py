@@ -97,7 +97,10 @@ class DeadlineReplayer:
         return DeadlineReplayer(self._replayer.vary(settings, replay), self._clock, self._between)
 
     def unlimited(self) -> Replayer:
-        """Return the replayer that does not look at the deadline, for another thread."""
+        """Return the replayer that does not look at the deadline, for another thread.
+
+        Its work is in no account of time: it takes place beside that of the search.
+        """
         return self._replayer
 
     def replay(self, states: ArrayLike, history: History | None = None) -> Replay:

@@ -13,6 +13,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import as_states
 from falsework.errors import InputError
 from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.utils.quantity import check_seed
 
 Array = NDArray[np.float64]
 
@@ -63,8 +64,7 @@ def placement_curve(
         raise InputError(f"placement errors are {list(tolerances)} m; give numbers above zero")
     if draws < 1:
         raise InputError(f"the number of draws is {draws}; give at least 1")
-    if seed < 0:
-        raise InputError(f"a seed is not negative; {seed} was given")
+    check_seed(seed)
     if assembly.contacts_given:
         raise InputError(
             "contacts of this structure were given, or have fasteners or studs, so they cannot be detected again for "

@@ -71,6 +71,7 @@ def start_server(viser: Any, host: str, port: int, guard: OriginGuard) -> Any:
     """
     from websockets.asyncio import server as sockets
 
+    _check_address(host)
     plain, guarded = sockets.serve, False
 
     def serve(*arguments: Any, process_request: Callable[..., Any] | None = None, **options: Any) -> Any:
@@ -95,6 +96,24 @@ def start_server(viser: Any, host: str, port: int, guard: OriginGuard) -> Any:
             made.stop()
             raise DependencyError("this version of viser cannot be guarded; pip install 'falsework[viewer]'")
     return made
+
+
+def _check_address(host: str) -> None:
+    """Raise unless this machine has an address of this name; viser would try one port after the other for ever.
+
+    Raises:
+        OSError: it has none.
+    """
+    failure: OSError | None = None
+    for family, kind, _, _, address in socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM):
+        with socket.socket(family, kind) as tried:
+            try:
+                tried.bind(address)
+            except OSError as error:
+                failure = error
+            else:
+                return
+    raise failure or OSError(f"{host} has no address")
 
 
 def _host_name(url: str) -> str | None:

@@ -251,6 +251,17 @@ def to_pixels(image: Image) -> Pixels:
     return np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
 
 
+def check_suffix(path: Path | str, *suffixes: str) -> None:
+    """Raise for a file whose name promises another format; a name without a suffix promises none.
+
+    Raises:
+        InputError: such a name.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix and suffix not in suffixes:
+        raise InputError(f"{path}: pictures are written as {' or '.join(suffixes)}; name such a file")
+
+
 def write_png(path: Path | str, pixels: Pixels) -> None:
     """Write a PNG, whole or not at all.
 

@@ -182,7 +182,7 @@ def _legend(axis: Any, route: bool, visited: bool, useless: bool) -> None:
     if visited:
         entries.append((SEEN, "visited by the policy"))
     if useless:
-        entries.append((USELESS, "no way on from here, or none to here"))
+        entries.append((USELESS, "on no plan"))
     for color, words in entries:
         axis.plot([], [], "o", color=color, label=words, markersize=6)
     if entries:

@@ -1,0 +1,331 @@
+"""Search for abstract actions and motions together.
+
+Depth-first search with backtracking. At every keyframe it tries the actions after which the structure can still be
+disassembled, the most promising first, and requests a motion from the keyframe graph; without one, the action is
+rejected with a reason. After some dead ends it restarts in another order, with all caches. Under the criterion
+`contact` a plan whose replay in assembly order fails is rejected too: the failing state is forbidden, and the search
+restarts.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from falsework.assembly.state import REMOVED
+from falsework.robots.keyframes.failure_report import Explanation, explain, fall_in_words
+from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
+from falsework.robots.keyframes.keyframes import DeadEnds, Edge, Node, route_along
+from falsework.robots.planning.action_ranking import ActionRanking, ExecutionHeuristic, FailedActions
+from falsework.robots.planning.end_motions import Ends
+from falsework.robots.planning.hybrid_result import HybridProgress, HybridResult, HybridSettings, Progress
+from falsework.robots.planning.plan_maker import PlanMaker
+from falsework.robots.planning.solvability import SolvabilityCheck
+from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.search.problem.deadline import Deadline
+from falsework.search.problem.guide import Guide, MemoizedGuide
+from falsework.search.problem.result import Outcome, SearchResult
+from falsework.search.problem.task import Task
+from falsework.stability.oracle import Stability
+
+_EDGES_PER_ACTION = 3
+"""Motions per action that are tried at a keyframe."""
+_ACTIONS_PER_KEYFRAME = 8
+"""Actions that are tried with motions at a keyframe before it counts as a dead end."""
+_SOLVABILITY_CHECKS = 4
+"""Solvability checks at one keyframe in the first search; later searches may make more."""
+_LAST_VERDICTS = 400
+"""Verdicts for such checks where no action has succeeded yet, before the keyframe counts as a dead end."""
+_VARIATIONS = 4
+"""Varied plans that are looked for before a search where excluded holds have left none."""
+_MAX_FALLEN_REPLAYS = 40
+"""Plans with motions whose replay may fail before the search ends."""
+_POSTPONED_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
+"""Delays of missing parts that are tried in turn, as shares of the longest that stability alone allows."""
+
+_LATE = "the deadline has passed"
+
+
+class HybridSearch:
+    """One search for a plan of robots between two keyframes; `plan_robots` makes it."""
+
+    def __init__(
+        self,
+        graph: KeyframeGraph,
+        task: Task,
+        oracle: Stability,
+        guide: Guide | None,
+        settings: HybridSettings,
+        progress: Progress | None,
+        ends: Ends,
+        clock: Deadline,
+    ) -> None:
+        self.graph, self.task, self.oracle, self.ends, self.clock = graph, task, oracle, ends, clock
+        self.assembly, self.cell, self.settings, self.progress = graph.assembly, graph.cell, settings, progress
+        ease = ExecutionHeuristic(self.graph, None if guide is None else MemoizedGuide(guide))
+        score = None if guide is None else ease
+        self.solvability = SolvabilityCheck(
+            self.assembly, task, oracle, guide=guide, score=score, seed=settings.seed, joint=self.graph.joint
+        )
+        self.ranking = ActionRanking(graph, ease, self.solvability)
+        self.abstract: SearchResult | None = None
+        self.best: list[Edge] = []
+        self.tried: Counter[tuple[str, int]] = Counter()
+        self.dead = self.graph.dead = DeadEnds()
+        self.failures = FailedActions(self.graph, self.solvability)
+        self.maker = PlanMaker(self.graph, oracle, self.solvability, ends, settings, self.deadline_passed)
+        self.counts: Counter[str] = Counter()
+        self.attempt = 0
+        self.unreachable: list[int] | None = None
+        self.fallen = ""  # where the replay of the last rejected plan fails, in words
+        self._reported = 0.0
+
+    def run(self, root: Node) -> HybridResult:
+        """Find an abstract plan, then motions for it or for a similar one."""
+        self.abstract = self.solvability.prepare(self.deadline_passed)
+        if not self.abstract.found:
+            if self.solvability.fallen is not None:
+                self.fallen = fall_in_words("plan", *self.solvability.fallen, self.assembly.names)
+            proven, late = self.abstract.outcome is Outcome.PROVED_IMPOSSIBLE, self.deadline_passed()
+            outcome = "proved_impossible" if proven else "interrupted" if late else "not_found"
+            return self.failed(root, outcome, self.fallen or (_LATE if outcome == "interrupted" else ""))
+        if self.task.steps == 0:
+            return self.solved(root, [])
+        limit = ""
+        # Missing parts may have to come earlier than stability requires, so that the arms can insert them.
+        shares = _POSTPONED_SHARES if any(self.solvability.postponed) else (1.0,)
+        for share in shares:
+            self.solvability.relax(share)
+            self.dead.clear()
+            for turn in range(self.settings.attempts if share == shares[-1] else 1):
+                self.graph.support = self.task.support and self.attempt > 0
+                if self.graph.support and self.attempt == 1:  # what failed without releases may succeed with them
+                    self.dead.clear()
+                    self.graph.joint.forget()
+                    self.failures = FailedActions(self.graph, self.solvability)
+                for again in range(_VARIATIONS if turn else 0):
+                    self.solvability.perturb(self.attempt + again * self.settings.attempts)
+                    if self.solvability.stays(root.state):
+                        break
+                chain = self.depth_first_pass(root, np.random.default_rng([self.settings.seed, self.attempt]))
+                self.attempt += 1
+                if chain is not None:
+                    return self.solved(root, chain)
+                if self.counts["replays_fallen"] == _MAX_FALLEN_REPLAYS:
+                    return self.failed(root, "not_found", self.fallen)
+                if self.deadline_passed():
+                    return self.failed(root, "interrupted", _LATE)
+                if self._hopeless():
+                    return self.failed(root, "not_found", "further search cannot succeed")
+                limit = f"{self.attempt} searches failed{f'; {self.fallen}' if self.fallen else ''}"
+        return self.failed(root, "not_found", limit)
+
+    def depth_first_pass(self, root: Node, rng: np.random.Generator) -> list[Edge] | None:
+        """Return the edges of a plan with a stable replay by one depth-first search; None after too many dead ends.
+
+        Args:
+            root: the first keyframe.
+            rng: random generator that perturbs the order of actions.
+        """
+        chain: list[Edge] = []
+        nodes, options = [root], [self._options(root, rng)]
+        # Causes of the dead ends after each keyframe: indices of earlier edges.
+        causes: list[set[int]] = [set()]
+        stuck: set[bytes] = set()  # states at which the search went no further, with any grasps
+        newest, allowed = root, self.settings.dead_ends * (1 + self.attempt // 3)
+
+        def begin_again(keep: int) -> None:
+            """Go on from the last of the first keyframes."""
+            del nodes[keep:], options[max(keep - 1, 0) :], causes[keep:], chain[max(keep - 1, 0) :]
+            options.extend(self._options(node, rng) for node in nodes[-1:])
+
+        while nodes:
+            if self.deadline_passed():
+                return None
+            excluded = self.graph.joint.excluded
+            edge = next(options[-1], None)
+            if excluded < self.graph.joint.excluded and self.solvability.reroute(nodes[-1].state):
+                options[-1] = self._options(nodes[-1], rng)
+                continue
+            if edge is None:
+                self.dead.add(nodes[-1])
+                if nodes[-1] is newest:  # others are left because of dead ends after them
+                    stuck.add(newest.state.tobytes())
+                if self._done(chain) >= self._done(self.best):
+                    self.tried.update(self.failures.kinds(nodes[-1]))
+                blamed = causes[-1] | self.failures.blamed(nodes[-1], chain)
+                back = max(blamed, default=len(chain) - 1)
+                del nodes[back + 1 :], options[back + 1 :], causes[back + 1 :], chain[max(back, 0) :]
+                if nodes:
+                    causes[-1] |= blamed - {back}
+                self.counts["dead_ends"] += 1
+                if len(stuck) > allowed:
+                    return None
+                if nodes and self.graph.joint.excluded and not self.solvability.stays(nodes[-1].state):
+                    begin_again(self._keyframes_that_lead_on(nodes))
+                continue
+            chain.append(edge)
+            if self._done(chain) > self._done(self.best):
+                self.best = list(chain)
+                self.tried.clear()
+                stuck.clear()  # beyond them: another search would have to come here first
+            self._report(len(stuck))
+            if np.array_equal(edge.node.state, self.task.target):
+                keep = self._keyframes_before_fall(root, chain)
+                if keep is None:
+                    return chain
+                begin_again(keep)  # the plan up to the forbidden state remains valid: only its continuation changes
+                continue
+            newest = edge.node
+            nodes.append(newest)
+            options.append(self._options(newest, rng))
+            causes.append(set())
+        return None
+
+    def _keyframes_that_lead_on(self, nodes: Sequence[Node]) -> int:
+        """Return how many keyframes of a chain to keep once its last state may no longer lead to the target.
+
+        The steps back grow: to find no path takes a second or more, and tens in succession may have none.
+        """
+        for keep in sorted({max(len(nodes) - back, 1) for back in (0, 1, 5, 21, 85, len(nodes))}, reverse=True):
+            state = nodes[keep - 1].state
+            if not self.deadline_passed() and (self.solvability.stays(state) or self.solvability.reroute(state)):
+                return keep
+        return 0
+
+    def _keyframes_before_fall(self, root: Node, chain: list[Edge]) -> int | None:
+        """Replay a plan with motions and forbid the state in which the structure collapses.
+
+        Returns:
+            The number of keyframes before that state, 0 if there is no other path; None if the replay succeeds.
+        """
+        route = route_along(root, chain)
+        row = self.solvability.falls(route)
+        if row is None:
+            return None
+        self.counts["replays_fallen"] += 1
+        self.fallen = fall_in_words("plan with motions", route, row, self.assembly.names, self.counts["replays_fallen"])
+        self.best = []  # a plan that collapses is not returned as a partial plan either
+        self.dead.clear()
+        forbidden = self.solvability.forbid(route, row)
+        if forbidden is None or self.counts["replays_fallen"] == _MAX_FALLEN_REPLAYS:
+            return 0
+        first = len(route.actions) - forbidden
+        return int(np.searchsorted(np.cumsum([0, *(not edge.hands_over for edge in chain)]), first))
+
+    def _options(self, node: Node, rng: np.random.Generator) -> Iterator[Edge]:
+        """Yield edges out of a keyframe in order of trial."""
+        if node.handed is not None:
+            yield from (edge for edge in self.graph.leave(node) if edge.node not in self.dead)
+            return
+        tried, verdicts, probes, worked = 0, 0, _SOLVABILITY_CHECKS * (1 + self.attempt), False
+        for action in self.ranking.actions(node, self.attempt, rng):
+            if (node, action) in self.failures or self.deadline_passed():
+                continue
+            if not self.solvability.known(node.state, action):
+                # Where no action has succeeded yet, further checks are the cheapest way on, apart from backtracking.
+                if (probes <= 0 and worked) or verdicts > _LAST_VERDICTS:
+                    continue
+                probes -= 1
+            spent = self.solvability.joining.spent
+            solvable = self.solvability.solvable(node.state, action)
+            verdicts += self.solvability.joining.spent - spent
+            if not solvable:
+                self.counts["unsolvable"] += 1
+                continue
+            self.counts["actions"] += 1
+            found = 0
+            self.graph.reasons.recent.clear()
+            for edge in self.graph.edges(node, action):
+                found += 1
+                if edge.node not in self.dead:
+                    yield edge
+                if found == _EDGES_PER_ACTION:
+                    break
+            worked |= found > 0
+            if not found:
+                self.counts["rejected"] += 1
+                if self.failures.add(node, action):
+                    return
+            tried += 1
+            if tried == _ACTIONS_PER_KEYFRAME:
+                break
+        for part in self.failures.repairs(node):
+            if self.deadline_passed():
+                return
+            if node.can_release(part) and self.solvability.solvable(node.state, part):
+                self.counts["releases"] += 1
+                yield from (edge for edge in self.graph.edges(node, part) if edge.node not in self.dead)
+            else:  # where the structure would not stand, another robot holds the part before this one leaves it
+                self.counts["hand_overs"] += 1
+                yield from (edge for edge in self.graph.take_over(node, part) if edge.node not in self.dead)
+
+    def _done(self, chain: Sequence[Edge]) -> int:
+        """Return the steps of disassembly that a chain has done; a release takes one back."""
+        return int(self.task.steps_done(chain[-1].node.state)) if chain else 0
+
+    def _hopeless(self) -> bool:
+        """Return whether a part must leave that no robot can hold even when it is alone."""
+        if self.unreachable is None:
+            leaving = np.flatnonzero((self.task.target == REMOVED) & (self.task.start != REMOVED)).tolist()
+            self.unreachable = [part for part in leaving if not self.graph.reachable(part)]
+        return bool(self.unreachable)
+
+    def deadline_passed(self) -> bool:
+        """Return whether the deadline has passed."""
+        return self.clock.passed
+
+    def _report(self, dead_ends: int) -> None:
+        now = self.clock.seconds
+        if self.progress is not None and now - self._reported > 0.1:
+            self._reported = now
+            self.progress(HybridProgress(self._done(self.best), self.task.steps, self.attempt, dead_ends, now))
+
+    def solved(self, root: Node, chain: list[Edge]) -> HybridResult:
+        """Certify a chain of edges and compute its trajectories."""
+        plan = self._plan(root, chain)
+        return HybridResult(plan, None, None, plan.statistics)
+
+    def failed(self, root: Node, outcome: str, limit: str) -> HybridResult:
+        """Explain why there is no plan, and return the partial one."""
+        why = explain(
+            outcome,
+            self._done(self.best),
+            self.task.steps,
+            self.graph.reasons,
+            self.tried,
+            [robot.name for robot in self.cell.robots],
+            self.assembly.names,
+            limit=limit,
+            unreachable=self.unreachable or [],
+            abstract=self.abstract is not None and not self.abstract.found,
+        )
+        part = None  # the beginning of a disassembly is no beginning of a continued assembly
+        if self.best and not self.ends.fixed and self.solvability.falls(route_along(root, self.best)) is None:
+            part = self._plan(root, self.best, why)
+        return HybridResult(None, part, why, self._statistics() if part is None else part.statistics)
+
+    def _plan(self, root: Node, chain: list[Edge], why: Explanation | None = None) -> RobotPlan:
+        statistics = self._statistics() | ({} if why is None else {"failure": why.to_dict()})
+        plan = self.maker.plan(root, chain, whole=why is None)
+        replay = None if plan.plan.replay is None else asdict(plan.plan.replay)
+        plan.statistics.update(statistics, seconds=round(self.clock.seconds, 3), replay=replay)
+        return plan
+
+    def _statistics(self) -> dict[str, Any]:
+        return {
+            "criterion": self.oracle.settings.criterion,
+            "seed": self.settings.seed,
+            "seconds": round(self.clock.seconds, 3),
+            "attempts": self.attempt,
+            **{key: self.counts[key] for key in ("dead_ends", "actions", "rejected", "unsolvable", "replays_fallen")},
+            "solvable_states": len(self.solvability),
+            "free_motions": self.graph.cache.motions,
+            "free_motions_used_again": self.graph.cache.motions_kept,
+            "verdicts": self.oracle.counters.asked,
+            **({key: self.counts[key] for key in ("releases", "hand_overs")} if self.task.support else {}),
+        }

@@ -1,0 +1,298 @@
+"""Strict reader of plan files: the entries, the rules, and that the steps lead from the start to the end."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.prop import Prop
+from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states, held_count
+from falsework.errors import InputError, StateError
+from falsework.search.margins.plan_margins import PlanMargins
+from falsework.search.plans.packed_proofs import CHANGES, WHOLE, unpack_proofs
+from falsework.search.plans.plan import needs_of
+from falsework.search.plans.plan_replay import PlanReplay
+from falsework.search.problem.task import Direction
+from falsework.stability.certificate import StabilityCriterion
+from falsework.stability.state_arrays import StateArrays
+from falsework.stability.stiffness import TANGENTIAL_RATIO
+from falsework.stability.verdict import Proof, Verdict
+from falsework.utils.json_file import Reader
+
+FORMAT = "falsework.plan/2"
+OLD_FORMAT = "falsework.plan/1"
+"""Plans of version 1 are under the criterion `equilibrium` and carry no replay."""
+
+MOVES = {
+    "hold": (Direction.DISASSEMBLY, False, INSTALLED, HELD),
+    "remove": (Direction.DISASSEMBLY, True, HELD, REMOVED),
+    "insert": (Direction.ASSEMBLY, True, REMOVED, HELD),
+    "release": (Direction.ASSEMBLY, False, HELD, INSTALLED),
+}
+"""Word of a step: direction, whether the action index is above `parts`, value of the part before, and after. With
+repeated holds, parts are held and released in both directions."""
+_SHARE = 0.1
+"""Shares of gravity in 1 m/s2, rounded down."""
+PROOF_WORDS = {"contact": "displacement", "equilibrium": "forces"}
+PROOF_ARRAYS = {"contact": ("displacements", "parts"), "equilibrium": ("forces", "points")}
+"""Entry of the file that holds the proofs, and the items along its first axis."""
+_KEYS = {"format", "direction", "structure", "robots", "rules", "stability", "start", "steps", "end", "needs"}
+
+
+def _from_version_1(data: dict[str, Any]) -> dict[str, Any]:
+    """Convert a plan of version 1 to version 2; malformed entries are left for the reader to report."""
+    # Version 1 gave residuals and tolerance in m/s2, of which a tenth is about a share of gravity.
+    stability, start, steps = data.get("stability"), data.get("start"), data.get("steps")
+    if isinstance(stability, dict):
+        stability = {"criterion": "equilibrium", "stiffness_ratio": TANGENTIAL_RATIO} | stability
+        if isinstance(stability.get("tolerance"), (int, float)):
+            stability["tolerance"] *= _SHARE
+    if isinstance(steps, list):
+        steps = [_scaled(step) for step in steps]
+    return data | {"format": FORMAT, "stability": stability, "start": _scaled(start), "steps": steps}
+
+
+def _scaled(record: Any) -> Any:
+    if not isinstance(record, dict) or not isinstance(record.get("residual"), (int, float)):
+        return record
+    return record | {"residual": record["residual"] * _SHARE}
+
+
+class PlanReader(Reader):
+    """Reader of plans that checks everything that can be checked without the structure."""
+
+    kind, form, command = "plan", FORMAT, "falsework plan"
+
+    def fields(self, data: Any) -> dict[str, Any]:
+        """Return the fields of the plan in JSON values.
+
+        Raises:
+            PlanError: they are no plan; the message names the entry.
+        """
+        if isinstance(data, dict) and data.get("format") == OLD_FORMAT:
+            data = _from_version_1(data)
+        self._header(data, _KEYS, optional=frozenset({"forces", "displacements", "replay", "margins"}))
+        structure, rules, stability = data["structure"], data["rules"], data["stability"]
+        self._keys(
+            structure,
+            {"name", "identity", "friction", "boundary", "parts"},
+            "structure",
+            frozenset({"source", "props"}),
+        )
+        self._keys(rules, {"fixed", "missing", "removable_only_if_clear"}, "rules", frozenset({"support", "props"}))
+        self._keys(
+            stability, {"criterion", "stiffness_ratio", "cone", "gravity", "tolerance", "force_bound"}, "stability"
+        )
+        names = structure["parts"]
+        if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
+            self._fail("structure.parts is not a list of names")
+        if not all(isinstance(structure[key], str) for key in ("name", "identity")):
+            self._fail("structure.name and structure.identity must be texts")
+        parts, props = len(names), self._props(structure.get("props", []), len(names))
+        boundary = np.zeros(parts, dtype=bool)
+        boundary[self._parts(structure["boundary"], parts, "structure.boundary")] = True
+        if data["direction"] not in ("disassembly", "assembly"):
+            self._fail(f"direction is {data['direction']!r}", "it must be disassembly or assembly")
+        direction = Direction(data["direction"])
+        if not isinstance(rules["removable_only_if_clear"], bool):
+            self._fail("rules.removable_only_if_clear must be true or false")
+        if not isinstance(rules.get("support", False), bool):
+            self._fail("rules.support must be true or false")
+        if stability["cone"] not in ("octagon", "quadratic"):
+            self._fail(f"stability.cone is {stability['cone']!r}", "it must be octagon or quadratic")
+        if not isinstance(stability["criterion"], str) or stability["criterion"] not in PROOF_WORDS:
+            self._fail(f"stability.criterion is {stability['criterion']!r}", "it must be contact or equilibrium")
+        numbers = ("gravity", "tolerance", "force_bound", "stiffness_ratio")
+        claim = StabilityCriterion(
+            cone=stability["cone"],
+            criterion=stability["criterion"],
+            **{key: self._number(stability[key], f"stability.{key}") for key in numbers},
+        )
+        if 0 in (claim.gravity, claim.tolerance, claim.force_bound, claim.stiffness_ratio):
+            self._fail("stability has a zero where a positive number must be")
+        self._proof = PROOF_WORDS[claim.criterion]
+        robots = self._count(data["robots"], "robots", least=1)
+        states, actions, residuals = self._sequence(
+            data, direction, boundary, robots, rules.get("support", False), len(props)
+        )
+        if residuals.max() > claim.tolerance:
+            self._fail(f"a residual of {residuals.max():.3g} is above the tolerance of {claim.tolerance:g}")
+        fixed = self._parts(rules["fixed"], parts, "rules.fixed")
+        touched = sorted(set(fixed) & set((actions % parts).tolist()))
+        if touched:
+            self._fail(f"its steps touch part {touched[0]}, which is fixed")
+        fields: dict[str, Any] = {
+            "states": states,
+            "actions": actions,
+            "verdicts": np.full(len(states), Verdict.STABLE, dtype=np.int8),
+            "proofs": np.full(len(states), Proof[self._proof.upper()], dtype=np.int8),
+            "residuals": residuals,
+            "name": structure["name"],
+            "identity": structure["identity"],
+            "part_names": tuple(names),
+            "boundary": boundary,
+            "friction": self._number(structure["friction"], "structure.friction"),
+            "robots": robots,
+            "claim": claim,
+            "direction": direction,
+            "fixed": tuple(fixed),
+            "missing": tuple(self._parts(rules["missing"], parts, "rules.missing")),
+            "removable_only_if_clear": rules["removable_only_if_clear"],
+            "support": rules.get("support", False),
+            "props": props,
+            "prop_limit": self._count(rules.get("props", 0), "rules.props"),
+        }
+        if "source" in structure:
+            fields["source"] = self._source_of(structure["source"])
+        if "replay" in data:
+            fields["replay"] = self._replay(data["replay"], parts, len(states))
+        if "margins" in data:
+            try:
+                fields["margins"] = PlanMargins.read(data["margins"], len(states))
+            except InputError as error:
+                self._fail(str(error))
+        entry, counted = PROOF_ARRAYS[claim.criterion]
+        for name in ("forces", "displacements"):
+            if name in data and name != entry:
+                self._fail(f"it has {name}, which prove nothing under the criterion {claim.criterion}")
+        if entry in data:
+            field = "displacement" if entry == "displacements" else entry
+            fields[field] = self._packed(data[entry], entry, counted, len(states))
+        if data["needs"] != [asdict(need) for need in needs_of(actions, direction, parts, fields["missing"])]:
+            self._fail("its needs do not agree with its steps")
+        return fields
+
+    def _props(self, value: Any, parts: int) -> tuple[Prop, ...]:
+        """Read the places of props, without checking them against the structure."""
+        found = []
+        for number, entry in enumerate(self._list(value, "structure.props"), 1):
+            place = f"structure.props, prop {number}"
+            self._keys(entry, {"part", "at", "floor"}, place)
+            numbers = [*self._list(entry["at"], f"{place}: at"), entry["floor"]]
+            if len(numbers) != 4 or not all(type(x) in (int, float) and math.isfinite(x) for x in numbers):
+                self._fail(f"{place} has no place", "at must be three numbers, and floor one")
+            part, (*at, floor) = self._count(entry["part"], f"{place}: part"), map(float, numbers)
+            if part >= parts - len(value):
+                self._fail(f"{place} is under part {part}", f"parts other than props are 0 to {parts - len(value) - 1}")
+            found.append(Prop(part, (at[0], at[1], at[2]), floor))
+        return tuple(found)
+
+    def _source_of(self, value: Any) -> dict[str, Any]:
+        """Read the source of the structure, without checking that it exists."""
+        kinds = {
+            "built_in": str, "path": str, "unit": str, "density": (int, float), "friction": (int, float),
+            "boundary": list, "ground": bool, "interfaces": str, "loads": list, "earthquake": list,
+        }  # fmt: skip
+        self._keys(value, set(), "structure.source", optional=frozenset(kinds))
+        for key, entry in value.items():
+            if not isinstance(entry, kinds[key]) or (isinstance(entry, bool) and key != "ground"):
+                self._fail(f"structure.source.{key} is {entry!r}")
+        if ("built_in" in value) == ("path" in value):
+            self._fail("structure.source must have either built_in or path")
+        return value
+
+    def _sequence(
+        self,
+        data: dict[str, Any],
+        direction: Direction,
+        boundary: NDArray[np.bool_],
+        robots: int,
+        support: bool,
+        props: int,
+    ) -> tuple[States, NDArray[np.int64], NDArray[np.float64]]:
+        """Replay the steps from the start; the end must be the one that the file names."""
+        parts = len(boundary)
+        self._keys(data["start"], {"state", "verdict", "proof", "residual"}, "start")
+        state = self._state(data["start"]["state"], boundary, "start.state")
+        is_prop = np.arange(parts) >= parts - props
+        if (is_prop & (state == INSTALLED)).any():
+            self._fail("start.state has a prop that is neither there nor away")
+        held = int(held_count(state[None], boundary | is_prop)[0])
+        if held > robots:
+            self._fail(f"start.state has {held} parts held with {robots} robots")
+        residuals = [self._judged(data["start"], "start")]
+        states, actions = [state], []
+        for number, step in enumerate(self._list(data["steps"], "steps"), 1):
+            place = f"step {number}"
+            self._keys(step, {"do", "part", "verdict", "proof", "residual"}, place)
+            word, part = step["do"], self._count(step["part"], f"{place}: part")
+            if part >= parts:
+                self._fail(f"{place} names part {part}, but parts are numbered 0 to {parts - 1}")
+            way, above, old, new = MOVES[word] if isinstance(word, str) and word in MOVES else (None, False, 0, 0)
+            turned = way is not direction and not (support and (is_prop[part] or not above))
+            if way is None or turned or (is_prop[part] and not above):
+                self._fail(f"{place} does {word!r}", f"that is not an action of {direction.value}")
+            if boundary[part] or state[part] != old:
+                found = "boundary" if boundary[part] else ("removed", "installed", "held")[int(state[part])]
+                self._fail(f"{place} cannot {word} part {part}, which is {found}")
+            state = state.copy()
+            state[part] = new
+            held += 0 if is_prop[part] else 1 if new == HELD else -1
+            if held > robots:
+                self._fail(f"{place} needs {held} robots, but the plan has {robots}")
+            states.append(state)
+            actions.append(part + parts * above)
+            residuals.append(self._judged(step, place))
+        if not np.array_equal(self._state(data["end"], boundary, "end"), state):
+            self._fail("its steps do not lead to its end")
+        return np.array(states), np.array(actions, dtype=np.int64), np.array(residuals)
+
+    def _judged(self, record: dict[str, Any], place: str) -> float:
+        if (record["verdict"], record["proof"]) != ("stable", self._proof):
+            found = f"{place} has verdict {record['verdict']!r} with proof {record['proof']!r}"
+            self._fail(found, f"every state must be stable by {self._proof}")
+        return self._number(record["residual"], f"{place}: residual")
+
+    def _state(self, value: Any, boundary: NDArray[np.bool_], place: str) -> States:
+        if not isinstance(value, list) or not all(type(entry) is int for entry in value):
+            self._fail(f"{place} is not a list of 0, 1, 2")
+        if len(value) != len(boundary):
+            self._fail(f"{place} has {len(value)} values for {len(boundary)} parts")
+        try:
+            return as_states(value, boundary)[0]
+        except StateError as error:
+            self._fail(f"{place}: {error}")
+
+    def _parts(self, value: Any, parts: int, place: str) -> list[int]:
+        if not isinstance(value, list) or not all(type(part) is int and 0 <= part < parts for part in value):
+            self._fail(f"{place} is not a list of part numbers from 0 to {parts - 1}")
+        if len(set(value)) != len(value):
+            self._fail(f"{place} names a part twice")
+        return value
+
+    def _replay(self, value: Any, parts: int, states: int) -> PlanReplay:
+        self._keys(value, {"stands", "moved", "part", "falls_at"}, "replay")
+        stands, part, falls_at = value["stands"], value["part"], value["falls_at"]
+        if not isinstance(stands, bool) or stands != (falls_at is None):
+            self._fail("replay.stands must be true, with no falls_at, or false, with one")
+        if type(part) is not int or not -1 <= part < parts:
+            self._fail(f"replay.part is {part!r}", f"it must be a part number below {parts}, or -1")
+        if falls_at is not None and self._count(falls_at, "replay.falls_at") >= states:
+            self._fail(f"replay.falls_at is {falls_at}", f"the plan has {states} states")
+        return PlanReplay(stands, self._number(value["moved"], "replay.moved"), part, falls_at)
+
+    def _packed(self, value: Any, name: str, counted: str, states: int) -> NDArray[np.float64] | StateArrays:
+        """Return the proofs of all states: forces of points, or displacements of parts."""
+        entry = CHANGES if isinstance(value, dict) and CHANGES in value and name == "forces" else WHOLE
+        self._keys(value, {counted, entry}, name)
+        count, width = self._count(value[counted], f"{name}.{counted}"), 6 if name == "displacements" else 3
+
+        try:
+            what = f"{name} of {count} {counted} for each of {states} states"
+            return unpack_proofs(entry, value[entry], (states, count, width), what)
+        except ValueError as error:
+            self._fail(f"{name}.{entry} {error}")
+
+    def _number(self, value: Any, place: str) -> float:
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value) or value < 0:
+            self._fail(f"{place} is {value!r}", "it must be a number from 0 on")
+        return float(value)
+
+    def _count(self, value: Any, place: str, least: int = 0) -> int:
+        if type(value) is not int or value < least:
+            self._fail(f"{place} is {value!r}", f"it must be a whole number from {least} on")
+        return value
