@@ -20,7 +20,7 @@ from falsework.search.beam.settings import BeamSettings
 from falsework.search.find import task_of
 from falsework.search.problem.hashing import StateHash
 from falsework.stability import Stability, StabilitySettings
-from falsework.stability.contact.replay import History, Replay
+from falsework.stability.contact.replay import History, Replay, Replayer
 
 _RING = [(1, 2), (2, 3), (3, 4), (4, 1), (5, 1), (5, 2), (5, 3)]
 """Part 5 touches three of a ring of four parts; part 0 is the ground."""
@@ -29,6 +29,12 @@ _FACES = [
     *[(2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)],
 ]
 """Triangles of a box whose corners are counted in binary."""
+
+
+def parts_of(assembly: Assembly, robots: int = 2) -> list[int]:
+    oracle = Stability(assembly)
+    assert oracle.replayer is not None
+    return cannot_come_last(task_of(assembly, robots), oracle, oracle.replayer.problem).tolist()
 
 
 def row_of_boxes() -> Assembly:
@@ -44,29 +50,23 @@ def row_of_boxes() -> Assembly:
 
 
 def test_what_hangs_between_parts_that_do_not_press_on_it_cannot_come_last() -> None:
-    assembly = row_of_boxes()
-    oracle = Stability(assembly)
-    assert cannot_come_last(task_of(assembly), oracle, oracle.replayer.problem).tolist() == [2]
+    assert parts_of(row_of_boxes()) == [2]
 
 
 def test_the_replay_agrees_where_the_neighbours_are_held() -> None:
     assembly = load_structure("vault")
-    oracle = Stability(assembly)
-    found = cannot_come_last(task_of(assembly), oracle, oracle.replayer.problem)
-    released = []
-    for part in np.flatnonzero(~assembly.boundary):
+    replayer, released = Replayer(assembly), []
+    for part in np.flatnonzero(~assembly.boundary).tolist():
         states = np.full((2, assembly.part_count), 2, dtype=np.uint8)
         states[1, part] = 1
-        if not oracle.replayer.replay(states).good:
-            released.append(int(part))
-    assert found.tolist() == released
-    assert len(found)
+        if not replayer.replay(states).good:
+            released.append(part)
+    assert released
+    assert parts_of(assembly) == released
 
 
 def test_structures_with_rows_behind_free_arches_are_left_out() -> None:
-    assembly = load_structure("vault:parts=125")
-    oracle = Stability(assembly)
-    assert not len(cannot_come_last(task_of(assembly, 3), oracle, oracle.replayer.problem))
+    assert parts_of(load_structure("vault:parts=125"), 3) == []
 
 
 def frontier_of(state: list[int], robots: int = 3) -> Any:

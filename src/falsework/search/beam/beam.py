@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -60,10 +61,6 @@ class BeamSearch(LevelSearch):
         replayer = getattr(oracle, "replayer", None) if settings.direction is Direction.ASSEMBLY else None
         self._ways = BeamWays(self.levels, self._judge, replayer)
         self._failures = None if task.neighbours is None else FailureMemory(task.neighbours)
-        self._places: OpenPlaces | None = None
-        if replayer is not None and task.neighbours is not None:
-            wedges = cannot_come_last(task, oracle, replayer.problem)
-            self._places = OpenPlaces(task.neighbours, wedges) if len(wedges) else None
         self._guide = guide
         self._hash = StateHash.for_parts(task.part_count)
         self._candidates = 0
@@ -105,7 +102,7 @@ class BeamSearch(LevelSearch):
             return False
         settings, level = self.settings, self.levels[-1]
         frontier = expand(self.task, settings.direction, level.states, self._hash)
-        left_out = self._places is not None and self._places.keep(frontier)
+        left_out = self._open_places is not None and self._open_places.keep(frontier)
         scores = self._scores(frontier, level.score)
         rng = np.random.default_rng((settings.seed, self._retried, len(self.levels)))
         how = settings.diversity == "k-means", settings.pool, rng
@@ -147,6 +144,15 @@ class BeamSearch(LevelSearch):
         if self._ways.replays is not None:
             self._ways.replays.keep(kept)
         return True
+
+    @cached_property
+    def _open_places(self) -> OpenPlaces | None:
+        """Rule for parts that cannot come last; None where contact histories do not matter, or there are none."""
+        task, replays = self.task, self._ways.replays
+        if replays is None or task.neighbours is None:
+            return None
+        parts = cannot_come_last(task, self._judge.oracle, replays.histories.replayer.problem)
+        return OpenPlaces(task.neighbours, parts) if len(parts) else None
 
     def _scores(self, frontier: Frontier, before: NDArray[np.float64]) -> Scores:
         """Return the scores of candidates, by the guide and by what the settings say of parts."""
