@@ -1,14 +1,14 @@
 """Newton steps that keep contact forces inside their friction cones.
 
-Many forces balance a state. Those at the boundary of their cones, where ADMM leaves them, cannot take up much when a
-part is let go of, so that others far away have to change too. Of all forces in balance the middle ones are sought here,
-at the minimum of
+Many forces balance a state. Those on the boundaries of their cones, where ADMM leaves them, cannot take up much when a
+part is let go of, so that others far away have to change too. So of all forces in balance those in the middle are
+sought, at the minimum of
 
     sum of normal forces / (force level)  -  sum of log(distance of a force from each facet of its cone).
 
-The first term bounds them where parts are wedged. Forces of a state near by are nearly in the middle already: a few
-Newton steps, each with one factorization, lead to the new ones, and near the change only. Any forces in
-balance are a proof, so the steps end as soon as the residual is small. Failure proves nothing.
+The first term bounds forces where parts are wedged. Those of a state near by are nearly in the middle, and some Newton
+steps near the difference, each with one factorization, lead to new ones. Steps need not reach the minimum: any forces
+in balance are a proof. Failure proves nothing.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 
 from falsework.stability.cpu.elimination import lay_out_panels
 from falsework.stability.cpu.interior_point import add_product, multiply, strains
-from falsework.stability.cpu.layout import FAST, add_pair_wrench
+from falsework.stability.cpu.layout import FAST, add_pair_wrench, dot
 from falsework.stability.cpu.panels import clear_panels, factor_panels, solve_panels
 from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED, check_primal
 from falsework.utils.kernels import njit
@@ -74,7 +74,11 @@ def _move_inside(structure, work, pairs, level):
 
 @njit(fastmath=FAST, cache=True)
 def _assemble(structure, work, pairs, level):
-    """Write the matrix, and the right-hand side to `work.rhs`, from the residual in `work.residual`."""
+    """Write the Newton system: its matrix, and its right-hand side from `work.residual` to `work.rhs`.
+
+    The inverse of the second derivative at each contact point goes to `work.weights`, and minus its product with the
+    first to `work.slacks`. Unknown are velocities; forces change by the latter, less the former times the strains.
+    """
     basis, start, pair, slot_a, slot_b = work.basis, work.start, work.pair, work.slot_a, work.slot_b
     ta, tb, supernode = structure.transfer_a, structure.transfer_b, structure.elimination.supernode
     free, z, mu, scale, rhs, panels = work.free, work.z, work.friction, work.force_scale, work.rhs, work.panels
@@ -154,7 +158,7 @@ def _assemble(structure, work, pairs, level):
 
 @njit(fastmath=FAST, cache=True)
 def _advance(structure, work, pairs):
-    """Step the forces in `work.z`; return the share of the Newton step."""
+    """Step the forces in `work.z` along the velocities in `work.rhs`; return the share of the Newton step taken."""
     z, v, mu, metric, step = work.z, work.v, work.friction, work.weights, work.slacks
     strains(structure, work, pairs, work.rhs)
     reach = 1.0 / _BACK_OFF
@@ -199,6 +203,8 @@ def run_centring(structure, work, pairs, options, steps, level):
         if not factor_panels(structure.elimination.supernode, work.panels, symmetric):
             return UNDECIDED, step
         solve_panels(work.panels, work.rhs, symmetric)
+        if not dot(work, work.rhs, work.rhs) < np.inf:
+            return UNDECIDED, step
         share = _advance(structure, work, pairs)
         residual = check_primal(structure, work, pairs, work.z, options, work.residual)
         if residual < (1.0 - MARGIN) * options.tolerance:

@@ -203,6 +203,7 @@ def centre_state(structure, state, parent, options, work, near, forces):
         return STABLE, residual, taken
     level = structure.weight / len(state)
     rings, corridors = len(_CENTRED_RINGS), len(_CENTRED_CORRIDORS)
+    kept, free = 0, 0
     for k in range(rings + corridors + 1):
         whole = k == rings + corridors
         if k < rings:
