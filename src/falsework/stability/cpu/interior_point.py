@@ -141,7 +141,7 @@ def _start(structure, work, pairs, octagon, mu, r):
     """Write interior multipliers and slacks near the ADMM result in `work.z` and `r`."""
     z, v, weights, slacks = work.z, work.v, work.weights, work.slacks
     points = work.start[pairs]
-    _strains(structure, work, pairs, r)
+    strains(structure, work, pairs, r)
     mean_force, mean_slack = 0.0, 0.0
     for j in range(points):
         mean_force += z[j, 0]
@@ -163,7 +163,7 @@ def _start(structure, work, pairs, octagon, mu, r):
 
 
 @njit(fastmath=FAST, cache=True)
-def _strains(structure, work, pairs, velocity):
+def strains(structure, work, pairs, velocity):
     """Write `work.v = G^T velocity`."""
     basis, start, pair, slot_a, slot_b, v = work.basis, work.start, work.pair, work.slot_a, work.slot_b, work.v
     transfer_a, transfer_b = structure.transfer_a, structure.transfer_b
@@ -184,7 +184,7 @@ def _assemble(structure, work, pairs, octagon, mu, r, target, matrix):
     weights, slacks, dx, ds = work.weights, work.slacks, work.weight_steps, work.slack_steps
     if matrix:
         clear_panels(panels, 1.0, matrix)
-    _strains(structure, work, pairs, r)
+    strains(structure, work, pairs, r)
     set_load(work, rhs)
     for j in range(len(free)):
         if free[j]:
@@ -225,19 +225,19 @@ def _assemble(structure, work, pairs, octagon, mu, r, target, matrix):
             for k in range(i):
                 local[k, i] = local[i, k]
         if a >= 0:
-            _multiply(ta, q, local, left)
-            _add_product(left, ta, q, upper, diagonal[a], width[supernode[a]])
+            multiply(ta, q, local, left)
+            add_product(left, ta, q, upper, diagonal[a], width[supernode[a]])
             if a < b_:
-                _add_product(left, tb, q, upper, block[q], width[supernode[a]])
+                add_product(left, tb, q, upper, block[q], width[supernode[a]])
         if b_ >= 0:
-            _multiply(tb, q, local, left)
-            _add_product(left, tb, q, upper, diagonal[b_], width[supernode[b_]])
+            multiply(tb, q, local, left)
+            add_product(left, tb, q, upper, diagonal[b_], width[supernode[b_]])
             if b_ < a:
-                _add_product(left, ta, q, upper, block[q], width[supernode[b_]])
+                add_product(left, ta, q, upper, block[q], width[supernode[b_]])
 
 
 @njit(inline="always", fastmath=FAST)
-def _multiply(left, q, right, out):
+def multiply(left, q, right, out):
     """Write `out = left[q] right`."""
     for i in range(6):
         for j in range(6):
@@ -248,7 +248,7 @@ def _multiply(left, q, right, out):
 
 
 @njit(inline="always", fastmath=FAST)
-def _add_product(left, right, q, out, place, width):
+def add_product(left, right, q, out, place, width):
     """Add `left right[q]^T` to a block of a panel."""
     for i in range(6):
         for j in range(6):
@@ -269,7 +269,7 @@ def _steps(structure, work, pairs, octagon, mu, r, step, target, corrector):
         if free[j]:
             for i in range(6):
                 ahead[j, i] = r[j, i] + step[j, i]
-    _strains(structure, work, pairs, ahead)
+    strains(structure, work, pairs, ahead)
     reach = 1e30
     for j in range(work.start[pairs]):
         if corrector:

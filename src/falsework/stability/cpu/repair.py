@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from falsework.stability.cpu.admm import factor_admm, run_admm
+from falsework.stability.cpu.centring import run_centring
 from falsework.stability.cpu.cones import project_joint
 from falsework.stability.cpu.interior_point import run_interior
 from falsework.stability.cpu.layout import (
@@ -34,6 +35,12 @@ REPAIR_RINGS = np.array([2, 4, 8])
 CORRIDORS = np.array([3, 9, 18])
 """Contacts by which the ways from a changed part to a support may be longer than the shortest one, tried after that;
 forces as far from the part may change too."""
+_CENTRED_RINGS = np.array([2, 4, 8, 16])
+"""The former where forces lie inside their cones."""
+_CENTRED_CORRIDORS = np.array([9, 18])
+"""The latter."""
+_NEAR_STEPS, _ALL_STEPS = 12, 30
+"""Most Newton steps in a region, and in the whole."""
 _ROUNDING = 1e-12
 """Distance of forces from their cones, as a share of them, that is left to rounding."""
 
@@ -173,6 +180,80 @@ def repair_state(structure, state, parent, rings, corridors, options, along, war
             return STABLE, residual, spent, taken
         # What smaller regions passed on may lie farther away than this one reaches.
     return UNDECIDED, np.nan, spent, taken
+
+
+@njit(cache=True)
+def centre_state(structure, state, parent, options, work, near, forces):
+    """Balance a state with forces of its parent inside their cones, which change only near their difference.
+
+    Regions are tried in turn, the whole last; each begins with what the one before has reached.
+
+    Args:
+        structure, options, work: `KernelArrays`, `Options` and `Scratch`.
+        state, parent: shape (parts,).
+        near: scratch, shape (parts,).
+        forces: in: contact forces in N that balance the parent; out: of the state if it is stable. Shape (points, 3).
+
+    Returns:
+        `STABLE` or `UNDECIDED`; residual; Newton steps.
+    """
+    bound, taken = (1.0 - MARGIN) * options.tolerance, 0
+    residual = _accept_forces(structure, state, options, work.residual, forces)
+    if residual < bound:
+        return STABLE, residual, taken
+    level = structure.weight / len(state)
+    rings, corridors = len(_CENTRED_RINGS), len(_CENTRED_CORRIDORS)
+    kept, free = 0, 0
+    for k in range(rings + corridors + 1):
+        whole = k == rings + corridors
+        if k < rings:
+            kept, free = hold_far_parts(structure, state, parent, _CENTRED_RINGS[k], near)
+        elif not whole:
+            kept, free = hold_beside_corridor(structure, state, parent, _CENTRED_CORRIDORS[k - rings], near)
+        else:
+            near[:] = state
+        if not whole:
+            if kept == 0:
+                break
+            if 2 * kept > free:
+                continue
+        pairs, _ = restrict(structure, near, work)
+        if not whole:
+            pairs, grounded = _keep_border(structure, state, near, work, pairs, forces)
+            if not grounded:
+                continue
+        load_forces(structure, work, pairs, forces, work.z)
+        verdict, steps = run_centring(structure, work, pairs, options, _ALL_STEPS if whole else _NEAR_STEPS, level)
+        taken += steps
+        store_forces(structure, work, pairs, forces)
+        if verdict != STABLE:
+            continue
+        residual = _accept_forces(structure, state, options, work.residual, forces)
+        if residual < bound:
+            return STABLE, residual, taken
+    return UNDECIDED, np.nan, taken
+
+
+@njit(nogil=True, cache=True)
+def centre_range(structure, states, parents, known, options, forces, verdict, residual, iterations, steps):
+    """Balance states as `repair_range` does, with forces inside their cones.
+
+    Returns:
+        Number of states left undecided.
+    """
+    near = np.empty(states.shape[1], np.uint8)
+    work = make_scratch(structure)
+    left = 0
+    for i in range(len(states)):
+        if verdict[i] != UNDECIDED:
+            continue
+        if known[i]:
+            v, r, s = centre_state(structure, states[i], parents[i], options, work, near, forces[i])
+            verdict[i] = v
+            residual[i] = r
+            steps[i] += s
+        left += verdict[i] == UNDECIDED
+    return left
 
 
 @njit(nogil=True, cache=True)

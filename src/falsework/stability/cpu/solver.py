@@ -12,7 +12,7 @@ from falsework.assembly.state import States
 from falsework.stability.cpu.kernel import solve_range
 from falsework.stability.cpu.layout import COMPILED_LAYOUT, build_structure
 from falsework.stability.cpu.neighbourhood import RINGS, fall_range
-from falsework.stability.cpu.repair import CORRIDORS, REPAIR_RINGS, repair_range
+from falsework.stability.cpu.repair import CORRIDORS, REPAIR_RINGS, centre_range, repair_range
 from falsework.stability.cpu.termination import UNDECIDED, Options
 from falsework.stability.problem import Problem
 from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
@@ -32,6 +32,11 @@ _LARGER = 400
 """Parts from which those take the place of the widest repair around a change and of interior point steps in the others:
 these regions are a small share then, and what they leave open is cheaper along the ways. A wider corridor is a small
 share too, and what the whole leaves open is begun again along the ways before it is begun again as a whole."""
+_CENTRED = 1000
+"""Parts from which forces are kept inside their cones, where all contacts have friction and none has cohesion, so that
+they change near the difference only. In smaller structures that takes longer than ADMM on the whole."""
+_LEAST_FRICTION = 1e-3
+"""Coefficient of friction below which cones are too narrow for that."""
 _FROM_REST = {"iterations": 10, "interior_steps": 60}
 """Options of a second attempt, from zero forces: interior point steps from near the middle of the cones."""
 
@@ -90,6 +95,9 @@ class CpuSolver:
         if self._larger:
             self._around, self._rings = self._options._replace(interior_steps=0), REPAIR_RINGS[:-1]
             self._corridors = CORRIDORS
+        strength = problem.strength
+        rough = bool((strength.friction > _LEAST_FRICTION).all())
+        self._centred = problem.parts >= _CENTRED and rough and not (strength.pull.any() or strength.stick.any())
         self._from_rest = self._options._replace(**_FROM_REST) if large else self._options
         self._workers = Workers(settings.cpu.threads)
 
@@ -133,17 +141,25 @@ class CpuSolver:
             found = verdicts.verdict[rows], verdicts.residual[rows], verdicts.iterations[rows], steps[rows]
             chosen, motion, force, warm = states[rows], velocity[rows], forces[rows], guess is not None
             kernel, before = (self.structure, chosen), force
+            centred = self._centred and warm and parents is not None
             if parents is not None:
                 beside = parents[rows]
                 # Proofs along a plan are requested for stable states.
                 along = certificates and guess is not None
                 if not along and not fall_range(*kernel, beside, RINGS, self._options, motion, *found):
                     return
-                near = beside, known[rows], self._rings, self._corridors, self._around, self._along, warm, force
                 before = force.copy() if self._larger else force  # repairs write to `force`
-                if known[rows].any() and not repair_range(*kernel, *near, *found):
-                    return
-            solve_range(*kernel, self._from_forces if warm else self._options, force, motion, warm, *found)
+                if centred:
+                    if known[rows].any() and not centre_range(
+                        *kernel, beside, known[rows], self._options, force, *found
+                    ):
+                        return
+                else:
+                    near = beside, known[rows], self._rings, self._corridors, self._around, self._along, warm, force
+                    if known[rows].any() and not repair_range(*kernel, *near, *found):
+                        return
+            if not centred:  # whose forces would lie on the boundaries of cones
+                solve_range(*kernel, self._from_forces if warm else self._options, force, motion, warm, *found)
             left = found[0] == UNDECIDED
             # From no forces: first along the ways to supports, with the forces of the parent farther away.
             if warm and parents is not None and self._larger and left.any():

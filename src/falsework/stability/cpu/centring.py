@@ -1,0 +1,215 @@
+"""Newton steps that keep contact forces inside their friction cones.
+
+Many forces balance a state. Those on the boundaries of their cones, where ADMM leaves them, cannot take up much when a
+part is let go of, so that others far away have to change too. So of all forces in balance those in the middle are
+sought, at the minimum of
+
+    sum of normal forces / (force level)  -  sum of log(distance of a force from each facet of its cone).
+
+The first term bounds forces where parts are wedged. Those of a state near by are nearly in the middle, and some Newton
+steps near the difference, each with one factorization, lead to new ones. Steps need not reach the minimum: any forces
+in balance are a proof. Failure proves nothing.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from falsework.stability.cpu.elimination import lay_out_panels
+from falsework.stability.cpu.interior_point import add_product, multiply, strains
+from falsework.stability.cpu.layout import FAST, add_pair_wrench, dot
+from falsework.stability.cpu.panels import clear_panels, factor_panels, solve_panels
+from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED, check_primal
+from falsework.utils.kernels import njit
+
+_X = np.array([math.cos((k + 0.5) * math.pi / 4) for k in range(8)])
+_Y = np.array([math.sin((k + 0.5) * math.pi / 4) for k in range(8)])
+_NEAR = math.cos(math.pi / 8)
+"""Distance of the facets of the octagon from its axis; it lies inside the quadratic cone."""
+_BACK_OFF = 0.9
+"""Share of the way to the nearest facet that a step takes at most."""
+_RIDGE = 1e-14
+"""Added to the diagonal of the matrix, as a share of its mean; what it leaves out of balance grows with it."""
+_LEAST = 0.02
+"""Least normal force at the start, in force levels ..."""
+_INSIDE = 0.9
+"""... and largest tangential force then, as a share of what friction allows."""
+_SHORT, _SHORT_STEPS = 0.05, 4
+"""So many steps, one after the other, below this share of a Newton step end the search."""
+
+
+@njit(fastmath=FAST, cache=True)
+def _move_inside(structure, work, pairs, level):
+    """Raise normal forces until all forces lie inside their cones; new contacts share what is not in balance."""
+    z, mu, scale, start, slot_a, slot_b = work.z, work.friction, work.force_scale, work.start, work.slot_a, work.slot_b
+    residual, new = work.residual, work.velocity
+    new[:] = 0.0
+    for p in range(pairs):
+        a, b, fresh = slot_a[p], slot_b[p], 0.0
+        for j in range(start[p], start[p + 1]):
+            fresh += z[j, 0] == 0.0
+        if a >= 0:
+            new[a, 0] += fresh
+        if b >= 0:
+            new[b, 0] += fresh
+    for j in range(len(new)):
+        if new[j, 0] > 0.0:
+            total = 0.0
+            for i in range(6):
+                total += residual[j, i] * residual[j, i]
+            new[j, 1] = math.sqrt(total) / new[j, 0]
+    for p in range(pairs):
+        share = 0.0
+        if slot_a[p] >= 0:
+            share = max(share, new[slot_a[p], 1])
+        if slot_b[p] >= 0:
+            share = max(share, new[slot_b[p], 1])
+        for j in range(start[p], start[p + 1]):
+            least = max(_LEAST * level / scale[j], share if z[j, 0] == 0.0 else 0.0)
+            side = math.sqrt(z[j, 1] * z[j, 1] + z[j, 2] * z[j, 2]) / (mu[j] * _NEAR)
+            z[j, 0] = max(z[j, 0], least, side / _INSIDE)
+
+
+@njit(fastmath=FAST, cache=True)
+def _assemble(structure, work, pairs, level):
+    """Write the Newton system: its matrix, and its right-hand side from `work.residual` to `work.rhs`.
+
+    The inverse of the second derivative at each contact point goes to `work.weights`, and minus its product with the
+    first to `work.slacks`. Unknown are velocities; forces change by the latter, less the former times the strains.
+    """
+    basis, start, pair, slot_a, slot_b = work.basis, work.start, work.pair, work.slot_a, work.slot_b
+    ta, tb, supernode = structure.transfer_a, structure.transfer_b, structure.elimination.supernode
+    free, z, mu, scale, rhs, panels = work.free, work.z, work.friction, work.force_scale, work.rhs, work.panels
+    upper, diagonal, block, width = panels.upper, panels.diagonal, panels.block, panels.width
+    metric, pull = work.weights, work.slacks
+    points, total = start[pairs], 0.0
+    for j in range(points):
+        n, x, y = z[j, 0], z[j, 1], z[j, 2]
+        m = mu[j] * _NEAR
+        h00, h01, h02, h11, h12, h22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        g0, g1, g2 = scale[j] / level, 0.0, 0.0
+        for k in range(8):
+            e = 1.0 / (m * n - _X[k] * x - _Y[k] * y)
+            a0, a1, a2 = m * e, -_X[k] * e, -_Y[k] * e
+            g0 -= a0
+            g1 -= a1
+            g2 -= a2
+            h00 += a0 * a0
+            h01 += a0 * a1
+            h02 += a0 * a2
+            h11 += a1 * a1
+            h12 += a1 * a2
+            h22 += a2 * a2
+        c00, c01, c02 = h11 * h22 - h12 * h12, h02 * h12 - h01 * h22, h01 * h12 - h02 * h11
+        inverse = 1.0 / (h00 * c00 + h01 * c01 + h02 * c02)
+        w00, w01, w02 = c00 * inverse, c01 * inverse, c02 * inverse
+        w11 = (h00 * h22 - h02 * h02) * inverse
+        w12 = (h01 * h02 - h00 * h12) * inverse
+        w22 = (h00 * h11 - h01 * h01) * inverse
+        metric[j, 0], metric[j, 1], metric[j, 2] = w00, w01, w02
+        metric[j, 3], metric[j, 4], metric[j, 5] = w11, w12, w22
+        pull[j, 0] = -(w00 * g0 + w01 * g1 + w02 * g2)
+        pull[j, 1] = -(w01 * g0 + w11 * g1 + w12 * g2)
+        pull[j, 2] = -(w02 * g0 + w12 * g1 + w22 * g2)
+        total += w00 + w11 + w22
+    clear_panels(panels, _RIDGE * total / points, points > 0)
+    for j in range(len(free)):
+        if free[j]:
+            for i in range(6):
+                rhs[j, i] = work.residual[j, i]
+    local, left = np.empty((6, 6)), np.empty((6, 6))
+    for p in range(pairs):
+        local[:] = 0.0
+        s0, s1, s2, s3, s4, s5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for j in range(start[p], start[p + 1]):
+            w00, w01, w02 = metric[j, 0], metric[j, 1], metric[j, 2]
+            w11, w12, w22 = metric[j, 3], metric[j, 4], metric[j, 5]
+            c0, c1, c2 = pull[j, 0], pull[j, 1], pull[j, 2]
+            s0 += basis[j, 0, 0] * c0 + basis[j, 0, 1] * c1 + basis[j, 0, 2] * c2
+            s1 += basis[j, 1, 0] * c0 + basis[j, 1, 1] * c1 + basis[j, 1, 2] * c2
+            s2 += basis[j, 2, 0] * c0 + basis[j, 2, 1] * c1 + basis[j, 2, 2] * c2
+            s3 += basis[j, 3, 0] * c0 + basis[j, 3, 1] * c1 + basis[j, 3, 2] * c2
+            s4 += basis[j, 4, 0] * c0 + basis[j, 4, 1] * c1 + basis[j, 4, 2] * c2
+            s5 += basis[j, 5, 0] * c0 + basis[j, 5, 1] * c1 + basis[j, 5, 2] * c2
+            for i in range(6):
+                h0 = basis[j, i, 0] * w00 + basis[j, i, 1] * w01 + basis[j, i, 2] * w02
+                h1 = basis[j, i, 0] * w01 + basis[j, i, 1] * w11 + basis[j, i, 2] * w12
+                h2 = basis[j, i, 0] * w02 + basis[j, i, 1] * w12 + basis[j, i, 2] * w22
+                for k in range(i + 1):
+                    local[i, k] += h0 * basis[j, k, 0] + h1 * basis[j, k, 1] + h2 * basis[j, k, 2]
+        for i in range(6):
+            for k in range(i):
+                local[k, i] = local[i, k]
+        q, a, b = pair[p], slot_a[p], slot_b[p]
+        add_pair_wrench(ta, tb, q, a, b, s0, s1, s2, s3, s4, s5, rhs)
+        if a >= 0:
+            multiply(ta, q, local, left)
+            add_product(left, ta, q, upper, diagonal[a], width[supernode[a]])
+            if a < b:
+                add_product(left, tb, q, upper, block[q], width[supernode[a]])
+        if b >= 0:
+            multiply(tb, q, local, left)
+            add_product(left, tb, q, upper, diagonal[b], width[supernode[b]])
+            if b < a:
+                add_product(left, ta, q, upper, block[q], width[supernode[b]])
+
+
+@njit(fastmath=FAST, cache=True)
+def _advance(structure, work, pairs):
+    """Step the forces in `work.z` along the velocities in `work.rhs`; return the share of the Newton step taken."""
+    z, v, mu, metric, step = work.z, work.v, work.friction, work.weights, work.slacks
+    strains(structure, work, pairs, work.rhs)
+    reach = 1.0 / _BACK_OFF
+    for j in range(work.start[pairs]):
+        w00, w01, w02 = metric[j, 0], metric[j, 1], metric[j, 2]
+        w11, w12, w22 = metric[j, 3], metric[j, 4], metric[j, 5]
+        d0 = step[j, 0] - w00 * v[j, 0] - w01 * v[j, 1] - w02 * v[j, 2]
+        d1 = step[j, 1] - w01 * v[j, 0] - w11 * v[j, 1] - w12 * v[j, 2]
+        d2 = step[j, 2] - w02 * v[j, 0] - w12 * v[j, 1] - w22 * v[j, 2]
+        step[j, 0], step[j, 1], step[j, 2] = d0, d1, d2
+        m = mu[j] * _NEAR
+        for k in range(8):
+            fall = _X[k] * d1 + _Y[k] * d2 - m * d0
+            if fall > 0.0:
+                reach = min(reach, (m * z[j, 0] - _X[k] * z[j, 1] - _Y[k] * z[j, 2]) / fall)
+    share = _BACK_OFF * reach
+    for j in range(work.start[pairs]):
+        for k in range(3):
+            z[j, k] += share * step[j, k]
+    return share
+
+
+@njit(fastmath=FAST, cache=True)
+def run_centring(structure, work, pairs, options, steps, level):
+    """Balance the forces in `work.z` by Newton steps inside their cones.
+
+    Args:
+        structure, work, pairs, options: as for `run_admm`.
+        steps: most steps.
+        level: force in N that contacts without need of it take up, about.
+
+    Returns:
+        Verdict and steps taken.
+    """
+    lay_out_panels(structure, work.free, work.panels)
+    check_primal(structure, work, pairs, work.z, options, work.residual)
+    _move_inside(structure, work, pairs, level)
+    symmetric, short = pairs >= 0, 0
+    check_primal(structure, work, pairs, work.z, options, work.residual)
+    for step in range(1, steps + 1):
+        _assemble(structure, work, pairs, level)
+        if not factor_panels(structure.elimination.supernode, work.panels, symmetric):
+            return UNDECIDED, step
+        solve_panels(work.panels, work.rhs, symmetric)
+        if not dot(work, work.rhs, work.rhs) < np.inf:
+            return UNDECIDED, step
+        share = _advance(structure, work, pairs)
+        residual = check_primal(structure, work, pairs, work.z, options, work.residual)
+        if residual < (1.0 - MARGIN) * options.tolerance:
+            return STABLE, step
+        short = short + 1 if share < _SHORT else 0
+        if short == _SHORT_STEPS:
+            return UNDECIDED, step
+    return UNDECIDED, steps

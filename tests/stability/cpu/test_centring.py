@@ -1,0 +1,124 @@
+"""Forces inside their cones: they change near a difference only, prove states, and mislead no verdict."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from falsework.assembly import library
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import HELD, INSTALLED, REMOVED, complete_state
+from falsework.stability import Stability, Verdict, Verdicts, verify_certificates
+from falsework.stability.cpu import solver as cpu_solver
+from falsework.stability.cpu.repair import centre_range
+from falsework.stability.cpu.solver import CpuSolver
+from falsework.stability.problem import build_problem
+from falsework.stability.settings import EQUILIBRIUM, Cone
+
+Found = tuple[NDArray[np.bool_], NDArray[np.float64]]
+
+
+@pytest.fixture(scope="module")
+def vault() -> Assembly:
+    return library.build("vault")
+
+
+@pytest.fixture(scope="module")
+def released(vault: Assembly) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Complete vault after the release of each part, and before."""
+    complete = complete_state(vault.boundary)
+    parts = np.flatnonzero(complete == INSTALLED)
+    before = np.repeat(complete[None], len(parts), axis=0)
+    before[np.arange(len(parts)), parts] = HELD
+    return np.repeat(complete[None], len(parts), axis=0), before
+
+
+def _centre(solver: CpuSolver, states: NDArray, parents: NDArray, forces: NDArray) -> Found:
+    verdict, residual = np.zeros(len(states), np.int8), np.full(len(states), np.nan)
+    counts, out = np.zeros((2, len(states)), np.int32), forces.copy()
+    known = np.ones(len(states), dtype=bool)
+    centre_range(solver.structure, states, parents, known, solver._options, out, verdict, residual, *counts)
+    return verdict == Verdict.STABLE, out
+
+
+def _with_forces(vault: Assembly, states: NDArray, forces: NDArray) -> Verdicts:
+    checked = Stability(vault, EQUILIBRIUM).check(states)
+    assert checked.forces is not None
+    checked.forces[:] = forces
+    return checked
+
+
+def test_centred_forces_prove_the_state_and_the_next(
+    vault: Assembly, released: tuple[NDArray[np.uint8], NDArray[np.uint8]]
+) -> None:
+    states, before = released
+    solver = CpuSolver(build_problem(vault))
+    known = solver.check(before)
+    assert known.forces is not None
+    good, forces = _centre(solver, states, before, known.forces)
+    assert good.any()
+    assert verify_certificates(
+        vault, states[good], _with_forces(vault, states[good], forces[good]), EQUILIBRIUM.claim
+    ).all()
+    # They lie inside their cones, on which most of those from ADMM lie.
+    friction = solver.structure.friction
+    side = np.hypot(forces[good][..., 1], forces[good][..., 2])
+    assert (forces[good][..., 0] > 0).mean() > 0.9
+    assert (side <= friction * forces[good][..., 0] * (1 + 1e-9)).all()
+    # From them, what follows when a part is taken away is often local.
+    state = states[np.flatnonzero(good)[0]]
+    parts = np.flatnonzero(state == INSTALLED)
+    parents = np.repeat(state[None], len(parts), axis=0)
+    after = parents.copy()
+    after[np.arange(len(parts)), parts] = REMOVED
+    start = np.repeat(forces[good][:1], len(parts), axis=0)
+    stands, moved = _centre(solver, after, parents, start)
+    assert stands.any()
+    assert (Stability(vault, EQUILIBRIUM).check(after).verdict[stands] == Verdict.STABLE).all()
+    assert ((moved != start).any(axis=2)[stands].mean(axis=1) < 0.5).any()
+
+
+@pytest.mark.parametrize("cone", ["octagon", "quadratic"])
+def test_verdicts_along_random_orders_are_the_same(
+    vault: Assembly, monkeypatch: pytest.MonkeyPatch, cone: Cone
+) -> None:
+    settings = replace(EQUILIBRIUM, cone=cone)
+    plain = Stability(vault, settings)
+    monkeypatch.setattr(cpu_solver, "_LARGE", 0)
+    monkeypatch.setattr(cpu_solver, "_LARGER", 0)
+    monkeypatch.setattr(cpu_solver, "_CENTRED", 0)
+    centred = Stability(vault, settings)
+    assert isinstance(centred._cpu, CpuSolver)
+    assert centred._cpu._centred
+    rng = np.random.default_rng(0)
+    seen = []
+    for _ in range(3):
+        state = complete_state(vault.boundary)
+        assert centred.judge(state[None], parents=state[None]).stable.all()
+        for part in rng.permutation(np.flatnonzero(state == INSTALLED)):
+            held, after = state.copy(), state.copy()
+            held[part], after[part] = HELD, REMOVED
+            next_states, parents = np.stack([held, after, state]), np.stack([state, state, held])
+            found = centred.judge(next_states, parents=parents)
+            assert (found.verdict == plain.judge(next_states).verdict).all()
+            seen.append(found.stable[1])
+            if not found.stable[1]:
+                state = held if (held == HELD).sum() < (vault.boundary.sum() + 3) else state
+            else:
+                state = after
+    assert any(seen)
+    assert not all(seen)
+
+
+def test_only_contacts_with_friction_and_without_cohesion(monkeypatch: pytest.MonkeyPatch, vault: Assembly) -> None:
+    monkeypatch.setattr(cpu_solver, "_CENTRED", 0)
+    problem = build_problem(vault)
+    assert CpuSolver(problem)._centred
+    one = np.arange(problem.points) == 0
+    slippery = problem.strength._replace(friction=np.where(one, 0.0, problem.strength.friction))
+    glued = problem.strength._replace(pull=np.where(one, 1.0, 0.0))
+    for strength in (slippery, glued):
+        assert not CpuSolver(replace(problem, strength=strength))._centred
