@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, held_count
+from falsework.assembly.state import HELD, States, held_count
 from falsework.errors import InputError
 from falsework.search.beam.failures import FailureMemory
 from falsework.search.beam.frontier import Frontier, Level, expand, pack
 from falsework.search.beam.level_search import LevelSearch
-from falsework.search.beam.open_places import OpenPlaces, cannot_come_last
+from falsework.search.beam.open_places import OpenPlaces, cannot_come_last, filled_gaps
 from falsework.search.beam.scores import Scores
 from falsework.search.beam.selection import Selector
 from falsework.search.beam.settings import BeamSettings
@@ -102,7 +102,7 @@ class BeamSearch(LevelSearch):
             return False
         settings, level = self.settings, self.levels[-1]
         frontier = expand(self.task, settings.direction, level.states, self._hash)
-        left_out = self._open_places is not None and self._open_places.keep(frontier)
+        left_out = self._open_places is not None and self._open_places.keep(frontier, settings.early)
         scores = self._scores(frontier, level.score)
         rng = np.random.default_rng((settings.seed, self._retried, len(self.levels)))
         how = settings.diversity == "k-means", settings.pool, rng
@@ -117,7 +117,6 @@ class BeamSearch(LevelSearch):
                 commit=settings.commit,
                 in_turn=settings.number > 0,
                 compact=settings.compact,
-                early=settings.early,
             )
         else:
             choice = selector.all_judged(self._judge, settings.width)
@@ -147,12 +146,14 @@ class BeamSearch(LevelSearch):
 
     @cached_property
     def _open_places(self) -> OpenPlaces | None:
-        """Rule for parts that cannot come last; None where contact histories do not matter, or there are none."""
+        """Rules for parts that cannot come last; None where contacts between parts are not known."""
         task, replays = self.task, self._ways.replays
-        if replays is None or task.neighbours is None:
+        if task.neighbours is None:
             return None
-        parts = cannot_come_last(task, self._judge.oracle, replays.histories.replayer.problem)
-        return OpenPlaces(task.neighbours, parts) if len(parts) else None
+        wedges = np.empty(0, dtype=np.int64)
+        if replays is not None:  # contact histories matter
+            wedges = cannot_come_last(task, self._judge.oracle, replays.histories.replayer.problem)
+        return OpenPlaces(task.neighbours, wedges)
 
     def _scores(self, frontier: Frontier, before: NDArray[np.float64]) -> Scores:
         """Return the scores of candidates, by the guide and by what the settings say of parts."""
@@ -221,29 +222,13 @@ class BeamSearch(LevelSearch):
         return begun, part
 
     def gaps(self) -> dict[int, int]:
-        """Return the parts that robots hold though all parts around them were there before and stand without them.
+        """Return the held parts that filled gaps, and the level before the first part around each was placed.
 
-        Returns:
-            For each of them, on the way to the best scored state of the last level of an assembly, the level before the
-            first of those around it was placed.
+        They are those of the best scored state of the last level of an assembly; see `filled_gaps`.
         """
-        neighbours = self.task.neighbours
-        if neighbours is None or self.settings.direction is not Direction.ASSEMBLY:
+        if self.task.neighbours is None or self.settings.direction is not Direction.ASSEMBLY:
             return {}
-        last, row = self.levels[-1].states[0], 0
-        placed = np.full(self.task.part_count, -1)
-        for number in range(len(self.levels) - 1, 0, -1):
-            part = int(self.levels[number].action[row]) % self.task.part_count
-            row = int(self.levels[number].parent[row])
-            if self.levels[number - 1].states[row, part] == REMOVED:
-                placed[part] = number - 1
-        found = {}
-        for part in np.flatnonzero((last == HELD) & (placed >= 0)).tolist():
-            around = neighbours[part]
-            when = placed[around]
-            if (last[around] == INSTALLED).all() and (when < placed[part]).all() and (when >= 0).any():
-                found[part] = int(when[when >= 0].min())
-        return found
+        return filled_gaps(self.levels, self.task.neighbours)
 
     def before(self, number: int) -> States:
         """Return the state at a level on the way to the best scored one, shape (parts,)."""
