@@ -211,7 +211,8 @@ def centre_state(structure, state, parent, options, work, near, forces):
         elif not whole:
             kept, free = hold_beside_corridor(structure, state, parent, _CENTRED_CORRIDORS[k - rings], near)
         else:
-            near[:] = state
+            for part in range(len(state)):
+                near[part] = state[part]
         if not whole:
             if kept == 0:
                 break
