@@ -108,7 +108,7 @@ def test_wrong_usage_is_one_line(arguments: list[str], hint: str, capsys: pytest
         ("robots-needed arch --props 1.5", "--props is '1.5'; give a whole number"),
         ("plan arch --robots", "--robots has no value; give one"),
         ("train arch --policy cnn", "--policy is 'cnn'; choose gat, mlp, resmlp, transformer; for help"),
-        ("paln arch", "there is no subcommand 'paln'; perhaps you meant: plan; for all, run falsework --help"),
+        ("plna arch", "there is no subcommand 'plna'; perhaps you meant: plan; for all, run falsework --help"),
         ("robot plan", "there is no subcommand 'robot'; perhaps you meant: robots plan; for all"),
     ],
 )
