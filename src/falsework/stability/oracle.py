@@ -36,6 +36,8 @@ _BATCH = 32 * 1024 * 1024
 """Memory for contact forces or displacements of one batch, bytes."""
 _WORTH_A_GPU = 8
 """States from which `auto` uses the GPU: a launch costs as much as a few states on the CPU."""
+_LEFT_OPEN = 1000
+"""Parts from which the exact solver is not asked within a search: it takes ten seconds and more for one state."""
 _UNHELD = 3
 """Held parts of which a guess is looked up for the state before they were held."""
 
@@ -175,8 +177,8 @@ class Stability:
         Args:
             states: shape (batch, parts).
             parents: for each state a stable one that differs from it in few parts, such as its predecessor. Its forces
-                are the initial guess, and a mechanism is sought near the difference first. Shape
-                (batch, parts).
+                are the initial guess, and a mechanism is sought near the difference first. What is left undecided in
+                structures of 1,000 parts and more stays so, without the exact solver. Shape (batch, parts).
 
         Returns:
             Verdicts without certificates.
@@ -356,7 +358,7 @@ class Stability:
         rest = np.flatnonzero(verdicts.verdict == Verdict.UNDECIDED)
         if len(rest) and solver is self._gpu:
             verdicts.put(rest, self.settle(states[rest], verdicts.residual[rest]))
-        elif len(rest):
+        elif len(rest) and (parents is None or self.problem.parts < _LEFT_OPEN):
             verdicts.put(rest, self._decide_exactly(states[rest], verdicts[rest]))
         return verdicts
 
