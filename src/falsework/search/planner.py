@@ -223,7 +223,8 @@ class Planner:
         name = attempt.beam
         if name not in self._beams:
             narrowest = min(_NOVEL_WIDTH if self._stage == "alternatives" else 1, self.settings.width)
-            settings = AdaptiveSettings(attempt.direction, narrowest, name == COMPACT, self.settings.seed)
+            base = narrowest, name == COMPACT, self.settings.seed
+            settings = AdaptiveSettings(attempt.direction, *base, gaps=name == EDGES)
             task = self.task.postpone(self._trial)
             self._beams[name] = AdaptiveBeam(task, self._oracle, settings, guide=self._beam_guide(name))
         beam = self._beams[name]

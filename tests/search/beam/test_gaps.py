@@ -34,7 +34,7 @@ def beam(rules: Any) -> AdaptiveBeam:
 
     oracle.stands = stands
     task = Task.create(rules.ground(4), 1, contacts=np.array([(0, _GAP), (0, _BESIDE), (_GAP, _BESIDE)]))
-    return AdaptiveBeam(task, oracle, AdaptiveSettings(), guide=_in_vain)
+    return AdaptiveBeam(task, oracle, AdaptiveSettings(gaps=True), guide=_in_vain)
 
 
 def _die(beam: AdaptiveBeam) -> None:
@@ -109,4 +109,4 @@ def test_closes_the_edges_of_a_flat_vault() -> None:
     vault = load_structure("vault:parts=100,rise=0.6")
     task = task_of(vault, 3)
     guide = SupportGuide(vault).edges_first(task)
-    assert AdaptiveBeam(task, Stability(vault), AdaptiveSettings(), guide=guide).run(1, deaths=16).found
+    assert AdaptiveBeam(task, Stability(vault), AdaptiveSettings(gaps=True), guide=guide).run(1, deaths=16).found

@@ -62,6 +62,8 @@ class AdaptiveSettings:
     """Let robots work in one place, see `BeamSettings`."""
     seed: int = 0
     """Same seed, same machine, same result."""
+    gaps: bool = False
+    """Come back to place parts that filled gaps before those around them."""
 
     def beam(
         self,
@@ -102,11 +104,11 @@ class AdaptiveBeam:
     Robots mostly hold a chain of parts, one after the other, until it closes and all can be let go of; which chain
     closes is seen only at its end. Where the beam dies, it comes back before the part that no robot can let go of, and,
     after a few turns, before the chain, to begin another: a depth-first search for chains that close. Parts that led
-    nowhere from a state are fixed there after all others. A part that filled a gap between parts that stand without it,
-    and cannot be let go of, is placed before those around it on the next way. Where no chain closes, the beam comes
-    back from farther with the parts first in which those began, and with other random preferences; and after some
-    trials wider. Once it is well past the place, it follows its guide again, and is narrow. Verdicts asked before are
-    in the oracle's memory, so going over the same ground costs little.
+    nowhere from a state are fixed there after all others. If asked to, it places a part that filled a gap between parts
+    that stand without it, and cannot be let go of, before those around it on the next way. Where no chain closes, the
+    beam comes back from farther with the parts first in which those began, and with other random preferences; and after
+    some trials wider. Once it is well past the place, it follows its guide again, and is narrow. Verdicts asked before
+    are in the oracle's memory, so going over the same ground costs little.
     """
 
     def __init__(self, task: Task, oracle: Oracle, settings: AdaptiveSettings, *, guide: Guide | None = None) -> None:
@@ -179,6 +181,7 @@ class AdaptiveBeam:
             "base": self.settings.width,
             "base_seed": self.settings.seed,
             "base_compact": self.settings.compact,
+            "base_gaps": self.settings.gaps,
         }, arrays
 
     @classmethod
@@ -197,7 +200,7 @@ class AdaptiveBeam:
             KeyError, TypeError, ValueError: not what `pack` returned for this task.
         """
         direction = Direction(header["settings"]["direction"])
-        base = int(header["base"]), bool(header["base_compact"]), int(header["base_seed"])
+        base = int(header["base"]), bool(header["base_compact"]), int(header["base_seed"]), bool(header["base_gaps"])
         beam = cls(task, oracle, AdaptiveSettings(direction, *base))
         beam.search = BeamSearch.unpack(header, arrays, task, oracle, guide=guide)
         for name in _PLACE:
@@ -220,7 +223,7 @@ class AdaptiveBeam:
         if late >= 0:
             self._return_before(late)
             return True
-        if self._close_gaps():
+        if self.settings.gaps and self._close_gaps():
             return True
         (begun, part), binding = search.chain(), search.binding()
         early = sum(fixed < begun for fixed, _ in binding)

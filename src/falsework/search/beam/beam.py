@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import HELD, States, held_count
+from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, held_count
 from falsework.errors import InputError
 from falsework.search.beam.failures import FailureMemory
 from falsework.search.beam.frontier import Frontier, Level, expand, pack
 from falsework.search.beam.level_search import LevelSearch
-from falsework.search.beam.open_places import OpenPlaces, cannot_come_last, filled_gaps
 from falsework.search.beam.scores import Scores
 from falsework.search.beam.selection import Selector
 from falsework.search.beam.settings import BeamSettings
@@ -102,7 +100,6 @@ class BeamSearch(LevelSearch):
             return False
         settings, level = self.settings, self.levels[-1]
         frontier = expand(self.task, settings.direction, level.states, self._hash)
-        left_out = self._open_places is not None and self._open_places.keep(frontier, settings.early)
         scores = self._scores(frontier, level.score)
         rng = np.random.default_rng((settings.seed, self._retried, len(self.levels)))
         how = settings.diversity == "k-means", settings.pool, rng
@@ -117,6 +114,7 @@ class BeamSearch(LevelSearch):
                 commit=settings.commit,
                 in_turn=settings.number > 0,
                 compact=settings.compact,
+                early=settings.early,
             )
         else:
             choice = selector.all_judged(self._judge, settings.width)
@@ -127,8 +125,7 @@ class BeamSearch(LevelSearch):
             self._deepest = level.states[:_REPORTED_STATES]
             self._rejected = frontier.states(choice.rejected[:_REPORTED_STATES])
         # A state refused because of the way to it may be reached by another, which was merged with this one.
-        whole = choice.exhaustive and not confirmed.refused and not left_out
-        self._whole = [*self._whole[: len(self.levels) - 1], whole]
+        self._whole = [*self._whole[: len(self.levels) - 1], choice.exhaustive and not confirmed.refused]
         if self._dead:
             return False
         kept = choice.kept
@@ -143,17 +140,6 @@ class BeamSearch(LevelSearch):
         if self._ways.replays is not None:
             self._ways.replays.keep(kept)
         return True
-
-    @cached_property
-    def _open_places(self) -> OpenPlaces | None:
-        """Rules for parts that cannot come last; None where contacts between parts are not known."""
-        task, replays = self.task, self._ways.replays
-        if task.neighbours is None:
-            return None
-        wedges = np.empty(0, dtype=np.int64)
-        if replays is not None:  # contact histories matter
-            wedges = cannot_come_last(task, self._judge.oracle, replays.histories.replayer.problem)
-        return OpenPlaces(task.neighbours, wedges)
 
     def _scores(self, frontier: Frontier, before: NDArray[np.float64]) -> Scores:
         """Return the scores of candidates, by the guide and by what the settings say of parts."""
@@ -222,13 +208,29 @@ class BeamSearch(LevelSearch):
         return begun, part
 
     def gaps(self) -> dict[int, int]:
-        """Return the held parts that filled gaps, and the level before the first part around each was placed.
+        """Return the parts that robots hold though all parts around them were there before and stand without them.
 
-        They are those of the best scored state of the last level of an assembly; see `filled_gaps`.
+        Returns:
+            For each of them, on the way to the best scored state of the last level of an assembly, the level before the
+            first of those around it was placed.
         """
-        if self.task.neighbours is None or self.settings.direction is not Direction.ASSEMBLY:
+        neighbours = self.task.neighbours
+        if neighbours is None or self.settings.direction is not Direction.ASSEMBLY:
             return {}
-        return filled_gaps(self.levels, self.task.neighbours)
+        last, row = self.levels[-1].states[0], 0
+        placed = np.full(self.task.part_count, -1)
+        for number in range(len(self.levels) - 1, 0, -1):
+            part = int(self.levels[number].action[row]) % self.task.part_count
+            row = int(self.levels[number].parent[row])
+            if self.levels[number - 1].states[row, part] == REMOVED:
+                placed[part] = number - 1
+        found = {}
+        for part in np.flatnonzero((last == HELD) & (placed >= 0)).tolist():
+            around = neighbours[part]
+            when = placed[around]
+            if (last[around] == INSTALLED).all() and (when < placed[part]).all() and (when >= 0).any():
+                found[part] = int(when[when >= 0].min())
+        return found
 
     def before(self, number: int) -> States:
         """Return the state at a level on the way to the best scored one, shape (parts,)."""

@@ -124,6 +124,7 @@ class Selector:
         commit: bool,
         in_turn: bool = False,
         compact: bool = False,
+        early: tuple[int, ...] = (),
     ) -> Selection:
         """Ask only until `width` states are found stable; keep `lookahead` more that a fixed part leads to.
 
@@ -138,12 +139,13 @@ class Selector:
             commit: once `width` are found, drop states that keep more robots busy than these.
             in_turn: take those in which every robot holds a part in turn over the states of the level.
             compact: fix only parts near those that robots hold, wherever they hold any.
+            early: parts around these are fixed only once they are there.
         """
         frontier, promise = self.frontier, Promise(self.scores, self.rng)
         loose = self.order(promise.loose, promise.of, width)
         fixed = None
-        if promise.few or self.clustered or in_turn or compact:
-            fixing = np.flatnonzero(frontier.fixing)
+        if promise.few or self.clustered or in_turn or compact or early:
+            fixing = self._not_around(np.flatnonzero(frontier.fixing), early)
             fixed = self.order(self._near_held(fixing) if compact else fixing, promise.of, lookahead)
         later = bool(frontier.fixing.any()) if fixed is None else len(fixed) > 0
         proven, rejected = self._likely_ones(judge, loose, width, confirmed, later=later)
@@ -158,6 +160,16 @@ class Selector:
                 ordered = self._in_turn(ordered)
             fixed = self._hopeful_first(lambda count: ordered[:count], lookahead, width)
         return self._selection(np.concatenate([proven, fixed]), rejected)
+
+    def _not_around(self, fixing: Rows, early: tuple[int, ...]) -> Rows:
+        """Return candidates without those in which a part is fixed beside an absent one that is to be there before."""
+        task = self.frontier.task
+        if not early or task.neighbours is None:
+            return fixing
+        absent = self.frontier.level[:, early] == REMOVED
+        barred = absent @ task.neighbours[list(early)]
+        barred[:, early] = False
+        return fixing[~barred[self.frontier.parent(fixing), self.frontier.part(fixing)]]
 
     def _near_held(self, fixing: Rows) -> Rows:
         """Return candidates in which a part is fixed near one that robots hold, or that none is held before."""
