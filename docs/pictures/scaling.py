@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -44,17 +43,16 @@ def planning_against_parts(path: Path) -> None:
     records = _records()
     figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
     plans = [record for record in records if record["benchmark"] == "scaling plan" and record["robots"] == 2]
-    runs = Counter((plan["criterion"], plan["commit"]) for plan in plans)
-    chosen = {criterion: commit for (criterion, commit), sizes in runs.items() if sizes > 3}  # the newest of these
-    plans = [plan for plan in plans if plan["commit"] == chosen[plan["criterion"]]]
+    newest = {(plan["criterion"], plan["parts"]): plan["commit"] for plan in plans}
+    plans = [plan for plan in plans if plan["commit"] == newest[plan["criterion"], plan["parts"]]]
     for criterion, colour in zip(("contact", "equilibrium"), ROBOTS, strict=False):
         mine = [plan for plan in plans if plan["criterion"] == criterion]
         found = [plan for plan in mine if plan["found"]]
         parts, seconds = (np.array([plan[key] for plan in found], dtype=float) for key in ("parts", "plan_s"))
-        label = criterion
+        label = f"{criterion}, {mine[-1]['device']}"
         if len(set(parts.tolist())) > 2:
             exponent, level = np.polyfit(np.log(parts), np.log(seconds), 1)
-            label = f"{criterion}: parts$^{{{exponent:.2f}}}$"
+            label = f"{label}: parts$^{{{exponent:.2f}}}$"
             axes.loglog(parts, np.exp(level) * parts**exponent, color=colour, linewidth=1)
         axes.loglog(parts, seconds, "o", color=colour, label=label)
         for plan in mine:
@@ -63,7 +61,7 @@ def planning_against_parts(path: Path) -> None:
     if not all(plan["found"] for plan in plans):
         axes.loglog([], [], "^", color=INK, fillstyle="none", label="no plan by then")
     ticks = sorted({plan["parts"] for plan in plans})
-    _save(figure, axes, path, ticks, f"processor seconds to a proven plan,\n{plans[-1]['device']}")
+    _save(figure, axes, path, ticks, "processor seconds to a proven plan")
 
 
 def _records() -> list[dict[str, Any]]:
