@@ -38,7 +38,7 @@ from falsework.stability.contact.replay_kernel import replay_range
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.cpu.kernel import solve_range
 from falsework.stability.cpu.neighbourhood import fall_range
-from falsework.stability.cpu.repair import centre_range, repair_range
+from falsework.stability.cpu.repair import repair_range
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.margins.kernel import rest_under
 from falsework.stability.problem import build_problem
@@ -50,7 +50,7 @@ from falsework.viewer.pictures.render import Camera, ColoredSolid, render
 
 GROUPS = {
     "contact": (rest_range, replay_range),
-    "equilibrium": (fall_range, repair_range, centre_range, solve_range),
+    "equilibrium": (fall_range, repair_range, solve_range),
     "margins": (rest_under,),
     "motion": (
         collision._distance,
@@ -121,10 +121,7 @@ def record() -> dict[str, tuple[Any, ...]]:
         solver = ContactSolver(assembly, problem, settings)
         solver.check(states)
         solver.check(states, certificates=False, parents=states)  # looks for parts that fall nearby first
-        large = CpuSolver(problem)
-        large._centred = True
-        for cpu in (CpuSolver(problem), large):
-            cpu.check(states, parents=states, guess=np.ones((2, problem.points, 3)))  # repairs forces
+        CpuSolver(problem).check(states, parents=states, guess=np.ones((2, problem.points, 3)))  # repairs forces
         Replayer(assembly).replay(states)
         prober = Stability(assembly).prober
         prober.ask(states[0], prober.own())

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from falsework.assembly import library
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, complete_state
 from falsework.stability import Stability, Verdict, Verdicts, verify_certificates
 from falsework.stability.cpu import solver as cpu_solver
-from falsework.stability.cpu.repair import centre_range
+from falsework.stability.cpu.repair import CORRIDORS, REPAIR_RINGS, repair_range
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.problem import build_problem
 from falsework.stability.settings import EQUILIBRIUM, Cone
@@ -21,26 +20,11 @@ from falsework.stability.settings import EQUILIBRIUM, Cone
 Found = tuple[NDArray[np.bool_], NDArray[np.float64]]
 
 
-@pytest.fixture(scope="module")
-def vault() -> Assembly:
-    return library.build("vault")
-
-
-@pytest.fixture(scope="module")
-def released(vault: Assembly) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Complete vault after the release of each part, and before."""
-    complete = complete_state(vault.boundary)
-    parts = np.flatnonzero(complete == INSTALLED)
-    before = np.repeat(complete[None], len(parts), axis=0)
-    before[np.arange(len(parts)), parts] = HELD
-    return np.repeat(complete[None], len(parts), axis=0), before
-
-
 def _centre(solver: CpuSolver, states: NDArray, parents: NDArray, forces: NDArray) -> Found:
     verdict, residual = np.zeros(len(states), np.int8), np.full(len(states), np.nan)
     counts, out = np.zeros((2, len(states)), np.int32), forces.copy()
-    known = np.ones(len(states), dtype=bool)
-    centre_range(solver.structure, states, parents, known, solver._options, out, verdict, residual, *counts)
+    kernel = solver.structure, states, parents, np.ones(len(states), dtype=bool), REPAIR_RINGS, CORRIDORS
+    repair_range(*kernel, solver._options, solver._along, True, True, out, verdict, residual, *counts)
     return verdict == Verdict.STABLE, out
 
 

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 
-from falsework.assembly import library
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, complete_state
 from falsework.stability import Stability, Verdict, verify_certificates
@@ -19,21 +17,6 @@ from falsework.stability.problem import build_problem
 from falsework.stability.settings import EQUILIBRIUM
 
 
-@pytest.fixture(scope="module")
-def vault() -> Assembly:
-    return library.build("vault")
-
-
-@pytest.fixture(scope="module")
-def released(vault: Assembly) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Complete vault after the release of each part, and before."""
-    complete = complete_state(vault.boundary)
-    parts = np.flatnonzero(complete == INSTALLED)
-    before = np.repeat(complete[None], len(parts), axis=0)
-    before[np.arange(len(parts)), parts] = HELD
-    return np.repeat(complete[None], len(parts), axis=0), before
-
-
 def test_repaired_forces_prove_the_state(vault: Assembly, released: tuple[NDArray, NDArray]) -> None:
     states, before = released
     solver = CpuSolver(build_problem(vault))
@@ -43,7 +26,7 @@ def test_repaired_forces_prove_the_state(vault: Assembly, released: tuple[NDArra
     assert known.forces is not None
     forces = known.forces.copy()
     kernel = solver.structure, states, before, known.stable, REPAIR_RINGS, CORRIDORS
-    left = repair_range(*kernel, solver._options, solver._along, True, forces, verdict, residual, *counts)
+    left = repair_range(*kernel, solver._options, solver._along, True, False, forces, verdict, residual, *counts)
     good = np.flatnonzero(verdict == Verdict.STABLE)
     assert len(good) == len(states) - left > 0
     checked = solver.check(states)[good]
@@ -63,7 +46,7 @@ def test_a_corridor_alone_balances_a_part_that_is_let_go_of(vault: Assembly, rel
     forces, nowhere = known.forces.copy(), REPAIR_RINGS[:0]
     counts = np.zeros((2, len(states)), np.int32)
     kernel = solver.structure, states, before, known.stable, nowhere, np.array([1, 3]), solver._options, solver._along
-    repair_range(*kernel, True, forces, verdict, residual, *counts)
+    repair_range(*kernel, True, False, forces, verdict, residual, *counts)
     good = np.flatnonzero((verdict == Verdict.STABLE) & (counts[0] > 0))
     assert len(good)
     checked = solver.check(states)[good]

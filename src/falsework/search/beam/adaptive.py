@@ -226,11 +226,11 @@ class AdaptiveBeam:
         if self.settings.gaps and self._close_gaps():
             return True
         (begun, part), binding = search.chain(), search.binding()
-        early = sum(fixed < begun for fixed, _ in binding)
-        if early and (early >= search.task.robots - 1 or begun - binding[0][0] <= _FAR_LEVELS):
+        before = sum(fixed < begun for fixed, _ in binding)
+        if before and (before >= search.task.robots - 1 or begun - binding[0][0] <= _FAR_LEVELS):
             begun, part = binding[0]  # robots were bound all along, and one laid the rest
         else:
-            binding = binding[early:]
+            binding = binding[before:]
         if begun > self._chain_from and level > self._farthest + 2:
             self._failures = self._retreats = 0
         back, turned = begun, False
@@ -253,9 +253,7 @@ class AdaptiveBeam:
             back = begun - _RETREAT_LEVELS * _RETREAT_FACTOR ** (widened + trial)
             preferred = (*preferred, *(each for each in tried if each not in preferred)) if trial else ()
         self._farthest, self._chain_from = max(self._farthest, level), begun
-        self._deaths += 1
-        self._easy_from = self._farthest + 2 * _RETREAT_LEVELS
-        search.rewind(max(back, 0), self.settings.beam(self._retreats, self._deaths, avoided, preferred, early))
+        self._come_back(back, avoided, preferred, early)
         return True
 
     def _left_too_long(self, level: int) -> int:
@@ -276,14 +274,11 @@ class AdaptiveBeam:
     def _return_before(self, level: int) -> None:
         """Come back from far before a level, with random preferences until it is passed."""
         self._returns += 1
-        self._deaths += 1
         self._failures = self._turns = 0
         self._retreats = 1
         self._left = {}
         self._farthest, self._chain_from = level, -1
-        self._easy_from = level + 2 * _RETREAT_LEVELS
-        back = level - _RETREAT_LEVELS * _RETREAT_FACTOR**2
-        self.search.rewind(max(back, 0), self.settings.beam(self._retreats, self._deaths))
+        self._come_back(level - _RETREAT_LEVELS * _RETREAT_FACTOR**2)
 
     def _close_gaps(self) -> bool:
         """Come back to place parts before those around them; False where none came too late.
@@ -296,13 +291,23 @@ class AdaptiveBeam:
             return False
         self._gaps += late
         self._farthest = max(self._farthest, len(search.levels) - 1)
-        self._easy_from = self._farthest + 2 * _RETREAT_LEVELS
-        self._deaths += 1
         self._failures = self._turns = 0
-        early = (*search.settings.early, *late)
-        settings = self.settings.beam(self._retreats, self._deaths, preferred=search.settings.preferred, early=early)
-        search.rewind(min(late.values()), settings)
+        settings = search.settings
+        self._come_back(min(late.values()), preferred=settings.preferred, early=(*settings.early, *late))
         return True
+
+    def _come_back(
+        self,
+        level: int,
+        avoided: tuple[int, ...] = (),
+        preferred: tuple[int, ...] = (),
+        early: tuple[int, ...] = (),
+    ) -> None:
+        """Count a death, and go on from a level; ground is easy again well past the farthest one."""
+        self._deaths += 1
+        self._easy_from = self._farthest + 2 * _RETREAT_LEVELS
+        settings = self.settings.beam(self._retreats, self._deaths, avoided, preferred, early)
+        self.search.rewind(max(level, 0), settings)
 
     def _tried_from(self, level: int) -> list[int]:
         """Return the parts that led nowhere from the state at a level on the way to the best scored one."""

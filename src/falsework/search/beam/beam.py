@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import asdict
+from itertools import islice, pairwise
 from typing import Any
 
 import numpy as np
@@ -182,11 +184,10 @@ class BeamSearch(LevelSearch):
             The level before and the part, of each on the way to the best scored state; that held longest comes first.
         """
         held = (self.levels[-1].states == HELD) & (self.task.origin(self.settings.direction) != HELD)
-        common, row, found = held.all(axis=0), 0, []
-        for level in range(len(self.levels) - 1, 0, -1):
-            row = int(self.levels[level].parent[row])
-            still = common & (self.levels[level - 1].states[row] == HELD)
-            found += [(level - 1, int(part)) for part in np.flatnonzero(common & ~still)]
+        common, found = held.all(axis=0), []
+        for number, row in islice(self._way_back(), 1, None):
+            still = common & (self.levels[number].states[row] == HELD)
+            found += [(number, int(part)) for part in np.flatnonzero(common & ~still)]
             common = still
         return found[::-1]
 
@@ -197,14 +198,14 @@ class BeamSearch(LevelSearch):
             The last level near the end at which robots held fewest parts, and the part fixed there on the way to the
             best scored state, -1 where the beam did not leave its origin.
         """
-        row, last = 0, len(self.levels) - 1
+        last = len(self.levels) - 1
         begun, part, fewest, action = last, -1, np.inf, -1
-        for number in range(last, max(last - _CHAIN_LEVELS, -1), -1):
+        for number, row in islice(self._way_back(), _CHAIN_LEVELS):
             level = self.levels[number]
             held = int(held_count(level.states[row][None], self.task.boundary)[0])
             if number < last and held < fewest:
                 begun, part, fewest = number, action % self.task.part_count, held
-            action, row = int(level.action[row]), int(level.parent[row])
+            action = int(level.action[row])
         return begun, part
 
     def gaps(self) -> dict[int, int]:
@@ -217,13 +218,11 @@ class BeamSearch(LevelSearch):
         neighbours = self.task.neighbours
         if neighbours is None or self.settings.direction is not Direction.ASSEMBLY:
             return {}
-        last, row = self.levels[-1].states[0], 0
-        placed = np.full(self.task.part_count, -1)
-        for number in range(len(self.levels) - 1, 0, -1):
-            part = int(self.levels[number].action[row]) % self.task.part_count
-            row = int(self.levels[number].parent[row])
-            if self.levels[number - 1].states[row, part] == REMOVED:
-                placed[part] = number - 1
+        last, placed = self.levels[-1].states[0], np.full(self.task.part_count, -1)
+        for (after, to), (number, row) in pairwise(self._way_back()):
+            part = int(self.levels[after].action[to]) % self.task.part_count
+            if self.levels[number].states[row, part] == REMOVED:
+                placed[part] = number
         found = {}
         for part in np.flatnonzero((last == HELD) & (placed >= 0)).tolist():
             around = neighbours[part]
@@ -234,10 +233,15 @@ class BeamSearch(LevelSearch):
 
     def before(self, number: int) -> States:
         """Return the state at a level on the way to the best scored one, shape (parts,)."""
-        row = 0
-        for level in self.levels[:number:-1]:
-            row = int(level.parent[row])
+        row = next(row for level, row in self._way_back() if level == number)
         return self.levels[number].states[row]
+
+    def _way_back(self) -> Iterator[tuple[int, int]]:
+        """Yield levels and rows of the way to the best scored state of the last level, that state first."""
+        row = 0
+        for number in range(len(self.levels) - 1, -1, -1):
+            yield number, row
+            row = int(self.levels[number].parent[row])
 
     def rewind(self, level: int, settings: BeamSettings) -> None:
         """Discard all levels after `level` and continue from there with other settings.

@@ -18,8 +18,8 @@ import math
 import numpy as np
 
 from falsework.stability.cpu.elimination import lay_out_panels
-from falsework.stability.cpu.interior_point import add_product, multiply, strains
-from falsework.stability.cpu.layout import FAST, add_pair_wrench, dot
+from falsework.stability.cpu.interior_point import add_pair_matrix, add_point_matrix, strains
+from falsework.stability.cpu.layout import FAST, add_wrench, dot
 from falsework.stability.cpu.panels import clear_panels, factor_panels, solve_panels
 from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED, check_primal
 from falsework.utils.kernels import njit
@@ -79,10 +79,8 @@ def _assemble(structure, work, pairs, level):
     The inverse of the second derivative at each contact point goes to `work.weights`, and minus its product with the
     first to `work.slacks`. Unknown are velocities; forces change by the latter, less the former times the strains.
     """
-    basis, start, pair, slot_a, slot_b = work.basis, work.start, work.pair, work.slot_a, work.slot_b
-    ta, tb, supernode = structure.transfer_a, structure.transfer_b, structure.elimination.supernode
-    free, z, mu, scale, rhs, panels = work.free, work.z, work.friction, work.force_scale, work.rhs, work.panels
-    upper, diagonal, block, width = panels.upper, panels.diagonal, panels.block, panels.width
+    basis, start, z, mu, scale = work.basis, work.start, work.z, work.friction, work.force_scale
+    free, rhs = work.free, work.rhs
     metric, pull = work.weights, work.slacks
     points, total = start[pairs], 0.0
     for j in range(points):
@@ -114,7 +112,7 @@ def _assemble(structure, work, pairs, level):
         pull[j, 1] = -(w01 * g0 + w11 * g1 + w12 * g2)
         pull[j, 2] = -(w02 * g0 + w12 * g1 + w22 * g2)
         total += w00 + w11 + w22
-    clear_panels(panels, _RIDGE * total / points, points > 0)
+    clear_panels(work.panels, _RIDGE * total / points, points > 0)
     for j in range(len(free)):
         if free[j]:
             for i in range(6):
@@ -122,38 +120,12 @@ def _assemble(structure, work, pairs, level):
     local, left = np.empty((6, 6)), np.empty((6, 6))
     for p in range(pairs):
         local[:] = 0.0
-        s0, s1, s2, s3, s4, s5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for j in range(start[p], start[p + 1]):
             w00, w01, w02 = metric[j, 0], metric[j, 1], metric[j, 2]
             w11, w12, w22 = metric[j, 3], metric[j, 4], metric[j, 5]
-            c0, c1, c2 = pull[j, 0], pull[j, 1], pull[j, 2]
-            s0 += basis[j, 0, 0] * c0 + basis[j, 0, 1] * c1 + basis[j, 0, 2] * c2
-            s1 += basis[j, 1, 0] * c0 + basis[j, 1, 1] * c1 + basis[j, 1, 2] * c2
-            s2 += basis[j, 2, 0] * c0 + basis[j, 2, 1] * c1 + basis[j, 2, 2] * c2
-            s3 += basis[j, 3, 0] * c0 + basis[j, 3, 1] * c1 + basis[j, 3, 2] * c2
-            s4 += basis[j, 4, 0] * c0 + basis[j, 4, 1] * c1 + basis[j, 4, 2] * c2
-            s5 += basis[j, 5, 0] * c0 + basis[j, 5, 1] * c1 + basis[j, 5, 2] * c2
-            for i in range(6):
-                h0 = basis[j, i, 0] * w00 + basis[j, i, 1] * w01 + basis[j, i, 2] * w02
-                h1 = basis[j, i, 0] * w01 + basis[j, i, 1] * w11 + basis[j, i, 2] * w12
-                h2 = basis[j, i, 0] * w02 + basis[j, i, 1] * w12 + basis[j, i, 2] * w22
-                for k in range(i + 1):
-                    local[i, k] += h0 * basis[j, k, 0] + h1 * basis[j, k, 1] + h2 * basis[j, k, 2]
-        for i in range(6):
-            for k in range(i):
-                local[k, i] = local[i, k]
-        q, a, b = pair[p], slot_a[p], slot_b[p]
-        add_pair_wrench(ta, tb, q, a, b, s0, s1, s2, s3, s4, s5, rhs)
-        if a >= 0:
-            multiply(ta, q, local, left)
-            add_product(left, ta, q, upper, diagonal[a], width[supernode[a]])
-            if a < b:
-                add_product(left, tb, q, upper, block[q], width[supernode[a]])
-        if b >= 0:
-            multiply(tb, q, local, left)
-            add_product(left, tb, q, upper, diagonal[b], width[supernode[b]])
-            if b < a:
-                add_product(left, ta, q, upper, block[q], width[supernode[b]])
+            add_point_matrix(basis, j, w00, w01, w02, w11, w12, w22, local)
+        add_wrench(structure, work, p, pull, rhs)
+        add_pair_matrix(structure, work, p, local, left)
 
 
 @njit(fastmath=FAST, cache=True)
@@ -196,7 +168,7 @@ def run_centring(structure, work, pairs, options, steps, level):
     lay_out_panels(structure, work.free, work.panels)
     check_primal(structure, work, pairs, work.z, options, work.residual)
     _move_inside(structure, work, pairs, level)
-    symmetric, short = pairs >= 0, 0
+    symmetric, short = pairs >= 0, 0  # the former no literal, which numba would compile separately
     check_primal(structure, work, pairs, work.z, options, work.residual)
     for step in range(1, steps + 1):
         _assemble(structure, work, pairs, level)

@@ -178,9 +178,7 @@ def _assemble(structure, work, pairs, octagon, mu, r, target, matrix):
     """Write the right-hand side, and the matrix if requested."""
     size = 8 if octagon else 3
     basis, start, pair, slot_a, slot_b = work.basis, work.start, work.pair, work.slot_a, work.slot_b
-    ta, tb, supernode = structure.transfer_a, structure.transfer_b, structure.elimination.supernode
-    free, v, rhs, panels = work.free, work.v, work.rhs, work.panels
-    upper, diagonal, block, width = panels.upper, panels.diagonal, panels.block, panels.width
+    ta, tb, free, v, rhs, panels = structure.transfer_a, structure.transfer_b, work.free, work.v, work.rhs, work.panels
     weights, slacks, dx, ds = work.weights, work.slacks, work.weight_steps, work.slack_steps
     if matrix:
         clear_panels(panels, 1.0, matrix)
@@ -211,33 +209,53 @@ def _assemble(structure, work, pairs, octagon, mu, r, target, matrix):
             a4 += basis[j, 4, 0] * c0 + basis[j, 4, 1] * c1 + basis[j, 4, 2] * c2
             a5 += basis[j, 5, 0] * c0 + basis[j, 5, 1] * c1 + basis[j, 5, 2] * c2
             if matrix:
-                for i in range(6):
-                    h0 = basis[j, i, 0] * w00 + basis[j, i, 1] * w01 + basis[j, i, 2] * w02
-                    h1 = basis[j, i, 0] * w01 + basis[j, i, 1] * w11 + basis[j, i, 2] * w12
-                    h2 = basis[j, i, 0] * w02 + basis[j, i, 1] * w12 + basis[j, i, 2] * w22
-                    for k in range(i + 1):
-                        local[i, k] += h0 * basis[j, k, 0] + h1 * basis[j, k, 1] + h2 * basis[j, k, 2]
-        q, a, b_ = pair[p], slot_a[p], slot_b[p]
-        add_pair_wrench(ta, tb, q, a, b_, a0, a1, a2, a3, a4, a5, rhs)
-        if not matrix:
-            continue
-        for i in range(6):
-            for k in range(i):
-                local[k, i] = local[i, k]
-        if a >= 0:
-            multiply(ta, q, local, left)
-            add_product(left, ta, q, upper, diagonal[a], width[supernode[a]])
-            if a < b_:
-                add_product(left, tb, q, upper, block[q], width[supernode[a]])
-        if b_ >= 0:
-            multiply(tb, q, local, left)
-            add_product(left, tb, q, upper, diagonal[b_], width[supernode[b_]])
-            if b_ < a:
-                add_product(left, ta, q, upper, block[q], width[supernode[b_]])
+                add_point_matrix(basis, j, w00, w01, w02, w11, w12, w22, local)
+        add_pair_wrench(ta, tb, pair[p], slot_a[p], slot_b[p], a0, a1, a2, a3, a4, a5, rhs)
+        if matrix:
+            add_pair_matrix(structure, work, p, local, left)
 
 
 @njit(inline="always", fastmath=FAST)
-def multiply(left, q, right, out):
+def add_point_matrix(basis, j, w00, w01, w02, w11, w12, w22, out):
+    """Add the lower triangle of `B w B^T` to `out`, with the basis `B` of a point and a symmetric matrix `w`."""
+    for i in range(6):
+        h0 = basis[j, i, 0] * w00 + basis[j, i, 1] * w01 + basis[j, i, 2] * w02
+        h1 = basis[j, i, 0] * w01 + basis[j, i, 1] * w11 + basis[j, i, 2] * w12
+        h2 = basis[j, i, 0] * w02 + basis[j, i, 1] * w12 + basis[j, i, 2] * w22
+        for k in range(i + 1):
+            out[i, k] += h0 * basis[j, k, 0] + h1 * basis[j, k, 1] + h2 * basis[j, k, 2]
+
+
+@njit(inline="always", fastmath=FAST)
+def add_pair_matrix(structure, work, p, local, left):
+    """Add the matrix of a pair to the panels.
+
+    Args:
+        structure, work: as for `run_admm`.
+        p: the pair.
+        local: sum over its points, of which the lower triangle is given. Shape (6, 6).
+        left: scratch, shape (6, 6).
+    """
+    ta, tb, supernode = structure.transfer_a, structure.transfer_b, structure.elimination.supernode
+    panels, q, a, b = work.panels, work.pair[p], work.slot_a[p], work.slot_b[p]
+    upper, diagonal, block, width = panels.upper, panels.diagonal, panels.block, panels.width
+    for i in range(6):
+        for k in range(i):
+            local[k, i] = local[i, k]
+    if a >= 0:
+        _multiply(ta, q, local, left)
+        _add_product(left, ta, q, upper, diagonal[a], width[supernode[a]])
+        if a < b:
+            _add_product(left, tb, q, upper, block[q], width[supernode[a]])
+    if b >= 0:
+        _multiply(tb, q, local, left)
+        _add_product(left, tb, q, upper, diagonal[b], width[supernode[b]])
+        if b < a:
+            _add_product(left, ta, q, upper, block[q], width[supernode[b]])
+
+
+@njit(inline="always", fastmath=FAST)
+def _multiply(left, q, right, out):
     """Write `out = left[q] right`."""
     for i in range(6):
         for j in range(6):
@@ -248,7 +266,7 @@ def multiply(left, q, right, out):
 
 
 @njit(inline="always", fastmath=FAST)
-def add_product(left, right, q, out, place, width):
+def _add_product(left, right, q, out, place, width):
     """Add `left right[q]^T` to a block of a panel."""
     for i in range(6):
         for j in range(6):

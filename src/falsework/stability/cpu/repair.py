@@ -236,28 +236,6 @@ def centre_state(structure, state, parent, options, work, near, forces):
 
 
 @njit(nogil=True, cache=True)
-def centre_range(structure, states, parents, known, options, forces, verdict, residual, iterations, steps):
-    """Balance states as `repair_range` does, with forces inside their cones.
-
-    Returns:
-        Number of states left undecided.
-    """
-    near = np.empty(states.shape[1], np.uint8)
-    work = make_scratch(structure)
-    left = 0
-    for i in range(len(states)):
-        if verdict[i] != UNDECIDED:
-            continue
-        if known[i]:
-            v, r, s = centre_state(structure, states[i], parents[i], options, work, near, forces[i])
-            verdict[i] = v
-            residual[i] = r
-            steps[i] += s
-        left += verdict[i] == UNDECIDED
-    return left
-
-
-@njit(nogil=True, cache=True)
 def repair_range(
     structure,
     states,
@@ -268,6 +246,7 @@ def repair_range(
     options,
     along,
     warm,
+    centred,
     forces,
     verdict,
     residual,
@@ -276,7 +255,10 @@ def repair_range(
 ):
     """Balance states whose `verdict` is `UNDECIDED` with the forces of their parents, where those are `known`.
 
-    Arrays as in `solve_range`.
+    Arrays as in `solve_range`, other arguments as for `repair_state`.
+
+    Args:
+        centred: whether to keep forces inside their cones instead, by `centre_state`.
 
     Returns:
         Number of states left undecided.
@@ -288,8 +270,12 @@ def repair_range(
         if verdict[i] != UNDECIDED:
             continue
         if known[i]:
-            beside = states[i], parents[i], rings, corridors
-            v, r, k, s = repair_state(structure, *beside, options, along, warm, work, near, forces[i])
+            if centred:
+                v, r, s = centre_state(structure, states[i], parents[i], options, work, near, forces[i])
+                k = 0
+            else:
+                beside = states[i], parents[i], rings, corridors
+                v, r, k, s = repair_state(structure, *beside, options, along, warm, work, near, forces[i])
             verdict[i] = v
             residual[i] = r
             iterations[i] += k

@@ -12,7 +12,7 @@ from falsework.assembly.state import States
 from falsework.stability.cpu.kernel import solve_range
 from falsework.stability.cpu.layout import COMPILED_LAYOUT, build_structure
 from falsework.stability.cpu.neighbourhood import RINGS, fall_range
-from falsework.stability.cpu.repair import CORRIDORS, REPAIR_RINGS, centre_range, repair_range
+from falsework.stability.cpu.repair import CORRIDORS, REPAIR_RINGS, repair_range
 from falsework.stability.cpu.termination import UNDECIDED, Options
 from falsework.stability.problem import Problem
 from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
@@ -149,22 +149,16 @@ class CpuSolver:
                 if not along and not fall_range(*kernel, beside, RINGS, self._options, motion, *found):
                     return
                 before = force.copy() if self._larger else force  # repairs write to `force`
-                if centred:
-                    if known[rows].any() and not centre_range(
-                        *kernel, beside, known[rows], self._options, force, *found
-                    ):
-                        return
-                else:
-                    near = beside, known[rows], self._rings, self._corridors, self._around, self._along, warm, force
-                    if known[rows].any() and not repair_range(*kernel, *near, *found):
-                        return
+                near = beside, known[rows], self._rings, self._corridors, self._around, self._along, warm, centred
+                if known[rows].any() and not repair_range(*kernel, *near, force, *found):
+                    return
             if not centred:  # whose forces would lie on the boundaries of cones
                 solve_range(*kernel, self._from_forces if warm else self._options, force, motion, warm, *found)
             left = found[0] == UNDECIDED
             # From no forces: first along the ways to supports, with the forces of the parent farther away.
             if warm and parents is not None and self._larger and left.any():
                 near = parents[rows], known[rows], REPAIR_RINGS[:0], CORRIDORS[1:], self._around, self._from_rest
-                repair_range(*kernel, *near, not warm, before, *found)
+                repair_range(*kernel, *near, not warm, False, before, *found)
                 repaired = left & (found[0] != UNDECIDED)
                 force[repaired] = before[repaired]
                 left &= ~repaired
