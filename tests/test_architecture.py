@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -237,6 +238,28 @@ def test_modules_are_short() -> None:
     """A module is read in one go."""
     lines = {path: len(path.read_text().splitlines()) for path in MODULES}
     assert [f"{path} has {count} lines; split it" for path, count in lines.items() if count > MOST_LINES] == []
+
+
+def documented_arguments(function: ast.FunctionDef) -> set[str]:
+    """Names of the arguments that a docstring explains."""
+    text = ast.get_docstring(function) or ""
+    section = re.search(r"^Args:\n((?: {4}.*\n?|\n)+)", text, re.MULTILINE)
+    entries = re.findall(r"^ {4}(\S.*?):(?: |$)", section[1], re.MULTILINE) if section else []
+    return {name.strip().lstrip("*") for entry in entries for name in entry.split(",")}
+
+
+def test_docstrings_explain_arguments_that_exist() -> None:
+    """An argument that is renamed is renamed in its docstring too."""
+    wrong = []
+    for path in MODULES:
+        for function in ast.walk(parsed(path)):
+            if isinstance(function, ast.FunctionDef):
+                given = function.args
+                known = {arg.arg for arg in (*given.posonlyargs, *given.args, *given.kwonlyargs)}
+                known |= {arg.arg for arg in (given.vararg, given.kwarg) if arg is not None}
+                gone = documented_arguments(function) - known
+                wrong += [f"{path}:{function.lineno}: {function.name} has no {name}" for name in sorted(gone)]
+    assert not wrong, "\n".join(wrong)
 
 
 def test_core_needs_only_core_packages() -> None:

@@ -62,6 +62,14 @@ def test_a_missing_part_of_a_tower_is_needed_in_its_place(rules: Any) -> None:
     assert planner.postponed == (2 * 3,)
 
 
+def test_a_structure_that_is_all_boundary_has_a_plan_without_steps() -> None:
+    arch = load_structure("arch:blocks=3")
+    slab = Assembly.from_meshes(arch.meshes[:1], boundary=[0])
+    (plan,) = find_plans(slab, robots=1).plans
+    assert len(plan.actions) == 0
+    assert validate_plan(plan, slab).good
+
+
 @pytest.mark.parametrize("seed", range(10))
 @pytest.mark.parametrize("alternatives", [1, 3])
 def test_resuming_changes_nothing(rules: Any, tmp_path: Path, seed: int, alternatives: int) -> None:

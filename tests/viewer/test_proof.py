@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -9,7 +12,10 @@ from falsework.assembly import load_structure
 from falsework.assembly.state import complete_state
 from falsework.stability import Stability
 from falsework.viewer.arrows import Arrows, arrow_mesh, arrows_of_forces
+from falsework.viewer.page.scene import ViserScene
+from falsework.viewer.palette import MOTION, rgb
 from falsework.viewer.proof import proof_of_state
+from falsework.viewer.timeline import Timeline
 
 
 def total(arrows: Arrows) -> np.ndarray:
@@ -65,3 +71,18 @@ def test_an_arrow_is_a_closed_mesh_that_faces_outwards(tip: tuple[float, float, 
     assert np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() > 0
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()
+
+
+def test_moved_parts_have_the_colour_of_their_motion() -> None:
+    arch = load_structure("arch:blocks=3")
+    sent: dict[str, Any] = {}
+    scene = SimpleNamespace(add_mesh_simple=lambda name, *_, color, **__: sent.update({name: color}))
+    shown = ViserScene(scene, Timeline.from_state(arch, complete_state(arch.boundary)))
+    shown.show_arrows({}, {0: arch.meshes[0].vertices}, MOTION)
+    assert sent == {"/motion": rgb(MOTION)}
+
+
+def test_a_weight_on_the_line_of_a_contact_force_is_seen_around_it() -> None:
+    arch = load_structure("arch:blocks=3")
+    proof = proof_of_state(Stability(arch), complete_state(arch.boundary))
+    assert proof.arrows["gravity"].breadth > proof.arrows["contact forces"].breadth

@@ -57,7 +57,7 @@ class Serve(JudgingCommand):
         def started(address: str) -> None:
             policy = None if run is None else str(run)
             output.record({"url": address, "structure": assembly.name, "policy": policy, "criterion": self.criterion})
-            output.say(f"{assembly.name} is served at {address}, described at {address}/docs; Ctrl-C stops")
+            output.say(f"{assembly.name} is served at {address}, described at {address}/docs; Ctrl-C ends it")
 
         run_service(assembly, settings, run=run, started=started)
         return Exit.DONE

@@ -68,6 +68,7 @@ def gather_rows(rows: torch.Tensor, shards: ProcessGroup) -> torch.Tensor:
 
     Args:
         rows: shape (count, ...); count differs from process to process.
+        shards: the processes.
 
     Returns:
         Shape (sum of counts, ...).

@@ -63,10 +63,10 @@ def appearance_at(
 
     Args:
         timeline: states and holders.
-        place: step in the order shown; between whole numbers parts are in transit.
+        position: step in the order shown; between whole numbers parts are in transit.
         state: state shown instead of the one at this step, such as one with parts missing; shape (parts,).
-        chances: probability of the action that concerns each part, NaN where none does; coloured on a scale, shape
-            (parts,).
+        action_probabilities: probability of the action that concerns each part, NaN where none does; coloured on a
+            scale, shape (parts,).
         marks: colours of highlighted parts.
         travelling: whether to show parts in transit.
     """
@@ -117,7 +117,7 @@ def pick(assembly: Assembly, appearance: Appearance, origin: Array, direction: A
 
     Args:
         assembly: the structure.
-        look: where the parts are; invisible parts are not hit.
+        appearance: where the parts are; invisible parts are not hit.
         origin: origin of the ray, metres, shape (3,).
         direction: direction of the ray, any length, shape (3,).
     """

@@ -237,7 +237,7 @@ def solids_of_arms(arms: Arms, arm_poses: ArmPoses, assembly: Assembly) -> list[
 
     Args:
         arms: the robots.
-        moment: where they are.
+        arm_poses: where they are.
         assembly: the structure.
     """
     solids = [

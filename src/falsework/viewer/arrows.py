@@ -28,6 +28,8 @@ SIDES = 8
 """Of the shaft of an arrow."""
 KINDS = {"contact forces": FORCE, "friction": FRICTION, "gravity": GRAVITY, "motion": MOTION, "sliding": SLIDING}
 """Quantities that arrows show, and their colours."""
+_BREADTH = {"gravity": 1.5}
+"""Thickness beside that of other arrows: weights often lie on the line of a contact force, and are seen around it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +39,8 @@ class Arrows:
     ends: Array
     """Tail and tip, shape (arrows, 2, 3), metres."""
     color: str
+    breadth: float = 1.0
+    """Thickness beside that of other arrows."""
 
     def __len__(self) -> int:
         return len(self.ends)
@@ -48,7 +52,7 @@ class Arrows:
             thickness: diameter of a shaft, metres.
         """
         color = tuple(int(self.color[i : i + 2], 16) / 255 for i in (1, 3, 5))
-        return [ColoredSolid(*arrow_mesh(tail, tip, thickness), color) for tail, tip in self.ends]
+        return [ColoredSolid(*arrow_mesh(tail, tip, thickness * self.breadth), color) for tail, tip in self.ends]
 
 
 def arrows_of_forces(assembly: Assembly, state: States, forces: Array) -> dict[str, Arrows]:
@@ -160,4 +164,4 @@ def arrow_mesh(tail: Array, tip: Array, thickness: float) -> tuple[Array, NDArra
 def _arrows(tails: Array, vectors: Array, kind: str, assembly: Assembly) -> Arrows:
     least = SHORTEST * LONGEST * diagonal(assembly)
     long = np.linalg.norm(vectors, axis=1) > least
-    return Arrows(np.stack([tails[long], tails[long] + vectors[long]], axis=1), KINDS[kind])
+    return Arrows(np.stack([tails[long], tails[long] + vectors[long]], axis=1), KINDS[kind], _BREADTH.get(kind, 1.0))

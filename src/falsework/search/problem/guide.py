@@ -61,7 +61,7 @@ class SupportGuide:
         area = np.bincount(back.ravel(), np.tile(assembly.contacts.areas, 2), len(first))
         own, other = first.T
         whole = np.bincount(own, area, parts)
-        share = np.divide(area, whole[own], out=np.zeros_like(area), where=whole[own] > 0)
+        share = np.divide(area, whole[own], out=np.zeros(len(area)), where=whole[own] > 0)
         self._matrix = None
         if parts <= _SMALL:
             self._matrix = np.zeros((parts, parts), dtype=np.float32)

@@ -95,7 +95,7 @@ class ViserScene:
         """Update the parts.
 
         Args:
-            look: how they are seen.
+            appearance: how they are seen.
             missing: parts drawn as wires.
             pale: absent parts to hint at.
             labels: short texts at parts.
@@ -133,7 +133,7 @@ class ViserScene:
             moved: vertices of parts slightly later in their motion, metres.
             color: colour of these parts.
         """
-        for kind, color in KINDS.items():
+        for kind, arrow_color in KINDS.items():
             name = f"/arrows/{kind.replace(' ', '-')}"
             some = arrows.get(kind)
             if some is None or len(some) == 0:
@@ -142,9 +142,9 @@ class ViserScene:
             ends = self.place(some.ends)
             key = ends.tobytes()
             if self._fresh(name, key):
-                width = 0.006 * SIZE
+                width = 0.006 * SIZE * some.breadth
                 node = self._scene.add_arrows(
-                    name, ends.astype(np.float32), rgb(color),
+                    name, ends.astype(np.float32), rgb(arrow_color),
                     shaft_radius=width / 2, head_radius=1.3 * width, head_length=2.6 * width,
                 )  # fmt: skip
                 self._keep(name, key, node)
@@ -168,7 +168,7 @@ class ViserScene:
 
         Args:
             arms: the robots; None to remove them.
-            moment: where they are.
+            arm_poses: where they are.
         """
         if arms is None or arm_poses is None:
             for node in (*self._arms, *self._carried.values()):

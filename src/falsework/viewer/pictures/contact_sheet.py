@@ -61,7 +61,7 @@ def draw(
 
     Args:
         assembly: the structure.
-        look: how its parts are seen.
+        appearance: how its parts are seen.
         camera: view of them.
         bounds: box that the picture shows, shape (2, 3); the structure if not given.
         arrows: drawn as well; the parts become pale and see-through so that they are seen.
