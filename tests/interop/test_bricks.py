@@ -98,6 +98,8 @@ def test_text_of_brickgpt(tmp_path: Path) -> None:
     file.write_text("2x4 (0,0,0)\n2x4 (6,0,0)\n\n6x2 (0,1,1)\n2x2 (6,1,1)\n4x2 (4,1,2)\n")
     assert is_bricks(file)
     assembly = load_structure(file)
+    file.write_text("\ufeff" + file.read_text(), encoding="utf-8")  # as editors of Windows save it
+    assert load_structure(file).identity == assembly.identity
     assert assembly.names == ("0", "1", "2", "3", "4", "baseplate")
     assert assembly.boundary.tolist() == [False] * 5 + [True]
     np.testing.assert_allclose(assembly.meshes[2].bounds, [[0.1e-3, 8.1e-3, 9.6e-3], [47.9e-3, 23.9e-3, 19.2e-3]])
@@ -133,12 +135,18 @@ def test_ldraw_with_a_model_in_it(tmp_path: Path) -> None:
     [
         ("a.txt", "2x4 (0,0,0)\n2x4 0,0,1\n", "line 2: '2x4 0,0,1' is not a brick such as 2x4 (3,0,1)"),
         ("a.txt", "0x4 (0,0,0)\n", "line 1: '0x4 (0,0,0)' is not a brick"),
+        ("a.txt", "00x4 (0,0,0)\n", "line 1: '00x4 (0,0,0)' is not a brick"),
+        ("a.txt", "2x4 (-1,0,0)\n", "line 1: '2x4 (-1,0,0)' is not a brick such as 2x4 (3,0,1), in whole numbers"),
+        ("a.txt", "2x4 (0.5,0,0)\n", "line 1: '2x4 (0.5,0,0)' is not a brick"),
+        ("a.txt", "2x4 (99999999999999999999,0,0)\n", "is not a brick"),
         ("a.txt", "2x4 (0,0,0)\n2x4 (0,0,2)\n", "touches no other part"),
         ("a.ldr", "0 nothing\n", "has no parts"),
         ("a.ldr", "1 4 0 0 0 1 0 0 0 1 0 0 0 1 3039.dat\n", "part 3039.dat is not a known brick: 3005, 3004"),
         ("a.ldr", "1 4 0 0 0 1 0 0 0 1 0 0 3001.dat\n", "line 1: no place and turn of a part"),
         ("a.ldr", "1 4 0 0 0 1 0 0 0 -1 0 0 0 1 3001.dat\n", "brick 3001.dat is not upright along the axes"),
         ("a.ldr", "1 4 0 0 0 .8 0 .6 0 1 0 -.6 0 .8 3001.dat\n", "brick 3001.dat is not upright along the axes"),
+        ("a.ldr", "1 4 0 0 0 2 0 0 0 1 0 0 0 1 3001.dat\n", "brick 3001.dat is not upright along the axes, or scaled"),
+        ("a.ldr", "1 4 nan 0 0 1 0 0 0 1 0 0 0 1 3001.dat\n", "line 1: no place and turn of a part"),
         ("a.mpd", "0 FILE x\n1 4 0 0 0 1 0 0 0 1 0 0 0 1 x\n", "model x contains itself"),
         (
             "a.ldr",

@@ -9,6 +9,7 @@ from falsework.interop.compas_read import load_compas as load_compas
 from falsework.interop.compas_read import read_compas as read_compas
 from falsework.interop.compas_write import compas_of as compas_of
 from falsework.interop.compas_write import write_compas as write_compas
+from falsework.interop.formats import ExportWarning as ExportWarning
 from falsework.interop.formats import export as export
 from falsework.interop.gltf import gltf_of as gltf_of
 from falsework.interop.gltf import write_gltf as write_gltf

@@ -78,7 +78,10 @@ _STIFF = 100.0
 """Area that a stud stands for, in squares of its width. Sticks of bricks deflect by more than the thousandth of their
 length that counts as falling, and are stable nevertheless; the scale of the stiffness changes displacements but no
 force."""
-_LINE = re.compile(r"\s*(\d+)x(\d+)\s*\(\s*(\d+)\s*,\s*(\d+)\s*,\s*(\d+)\s*\)\s*")
+_NUMBER = r"\s*(\d{1,5})\s*"
+_LINE = re.compile(rf"{_NUMBER}x{_NUMBER}\({_NUMBER},{_NUMBER},{_NUMBER}\)\s*", re.ASCII)
+_BEGINNING = re.compile(r"\s*\d+\s*x\s*\d+\s*\(")
+"""Of the first line of a text of bricks, whatever is wrong with the rest."""
 _FACES = np.array(
     [(0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4),
      (2, 6, 7), (2, 7, 3), (0, 4, 6), (0, 6, 2), (1, 3, 7), (1, 7, 5)]
@@ -212,7 +215,7 @@ def is_bricks(path: Path | str) -> bool:
     if path.suffix.lower() != ".txt" or not path.is_file():
         return False
     lines = (line for line in _text(path).splitlines() if line.strip())
-    return _LINE.fullmatch(next(lines, "")) is not None
+    return _BEGINNING.match(next(lines, "")) is not None
 
 
 def load_bricks(path: Path | str, **options: Any) -> Assembly:
@@ -267,7 +270,7 @@ def _read(path: Path) -> list[Brick]:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8", errors="replace")
+        return path.read_text(encoding="utf-8-sig", errors="replace")
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
 
@@ -278,9 +281,12 @@ def _read_text(path: Path) -> list[Brick]:
         if not line.strip():
             continue
         found = _LINE.fullmatch(line)
-        if found is None or "0" in found.groups()[:2]:
-            raise InputError(f"{path}, line {number}: {line.strip()[:40]!r} is not a brick such as 2x4 (3,0,1)")
-        along, across, x, y, z = (int(value) for value in found.groups())
+        along, across, x, y, z = (int(value) for value in found.groups()) if found else (0,) * 5
+        if along == 0 or across == 0:
+            raise InputError(
+                f"{path}, line {number}: {line.strip()[:40]!r} is not a brick such as 2x4 (3,0,1), "
+                "in whole numbers from 0 up"
+            )
         bricks.append(Brick((PITCH * x, PITCH * y, HEIGHT * z), (along, across)))
     return bricks
 
@@ -313,7 +319,9 @@ def _bricks_of(
             x, y, z, *turn = (float(word) for word in words[2:14])
             own = np.array([[*turn[0:3], x], [*turn[3:6], y], [*turn[6:9], z], [0.0, 0.0, 0.0, 1.0]])
         except ValueError:
-            raise InputError(f"{path}, line {number}: no place and turn of a part; export the model again") from None
+            own = np.full((4, 4), np.nan)
+        if not np.isfinite(own).all():
+            raise InputError(f"{path}, line {number}: no place and turn of a part; export the model again")
         part, here = " ".join(words[14:]).lower(), place @ own
         if part in models:
             if part in within:
@@ -328,9 +336,12 @@ def _bricks_of(
         # LDraw's y points down; a brick hangs from the middle of its top.
         half = np.abs(here[:3, :3] @ [PITCH / 2 * studs[0], 0.0, PITCH / 2 * studs[1]])
         upright = np.allclose(here[:3, 1], [0.0, 1.0, 0.0], atol=1e-4)
+        upright &= np.allclose(here[:3, :3].T @ here[:3, :3], np.eye(3), atol=1e-3)
         low = np.array([here[0, 3] - half[0], here[2, 3] - half[2], -here[1, 3] - height])
         size = 2 * half[[0, 2]] / PITCH
         if not upright or np.abs(size - size.round()).max() > 1e-3 or np.abs(low - low.round()).max() > 1e-2:
-            raise InputError(f"{path}, line {number}: brick {part} is not upright along the axes; turn or move it")
+            raise InputError(
+                f"{path}, line {number}: brick {part} is not upright along the axes, or scaled; turn or move it"
+            )
         whole = low.round().astype(int).tolist()
         yield Brick((whole[0], whole[1], whole[2]), (int(size[0].round()), int(size[1].round())), height)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -31,6 +32,12 @@ _BY_SUFFIX: dict[str, Format] = {
 }
 _MOVING = ("glb", "gltf", "usd")
 """Formats that can show a plan."""
+_SHOWN_ONLY = ("glb", "gltf", "folder")
+"""Formats from which no other program computes stability, and the folder, whose writer knows what it can hold."""
+
+
+class ExportWarning(UserWarning):
+    """Property of a structure that a file of another program does not hold."""
 
 
 def format_of(path: Path | str) -> Format:
@@ -85,6 +92,8 @@ def export(
 ) -> None:
     """Write a structure, a plan in motion, or the motions of a robot plan for other programs.
 
+    Formats that others compute stability from hold no joints and loads; what is left out is an `ExportWarning`.
+
     Args:
         subject: a structure, plan or robot plan, or what `load_structure`, `load_plan` or `load_robot_plan` read.
         path: file to write, or folder, which must be new or empty.
@@ -116,6 +125,15 @@ def export(
         if step_seconds is not None:
             raise InputError("--step-seconds is for plans; leave it out")
     seconds = 1.0 if step_seconds is None else step_seconds
+    held = (("joints", assembly.joints), ("loads", assembly.loads))
+    left_out = " and ".join(name for name, given in held if given is not None)
+    if left_out and chosen not in _SHOWN_ONLY:
+        warnings.warn(
+            f"{chosen} files have no {left_out}: those of {assembly.name} are left out, without which "
+            "its stability differs",
+            ExportWarning,
+            stacklevel=2,
+        )
     if chosen == "folder":
         save_assembly(assembly, path)
     elif chosen == "usd":
