@@ -151,5 +151,5 @@ def _pair(piece: str, option: str, example: str) -> tuple[str, str]:
 def _robot(name: str, cell: Cell, option: str) -> int:
     names = [robot.name for robot in cell.robots]
     if name not in names:
-        raise InputError(f"{option}: {cell.name} has no robot {name!r}; there are {', '.join(names)}")
+        raise InputError(f"{option}: the cell {cell.name} has no robot {name!r}; there are {', '.join(names)}")
     return names.index(name)

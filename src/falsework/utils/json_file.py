@@ -73,6 +73,10 @@ class Reader:
         if not isinstance(data, dict) or "format" not in data:
             self._fail('it has no "format"', f"give a file that `{self.command}` wrote")
         if data["format"] != self.form:
+            of, _, version = str(data["format"]).partition("/")
+            if version and of != self.form.partition("/")[0]:
+                other = of.removeprefix("falsework.").replace("-", " ")
+                self._fail(f"it is a file of another kind ({other})", f"give a file that `{self.command}` wrote")
             self._fail(f"its format is {data['format']!r}", f"this version reads {self.form!r} only; plan again")
         self._keys(data, keys, f"the {self.kind}", optional)
 
