@@ -47,6 +47,10 @@ def test_no_such_folder(refused: Callable[..., None], tmp_path: Path) -> None:
     refused("nowhere", tmp_path / "nowhere")
 
 
+def test_no_name_at_all(refused: Callable[..., None]) -> None:
+    refused("the structure has no name", "")
+
+
 def test_no_such_built_in(refused: Callable[..., None]) -> None:
     refused("arhc", "arhc:blocks=7")
 
@@ -235,6 +239,13 @@ def test_complete_structure_unstable(refused: Callable[..., None], write_structu
 def test_place_that_cannot_be_written(falsework: Run, stack: Path, tmp_path: Path) -> None:
     finished = falsework("plan", stack, "--out", tmp_path / "no" / "plan.json")
     expect(finished, 2, "plan.json")
+
+
+@pytest.mark.parametrize("command", ["graph", "dataset"])
+def test_archives_are_not_written_under_names_of_other_files(command: str, falsework: Run, tmp_path: Path) -> None:
+    """They could not be read again by that name."""
+    name = tmp_path / "out.json"
+    expect(falsework(command, "arch:blocks=3", "--out", name), 2, "out.json is written as .npz; name such a file")
 
 
 def test_export_does_not_replace_what_is_there(falsework: Run, stack: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from falsework.errors import InputError
 from falsework.viewer.pictures.render import Camera, ColoredSolid, render
 
 BOX = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
@@ -37,6 +38,12 @@ def test_size_in_pixels_is_size_in_metres_times_scale() -> None:
     assert covered.any(axis=-1).sum() == pytest.approx(2 * scale, abs=2)
     corner = camera.project(np.array([1.0, 0.0, 1.0]), BOUNDS)
     assert corner[0] == pytest.approx(np.flatnonzero(covered.any(axis=0))[-1] + 1, abs=2)
+
+
+@pytest.mark.parametrize("view", [{"azimuth": np.nan}, {"elevation": np.inf}])
+def test_a_view_from_nowhere_is_refused(view: dict[str, float]) -> None:
+    with pytest.raises(InputError, match="degrees does not exist; give numbers"):
+        Camera(**view)  # type: ignore[arg-type]
 
 
 def test_a_box_casts_a_shadow_on_the_floor() -> None:

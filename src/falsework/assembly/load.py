@@ -72,6 +72,8 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
     from falsework.assembly.store import FILE, load_assembly
 
     text = str(structure)
+    if not text.strip():
+        raise InputError("the structure has no name; give that of a built-in one, or a path")
     given = {key: value for key, value in options.items() if value is not None}
     if isinstance(structure, Path) or not library.is_built_in(text):
         path = Path(text)

@@ -65,7 +65,7 @@ class MakeDataset(JudgingCommand):
         check_torch()
         from falsework.learn.data.dataset import DataSettings, build_dataset, task_for
 
-        writable(self.out)
+        writable(self.out, ".npz")
         clock = Deadline(self.deadline)
         if clock.limited and int(os.environ.get("WORLD_SIZE", "1")) > 1:
             raise InputError("processes that share a search cannot end it at a deadline; leave --deadline out")

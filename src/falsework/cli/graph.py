@@ -47,7 +47,7 @@ class MakeGraph(JudgingCommand):
         from falsework.search.problem.state_graph import StateGraph, save_state_graph
         from falsework.stability import Stability, StabilitySettings
 
-        writable(self.out)
+        writable(self.out, ".npz")
         clock = Deadline(self.deadline)
         if clock.limited and int(os.environ.get("WORLD_SIZE", "1")) > 1:
             raise InputError("processes that share a search cannot end it at a deadline; leave --deadline out")

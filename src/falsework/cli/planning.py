@@ -134,12 +134,18 @@ class SearchOptions:
         return BeamSettings(self.width, Direction(self.direction), seed=self.seed)
 
 
-def writable(path: Path) -> None:
+def writable(path: Path, suffix: str = "") -> None:
     """Check before a long search that its result can be written.
 
+    Args:
+        path: file to write.
+        suffix: ending by which commands know the file again, if they do.
+
     Raises:
-        InputError: the folder is not there or not writable, or the path is a folder.
+        InputError: the folder is not there or not writable, the path is a folder, or the name ends otherwise.
     """
+    if suffix and path.suffix.lower() != suffix:
+        raise InputError(f"{path} is written as {suffix}; name such a file")
     if path.is_dir():
         raise InputError(f"{path} is a folder; name a file in it")
     if not path.parent.is_dir():

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.errors import InputError
 from falsework.geometry.mesh.mesh import triangle_normals
 from falsework.viewer.pictures.raster import average, depth_buffer, lay_over, shade
 
@@ -40,6 +41,12 @@ class Camera:
     height: int = 480
     zoom: float = 1.0
     """1 fits the box into the picture."""
+
+    def __post_init__(self) -> None:
+        if not np.isfinite([self.azimuth, self.elevation]).all():
+            raise InputError(
+                f"a view from {self.azimuth:g} and {self.elevation:g} degrees does not exist; give numbers"
+            )
 
     @property
     def axes(self) -> Array:
