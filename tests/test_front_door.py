@@ -351,7 +351,11 @@ def test_results_print_as_one_line(arch: Assembly, plan: fw.Plan) -> None:
     [
         (lambda arch, plan: UNTYPED.find_plans(arch, robots="2"), "robots is '2'; give a whole number"),
         (lambda arch, plan: UNTYPED.find_plans(arch, robots=2.5), "robots is 2.5; give a whole number"),
-        (lambda arch, plan: UNTYPED.find_plans(arch, missing=["voussoir-3"]), "give a list of part numbers"),
+        (lambda arch, plan: UNTYPED.find_plans(arch, missing=["door"]), "missing is part 'door', which does not exist"),
+        (lambda arch, plan: UNTYPED.find_plans(arch, fixed="3"), "give a list of part numbers or names"),
+        (lambda arch, plan: UNTYPED.replan(arch, plan.states[4], missing=[2.5]), "give a list of part numbers"),
+        (lambda arch, plan: arch.replace(loads=fw.assembly.Loads.of(3)), "loads are of 3 parts, but there are"),
+        (lambda arch, plan: UNTYPED.Assembly.from_meshes([5], boundary=[0]), "a part is a int; make it a TriangleMesh"),
         (lambda arch, plan: UNTYPED.save_plan([plan], "plan.json"), "writes a Plan, not list"),
         (lambda arch, plan: UNTYPED.validate_plan([plan], arch), "checks a Plan, not list"),
         (lambda arch, plan: UNTYPED.picture(fw.Stability(arch), "arch.png"), "Stability cannot be shown"),
@@ -360,6 +364,16 @@ def test_results_print_as_one_line(arch: Assembly, plan: fw.Plan) -> None:
 def test_wrong_types_get_one_line(arch: Assembly, plan: fw.Plan, call: Callable[..., Any], words: str) -> None:
     with pytest.raises(InputError, match=words):
         call(arch, plan)
+
+
+def test_parts_are_given_by_number_or_name(arch: Assembly, plan: fw.Plan) -> None:
+    name = arch.names[2]
+    assert fw.find_plans(arch, missing=[name]).plans[0].missing == (2,)
+    assert fw.find_plans(arch, target=plan.states[-3], fixed=[arch.names[-1]]).found
+    by_name, by_number = (fw.replan(arch, plan.states[0], missing=[part]).plans[0] for part in (name, 2))
+    np.testing.assert_array_equal(by_name.states, by_number.states)
+    named = fw.Assembly.from_meshes(arch.meshes, boundary=[arch.names[part] for part in np.flatnonzero(arch.boundary)])
+    np.testing.assert_array_equal(named.boundary, arch.boundary)
 
 
 def test_numbers_of_numpy_are_numbers(arch: Assembly) -> None:

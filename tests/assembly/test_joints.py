@@ -141,7 +141,7 @@ def test_what_cannot_be_a_joint(entries: Any, materials: Any, message: str) -> N
 def test_a_fastener_is_a_contact_point_among_those_of_its_pair() -> None:
     tower = stack()
     joined = tower.replace(joints=Joints.of(tower.contacts, cohesion=np.where(tower.contacts.dimension == 2, 8.0, 0.0)))
-    screwed = fasten(joined, [{"parts": ["b", "a"], "at": [0.5, 0.5, 1.0], "tension": 90.0, "shear": 40.0}])
+    screwed = fasten(joined, [{"parts": ("b", "a"), "at": [0.5, 0.5, 1.0], "tension": 90.0, "shear": 40.0}])
     pairs = screwed.contacts.parts[screwed.contacts.contact_of_point]
     assert (np.diff(pairs[:, 0] * 10 + pairs[:, 1]) >= 0).all()
     (row,) = np.flatnonzero((screwed.contacts.points == [0.5, 0.5, 1.0]).all(axis=1))

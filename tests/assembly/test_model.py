@@ -55,7 +55,7 @@ def test_what_is_given_is_kept():
         ({"boundary": [-1]}, "boundary part -1 does not exist"),
         ({"boundary": [0, 0]}, "part 0 twice"),
         ({"boundary": [0.5]}, "ids of parts"),
-        ({"boundary": ["b0"]}, "ids of parts"),
+        ({"boundary": ["roof"]}, "boundary is part 'roof', which does not exist; give an id from 0 to 2 or a name"),
         ({"boundary": [True, False]}, r"mask has shape \(2,\)"),
         ({"friction": -0.1}, "friction is -0.1"),
         ({"friction": float("nan")}, "friction is nan"),

@@ -332,6 +332,8 @@ def test_certificates_must_be_there_and_fit(scenes: Any) -> None:
     assert verdicts.forces is not None
     with pytest.raises(InputError, match=r"forces have shape \(1, 4, 1\); expected \(1, 4, 3\)"):
         verify_certificates(tower, state, with_forces(verdicts, verdicts.forces[:, :, :1]))
+    with pytest.raises(InputError, match=r"states have shape \(2,\); expected \(batch, parts\)"):
+        verify_certificates(tower, state[0], verdicts)
     with pytest.raises(InputError, match="states have shape"):
         verify_certificates(tower, np.array([[1, 2], [1, 2]], np.uint8), verdicts)
 

@@ -14,7 +14,7 @@ from falsework.assembly.interfaces import StoredInterface, compare_interfaces, i
 from falsework.assembly.joints import Joints
 from falsework.assembly.loads import GRAVITY, Loads
 from falsework.assembly.model import DENSITY, FRICTION, Assembly
-from falsework.assembly.store import part_ids, support_names
+from falsework.assembly.store import support_names
 from falsework.errors import AssemblyError, InputError, MeshError
 from falsework.geometry.contact.interfaces import ContactSettings
 from falsework.geometry.mesh.polygon import triangulate
@@ -145,8 +145,6 @@ class Draft:
             raise AssemblyError(f"{self.path} has blocks of different friction; give one for all with --friction")
         if boundary is None:
             boundary = fixed
-        elif isinstance(boundary, list):
-            boundary = part_ids(boundary, [block.name for block in self.blocks])
         assembly = Assembly.from_meshes(
             meshes,
             boundary=boundary,

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.joints import Joints
-from falsework.assembly.loads import Loads, part_id
+from falsework.assembly.loads import Loads
+from falsework.assembly.part_numbers import part_id
 from falsework.errors import AssemblyError
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.contact.patches import frames_of
@@ -49,7 +50,7 @@ def fasten(assembly: Assembly, entries: Sequence[Mapping[str, Any]]) -> Assembly
                 f"fastener {entry!r} is not an object with parts, at, tension and perhaps shear, axis and ductile"
             )
         pair = entry["parts"]
-        if not isinstance(pair, list) or len(pair) != 2:
+        if not isinstance(pair, (list, tuple)) or len(pair) != 2:
             raise AssemblyError(f"fastener between {pair!r}; give two parts")
         a, b = sorted(part_id(item, assembly.names, "a fastener is in part") for item in pair)
         if a == b:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from falsework.assembly.loads import part_id
+from falsework.assembly.part_numbers import part_id
 from falsework.errors import AssemblyError
 from falsework.geometry.contact.interfaces import Contacts
 

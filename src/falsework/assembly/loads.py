@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from falsework.assembly.part_numbers import part_id
 from falsework.errors import AssemblyError
 
 Array = NDArray[np.float64]
@@ -114,17 +115,6 @@ class Loads:
         wrench = self.wrench.copy()
         wrench[:, :3] += gravity * mass[:, None] * (self.acceleration - [0.0, 0.0, 1.0])
         return wrench
-
-
-def part_id(given: Any, names: Sequence[str], what: str) -> int:
-    """Return the id of a part that is given by id or by name; `what` begins the message if there is none."""
-    if isinstance(given, str) and given in names:
-        return list(names).index(given)
-    if isinstance(given, str) and given.isdecimal():
-        given = int(given)
-    if isinstance(given, int) and not isinstance(given, bool) and 0 <= given < len(names):
-        return given
-    raise AssemblyError(f"{what} {given!r}, which does not exist; give an id from 0 to {len(names) - 1} or a name")
 
 
 def _numbers(value: Any, what: str, counts: Sequence[int], unit: str) -> Array:

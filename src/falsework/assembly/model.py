@@ -8,12 +8,14 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from dataclasses import replace as _replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.joints import Joints
 from falsework.assembly.loads import Loads
+from falsework.assembly.part_numbers import part_ids
 from falsework.assembly.prop import Prop
 from falsework.errors import AssemblyError
 from falsework.geometry.clearance.table import ClearanceTable, clearance_table
@@ -79,7 +81,7 @@ class Assembly:
 
         Args:
             meshes: closed meshes that face outwards, metres.
-            boundary: ids of the fixed parts, or a mask of shape (parts,).
+            boundary: ids or names of the fixed parts, or a mask of shape (parts,).
             density: one number or one a part, kg/m3.
             friction: coefficient of friction of every contact.
             name: name of the structure in plans and messages.
@@ -93,6 +95,12 @@ class Assembly:
             MeshError: a part whose volume is not positive.
         """
         parts = tuple(meshes)
+        wrong = next((part for part in parts if not isinstance(part, TriangleMesh)), None)
+        if wrong is not None:
+            raise AssemblyError(
+                f"a part is a {type(wrong).__name__}; make it a TriangleMesh, such as by "
+                "TriangleMesh.from_arrays(name, vertices, faces)"
+            )
         if not parts:
             raise AssemblyError("an assembly needs at least one part")
         friction = _friction(friction)
@@ -249,7 +257,7 @@ class Assembly:
             density=densities,
             friction=self.friction if friction is None else _friction(friction),
             mass=self.mass if density is None else mass_properties(self.meshes, densities),
-            loads=self.loads if loads is None else loads,
+            loads=self.loads if loads is None else _loads(loads, self.part_count),
             joints=self.joints if joints is None else _joints(joints, self.contacts),
         )
         for array in (fixed, densities):
@@ -311,6 +319,12 @@ def ground_slab(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
     return TriangleMesh.from_arrays(name, np.where(corners, top, bottom), faces)
 
 
+def _loads(given: Loads, parts: int) -> Loads:
+    if len(given.wrench) != parts:
+        raise AssemblyError(f"loads are of {len(given.wrench)} parts, but there are {parts}; make them anew")
+    return given
+
+
 def _joints(given: Joints, contacts: Contacts) -> Joints:
     if len(given.tension) != len(contacts.points):
         raise AssemblyError(
@@ -346,6 +360,9 @@ def _density(value: ArrayLike, parts: int) -> NDArray[np.float64]:
 
 def _boundary(value: ArrayLike, meshes: Sequence[TriangleMesh]) -> NDArray[np.bool_]:
     parts = len(meshes)
+    listed: list[Any] = list(value) if isinstance(value, (list, tuple)) else []
+    if any(isinstance(item, str) for item in listed):
+        value = part_ids(listed, [mesh.name for mesh in meshes], "boundary")
     given = np.asarray(value)
     if given.dtype == bool:
         if given.shape != (parts,):
@@ -355,7 +372,7 @@ def _boundary(value: ArrayLike, meshes: Sequence[TriangleMesh]) -> NDArray[np.bo
     if given.size == 0:
         return mask
     if given.ndim != 1 or not np.issubdtype(given.dtype, np.integer):
-        raise AssemblyError(f"boundary is {value!r}; give ids of parts, 0 to {parts - 1}")
+        raise AssemblyError(f"boundary is {value!r}; give ids of parts, 0 to {parts - 1}, or names")
     for part in given.tolist():
         if not 0 <= part < parts:
             raise AssemblyError(f"boundary part {part} does not exist; ids of parts are 0 to {parts - 1}")

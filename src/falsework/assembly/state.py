@@ -105,8 +105,12 @@ def action_mask(states: States, boundary: Mask, robots: int) -> Mask:
 
 
 def apply_actions(states: States, actions: NDArray[np.integer]) -> States:
-    """Return states after one action each: hold sets 2, remove sets 0. Shapes (batch, parts), (batch,)."""
-    batch, parts = states.shape
+    """Return states after one action each: hold sets 2, remove sets 0. Shapes (batch, parts), (batch,).
+
+    Raises:
+        StateError: another shape, or an action that does not exist.
+    """
+    batch, parts = _checked(states, actions)
     after = states.copy()
     after[np.arange(batch), actions % parts] = np.where(actions < parts, HELD, REMOVED)
     return after
@@ -127,11 +131,28 @@ def undo_mask(states: States, boundary: Mask, robots: int) -> Mask:
 
 
 def undo_actions(states: States, actions: NDArray[np.integer]) -> States:
-    """Return states before one action each: the reverse of `apply_actions`. Shapes (batch, parts), (batch,)."""
-    batch, parts = states.shape
+    """Return states before one action each: the reverse of `apply_actions`. Shapes (batch, parts), (batch,).
+
+    Raises:
+        StateError: another shape, or an action that does not exist.
+    """
+    batch, parts = _checked(states, actions)
     before = states.copy()
     before[np.arange(batch), actions % parts] = np.where(actions < parts, INSTALLED, HELD)
     return before
+
+
+def _checked(states: States, actions: NDArray[np.integer]) -> tuple[int, int]:
+    """Return the numbers of states and of parts."""
+    if states.ndim != 2 or np.shape(actions) != states.shape[:1]:
+        raise StateError(
+            f"states have shape {states.shape} and actions {np.shape(actions)}; expected (batch, parts) and (batch,)"
+        )
+    batch, parts = states.shape
+    wrong = (actions < 0) | (actions >= 2 * parts)
+    if wrong.any():
+        raise StateError(f"action {actions[wrong][0]} does not exist; actions are numbered 0 to {2 * parts - 1}")
+    return batch, parts
 
 
 STEP_WORDS = {

@@ -104,7 +104,7 @@ def load_assembly(
             raise AssemblyError(f"names in {FILE} must be {len(meshes)} different ones, one a part; mend {source}")
         meshes = tuple(replace(mesh, name=name) for mesh, name in zip(meshes, names, strict=True))
     if boundary is None:
-        boundary = part_ids(described.get("boundary", []), [mesh.name for mesh in meshes])
+        boundary = described.get("boundary", [])
     assembly = Assembly.from_meshes(
         meshes,
         boundary=boundary,
@@ -221,21 +221,3 @@ def support_names(boundary: ArrayLike) -> list[int | str]:
     if given.ndim == 1 and len(given) and all(isinstance(item, bool | np.bool_) for item in given):
         return [int(part) for part in np.flatnonzero(given)]
     return [item for item in given.ravel().tolist() if isinstance(item, int | str)]
-
-
-def part_ids(boundary: list[Any], names: list[str]) -> list[int]:
-    """Return ids of boundary parts, which may be given by name.
-
-    Raises:
-        AssemblyError: no such part.
-    """
-    ids = []
-    for item in boundary:
-        if isinstance(item, str):
-            if item not in names:
-                raise AssemblyError(f"boundary part {item!r} does not exist; parts are {', '.join(names[:8])}")
-            item = names.index(item)
-        if not isinstance(item, int) or isinstance(item, bool):
-            raise AssemblyError(f"boundary names {item!r}; give ids or names of parts")
-        ids.append(item)
-    return ids

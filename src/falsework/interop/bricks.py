@@ -20,7 +20,6 @@ from numpy.typing import ArrayLike, NDArray
 from falsework.assembly.draft import Block, Draft
 from falsework.assembly.joints import Joints
 from falsework.assembly.model import Assembly
-from falsework.assembly.store import part_ids
 from falsework.errors import AssemblyError, InputError
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh
@@ -129,7 +128,7 @@ def assemble_bricks(
         bricks: in any order.
         name: how plans and messages call the structure.
         density: kg/m3 of the boxes around the bricks, one number or one a brick; by default from their masses.
-        boundary: fixed bricks; without them, the baseplate.
+        boundary: fixed bricks, by number or name; without them, the baseplate.
         tension: that each contact point of a stud bears, N.
 
     Raises:
@@ -239,8 +238,6 @@ def load_bricks(path: Path | str, **options: Any) -> Assembly:
         if key not in ("density", "boundary"):
             raise InputError(f"{path} has bricks, which have their own {key}; leave it out")
     bricks = _read(path)
-    if isinstance(given.get("boundary"), list):
-        given["boundary"] = part_ids(given["boundary"], [str(number) for number in range(len(bricks))])
     return assemble_bricks(bricks, name=path.stem, **given)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from falsework.assembly.model import Assembly
+from falsework.assembly.part_numbers import part_ids
 from falsework.assembly.state import HELD, REMOVED, States, as_states, complete_state, held_count
 from falsework.errors import InputError, StateError
 from falsework.search.problem.deadline import check_deadline
@@ -37,10 +38,10 @@ class Request:
     disassembly."""
     robots: int = 2
     """Parts that can be held at a time."""
-    missing: Sequence[int] = ()
-    """Parts not delivered yet: assembly defers them as long as possible."""
-    fixed: Sequence[int] = ()
-    """Parts that are neither held nor released, neither inserted nor removed."""
+    missing: Sequence[int | str] = ()
+    """Numbers or names of parts not delivered yet: assembly defers them as long as possible."""
+    fixed: Sequence[int | str] = ()
+    """Numbers or names of parts that are neither held nor released, neither inserted nor removed."""
     alternatives: int = 1
     """Number of requested plans, as different from each other as possible."""
     seed: int = 0
@@ -71,7 +72,8 @@ class Request:
                     f"{assembly.names[other]} taken away; plan the two one after the other, over a state between them"
                 )
             return Direction.ASSEMBLY if (stage > wanted).any() else Direction.DISASSEMBLY
-        absent = any(0 <= part < len(state) and state[part] == REMOVED for part in self.missing)
+        missing = part_ids(self.missing, assembly.names, "missing")
+        absent = any(0 <= part < len(state) and state[part] == REMOVED for part in missing)
         return Direction.ASSEMBLY if absent else Direction.DISASSEMBLY
 
     def task(self, assembly: Assembly) -> Task:
@@ -87,10 +89,12 @@ class Request:
         check_seed(self.seed)
         state = _state(self.state, assembly, "state")
         target = None if self.target is None else _state(self.target, assembly, "target")
+        missing = part_ids(self.missing, assembly.names, "missing")
+        fixed = part_ids(self.fixed, assembly.names, "fixed")
         way = self.way(assembly)
         start, end = (state, target) if way is Direction.DISASSEMBLY else (target, state)
         if way is Direction.ASSEMBLY:
-            for part in self.missing:
+            for part in missing:
                 if 0 <= part < len(state) and state[part] != REMOVED and not assembly.boundary[part]:
                     raise StateError(
                         f"part {assembly.names[part]} is said to be missing, yet the state has it; "
@@ -98,7 +102,7 @@ class Request:
                     )
             if start is None:
                 start = complete_state(assembly.boundary)
-                for part in self.fixed:
+                for part in fixed:
                     if 0 <= part < len(state):
                         start[part] = state[part]
         task = Task.create(
@@ -106,8 +110,8 @@ class Request:
             self.robots,
             start=start,
             target=end,
-            fixed=self.fixed,
-            missing=self.missing,
+            fixed=fixed,
+            missing=missing,
             clearance=assembly.clearance if self.removable_only_if_clear else None,
             contacts=assembly.contacts.parts,
             identity=assembly.identity,

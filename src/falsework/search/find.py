@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
+from falsework.assembly.part_numbers import part_ids
 from falsework.assembly.props import keep_props
 from falsework.assembly.state import REMOVED
 from falsework.errors import InputError
@@ -61,10 +62,10 @@ class TaskRules(TypedDict, total=False):
     """State to disassemble, where assembly ends, shape (parts,); the complete structure if not given."""
     target: ArrayLike | None
     """State in which disassembly ends, where assembly starts, shape (parts,); the empty structure if not given."""
-    fixed: Sequence[int]
-    """Parts that are neither held nor removed."""
-    missing: Sequence[int]
-    """Parts not delivered yet; assembly defers them as long as possible."""
+    fixed: Sequence[int | str]
+    """Numbers or names of parts that are neither held nor removed."""
+    missing: Sequence[int | str]
+    """Numbers or names of parts not delivered yet; assembly defers them as long as possible."""
     removable_only_if_clear: bool
     """Remove a part only if it has a free straight exit."""
     support: bool
@@ -181,8 +182,8 @@ def task_of(
     *,
     start: ArrayLike | None = None,
     target: ArrayLike | None = None,
-    fixed: Sequence[int] = (),
-    missing: Sequence[int] = (),
+    fixed: Sequence[int | str] = (),
+    missing: Sequence[int | str] = (),
     removable_only_if_clear: bool = False,
     support: bool = False,
     props: int = 0,
@@ -206,8 +207,8 @@ def task_of(
         robots,
         start=start,
         target=target,
-        fixed=fixed,
-        missing=missing,
+        fixed=part_ids(fixed, assembly.names, "fixed"),
+        missing=part_ids(missing, assembly.names, "missing"),
         clearance=assembly.clearance if removable_only_if_clear else None,
         contacts=assembly.contacts.parts,
         identity=assembly.identity,

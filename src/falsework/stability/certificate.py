@@ -83,6 +83,8 @@ def verify_certificates(
     """
     if verdicts.forces is None or verdicts.velocity is None:
         raise InputError("these verdicts carry no certificates; get verdicts from Stability.check, which returns them")
+    if np.ndim(states) != 2:
+        raise InputError(f"states have shape {np.shape(states)}; expected (batch, parts)")
     if claim is None:
         claim = StabilityCriterion() if verdicts.displacement is None else CONTACT
     batch, parts = states.shape
