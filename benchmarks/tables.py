@@ -14,7 +14,7 @@ import argparse
 import re
 from pathlib import Path
 
-from headline import headline
+from readme_tables import README_TABLES
 from table_list import TABLES
 from table_model import REPOSITORY
 
@@ -29,10 +29,10 @@ BLOCK = re.compile(r"(<!-- results: ([\w-]+) -->\n).*?(<!-- /results -->)", re.D
 
 def table(name: str, page: Path) -> str:
     """Return a table by its name."""
-    if name == "headline":
-        return headline(page)
+    if name in README_TABLES:
+        return README_TABLES[name](page)
     if name not in TABLES:
-        raise SystemExit(f"{page}: there is no table {name}; give headline or one of {', '.join(TABLES)}")
+        raise SystemExit(f"{page}: there is no table {name}; give one of {', '.join([*README_TABLES, *TABLES])}")
     return TABLES[name].text(page)
 
 
@@ -47,7 +47,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--list", action="store_true", help="print the names of the tables")
     if parser.parse_args().list:
-        print("\n".join(["headline", *TABLES]))
+        print("\n".join([*README_TABLES, *TABLES]))
         return
     for page in PAGES:
         text = filled(page)

@@ -97,16 +97,22 @@ def beam_on_ridge() -> Assembly:
 
 @pytest.fixture
 def start_command() -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """Start the command line as a shell does, in the foreground or not; it is killed after the test or a minute."""
+    """Start the command line as a shell does, in the foreground or not; it is killed after the test or a minute.
+
+    `first` is code that runs before the command.
+    """
     if os.name == "nt":
         pytest.skip("signals are sent differently on Windows")
     started: list[tuple[subprocess.Popen[str], threading.Timer]] = []
 
-    def start(*arguments: str, foreground: bool = True, seconds: float = 60.0) -> subprocess.Popen[str]:
+    def start(
+        *arguments: str, foreground: bool = True, seconds: float = 60.0, first: str = ""
+    ) -> subprocess.Popen[str]:
         # Set in both cases: a process inherits whether interrupts are ignored, and so do the tests themselves.
         handler = signal.default_int_handler if foreground else signal.SIG_IGN
+        program = ("-c", f"{first}; import runpy; runpy.run_module('falsework', run_name='__main__')")
         process = subprocess.Popen(
-            [sys.executable, "-m", "falsework", *arguments],
+            [sys.executable, *(program if first else ("-m", "falsework")), *arguments],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,

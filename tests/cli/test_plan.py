@@ -208,7 +208,7 @@ def test_clear_ways_out(falsework: Run, tmp_path: Path) -> None:
 
 def test_a_structure_that_locks_itself(falsework: Run, tmp_path: Path) -> None:
     """Both commands say that no plan exists where parts need a way out; the graph keeps what can be reached."""
-    out = tmp_path / "out"
+    out = tmp_path / "out.npz"
     for command, more in (("plan", ()), ("graph", ("--direction", "disassembly"))):
         done = falsework(command, "shelf", "--removable-only-if-clear", *more, "--out", out)
         assert done.code == 1
@@ -381,7 +381,8 @@ def test_an_interrupted_search_goes_on(falsework: Run, tmp_path: Path, monkeypat
 
 def test_a_real_interrupt_is_one_line(start_command: Callable[..., subprocess.Popen[str]], tmp_path: Path) -> None:
     out = str(tmp_path / "plan.json")
-    running = start_command("plan", "vault:parts=300", "--out", out, "--alternatives", "9")
+    often = "from falsework.cli import output; output.LOG_EVERY = 0.0"  # lines of progress
+    running = start_command("plan", "vault:parts=300", "--out", out, "--alternatives", "9", first=often)
     assert running.stderr is not None
     assert "searching" in running.stderr.readline()  # Python itself loses some interrupts while modules are imported
     running.send_signal(signal.SIGINT)

@@ -1,4 +1,4 @@
-"""Headline table of the README: few figures, each with its comparison."""
+"""Tables of the README, whose rows come from several benchmarks."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from table_model import Runs, commits, fill_in, look_up, markdown, origin, records, seeds
+from table_model import Runs, commits, fill_in, look_up, markdown, notes, origin, records, seeds
 
 
 @dataclass(frozen=True)
 class Line:
-    """Row of the table `headline`."""
+    """Row of a table."""
 
     subject: str
     source: str
@@ -105,13 +105,65 @@ HEADLINE = (
 )
 
 
+def _vault(parts: int, criterion: str, robots: int) -> Line:
+    """Return the row of a built-in vault."""
+    where = {"benchmark": "scaling plan", "parts": parts, "criterion": criterion, "robots": robots}
+    return Line(f"vault of {parts:,} parts", "scaling", where, "{plan_s}")
+
+
+def _public(structure: str, subject: str, robots: int) -> Line:
+    """Return the row of a public structure."""
+    where = {"benchmark": "search_compare plans", "structure": structure, "criterion": "contact", "robots": robots}
+    return Line(subject, "search_compare", where, "{cpu_seconds}")
+
+
+LARGE = (
+    _vault(989, "equilibrium", 2),
+    _vault(2012, "equilibrium", 2),
+    _vault(3998, "equilibrium", 2),
+    _vault(126, "contact", 2),
+    _vault(126, "contact", 3),
+    _vault(246, "contact", 2),
+    _vault(246, "contact", 3),
+    _vault(510, "contact", 3),
+    _vault(510, "contact", 4),
+    _vault(989, "contact", 4),
+    _public("pavilion-vault-387", "pavilion of 387 parts", 2),
+    _public("armadillo-399", "Armadillo, a shell of 399 parts", 4),
+)
+
+
 def headline(page: Path) -> str:
-    """Return the headline table of the README: few figures, each with its comparison."""
+    """Return few figures, each with its comparison."""
     found = [(line, line.runs()) for line in HEADLINE]
     body = [
         [line.subject, fill_in(line.value, runs), fill_in(line.comparison, runs), seeds(runs), commits(runs)]
         for line, runs in found
     ]
-    heads = ["", "falsework", "compared with", "seeds", "commit"]
-    used = [run for _, runs in found for run in runs]
-    return markdown(heads, body) + "\n\n" + origin(used, [line.source for line, _ in found], page)
+    return _with_origin(["", "falsework", "compared with", "seeds", "commit"], body, HEADLINE, page)
+
+
+def large(page: Path) -> str:
+    """Return what plans of large structures take, and where none is found."""
+    body = []
+    for line in LARGE:
+        runs = line.runs()
+        found, tried = (sum(count(run) for run in runs) for count in (_plans, lambda run: len(run["seeds"])))
+        task = [str(line.where["criterion"]), str(line.where["robots"])]
+        effort = [fill_in(line.value, runs), fill_in("{memory_gib}", runs)]
+        body.append([line.subject, *task, f"{found} of {tried}", *effort, commits(runs), notes(runs)])
+    heads = ["structure", "criterion", "robots", "plans of seeds", "CPU time, s", "memory, GiB", "commit", "note"]
+    return _with_origin(heads, body, LARGE, page)
+
+
+def _plans(run: dict[str, Any]) -> int:
+    """Return how many plans a record stands for; a run of one seed says whether there is one."""
+    return int(run["found"])
+
+
+def _with_origin(heads: list[str], body: list[list[str]], lines: tuple[Line, ...], page: Path) -> str:
+    used = [run for line in lines for run in line.runs()]
+    return markdown(heads, body) + "\n\n" + origin(used, [line.source for line in lines], page)
+
+
+README_TABLES = {"headline": headline, "large": large}
