@@ -131,6 +131,28 @@ def test_rooms_import_without_optional_packages() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    "line",
+    ["train arch:blocks=3", "replan .", "evaluate .", "robots plan stack:blocks=2 --cell bottle-12 --policy ."],
+)
+def test_commands_that_need_torch_say_what_to_install(line: str, tmp_path: Path) -> None:
+    (tmp_path / "run.json").write_text('{"format": "falsework.run/2"}')
+    said = in_a_fresh_process(
+        "import contextlib, importlib.machinery as machinery, io, os\n"
+        f"os.chdir({str(tmp_path)!r})\n"
+        "find = machinery.PathFinder.find_spec\n"
+        "def without(name, path=None, target=None):\n"
+        "    return None if name.split('.')[0] == 'torch' else find(name, path, target)\n"
+        "machinery.PathFinder.find_spec = without\n"
+        "from falsework.cli.main import main\n"
+        "with contextlib.redirect_stderr(io.StringIO()) as error:\n"
+        f"    code = main({line.split()!r})\n"
+        "print(code, error.getvalue())\n"
+    )
+    assert said.startswith("2 falsework: ")
+    assert "needs torch; pip install 'falsework[learn]'" in said
+
+
 def imported_modules(text: str) -> list[str]:
     modules = []
     for node in ast.walk(ast.parse(text)):

@@ -176,7 +176,7 @@ class PlanRobots(Command):
     def _guide(self, assembly: Assembly, task: Task) -> Guide | None:
         if self.policy is None:
             return None
-        from falsework.learn.training.checkpoint import load_run
+        from falsework.learn import load_run  # says what to install where torch is missing
         from falsework.replanning.policy_guide import PolicyGuide
 
         return PolicyGuide(load_run(self.policy, assembly=assembly).policy, task=task)
