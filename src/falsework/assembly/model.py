@@ -242,8 +242,10 @@ class Assembly:
     ) -> Assembly:
         """Return the same parts with another name, boundary, density, friction, loads or joints; contacts are kept.
 
+        Arguments are given as to `from_meshes`; None keeps what the structure has.
+
         Raises:
-            AssemblyError: as `from_meshes`.
+            AssemblyError: as `from_meshes`, or loads or joints of another structure.
         """
         fixed = self.boundary if boundary is None else _boundary(boundary, self.meshes)
         if not fixed.any():

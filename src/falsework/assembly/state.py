@@ -95,6 +95,11 @@ def action_mask(states: States, boundary: Mask, robots: int) -> Mask:
 
     A part is held at most once, at most `robots` parts are held, and only a held part can be removed.
 
+    Args:
+        states: shape (batch, parts).
+        boundary: fixed parts, shape (parts,).
+        robots: parts that can be held at a time.
+
     Returns:
         Shape (batch, 2 parts); `[:, i]` hold part `i`, `[:, parts + i]` remove part `i`.
     """
@@ -120,6 +125,11 @@ def undo_mask(states: States, boundary: Mask, robots: int) -> Mask:
     """Return actions that can have led to each state, stability aside: the moves of assembly.
 
     Undoing a hold releases a held part; undoing a removal installs a part that a robot then holds.
+
+    Args:
+        states: shape (batch, parts).
+        boundary: fixed parts, shape (parts,).
+        robots: parts that can be held at a time.
 
     Returns:
         Shape (batch, 2 parts), indexed like `action_mask`.

@@ -47,6 +47,11 @@ def compas_of(assembly: Assembly, kind: CompasKind = "meshes") -> Any:
 def write_compas(path: Path | str, assembly: Assembly, kind: CompasKind = "meshes") -> None:
     """Write what `compas_of` makes, whole or not at all.
 
+    Args:
+        path: file to write.
+        assembly: the structure; its joints and loads are left out.
+        kind: as for `compas_of`.
+
     Raises:
         InputError: an unknown kind, or the file cannot be written.
     """

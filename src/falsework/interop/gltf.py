@@ -69,6 +69,13 @@ def write_gltf(
 ) -> None:
     """Write what `gltf_of` makes, whole or not at all.
 
+    Args:
+        path: file to write.
+        assembly: the structure.
+        plan: shown as an animation; None for the structure at rest.
+        kind: `glb`, one binary file, or `gltf`, JSON with its data in it.
+        step_seconds: duration of a step of the plan.
+
     Raises:
         PlanError: the plan is for another structure.
         InputError: an unknown kind, a step of no length, or the file cannot be written.

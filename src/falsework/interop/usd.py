@@ -65,6 +65,12 @@ def usd_of(assembly: Assembly, plan: Plan | None = None, *, step_seconds: float 
 def write_usd(path: Path | str, assembly: Assembly, plan: Plan | None = None, *, step_seconds: float = 1.0) -> None:
     """Write what `usd_of` makes, whole or not at all.
 
+    Args:
+        path: file to write.
+        assembly: the structure; its joints and loads are left out.
+        plan: shown as time samples; None for the structure at rest.
+        step_seconds: duration of a step of the plan.
+
     Raises:
         PlanError: the plan is for another structure.
         InputError: a step of no length, or the file cannot be written.

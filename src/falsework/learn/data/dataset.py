@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
@@ -157,7 +157,7 @@ def check_states(path: Path | str, arrays: Mapping[str, NDArray[Any]], parts: in
             raise InputError(f"{path} is damaged ({name} contains no states of {parts} parts); {remedy}")
 
 
-def task_for(assembly: Assembly, robots: int = 2, clearance: bool = False, fixed: Any = ()) -> Task:
+def task_for(assembly: Assembly, robots: int = 2, clearance: bool = False, fixed: Sequence[int] = ()) -> Task:
     """Return the task of complete disassembly that data sets and policies use.
 
     Args:

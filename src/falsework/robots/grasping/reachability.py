@@ -13,7 +13,7 @@ from falsework.assembly.model import Assembly
 from falsework.robots.cells.validate import overlap, shrunk
 from falsework.robots.grasping.grasp import Grasp, grasps
 from falsework.robots.kinematics.inverse import inverse
-from falsework.robots.model.cell import Cell
+from falsework.robots.model.cell import Cell, CellRobot
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.shapes import move, pose
 from falsework.robots.motion.collision_world import CollisionWorld, Scene, grasp_contact
@@ -122,6 +122,12 @@ def propose_bases(
 
     One robot after the other is tried on rings around the structure, facing its centre, with the others fixed.
     Check the result with `reach_table`, which includes collisions.
+
+    Args:
+        assembly: the structure.
+        cell: its robots, whose bases the search begins from.
+        parts: shapes of the parts in the cell.
+        report: called with the number of bases tried and of all.
     """
     ids = np.flatnonzero(~parts.boundary).tolist()
     held = [[_few(assembly, parts, part, robot) for part in ids] for robot in cell.robots]
@@ -161,7 +167,7 @@ def propose_bases(
     return BaseProposal(replace(cell, robots=robots), before, after, len(ids) * cell.robot_count)
 
 
-def _few(assembly: Assembly, parts: PartShapes, part: int, robot) -> list[Grasp]:
+def _few(assembly: Assembly, parts: PartShapes, part: int, robot: CellRobot) -> list[Grasp]:
     """Return a few grasps of a part, of different faces and rotations."""
     alone = parts.boundary.copy()
     alone[part] = True
@@ -188,6 +194,6 @@ def _stands_free(cell: Cell, robot: int, base: Array, others: list[Array], stand
     return not any(overlap(a, b) for a in own for b in stands)
 
 
-def _moved(robot, base: Array) -> Array:
+def _moved(robot: CellRobot, base: Array) -> Array:
     """Return the drop-off poses of a robot moved with its base."""
     return base @ np.linalg.inv(robot.base) @ robot.places if len(robot.places) else robot.places

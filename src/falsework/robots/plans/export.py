@@ -105,7 +105,13 @@ def export_plan(
 
 
 def joint_trajectory(plan: RobotPlan, robot: int, trajectory: Trajectory) -> dict[str, Any]:
-    """Return a `trajectory_msgs/JointTrajectory` message as plain values."""
+    """Return a `trajectory_msgs/JointTrajectory` message as plain values.
+
+    Args:
+        plan: the robot plan.
+        robot: number of the robot that moves.
+        trajectory: one of its trajectories.
+    """
     record = plan.robots[robot]
     return {
         "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": record.name},
