@@ -69,6 +69,7 @@ def pids(live: Any, kind: str) -> list[int]:
         (b'{"state": [2, 2, 2, 1, 1, 2, 2]}', ("3", "held")),
         (b'{"state": "half"}', ("complete", "empty")),
         (b'{"sate": "complete"}', ("sate",)),
+        (b'{"states": [[1, 1, 1, 1, 1, 2, 2]]}', ("there is no entry 'states'",)),
         (b'{"\\u001b[31m\\n": 1}', ()),
         (b'{"target": "complete", "direction": "disassembly", "state": "empty"}', ("part",)),
         (b'{"direction": "sideways"}', ("direction",)),
@@ -82,8 +83,8 @@ def test_malformed_requests_for_plans(content: bytes, hints: tuple[str, ...], li
 @pytest.mark.parametrize(
     ("content", "hints"),
     [
-        ({}, ("states",)),
-        ({"states": []}, ("states",)),
+        ({}, ("states: give a list of states",)),
+        ({"states": []}, ("states: give a list of states",)),
         ({"states": STATE}, ("states",)),
         ({"states": [STATE[:-1]]}, ("states 0", "7 values")),
         ({"states": [STATE, [1, 1, 1, 1, 1, 0, 2]]}, ("states 1", "boundary")),

@@ -183,11 +183,13 @@ def complaint(error: ValidationError, parts: int) -> str:
     place = [str(piece) for piece in first["loc"]]
     if not place:
         return f"the request is not a valid JSON object: {first['msg'][:_SHOWN]}; /docs says what it may hold"
+    if first["type"] == "extra_forbidden":
+        return f"there is no entry {ascii(place[0])[:_SHOWN]} in this request; /docs lists those that there are"
+    if place == ["states"]:
+        return f"states: give a list of states ({first['msg'][:_SHOWN]})"
     if place[0] in ("state", "target", "states"):
         where = f"states {place[1]}" if place[0] == "states" and len(place) > 1 else place[0]
         return f"{where}: give {parts} values 0 (removed), 1 (installed) or 2 (held), one a part, or complete or empty"
-    if first["type"] == "extra_forbidden":
-        return f"there is no entry {ascii(place[0])[:_SHOWN]} in this request; /docs lists those that there are"
     return f"{' '.join(place)[:_SHOWN]}: {first['msg'][:_SHOWN]}"
 
 
