@@ -147,6 +147,32 @@ def lacks_contact(work, pairs):
 
 
 @njit(cache=True)
+def move_far_parts(structure, state, near, work, contact, pairs, displacement):
+    """Load the springs between the parts that move in `near` and those that move in `state` only, by these.
+
+    Args:
+        structure, work, contact, pairs: as in `find_rest`, of the state `near`.
+        state, near: shape (parts,).
+        displacement: whitened, of all parts, shape (n, 6).
+    """
+    position, parts = structure.elimination.position, structure.pair_parts
+    ta, tb = structure.transfer_a, structure.transfer_b
+    for p in range(pairs):
+        q = work.pair[p]
+        a, b = parts[q, 0], parts[q, 1]
+        slot_a = position[a] if state[a] == 1 and near[a] != 1 else -1
+        slot_b = position[b] if state[b] == 1 and near[b] != 1 else -1
+        if slot_a < 0 and slot_b < 0:
+            continue
+        s0, s1, s2, s3, s4, s5 = pair_velocity(ta, tb, q, slot_a, slot_b, displacement)
+        for j in range(work.start[p], work.start[p + 1]):
+            d0, d1, d2 = point_velocity(work.basis, j, s0, s1, s2, s3, s4, s5)
+            contact.offset[j, 0] -= contact.normal[j] * d0
+            contact.offset[j, 1] -= contact.tangential[j] * d1
+            contact.offset[j, 2] -= contact.tangential[j] * d2
+
+
+@njit(cache=True)
 def settle_near(
     structure, contact_structure, state, parent, options, tolerance, work, contact, near, moved, displacement
 ):
@@ -166,27 +192,14 @@ def settle_near(
         return 0
     pairs, _ = restrict(structure, state, work)
     read_displacement(structure, contact_structure, work, displacement, moved)
-    order, position = structure.elimination.order, structure.elimination.position
+    order = structure.elimination.order
     for j in range(len(order)):
         if near[order[j]] == 1:
             for r in range(6):
                 moved[j, r] = 0.0
     pairs, _ = restrict(structure, near, work)
     place_contacts(structure, contact_structure, near, work, contact, pairs)
-    ta, tb, parts = structure.transfer_a, structure.transfer_b, structure.pair_parts
-    for p in range(pairs):
-        q = work.pair[p]
-        a, b = parts[q, 0], parts[q, 1]
-        slot_a = position[a] if state[a] == 1 and near[a] != 1 else -1
-        slot_b = position[b] if state[b] == 1 and near[b] != 1 else -1
-        if slot_a < 0 and slot_b < 0:
-            continue
-        s0, s1, s2, s3, s4, s5 = pair_velocity(ta, tb, q, slot_a, slot_b, moved)
-        for j in range(work.start[p], work.start[p + 1]):
-            d0, d1, d2 = point_velocity(work.basis, j, s0, s1, s2, s3, s4, s5)
-            contact.offset[j, 0] = -contact.normal[j] * d0
-            contact.offset[j, 1] = -contact.tangential[j] * d1
-            contact.offset[j, 2] = -contact.tangential[j] * d2
+    move_far_parts(structure, state, near, work, contact, pairs, moved)
     read_displacement(structure, contact_structure, work, displacement, contact.displacement)
     result, _, spent = find_rest(
         structure,

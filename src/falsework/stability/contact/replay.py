@@ -29,7 +29,7 @@ from falsework.utils.cores import core_count
 
 Array = NDArray[np.float64]
 
-_NEAR_STEPS, _WARM_STEPS = 16, 32
+_NEAR_STEPS, _WARM_STEPS = 32, 64
 """Newton iterations of the parts near a change with the others fixed, and then of the whole structure, before the
 whole is solved again from where it was."""
 _LONGER_STEP = 1e4

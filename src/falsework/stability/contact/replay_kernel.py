@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from falsework.stability.contact.kernel import NEAR_RINGS, lacks_contact
+from falsework.stability.contact.kernel import NEAR_RINGS, lacks_contact, move_far_parts
 from falsework.stability.contact.law import contact_force
 from falsework.stability.contact.newton import (
     MOVES_AWAY,
@@ -162,14 +162,19 @@ def settle_step(
     if lacks_contact(work, pairs):
         result, count = MOVES_AWAY, 0
     kept, free = hold_far_parts(structure, state, before, NEAR_RINGS, near)
+    guess = np.zeros((len(work.free), 6))  # parts move, and contacts slide, in each increment much as in the last
     for k in range(1, count + 1):
         share = 1.0 - k / count
         result = OPEN
-        contact.displacement[:] = 0.0
+        for j in range(len(guess)):
+            for r in range(6):
+                contact.displacement[j, r] = guess[j, r]
         if kept > 0 and 2 * kept <= free:
             pairs, _ = _load_history(
                 structure, contact_structure, near, work, contact, springs, torn, set_share, missing, share
             )
+            if k > 1:
+                move_far_parts(structure, state, near, work, contact, pairs, guess)
             result, residual, taken = find_rest(
                 structure,
                 contact_structure,
@@ -214,6 +219,9 @@ def settle_step(
                 VERDICT_PACE,
             )
             spent += taken
+        for j in range(len(guess)):
+            for r in range(6):
+                guess[j, r] = contact.displacement[j, r]
         _keep_history(structure, contact_structure, work, contact, pairs, displacement, springs, torn)
         if result != RESTS:
             break
