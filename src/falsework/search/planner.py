@@ -77,9 +77,8 @@ class Planner:
         self._replayer = replayer_of(oracle, settings)
         self._keeps = getattr(oracle, "keeps", None)
         self._forbidden, self._falls = self.states[:0], 0
-        self._guide = guide
-        edges_first = None if self._replayer is None else getattr(guide, "edges_first", None)
-        self._edge_guide: Guide | None = None if edges_first is None else edges_first(task)
+        self._edge_guide = self._preferring("edges_first", guide)
+        self._guide = self._preferring("beside_held", guide) or guide
         self._stage = "plan"
         self._attempt = 0
         self._beams: dict[str, AdaptiveBeam] = {}
@@ -352,6 +351,10 @@ class Planner:
         self._stage = "alternatives"
         if self.settings.alternatives == 1:
             self._finish()
+
+    def _preferring(self, what: str, guide: Guide | None) -> Guide | None:
+        """Return a heuristic of `SupportGuide` for tasks in which contact histories matter; None where it has none."""
+        return None if self._replayer is None else getattr(guide, what, lambda _: None)(self.task)
 
     def _beam_guide(self, beam: str) -> Guide | None:
         if beam == EDGES:

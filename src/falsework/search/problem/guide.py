@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import REMOVED, Mask, States
+from falsework.assembly.state import HELD, REMOVED, Mask, States
 from falsework.search.problem.edge_rows import edge_rows
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Direction, Task
@@ -26,6 +27,8 @@ _ROW, _STRICT_ROW = 0.3, 3.0
 for what is behind it, and with many, which would hold the ends of all these rows."""
 _FEWEST_ROBOTS, _MANY_ROBOTS = 3, 5
 """Robots from which on free edges are closed first, and from which on rows are."""
+_BESIDE_HELD = 0.15
+"""Shares of support that a place beside a held part counts as."""
 
 
 class Guide(Protocol):
@@ -93,8 +96,20 @@ class SupportGuide:
         """
         if task.robots < _FEWEST_ROBOTS or (task.target[~task.boundary] != REMOVED).any():
             return None
-        rows = edge_rows(self._pairs, self._boundary)
+        rows = self._rows
         return None if rows is None else EdgeGuide(self, rows, _STRICT_ROW if task.robots >= _MANY_ROBOTS else _ROW)
+
+    def beside_held(self, task: Task) -> BesideHeldGuide | None:
+        """Return a heuristic that prefers parts beside held ones; None where it is of no use for a task.
+
+        Rows behind free edges have an order of their own.
+        """
+        return None if task.neighbours is None or self._rows is not None else BesideHeldGuide(self, task.neighbours)
+
+    @cached_property
+    def _rows(self) -> NDArray[np.intp] | None:
+        """Row of each part, where there are rows behind free edges."""
+        return edge_rows(self._pairs, self._boundary)
 
     def _sparse(self, states: States) -> NDArray[np.float32]:
         """Return the shares of all parts; states of a level mostly differ from the first near a few parts only."""
@@ -117,6 +132,39 @@ class SupportGuide:
         for k in range(self._other.shape[1]):
             support += self._share[parts, k] * present[rows, self._other[parts, k]]
         return support
+
+
+class BesideHeldGuide:
+    """Heuristic that prefers parts beside those that robots hold, in assembly, on top of another heuristic.
+
+    A robot is free again once the parts around the one that it holds are there. Where these are left for later, robots
+    hold single parts for hundreds of steps while the others build elsewhere, until none is free.
+    """
+
+    def __init__(self, base: Guide, neighbours: Mask) -> None:
+        """Prefer parts beside others.
+
+        Args:
+            base: heuristic to add to.
+            neighbours: which movable parts are in contact, shape (parts, parts).
+        """
+        self._base = base
+        parts, count = len(neighbours), neighbours.sum(axis=1)
+        # Rows are filled up with a part that does not exist.
+        self._other = np.full((parts, int(count.max(initial=0))), parts, dtype=np.int64)
+        for part, others in enumerate(neighbours):
+            self._other[part, : count[part]] = np.flatnonzero(others)
+
+    def __call__(self, states: States, actions: Mask, direction: Direction) -> NDArray[np.floating]:
+        """See `Guide`."""
+        scores = self._base(states, actions, direction)
+        if direction is Direction.DISASSEMBLY:
+            return scores
+        batch, parts = states.shape
+        beside = np.zeros((batch, parts + 1), dtype=np.float32)
+        row, held = np.nonzero(states == HELD)  # supports too, which are beside nothing
+        beside[row[:, None], self._other[held]] = _BESIDE_HELD
+        return scores + np.concatenate([np.zeros_like(states, dtype=np.float32), beside[:, :parts]], axis=1)
 
 
 class EdgeGuide:
