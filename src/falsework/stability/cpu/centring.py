@@ -1,14 +1,16 @@
-"""Newton steps that keep contact forces inside their friction cones.
+"""Primal-dual steps that keep contact forces inside their friction cones.
 
 Many forces balance a state. Those on the boundaries of their cones, where ADMM leaves them, cannot take up much when a
-part is let go of, so that others far away have to change too. So of all forces in balance those in the middle are
-sought, at the minimum of
+part is let go of, so that others far away have to change too. So forces are kept inside their cones, by primal-dual
+steps for
 
-    sum of normal forces / (force level)  -  sum of log(distance of a force from each facet of its cone).
+    minimize  sum of normal forces / (force level)  -  sum of log(distance of a force from each facet of its cone)
 
-The first term bounds forces where parts are wedged. Those of a state near by are nearly in the middle, and some Newton
-steps near the difference, each with one factorization, lead to new ones. Steps need not reach the minimum: any forces
-in balance are a proof. Failure proves nothing.
+subject to balance. The first term bounds forces where parts are wedged. Any forces in balance are a proof, so steps end
+at the first ones, far from the minimum: they mostly follow the shortest change of forces, in the metric of the second
+derivative, and go a small share of the way to the middle. Each contact goes as far along a step as its own cone allows.
+A common length would be that of the worst contact, often a tenth; what the contacts that stopped leave out of balance is
+left to the next step. Failure proves nothing.
 """
 
 from __future__ import annotations
@@ -28,20 +30,16 @@ _X = np.array([math.cos((k + 0.5) * math.pi / 4) for k in range(8)])
 _Y = np.array([math.sin((k + 0.5) * math.pi / 4) for k in range(8)])
 _NEAR = math.cos(math.pi / 8)
 """Distance of the facets of the octagon from its axis; it lies inside the quadratic cone."""
-_BACK_OFF = 0.9
-"""Share of the way to the nearest facet that a step takes at most."""
 _RIDGE = 1e-14
 """Added to the diagonal of the matrix, as a share of its mean; what it leaves out of balance grows with it."""
-_LEAST = 0.02
-"""Least normal force at the start, in force levels ..."""
-_INSIDE = 0.9
-"""... and largest tangential force then, as a share of what friction allows."""
-_SHORT, _SHORT_STEPS = 0.05, 4
-"""So many steps, one after the other, below this share of a Newton step end the search."""
+ATTEMPTS = np.array([[0.7, 0.01, 0.5, 0.2], [0.4, 0.002, 0.5, 0.2]])
+"""Settings of attempts: a quick one, and one that fails in fewer states. Columns: largest share of the way to the
+nearest facet in a step; share of the way to the middle of the cones; and at the start the largest tangential force, as a
+share of what friction allows, and the least normal force in force levels."""
 
 
 @njit(fastmath=FAST, cache=True)
-def _move_inside(structure, work, pairs, level):
+def _move_inside(structure, work, pairs, level, inside, small):
     """Raise normal forces until all forces lie inside their cones; new contacts share what is not in balance."""
     z, mu, scale, start, slot_a, slot_b = work.z, work.friction, work.force_scale, work.start, work.slot_a, work.slot_b
     residual, new = work.residual, work.velocity
@@ -67,21 +65,23 @@ def _move_inside(structure, work, pairs, level):
         if slot_b[p] >= 0:
             share = max(share, new[slot_b[p], 1])
         for j in range(start[p], start[p + 1]):
-            least = max(_LEAST * level / scale[j], share if z[j, 0] == 0.0 else 0.0)
+            least = max(small * level / scale[j], share if z[j, 0] == 0.0 else 0.0)
             side = math.sqrt(z[j, 1] * z[j, 1] + z[j, 2] * z[j, 2]) / (mu[j] * _NEAR)
-            z[j, 0] = max(z[j, 0], least, side / _INSIDE)
+            z[j, 0] = max(z[j, 0], least, side / inside)
 
 
 @njit(fastmath=FAST, cache=True)
-def _assemble(structure, work, pairs, level):
+def _assemble(structure, work, pairs, level, first, centring):
     """Write the Newton system: its matrix, and its right-hand side from `work.residual` to `work.rhs`.
 
-    The inverse of the second derivative at each contact point goes to `work.weights`, and minus its product with the
-    first to `work.slacks`. Unknown are velocities; forces change by the latter, less the former times the strains.
+    Multipliers of the facets are in `work.weights`; at the `first` step they are set. The inverse of the second
+    derivative at each contact point goes to `work.weight_steps`, and minus its product with the first, times the share
+    of centring, to `work.slacks`. Unknown are velocities; forces change by the latter, less the former times the
+    strains.
     """
     basis, start, z, mu, scale = work.basis, work.start, work.z, work.friction, work.force_scale
     free, rhs = work.free, work.rhs
-    metric, pull = work.weights, work.slacks
+    multiplier, metric, pull = work.weights, work.weight_steps, work.slacks
     points, total = start[pairs], 0.0
     for j in range(points):
         n, x, y = z[j, 0], z[j, 1], z[j, 2]
@@ -90,16 +90,19 @@ def _assemble(structure, work, pairs, level):
         g0, g1, g2 = scale[j] / level, 0.0, 0.0
         for k in range(8):
             e = 1.0 / (m * n - _X[k] * x - _Y[k] * y)
+            if first:
+                multiplier[j, k] = e
             a0, a1, a2 = m * e, -_X[k] * e, -_Y[k] * e
             g0 -= a0
             g1 -= a1
             g2 -= a2
-            h00 += a0 * a0
-            h01 += a0 * a1
-            h02 += a0 * a2
-            h11 += a1 * a1
-            h12 += a1 * a2
-            h22 += a2 * a2
+            s = multiplier[j, k]
+            h00 += s * m * a0
+            h01 += s * m * a1
+            h02 += s * m * a2
+            h11 -= s * _X[k] * a1
+            h12 -= s * _X[k] * a2
+            h22 -= s * _Y[k] * a2
         c00, c01, c02 = h11 * h22 - h12 * h12, h02 * h12 - h01 * h22, h01 * h12 - h02 * h11
         inverse = 1.0 / (h00 * c00 + h01 * c01 + h02 * c02)
         w00, w01, w02 = c00 * inverse, c01 * inverse, c02 * inverse
@@ -108,6 +111,7 @@ def _assemble(structure, work, pairs, level):
         w22 = (h00 * h11 - h01 * h01) * inverse
         metric[j, 0], metric[j, 1], metric[j, 2] = w00, w01, w02
         metric[j, 3], metric[j, 4], metric[j, 5] = w11, w12, w22
+        g0, g1, g2 = centring * g0, centring * g1, centring * g2
         pull[j, 0] = -(w00 * g0 + w01 * g1 + w02 * g2)
         pull[j, 1] = -(w01 * g0 + w11 * g1 + w12 * g2)
         pull[j, 2] = -(w02 * g0 + w12 * g1 + w22 * g2)
@@ -129,59 +133,62 @@ def _assemble(structure, work, pairs, level):
 
 
 @njit(fastmath=FAST, cache=True)
-def _advance(structure, work, pairs):
-    """Step the forces in `work.z` along the velocities in `work.rhs`; return the share of the Newton step taken."""
-    z, v, mu, metric, step = work.z, work.v, work.friction, work.weights, work.slacks
+def _advance(structure, work, pairs, back_off, centring):
+    """Step forces in `work.z` along the velocities in `work.rhs`, and multipliers; each contact as far as it may go."""
+    z, v, mu, multiplier = work.z, work.v, work.friction, work.weights
+    metric, pull, step = work.weight_steps, work.slacks, np.empty(8)
     strains(structure, work, pairs, work.rhs)
-    reach = 1.0 / _BACK_OFF
     for j in range(work.start[pairs]):
         w00, w01, w02 = metric[j, 0], metric[j, 1], metric[j, 2]
         w11, w12, w22 = metric[j, 3], metric[j, 4], metric[j, 5]
-        d0 = step[j, 0] - w00 * v[j, 0] - w01 * v[j, 1] - w02 * v[j, 2]
-        d1 = step[j, 1] - w01 * v[j, 0] - w11 * v[j, 1] - w12 * v[j, 2]
-        d2 = step[j, 2] - w02 * v[j, 0] - w12 * v[j, 1] - w22 * v[j, 2]
-        step[j, 0], step[j, 1], step[j, 2] = d0, d1, d2
-        m = mu[j] * _NEAR
+        d0 = pull[j, 0] - w00 * v[j, 0] - w01 * v[j, 1] - w02 * v[j, 2]
+        d1 = pull[j, 1] - w01 * v[j, 0] - w11 * v[j, 1] - w12 * v[j, 2]
+        d2 = pull[j, 2] - w02 * v[j, 0] - w12 * v[j, 1] - w22 * v[j, 2]
+        m, reach, dual_reach = mu[j] * _NEAR, 1.0 / back_off, 1.0 / back_off
         for k in range(8):
+            distance = m * z[j, 0] - _X[k] * z[j, 1] - _Y[k] * z[j, 2]
             fall = _X[k] * d1 + _Y[k] * d2 - m * d0
+            s = multiplier[j, k]
+            step[k] = (centring * (1.0 - s * distance) + s * fall) / distance
             if fall > 0.0:
-                reach = min(reach, (m * z[j, 0] - _X[k] * z[j, 1] - _Y[k] * z[j, 2]) / fall)
-    share = _BACK_OFF * reach
-    for j in range(work.start[pairs]):
-        for k in range(3):
-            z[j, k] += share * step[j, k]
-    return share
+                reach = min(reach, distance / fall)
+            if step[k] < 0.0:
+                dual_reach = min(dual_reach, -s / step[k])
+        for k in range(8):
+            multiplier[j, k] += back_off * dual_reach * step[k]
+        share = back_off * reach
+        z[j, 0] += share * d0
+        z[j, 1] += share * d1
+        z[j, 2] += share * d2
 
 
 @njit(fastmath=FAST, cache=True)
-def run_centring(structure, work, pairs, options, steps, level):
-    """Balance the forces in `work.z` by Newton steps inside their cones.
+def run_centring(structure, work, pairs, options, steps, level, settings):
+    """Balance the forces in `work.z` by primal-dual steps inside their cones.
 
     Args:
         structure, work, pairs, options: as for `run_admm`.
         steps: most steps.
         level: force in N that contacts without need of it take up, about.
+        settings: a row of `ATTEMPTS`.
 
     Returns:
         Verdict and steps taken.
     """
     lay_out_panels(structure, work.free, work.panels)
     check_primal(structure, work, pairs, work.z, options, work.residual)
-    _move_inside(structure, work, pairs, level)
-    symmetric, short = pairs >= 0, 0  # the former no literal, which numba would compile separately
+    _move_inside(structure, work, pairs, level, settings[2], settings[3])
+    symmetric = pairs >= 0  # no literal, which numba would compile separately
     check_primal(structure, work, pairs, work.z, options, work.residual)
     for step in range(1, steps + 1):
-        _assemble(structure, work, pairs, level)
+        _assemble(structure, work, pairs, level, step == 1, settings[1])
         if not factor_panels(structure.elimination.supernode, work.panels, symmetric):
             return UNDECIDED, step
         solve_panels(work.panels, work.rhs, symmetric)
         if not dot(work, work.rhs, work.rhs) < np.inf:
             return UNDECIDED, step
-        share = _advance(structure, work, pairs)
+        _advance(structure, work, pairs, settings[0], settings[1])
         residual = check_primal(structure, work, pairs, work.z, options, work.residual)
         if residual < (1.0 - MARGIN) * options.tolerance:
             return STABLE, step
-        short = short + 1 if share < _SHORT else 0
-        if short == _SHORT_STEPS:
-            return UNDECIDED, step
     return UNDECIDED, steps

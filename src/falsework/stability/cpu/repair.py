@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from falsework.stability.cpu.admm import factor_admm, run_admm
-from falsework.stability.cpu.centring import run_centring
+from falsework.stability.cpu.centring import ATTEMPTS, run_centring
 from falsework.stability.cpu.cones import project_joint
 from falsework.stability.cpu.interior_point import run_interior
 from falsework.stability.cpu.layout import (
@@ -39,8 +39,8 @@ _CENTRED_RINGS = np.array([2, 4, 8, 16])
 """The former where forces lie inside their cones."""
 _CENTRED_CORRIDORS = np.array([9, 18])
 """The latter."""
-_NEAR_STEPS, _ALL_STEPS = 12, 30
-"""Most Newton steps in a region, and in the whole."""
+_NEAR_STEPS, _ALL_STEPS = 12, 40
+"""Most steps in a region, and in the whole."""
 _ROUNDING = 1e-12
 """Distance of forces from their cones, as a share of them, that is left to rounding."""
 
@@ -186,7 +186,8 @@ def repair_state(structure, state, parent, rings, corridors, options, along, war
 def centre_state(structure, state, parent, options, work, near, forces):
     """Balance a state with forces of its parent inside their cones, which change only near their difference.
 
-    Regions are tried in turn, the whole last; each begins with what the one before has reached.
+    Regions are tried in turn, the whole last and twice; each begins with the forces of the parent, or with what balances
+    a region before.
 
     Args:
         structure, options, work: `KernelArrays`, `Options` and `Scratch`.
@@ -195,7 +196,7 @@ def centre_state(structure, state, parent, options, work, near, forces):
         forces: in: contact forces in N that balance the parent; out: of the state if it is stable. Shape (points, 3).
 
     Returns:
-        `STABLE` or `UNDECIDED`; residual; Newton steps.
+        `STABLE` or `UNDECIDED`; residual; steps.
     """
     bound, taken = (1.0 - MARGIN) * options.tolerance, 0
     residual = _accept_forces(structure, state, options, work.residual, forces)
@@ -204,8 +205,9 @@ def centre_state(structure, state, parent, options, work, near, forces):
     level = structure.weight / len(state)
     rings, corridors = len(_CENTRED_RINGS), len(_CENTRED_CORRIDORS)
     kept, free = 0, 0
-    for k in range(rings + corridors + 1):
-        whole = k == rings + corridors
+    for k in range(rings + corridors + len(ATTEMPTS)):
+        whole = k >= rings + corridors
+        most, settings = _ALL_STEPS if whole else _NEAR_STEPS, ATTEMPTS[max(0, k - rings - corridors)]
         if k < rings:
             kept, free = hold_far_parts(structure, state, parent, _CENTRED_RINGS[k], near)
         elif not whole:
@@ -224,11 +226,11 @@ def centre_state(structure, state, parent, options, work, near, forces):
             if not grounded:
                 continue
         load_forces(structure, work, pairs, forces, work.z)
-        verdict, steps = run_centring(structure, work, pairs, options, _ALL_STEPS if whole else _NEAR_STEPS, level)
+        verdict, steps = run_centring(structure, work, pairs, options, most, level, settings)
         taken += steps
-        store_forces(structure, work, pairs, forces)
         if verdict != STABLE:
             continue
+        store_forces(structure, work, pairs, forces)
         residual = _accept_forces(structure, state, options, work.residual, forces)
         if residual < bound:
             return STABLE, residual, taken

@@ -152,6 +152,8 @@ class CpuSolver:
                 near = beside, known[rows], self._rings, self._corridors, self._around, self._along, warm, centred
                 if known[rows].any() and not repair_range(*kernel, *near, force, *found):
                     return
+            if centred and known[rows].all():  # what is left open takes long and mostly stays open
+                return
             if not centred:  # whose forces would lie on the boundaries of cones
                 solve_range(*kernel, self._from_forces if warm else self._options, force, motion, warm, *found)
             left = found[0] == UNDECIDED
