@@ -9,8 +9,8 @@ steps for
 subject to balance. The first term bounds forces where parts are wedged. Any forces in balance are a proof, so steps end
 at the first ones, far from the minimum: they mostly follow the shortest change of forces, in the metric of the second
 derivative, and go a small share of the way to the middle. Each contact goes as far along a step as its own cone allows.
-A common length would be that of the worst contact, often a tenth; what the contacts that stopped leave out of balance is
-left to the next step. Failure proves nothing.
+A common length would be that of the worst contact, often a tenth; what contacts that stop leave out of balance is left
+to the next step. Failure proves nothing.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ _RIDGE = 1e-14
 """Added to the diagonal of the matrix, as a share of its mean; what it leaves out of balance grows with it."""
 ATTEMPTS = np.array([[0.7, 0.01, 0.5, 0.2], [0.4, 0.002, 0.5, 0.2]])
 """Settings of attempts: a quick one, and one that fails in fewer states. Columns: largest share of the way to the
-nearest facet in a step; share of the way to the middle of the cones; and at the start the largest tangential force, as a
-share of what friction allows, and the least normal force in force levels."""
+nearest facet in a step; share of the way to the middle of the cones; and at the start the largest tangential force, as
+a share of what friction allows, and the least normal force in force levels."""
 
 
 @njit(fastmath=FAST, cache=True)

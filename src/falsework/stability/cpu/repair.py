@@ -186,8 +186,8 @@ def repair_state(structure, state, parent, rings, corridors, options, along, war
 def centre_state(structure, state, parent, options, work, near, forces):
     """Balance a state with forces of its parent inside their cones, which change only near their difference.
 
-    Regions are tried in turn, the whole last and twice; each begins with the forces of the parent, or with what balances
-    a region before.
+    Regions are tried in turn, the whole last and twice; each begins with the forces of the parent, or with those that
+    balance a region before.
 
     Args:
         structure, options, work: `KernelArrays`, `Options` and `Scratch`.
