@@ -148,17 +148,13 @@ def large(page: Path) -> str:
     body = []
     for line in LARGE:
         runs = line.runs()
-        found, tried = (sum(count(run) for run in runs) for count in (_plans, lambda run: len(run["seeds"])))
+        found = sum(int(run["found"]) for run in runs)  # of one seed, whether there is a plan
+        tried = sum(len(run["seeds"]) for run in runs)
         task = [str(line.where["criterion"]), str(line.where["robots"])]
         effort = [fill_in(line.value, runs), fill_in("{memory_gib}", runs)]
         body.append([line.subject, *task, f"{found} of {tried}", *effort, commits(runs), notes(runs)])
     heads = ["structure", "criterion", "robots", "plans of seeds", "CPU time, s", "memory, GiB", "commit", "note"]
     return _with_origin(heads, body, LARGE, page)
-
-
-def _plans(run: dict[str, Any]) -> int:
-    """Return how many plans a record stands for; a run of one seed says whether there is one."""
-    return int(run["found"])
 
 
 def _with_origin(heads: list[str], body: list[list[str]], lines: tuple[Line, ...], page: Path) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from operator import index
 from typing import Any
 
@@ -31,11 +32,9 @@ def part_ids(parts: Sequence[int | str], names: Sequence[str], what: str) -> tup
     Raises:
         InputError: no list, an entry that is neither, or a name that no part has.
     """
-    try:
-        listed = () if isinstance(parts, str) else tuple(parts)
-        ids = [part_id(part, names, f"{what} is part") if isinstance(part, str) else index(part) for part in listed]
-    except TypeError:
-        ids = None
-    if ids is None or isinstance(parts, str):
-        raise InputError(f"{what} parts are {parts!r}; give a list of part numbers or names, such as [3, 4]")
-    return tuple(ids)
+    if not isinstance(parts, str):
+        with suppress(TypeError):
+            return tuple(
+                part_id(part, names, f"{what} is part") if isinstance(part, str) else index(part) for part in parts
+            )
+    raise InputError(f"{what} parts are {parts!r}; give a list of part numbers or names, such as [3, 4]")

@@ -148,23 +148,17 @@ class BesideHeldGuide:
             base: heuristic to add to.
             neighbours: which movable parts are in contact, shape (parts, parts).
         """
-        self._base = base
-        parts, count = len(neighbours), neighbours.sum(axis=1)
-        # Rows are filled up with a part that does not exist.
-        self._other = np.full((parts, int(count.max(initial=0))), parts, dtype=np.int64)
-        for part, others in enumerate(neighbours):
-            self._other[part, : count[part]] = np.flatnonzero(others)
+        self._base, self._neighbours = base, neighbours
 
     def __call__(self, states: States, actions: Mask, direction: Direction) -> NDArray[np.floating]:
         """See `Guide`."""
         scores = self._base(states, actions, direction)
         if direction is Direction.DISASSEMBLY:
             return scores
-        batch, parts = states.shape
-        beside = np.zeros((batch, parts + 1), dtype=np.float32)
-        row, held = np.nonzero(states == HELD)  # supports too, which are beside nothing
-        beside[row[:, None], self._other[held]] = _BESIDE_HELD
-        return scores + np.concatenate([np.zeros_like(states, dtype=np.float32), beside[:, :parts]], axis=1)
+        preferred = np.zeros(actions.shape, dtype=np.float32)
+        for row, state in enumerate(states):  # supports are held too, but beside nothing
+            preferred[row, states.shape[1] :][self._neighbours[state == HELD].any(axis=0)] = _BESIDE_HELD
+        return scores + preferred
 
 
 class EdgeGuide:

@@ -142,17 +142,18 @@ class CpuSolver:
             chosen, motion, force, warm = states[rows], velocity[rows], forces[rows], guess is not None
             kernel, before = (self.structure, chosen), force
             centred = self._centred and warm and parents is not None
+            only_centred = centred and bool(known[rows].all())
             if parents is not None:
                 beside = parents[rows]
                 # Proofs along a plan are requested for stable states.
                 along = certificates and guess is not None
                 if not along and not fall_range(*kernel, beside, RINGS, self._options, motion, *found):
                     return
-                before = force.copy() if self._larger else force  # repairs write to `force`
+                before = force.copy() if self._larger and not only_centred else force  # repairs write to `force`
                 near = beside, known[rows], self._rings, self._corridors, self._around, self._along, warm, centred
                 if known[rows].any() and not repair_range(*kernel, *near, force, *found):
                     return
-            if centred and known[rows].all():  # what is left open takes long and mostly stays open
+            if only_centred:  # what is left open takes long and mostly stays open
                 return
             if not centred:  # whose forces would lie on the boundaries of cones
                 solve_range(*kernel, self._from_forces if warm else self._options, force, motion, warm, *found)
