@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import INSTALLED, Mask, States
 from falsework.stability.cpu.centring import assemble, limit_step, move_inside, run_centring
-from falsework.stability.cpu.elimination import lay_out_panels
+from falsework.stability.cpu.elimination import lay_out_panels, make_panels
 from falsework.stability.cpu.interior_point import strains
 from falsework.stability.cpu.layout import (
     FAST,
@@ -25,6 +25,7 @@ from falsework.stability.cpu.layout import (
     load_forces,
     make_scratch,
     restrict,
+    scratch_with,
     store_forces,
 )
 from falsework.stability.cpu.neighbourhood import changed_parts, measure_ways
@@ -152,15 +153,22 @@ def _take_chord_steps(structure, state, factored, reference, pairs, options, wor
 
 
 @njit(cache=True)
+def _copy(source, target):
+    for j in range(len(source)):
+        for i in range(3):
+            target[j, i] = source[j, i]
+
+
+@njit(cache=True)
 def _chord_state(structure, state, parent, factored, reference, pairs, options, work, forces):
     """Balance a state with forces of its parent; see `chord_range`. Returns whether it is, residual, steps near by."""
     order, bound, taken = structure.elimination.order, (1.0 - MARGIN) * options.tolerance, 0
     parts = len(state)
     seeds, free, held = np.empty(parts, np.int32), np.empty(parts, np.uint8), np.empty(parts, np.uint8)
-    velocity, trial = np.empty((parts, 6)), np.empty_like(forces)
-    for ring in CHORD_RINGS:
-        trial[:] = forces
-        count, rings = changed_parts(state, parent, seeds), ring
+    velocity, trial = np.empty((parts, 6)), np.empty((len(forces), 3))
+    for k in range(len(CHORD_RINGS)):
+        _copy(forces, trial)
+        count, rings = changed_parts(state, parent, seeds), CHORD_RINGS[k]
         for _ in range(1 + _FOLLOWINGS):
             near, steps = _balance_near(
                 structure, state, seeds, count, rings, factored, options, work, free, held, trial
@@ -172,7 +180,7 @@ def _chord_state(structure, state, parent, factored, reference, pairs, options, 
                 structure, state, factored, reference, pairs, options, work, velocity, trial
             )
             if good:
-                forces[:] = trial
+                _copy(trial, forces)
                 return True, residual, taken
             count, rings = 0, _FOLLOWING_RING
             for j in range(parts):
@@ -253,7 +261,8 @@ class FactoredState:
         if not _all_free(states, parents[0]):
             return False
         if self._scratch is None:
-            self._scratch = make_scratch(self._structure)
+            panels = make_panels.py_func(self._structure.elimination, len(self._structure.pair_parts))
+            self._scratch = scratch_with.py_func(self._structure, panels)
         self._state = parents[0].copy()
         self._pairs = factor_state(self._structure, self._state, forces[0], self._options, self._scratch)
         return self._pairs > 0
