@@ -353,8 +353,9 @@ class Planner:
             self._finish()
 
     def _preferring(self, what: str, guide: Guide | None) -> Guide | None:
-        """Return a heuristic of `SupportGuide` for tasks in which contact histories matter; None where it has none."""
-        return None if self._replayer is None else getattr(guide, what, lambda _: None)(self.task)
+        """Return a heuristic of `SupportGuide`; None where it has none, or histories matter and are not kept."""
+        known = self._replayer is not None or self.task.holds_keep_stable
+        return getattr(guide, what, lambda _: None)(self.task) if known else None
 
     def _beam_guide(self, beam: str) -> Guide | None:
         if beam == EDGES:

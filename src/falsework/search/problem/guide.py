@@ -27,6 +27,8 @@ _ROW, _STRICT_ROW = 0.3, 3.0
 for what is behind it, and with many, which would hold the ends of all these rows."""
 _FEWEST_ROBOTS, _MANY_ROBOTS = 3, 5
 """Robots from which on free edges are closed first, and from which on rows are."""
+_LARGE = 1000
+"""Parts from which free edges are closed first under `equilibrium`."""
 _BESIDE_HELD = 0.15
 """Shares of support that a place beside a held part counts as."""
 
@@ -91,20 +93,24 @@ class SupportGuide:
     def edges_first(self, task: Task) -> EdgeGuide | None:
         """Return a heuristic that closes free edges first; None where it is of no use for a task.
 
-        Two robots are too few to close the edge of a large shell before anything else, and an edge that stands already
-        need not be closed.
+        Where contact histories matter, two robots are too few to close the edge of a large shell before anything else.
+        Under `equilibrium`, where they do not, smaller shells need no such order. An edge that stands already need not
+        be closed.
         """
-        if task.robots < _FEWEST_ROBOTS or (task.target[~task.boundary] != REMOVED).any():
+        in_vain = task.part_count < _LARGE if task.holds_keep_stable else task.robots < _FEWEST_ROBOTS
+        if in_vain or (task.target[~task.boundary] != REMOVED).any():
             return None
-        rows = self._rows
-        return None if rows is None else EdgeGuide(self, rows, _STRICT_ROW if task.robots >= _MANY_ROBOTS else _ROW)
+        rows, strict = self._rows, task.holds_keep_stable or task.robots >= _MANY_ROBOTS
+        return None if rows is None else EdgeGuide(self, rows, _STRICT_ROW if strict else _ROW)
 
     def beside_held(self, task: Task) -> BesideHeldGuide | None:
         """Return a heuristic that prefers parts beside held ones; None where it is of no use for a task.
 
-        Rows behind free edges have an order of their own.
+        It is meant for contact histories, and rows behind free edges have an order of their own.
         """
-        return None if task.neighbours is None or self._rows is not None else BesideHeldGuide(self, task.neighbours)
+        if task.neighbours is None or task.holds_keep_stable or self._rows is not None:
+            return None
+        return BesideHeldGuide(self, task.neighbours)
 
     @cached_property
     def _rows(self) -> NDArray[np.intp] | None:

@@ -165,7 +165,7 @@ def _chord_state(structure, state, parent, factored, reference, pairs, options, 
     order, bound, taken = structure.elimination.order, (1.0 - MARGIN) * options.tolerance, 0
     parts = len(state)
     seeds, free, held = np.empty(parts, np.int32), np.empty(parts, np.uint8), np.empty(parts, np.uint8)
-    velocity, trial = np.empty((parts, 6)), np.empty((len(forces), 3))
+    velocity, trial = np.empty((len(order), 6)), np.empty((len(forces), 3))
     for k in range(len(CHORD_RINGS)):
         _copy(forces, trial)
         count, rings = changed_parts(state, parent, seeds), CHORD_RINGS[k]
@@ -183,7 +183,7 @@ def _chord_state(structure, state, parent, factored, reference, pairs, options, 
                 _copy(trial, forces)
                 return True, residual, taken
             count, rings = 0, _FOLLOWING_RING
-            for j in range(parts):
+            for j in range(len(order)):
                 part = order[j]
                 if state[part] == 1 and residual_of_part(structure, part, work.residual, j) > 0.5 * bound:
                     seeds[count] = part
