@@ -36,14 +36,12 @@ from falsework.stability.contact.kernel import rest_range
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.replay_kernel import replay_range
 from falsework.stability.contact.solver import ContactSolver
-from falsework.stability.cpu.chord import FactoredState, chord_range, factor_state
 from falsework.stability.cpu.kernel import solve_range
 from falsework.stability.cpu.neighbourhood import fall_range
 from falsework.stability.cpu.repair import repair_range
-from falsework.stability.cpu.solver import CpuSolver, kernel_options
+from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.margins.kernel import rest_under
 from falsework.stability.problem import build_problem
-from falsework.stability.settings import EQUILIBRIUM
 from falsework.utils import bits
 from falsework.utils.kernel_code import ARCHIVE, PACKAGE, digest
 from falsework.utils.kernels import Kernel, flatten
@@ -53,7 +51,6 @@ from falsework.viewer.pictures.render import Camera, ColoredSolid, render
 GROUPS = {
     "contact": (rest_range, replay_range),
     "equilibrium": (fall_range, repair_range, solve_range),
-    "large": (chord_range, factor_state),
     "margins": (rest_under,),
     "motion": (
         collision._distance,
@@ -124,13 +121,7 @@ def record() -> dict[str, tuple[Any, ...]]:
         solver = ContactSolver(assembly, problem, settings)
         solver.check(states)
         solver.check(states, certificates=False, parents=states)  # looks for parts that fall nearby first
-        equilibrium = CpuSolver(problem)
-        forces = np.ones((2, problem.points, 3))
-        equilibrium.check(states, parents=states, guess=forces)  # repairs forces
-        factored = FactoredState(equilibrium.structure, kernel_options(EQUILIBRIUM))
-        factored.prepare(states, states, forces)
-        found = np.zeros(2, np.int8), np.zeros(2), np.zeros(2, np.int32)
-        factored.balance(states, states, np.ones(2, bool), forces, *found)
+        CpuSolver(problem).check(states, parents=states, guess=np.ones((2, problem.points, 3)))  # repairs forces
         Replayer(assembly).replay(states)
         prober = Stability(assembly).prober
         prober.ask(states[0], prober.own())

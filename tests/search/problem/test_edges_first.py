@@ -13,11 +13,13 @@ from falsework.assembly.state import complete_state
 from falsework.search import PlannerSettings, find_plans
 from falsework.search.find import task_of
 from falsework.search.planner import Planner
+from falsework.search.problem import guide as guides
 from falsework.search.problem.edge_rows import edge_rows
 from falsework.search.problem.guide import SupportGuide
 from falsework.search.problem.task import Direction
 from falsework.search.settings import EDGES
 from falsework.stability import Stability
+from falsework.stability.settings import EQUILIBRIUM
 
 _LENGTH, _COURSES = 12, 13
 
@@ -83,6 +85,25 @@ def test_two_robots_and_standing_parts_leave_the_guide_as_it_is(vault: Assembly)
     target = complete_state(vault.boundary)
     target[np.flatnonzero(~vault.boundary)[3:]] = 0
     assert guide.edges_first(task_of(vault, 3, target=target)) is None
+
+
+def test_two_robots_build_a_large_vault_from_its_edges_under_equilibrium(
+    vault: Assembly, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    oracle = Stability(vault, EQUILIBRIUM)
+    task = task_of(vault, 2).judged_by(oracle)
+    assert SupportGuide(vault).edges_first(task) is None  # not in small ones
+    monkeypatch.setattr(guides, "_LARGE", vault.part_count)
+    assert SupportGuide(vault).edges_first(task) is not None
+    assert SupportGuide(vault).edges_first(task_of(vault, 2)) is None  # contact histories matter
+    planning = find_plans(vault, robots=2, oracle=oracle, forces=False)
+    assert planning.found
+    placed = (planning.plans[0].assembly_states != 0).argmax(axis=0)
+    rows = edge_rows(vault.contacts.parts, vault.boundary)
+    assert rows is not None
+    free = ~vault.boundary
+    means = [placed[free & (rows == row)].mean() for row in range(rows.max() + 1)]
+    assert (np.diff(means) > 0).all()
 
 
 def test_the_beam_that_closes_edges_comes_first_and_dies_a_few_times_at_most() -> None:

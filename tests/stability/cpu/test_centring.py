@@ -12,7 +12,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, complete_state
 from falsework.stability import Stability, Verdict, Verdicts, verify_certificates
 from falsework.stability.cpu import solver as cpu_solver
-from falsework.stability.cpu.repair import CENTRED_FAR, CENTRED_NEAR, CORRIDORS, REPAIR_RINGS, repair_range
+from falsework.stability.cpu.repair import CORRIDORS, REPAIR_RINGS, repair_range
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.problem import build_problem
 from falsework.stability.settings import EQUILIBRIUM, Cone
@@ -24,8 +24,7 @@ def _centre(solver: CpuSolver, states: NDArray, parents: NDArray, forces: NDArra
     verdict, residual = np.zeros(len(states), np.int8), np.full(len(states), np.nan)
     counts, out = np.zeros((2, len(states)), np.int32), forces.copy()
     kernel = solver.structure, states, parents, np.ones(len(states), dtype=bool), REPAIR_RINGS, CORRIDORS
-    for how in (CENTRED_NEAR, CENTRED_FAR):
-        repair_range(*kernel, solver._options, solver._along, True, how, out, verdict, residual, *counts)
+    repair_range(*kernel, solver._options, solver._along, True, True, out, verdict, residual, *counts)
     return verdict == Verdict.STABLE, out
 
 

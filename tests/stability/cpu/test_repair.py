@@ -10,7 +10,7 @@ from falsework.assembly.state import HELD, INSTALLED, complete_state
 from falsework.stability import Stability, Verdict, verify_certificates
 from falsework.stability.cpu.layout import add_wrenches, make_scratch, restrict
 from falsework.stability.cpu.neighbourhood import hold_beside_corridor
-from falsework.stability.cpu.repair import CORRIDORS, NOT_CENTRED, REPAIR_RINGS, repair_range
+from falsework.stability.cpu.repair import CORRIDORS, REPAIR_RINGS, repair_range
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.cpu.units import scale_units
 from falsework.stability.problem import build_problem
@@ -26,7 +26,7 @@ def test_repaired_forces_prove_the_state(vault: Assembly, released: tuple[NDArra
     assert known.forces is not None
     forces = known.forces.copy()
     kernel = solver.structure, states, before, known.stable, REPAIR_RINGS, CORRIDORS
-    left = repair_range(*kernel, solver._options, solver._along, True, NOT_CENTRED, forces, verdict, residual, *counts)
+    left = repair_range(*kernel, solver._options, solver._along, True, False, forces, verdict, residual, *counts)
     good = np.flatnonzero(verdict == Verdict.STABLE)
     assert len(good) == len(states) - left > 0
     checked = solver.check(states)[good]
@@ -46,7 +46,7 @@ def test_a_corridor_alone_balances_a_part_that_is_let_go_of(vault: Assembly, rel
     forces, nowhere = known.forces.copy(), REPAIR_RINGS[:0]
     counts = np.zeros((2, len(states)), np.int32)
     kernel = solver.structure, states, before, known.stable, nowhere, np.array([1, 3]), solver._options, solver._along
-    repair_range(*kernel, True, NOT_CENTRED, forces, verdict, residual, *counts)
+    repair_range(*kernel, True, False, forces, verdict, residual, *counts)
     good = np.flatnonzero((verdict == Verdict.STABLE) & (counts[0] > 0))
     assert len(good)
     checked = solver.check(states)[good]

@@ -27,7 +27,7 @@ _ROW, _STRICT_ROW = 0.3, 3.0
 for what is behind it, and with many, which would hold the ends of all these rows."""
 _FEWEST_ROBOTS, _MANY_ROBOTS = 3, 5
 """Robots from which on free edges are closed first, and from which on rows are."""
-_LARGE = 1000
+_LARGE = 800
 """Parts from which free edges are closed first under `equilibrium`."""
 _BESIDE_HELD = 0.15
 """Shares of support that a place beside a held part counts as."""

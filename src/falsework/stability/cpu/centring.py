@@ -39,7 +39,7 @@ a share of what friction allows, and the least normal force in force levels."""
 
 
 @njit(fastmath=FAST, cache=True)
-def move_inside(structure, work, pairs, level, inside, small):
+def _move_inside(structure, work, pairs, level, inside, small):
     """Raise normal forces until all forces lie inside their cones; new contacts share what is not in balance."""
     z, mu, scale, start, slot_a, slot_b = work.z, work.friction, work.force_scale, work.start, work.slot_a, work.slot_b
     residual, new = work.residual, work.velocity
@@ -71,7 +71,7 @@ def move_inside(structure, work, pairs, level, inside, small):
 
 
 @njit(fastmath=FAST, cache=True)
-def assemble(structure, work, pairs, level, first, centring):
+def _assemble(structure, work, pairs, level, first, centring):
     """Write the Newton system: its matrix, and its right-hand side from `work.residual` to `work.rhs`.
 
     Multipliers of the facets are in `work.weights`; at the `first` step they are set. The inverse of the second
@@ -132,17 +132,6 @@ def assemble(structure, work, pairs, level, first, centring):
         add_pair_matrix(structure, work, p, local, left)
 
 
-@njit(inline="always", fastmath=FAST)
-def limit_step(friction, z0, z1, z2, d0, d1, d2, back_off):
-    """Return the share of a change of force that goes at most `back_off` of the way to the nearest facet; 1 at most."""
-    m, reach = friction * _NEAR, 1.0 / back_off
-    for k in range(8):
-        fall = _X[k] * d1 + _Y[k] * d2 - m * d0
-        if fall > 0.0:
-            reach = min(reach, max(m * z0 - _X[k] * z1 - _Y[k] * z2, 0.0) / fall)
-    return back_off * reach
-
-
 @njit(fastmath=FAST, cache=True)
 def _advance(structure, work, pairs, back_off, centring):
     """Step forces in `work.z` along the velocities in `work.rhs`, and multipliers; each contact as far as it may go."""
@@ -155,17 +144,19 @@ def _advance(structure, work, pairs, back_off, centring):
         d0 = pull[j, 0] - w00 * v[j, 0] - w01 * v[j, 1] - w02 * v[j, 2]
         d1 = pull[j, 1] - w01 * v[j, 0] - w11 * v[j, 1] - w12 * v[j, 2]
         d2 = pull[j, 2] - w02 * v[j, 0] - w12 * v[j, 1] - w22 * v[j, 2]
-        m, dual_reach = mu[j] * _NEAR, 1.0 / back_off
+        m, reach, dual_reach = mu[j] * _NEAR, 1.0 / back_off, 1.0 / back_off
         for k in range(8):
             distance = m * z[j, 0] - _X[k] * z[j, 1] - _Y[k] * z[j, 2]
             fall = _X[k] * d1 + _Y[k] * d2 - m * d0
             s = multiplier[j, k]
             step[k] = (centring * (1.0 - s * distance) + s * fall) / distance
+            if fall > 0.0:
+                reach = min(reach, distance / fall)
             if step[k] < 0.0:
                 dual_reach = min(dual_reach, -s / step[k])
         for k in range(8):
             multiplier[j, k] += back_off * dual_reach * step[k]
-        share = limit_step(mu[j], z[j, 0], z[j, 1], z[j, 2], d0, d1, d2, back_off)
+        share = back_off * reach
         z[j, 0] += share * d0
         z[j, 1] += share * d1
         z[j, 2] += share * d2
@@ -186,11 +177,11 @@ def run_centring(structure, work, pairs, options, steps, level, settings):
     """
     lay_out_panels(structure, work.free, work.panels)
     check_primal(structure, work, pairs, work.z, options, work.residual)
-    move_inside(structure, work, pairs, level, settings[2], settings[3])
+    _move_inside(structure, work, pairs, level, settings[2], settings[3])
     symmetric = pairs >= 0  # no literal, which numba would compile separately
     check_primal(structure, work, pairs, work.z, options, work.residual)
     for step in range(1, steps + 1):
-        assemble(structure, work, pairs, level, step == 1, settings[1])
+        _assemble(structure, work, pairs, level, step == 1, settings[1])
         if not factor_panels(structure.elimination.supernode, work.panels, symmetric):
             return UNDECIDED, step
         solve_panels(work.panels, work.rhs, symmetric)

@@ -164,7 +164,7 @@ def make_panels(elimination, pairs):
     entries, members, widest = 0, 0, 0
     for s in range(count):
         size = start[s + 1] - start[s]
-        width = -(-6 * (size + row_start[s + 1] - row_start[s]) // LANES) * LANES
+        width = _padded(6 * (size + row_start[s + 1] - row_start[s]))
         entries += 6 * size * width
         members += size + row_start[s + 1] - row_start[s]
         widest = max(widest, width)
@@ -186,6 +186,11 @@ def make_panels(elimination, pairs):
         np.zeros(count, np.int64),
         np.empty(widest),
     )
+
+
+@njit(inline="always")
+def _padded(size):
+    return (size + LANES - 1) // LANES * LANES
 
 
 @njit(cache=True)
@@ -242,7 +247,7 @@ def lay_out_panels(structure, free, panels):
         if members > begin + own[s]:
             above = supernode[member[begin + own[s]]]
             following[s], head[above] = head[above], s
-        width[s] = -(-6 * (members - begin) // LANES) * LANES
+        width[s] = _padded(6 * (members - begin))
         for m in range(begin, members):
             place[member[m]] = m - begin
         for m in range(begin, begin + own[s]):

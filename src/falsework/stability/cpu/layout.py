@@ -159,12 +159,6 @@ class Scratch(NamedTuple):
 @njit(cache=True)
 def make_scratch(structure):
     """Return scratch large enough for every state of a structure."""
-    return scratch_with(structure, make_panels(structure.elimination, len(structure.pair_parts)))
-
-
-@njit(cache=True)
-def scratch_with(structure, panels):
-    """Return scratch with given panels; outside kernels `scratch_with.py_func` does, since kernels return numbers."""
     n = len(structure.elimination.order)
     pairs = len(structure.pair_parts)
     points = len(structure.basis)
@@ -193,7 +187,7 @@ def scratch_with(structure, panels):
         np.zeros((n, 6)),
         np.zeros((n, 6)),
         np.zeros((n, 6)),
-        panels,
+        make_panels(structure.elimination, pairs),
     )
 
 

@@ -21,7 +21,7 @@ RINGS = (1, 3)
 
 
 @njit(cache=True)
-def measure_ways(structure, state, seeds, count, limit, depth):
+def _measure_ways(structure, state, seeds, count, limit, depth):
     """Write how many contacts each free part is away from the parts `seeds[:count]`, -1 beyond a limit.
 
     `seeds` has room for all parts and is overwritten.
@@ -46,7 +46,7 @@ def measure_ways(structure, state, seeds, count, limit, depth):
 
 
 @njit(cache=True)
-def changed_parts(state, parent, changed):
+def _changed_parts(state, parent, changed):
     """Write the parts in which two states differ; return their number."""
     count = 0
     for i in range(len(state)):
@@ -64,7 +64,7 @@ def hold_far_parts(structure, state, parent, rings, near):
         Number of parts that stay free, and number of free parts before.
     """
     depth, queue = np.empty(len(state), np.int32), np.empty(len(state), np.int32)
-    measure_ways(structure, state, queue, changed_parts(state, parent, queue), rings, depth)
+    _measure_ways(structure, state, queue, _changed_parts(state, parent, queue), rings, depth)
     kept, free = 0, 0
     for i in range(len(state)):
         near[i] = 2 if state[i] == 1 and depth[i] < 0 else state[i]
@@ -90,12 +90,12 @@ def hold_beside_corridor(structure, state, parent, detour, near):
         if state[i] == 2:
             queue[fixed] = i
             fixed += 1
-    measure_ways(structure, state, queue, fixed, parts, down)
-    changed = changed_parts(state, parent, queue)
+    _measure_ways(structure, state, queue, fixed, parts, down)
+    changed = _changed_parts(state, parent, queue)
     for k in range(changed):
         if down[queue[k]] >= 0:
             shortest = min(shortest, down[queue[k]])
-    measure_ways(structure, state, queue, changed, shortest + detour, away)
+    _measure_ways(structure, state, queue, changed, shortest + detour, away)
     kept, free = 0, 0
     for i in range(parts):
         beside = away[i] < 0 or (away[i] > detour and (down[i] < 0 or away[i] + down[i] > shortest + detour))

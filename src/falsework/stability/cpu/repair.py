@@ -37,20 +37,16 @@ CORRIDORS = np.array([3, 9, 18])
 forces as far from the part may change too."""
 _CENTRED_RINGS = np.array([2, 4, 8, 16])
 """The former where forces lie inside their cones."""
-_NEAR_RINGS = 3
-"""The first of these, which come before chord steps (`chord.py`)."""
 _CENTRED_CORRIDORS = np.array([9, 18])
-"""The latter where forces lie inside their cones."""
+"""The latter."""
 _NEAR_STEPS, _ALL_STEPS = 12, 40
 """Most steps in a region, and in the whole."""
-NOT_CENTRED, CENTRED_NEAR, CENTRED_FAR = 0, 1, 2
-"""Ways to repair forces, see `repair_range`."""
 _ROUNDING = 1e-12
 """Distance of forces from their cones, as a share of them, that is left to rounding."""
 
 
 @njit(cache=True)
-def keep_border(structure, state, near, work, pairs, forces):
+def _keep_border(structure, state, near, work, pairs, forces):
     """Turn the forces between parts that are free in `near` and parts that are free in `state` alone into loads.
 
     Returns:
@@ -81,7 +77,7 @@ def keep_border(structure, state, near, work, pairs, forces):
 
 
 @njit(fastmath=FAST, cache=True)
-def accept_forces(structure, state, options, residual, forces):
+def _accept_forces(structure, state, options, residual, forces):
     """Return the residual of contact forces in N in a state; moves them into their cones, and clears the others.
 
     Forces that are in their cones up to rounding are left as they are, bit by bit.
@@ -149,7 +145,7 @@ def repair_state(structure, state, parent, rings, corridors, options, along, war
         `STABLE` or `UNDECIDED`; residual; ADMM iterations; interior-point steps.
     """
     bound, spent, taken = (1.0 - MARGIN) * options.tolerance, 0, 0
-    residual = accept_forces(structure, state, options, work.residual, forces)
+    residual = _accept_forces(structure, state, options, work.residual, forces)
     if residual < bound:
         return STABLE, residual, spent, taken
     for k in range(len(rings) + len(corridors)):
@@ -163,7 +159,7 @@ def repair_state(structure, state, parent, rings, corridors, options, along, war
         if 2 * kept > free:
             continue
         pairs, _ = restrict(structure, near, work)
-        pairs, grounded = keep_border(structure, state, near, work, pairs, forces)
+        pairs, grounded = _keep_border(structure, state, near, work, pairs, forces)
         if not grounded:
             continue
         chosen = options if around else along
@@ -179,7 +175,7 @@ def repair_state(structure, state, parent, rings, corridors, options, along, war
             store_forces(structure, work, pairs, forces)
         if verdict != STABLE:
             continue
-        residual = accept_forces(structure, state, options, work.residual, forces)
+        residual = _accept_forces(structure, state, options, work.residual, forces)
         if residual < bound:
             return STABLE, residual, spent, taken
         # What smaller regions passed on may lie farther away than this one reaches.
@@ -187,7 +183,7 @@ def repair_state(structure, state, parent, rings, corridors, options, along, war
 
 
 @njit(cache=True)
-def centre_state(structure, state, parent, options, work, near, far, forces):
+def centre_state(structure, state, parent, options, work, near, forces):
     """Balance a state with forces of its parent inside their cones, which change only near their difference.
 
     Regions are tried in turn, the whole last and twice; each begins with the forces of the parent, or with those that
@@ -197,21 +193,19 @@ def centre_state(structure, state, parent, options, work, near, far, forces):
         structure, options, work: `KernelArrays`, `Options` and `Scratch`.
         state, parent: shape (parts,).
         near: scratch, shape (parts,).
-        far: whether to try larger regions and the whole, instead of the smaller regions.
         forces: in: contact forces in N that balance the parent; out: of the state if it is stable. Shape (points, 3).
 
     Returns:
         `STABLE` or `UNDECIDED`; residual; steps.
     """
     bound, taken = (1.0 - MARGIN) * options.tolerance, 0
-    residual = accept_forces(structure, state, options, work.residual, forces)
+    residual = _accept_forces(structure, state, options, work.residual, forces)
     if residual < bound:
         return STABLE, residual, taken
     level = structure.weight / len(state)
     rings, corridors = len(_CENTRED_RINGS), len(_CENTRED_CORRIDORS)
     kept, free = 0, 0
-    first, last = (_NEAR_RINGS, rings + corridors + len(ATTEMPTS)) if far else (0, _NEAR_RINGS)
-    for k in range(first, last):
+    for k in range(rings + corridors + len(ATTEMPTS)):
         whole = k >= rings + corridors
         most, settings = _ALL_STEPS if whole else _NEAR_STEPS, ATTEMPTS[max(0, k - rings - corridors)]
         if k < rings:
@@ -228,7 +222,7 @@ def centre_state(structure, state, parent, options, work, near, far, forces):
                 continue
         pairs, _ = restrict(structure, near, work)
         if not whole:
-            pairs, grounded = keep_border(structure, state, near, work, pairs, forces)
+            pairs, grounded = _keep_border(structure, state, near, work, pairs, forces)
             if not grounded:
                 continue
         load_forces(structure, work, pairs, forces, work.z)
@@ -237,7 +231,7 @@ def centre_state(structure, state, parent, options, work, near, far, forces):
         if verdict != STABLE:
             continue
         store_forces(structure, work, pairs, forces)
-        residual = accept_forces(structure, state, options, work.residual, forces)
+        residual = _accept_forces(structure, state, options, work.residual, forces)
         if residual < bound:
             return STABLE, residual, taken
     return UNDECIDED, np.nan, taken
@@ -266,8 +260,7 @@ def repair_range(
     Arrays as in `solve_range`, other arguments as for `repair_state`.
 
     Args:
-        centred: `NOT_CENTRED`, or whether to keep forces inside their cones instead, by `centre_state`, near the change
-            or farther away.
+        centred: whether to keep forces inside their cones instead, by `centre_state`.
 
     Returns:
         Number of states left undecided.
@@ -279,9 +272,8 @@ def repair_range(
         if verdict[i] != UNDECIDED:
             continue
         if known[i]:
-            if centred != NOT_CENTRED:
-                far = centred == CENTRED_FAR
-                v, r, s = centre_state(structure, states[i], parents[i], options, work, near, far, forces[i])
+            if centred:
+                v, r, s = centre_state(structure, states[i], parents[i], options, work, near, forces[i])
                 k = 0
             else:
                 beside = states[i], parents[i], rings, corridors

@@ -9,19 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import States
-from falsework.stability.cpu.chord import FactoredState
 from falsework.stability.cpu.kernel import solve_range
-from falsework.stability.cpu.layout import COMPILED_LAYOUT, KernelArrays, build_structure
+from falsework.stability.cpu.layout import COMPILED_LAYOUT, build_structure
 from falsework.stability.cpu.neighbourhood import RINGS, fall_range
-from falsework.stability.cpu.repair import (
-    CENTRED_FAR,
-    CENTRED_NEAR,
-    CORRIDORS,
-    NOT_CENTRED,
-    REPAIR_RINGS,
-    repair_range,
-)
-from falsework.stability.cpu.termination import STABLE, UNDECIDED, Options
+from falsework.stability.cpu.repair import CORRIDORS, REPAIR_RINGS, repair_range
+from falsework.stability.cpu.termination import UNDECIDED, Options
 from falsework.stability.problem import Problem
 from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
 from falsework.stability.verdict import Solver, Verdicts, proof_of
@@ -107,7 +99,6 @@ class CpuSolver:
         rough = bool((strength.friction > _LEAST_FRICTION).all())
         self._centred = problem.parts >= _CENTRED and rough and not (strength.pull.any() or strength.stick.any())
         self._from_rest = self._options._replace(**_FROM_REST) if large else self._options
-        self._factored = FactoredState(self.structure, self._options)
         self._workers = Workers(settings.cpu.threads)
 
     def check(
@@ -146,54 +137,31 @@ class CpuSolver:
         steps = np.zeros(batch, np.int32)
         known = np.zeros(batch, bool) if guess is None or parents is None else np.asarray(guess.any(axis=(1, 2)))
 
-        warm, centred = guess is not None, self._centred and guess is not None and parents is not None
-        # Proofs along a plan are requested for stable states.
-        along = certificates and guess is not None
-        own_copy = self._larger and not (centred and bool(known.all()))
-
-        def parts_of(rows: slice) -> tuple[tuple[KernelArrays, States], NDArray, NDArray, tuple[NDArray, ...]]:
-            found = verdicts.verdict[rows], verdicts.residual[rows], verdicts.iterations[rows], steps[rows]
-            return (self.structure, states[rows]), forces[rows], velocity[rows], found
-
         def work(rows: slice) -> None:
-            kernel, force, motion, found = parts_of(rows)
-            before = force
+            found = verdicts.verdict[rows], verdicts.residual[rows], verdicts.iterations[rows], steps[rows]
+            chosen, motion, force, warm = states[rows], velocity[rows], forces[rows], guess is not None
+            kernel, before = (self.structure, chosen), force
+            centred = self._centred and warm and parents is not None
+            only_centred = centred and bool(known[rows].all())
             if parents is not None:
                 beside = parents[rows]
+                # Proofs along a plan are requested for stable states.
+                along = certificates and guess is not None
                 if not along and not fall_range(*kernel, beside, RINGS, self._options, motion, *found):
                     return
-                before = force.copy() if own_copy else force  # repairs write to `force`
-                how = CENTRED_NEAR if centred else NOT_CENTRED
-                near = beside, known[rows], self._rings, self._corridors, self._around, self._along, warm, how
+                before = force.copy() if self._larger and not only_centred else force  # repairs write to `force`
+                near = beside, known[rows], self._rings, self._corridors, self._around, self._along, warm, centred
                 if known[rows].any() and not repair_range(*kernel, *near, force, *found):
                     return
-            if not centred:  # ADMM leaves forces on the boundaries of cones
+            if only_centred:  # what is left open takes long and mostly stays open
+                return
+            if not centred:  # whose forces would lie on the boundaries of cones
                 solve_range(*kernel, self._from_forces if warm else self._options, force, motion, warm, *found)
-                begin_again(rows, before)
-
-        def work_far(rows: slice) -> None:
-            kernel, force, _, found = parts_of(rows)
-            assert parents is not None
-            if served:
-                undecided = found[0] == UNDECIDED
-                verdict, residual, _, taken = found
-                near = states[rows], parents[rows], known[rows], force
-                left = self._factored.balance(*near, verdict, residual, taken)
-                by_chord[rows] = undecided & (found[0] != UNDECIDED)
-                if not left:
-                    return
-            near = parents[rows], known[rows], self._rings, self._corridors, self._around, self._along, warm
-            repair_range(*kernel, *near, CENTRED_FAR, force, *found)
-            if not known[rows].all():
-                begin_again(rows, force.copy())
-
-        def begin_again(rows: slice, before: NDArray[np.float64]) -> None:
-            kernel, force, motion, found = parts_of(rows)
             left = found[0] == UNDECIDED
             # From no forces: first along the ways to supports, with the forces of the parent farther away.
             if warm and parents is not None and self._larger and left.any():
                 near = parents[rows], known[rows], REPAIR_RINGS[:0], CORRIDORS[1:], self._around, self._from_rest
-                repair_range(*kernel, *near, not warm, NOT_CENTRED, before, *found)
+                repair_range(*kernel, *near, not warm, False, before, *found)
                 repaired = left & (found[0] != UNDECIDED)
                 force[repaired] = before[repaired]
                 left &= ~repaired
@@ -201,12 +169,6 @@ class CpuSolver:
                 solve_range(*kernel, self._from_rest, force, motion, not warm, *found)
 
         self._workers.run(work, batch)
-        if centred and (verdicts.verdict == UNDECIDED).any():
-            rest, by_chord = (verdicts.verdict == UNDECIDED) & known, np.zeros(batch, bool)
-            served = bool(rest.any()) and self._factored.prepare(states[rest], parents[rest], forces[rest])
-            self._workers.run(work_far, batch)
-            if (rest & ~by_chord & (verdicts.verdict == STABLE)).any():
-                self._factored.forget()  # too far from these states by now
         if verdicts.forces is not None and forces is not verdicts.forces:
             verdicts.forces[:] = forces
         verdicts.iterations[:] += steps
