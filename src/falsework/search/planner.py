@@ -189,9 +189,8 @@ class Planner:
             InputError: no such file, a damaged one, or one of another task or other settings.
         """
         header, arrays = read_archive(path, FORMAT)
-        if header.get("task") != task.judged_by(oracle).to_dict() or header.get("settings") != _settings_header(
-            settings
-        ):
+        expected = task.judged_by(oracle).to_dict(), _settings_header(settings)
+        if (header.get("task"), header.get("settings")) != expected:
             raise InputError(f"{path} belongs to another structure, task or settings; remove it to begin a new search")
         planner = cls(task, oracle, settings, guide=guide)
         try:
@@ -354,7 +353,7 @@ class Planner:
 
     def _preferring(self, what: str, guide: Guide | None) -> Guide | None:
         """Return a heuristic of `SupportGuide`; None where it has none, or histories matter and are not kept."""
-        known = self._replayer is not None or self.task.holds_keep_stable
+        known = self._replayer or self.task.holds_keep_stable
         return getattr(guide, what, lambda _: None)(self.task) if known else None
 
     def _beam_guide(self, beam: str) -> Guide | None:
