@@ -353,7 +353,7 @@ class Planner:
 
     def _preferring(self, what: str, guide: Guide | None) -> Guide | None:
         """Return a heuristic of `SupportGuide`; None where it has none, or histories matter and are not kept."""
-        known = self._replayer or self.task.holds_keep_stable
+        known = self._replayer is not None or self.task.holds_keep_stable
         return getattr(guide, what, lambda _: None)(self.task) if known else None
 
     def _beam_guide(self, beam: str) -> Guide | None:
