@@ -122,7 +122,7 @@ def find_plans(
         oracle: decides stability; pass an existing one to reuse its cache.
         settings: effort of the search, and number of plans.
         guide: scores actions; by default parts with much support are inserted first, and where three robots or more
-            build a shell, its free edges.
+            build a shell, or under `equilibrium` one of 700 to 3,000 parts is built, its free edges.
         progress: called after every level of every attempt.
         stop: called before every level; true ends the search with the plans found so far.
         deadline: seconds after which the search ends with the best that it has; the plans are proved after that.

@@ -162,8 +162,8 @@ def test_the_part_is_put_down_and_gripped_in_another_way(plan: RobotPlan, alone:
     assert last is not None
     assert first.grip is not None
     assert last.grip is not None
-    np.testing.assert_allclose(first.pose, np.eye(4), rtol=0, atol=1e-12)
-    np.testing.assert_allclose(last.pose, pose, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(first.pose, np.eye(4))
+    np.testing.assert_array_equal(last.pose, pose)
     np.testing.assert_allclose(last.grip, step.trajectories[lying.stop].positions[0], rtol=0, atol=1e-12)
     report = check_robot_plan(plan, alone, one)
     assert report.good, what(report)
@@ -178,10 +178,10 @@ def test_in_reverse_it_is_gripped_for_its_place(plan: RobotPlan, alone: Assembly
     first, last = (load_of(back, index, k) for k in (0, len(step.trajectories) - 1))
     assert first is not None
     assert last is not None
-    np.testing.assert_allclose(first.pose, pose, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(first.pose, pose)
     np.testing.assert_allclose(first.grip, step.trajectories[lying.start - 1].positions[-1], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(last.pose, np.eye(4), rtol=0, atol=1e-12)
-    np.testing.assert_allclose(last.grip, back.keyframes[index + 1].configurations[0], rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(last.pose, np.eye(4))
+    np.testing.assert_array_equal(last.grip, back.keyframes[index + 1].configurations[0])
     again = back.reverse()
     assert [t.part for t in again.steps[REMOVAL].trajectories] == [t.part for t in plan.steps[REMOVAL].trajectories]
 

@@ -11,7 +11,7 @@ from falsework.assembly import load_structure
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.search import PlannerSettings, find_plans
-from falsework.search.find import task_of
+from falsework.search.find import Planning, task_of
 from falsework.search.planner import Planner
 from falsework.search.problem import guide as guides
 from falsework.search.problem.edge_rows import edge_rows
@@ -59,6 +59,16 @@ def test_a_wall_has_no_rows() -> None:
     assert edge_rows(arch.contacts.parts, arch.boundary) is None
 
 
+def _check_rows_in_order(planning: Planning, vault: Assembly) -> None:
+    assert planning.found
+    placed = (planning.plans[0].assembly_states != 0).argmax(axis=0)
+    rows = edge_rows(vault.contacts.parts, vault.boundary)
+    assert rows is not None
+    free = ~vault.boundary
+    means = [placed[free & (rows == row)].mean() for row in range(rows.max() + 1)]
+    assert (np.diff(means) > 0).all()
+
+
 @pytest.fixture(scope="module")
 def vault() -> Assembly:
     return load_structure("vault:parts=125")
@@ -97,13 +107,7 @@ def test_two_robots_build_a_large_vault_from_its_edges_under_equilibrium(
     assert SupportGuide(vault).edges_first(task) is not None
     assert SupportGuide(vault).edges_first(task_of(vault, 2)) is None  # contact histories matter
     planning = find_plans(vault, robots=2, oracle=oracle, forces=False)
-    assert planning.found
-    placed = (planning.plans[0].assembly_states != 0).argmax(axis=0)
-    rows = edge_rows(vault.contacts.parts, vault.boundary)
-    assert rows is not None
-    free = ~vault.boundary
-    means = [placed[free & (rows == row)].mean() for row in range(rows.max() + 1)]
-    assert (np.diff(means) > 0).all()
+    _check_rows_in_order(planning, vault)
 
 
 def test_the_beam_that_closes_edges_comes_first_and_dies_a_few_times_at_most() -> None:
@@ -119,13 +123,7 @@ def test_the_beam_that_closes_edges_comes_first_and_dies_a_few_times_at_most() -
 
 def test_three_robots_build_a_vault_from_its_edges(vault: Assembly) -> None:
     planning = find_plans(vault, robots=3, forces=False)
-    assert planning.found
-    placed = (planning.plans[0].assembly_states != 0).argmax(axis=0)
-    rows = edge_rows(vault.contacts.parts, vault.boundary)
-    assert rows is not None
-    free = ~vault.boundary
-    means = [placed[free & (rows == row)].mean() for row in range(rows.max() + 1)]
-    assert (np.diff(means) > 0).all()
+    _check_rows_in_order(planning, vault)
 
 
 def test_resuming_a_search_from_the_edges_changes_nothing(vault: Assembly, tmp_path: Path) -> None:
