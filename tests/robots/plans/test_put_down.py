@@ -178,6 +178,7 @@ def test_in_reverse_it_is_gripped_for_its_place(plan: RobotPlan, alone: Assembly
     first, last = (load_of(back, index, k) for k in (0, len(step.trajectories) - 1))
     assert first is not None
     assert last is not None
+    assert first.grip is not None
     np.testing.assert_array_equal(first.pose, pose)
     np.testing.assert_allclose(first.grip, step.trajectories[lying.start - 1].positions[-1], rtol=0, atol=1e-12)
     np.testing.assert_array_equal(last.pose, np.eye(4))
