@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, INSTALLED, complete_state
+from falsework.assembly.state import HELD, INSTALLED, REMOVED, complete_state
 from falsework.stability import Stability, Verdict, verify_certificates
 from falsework.stability.cpu.layout import add_wrenches, make_scratch, restrict
 from falsework.stability.cpu.neighbourhood import hold_beside_corridor
@@ -72,7 +72,26 @@ def test_corridors_lead_from_the_change_to_a_support(vault: Assembly, released: 
             ahead = {other for part in ahead for other in links[part] & corridor} - reached
             reached = reached | ahead
         assert reached == corridor
-        assert any(state[other] == HELD for part in reached for other in links[part])
+        assert any(vault.boundary[other] for part in reached for other in links[part])
+
+
+def test_corridors_lead_to_a_held_part_where_none_leads_to_a_support(vault: Assembly) -> None:
+    structure, near = CpuSolver(build_problem(vault)).structure, np.empty(vault.part_count, np.uint8)
+    parent = complete_state(vault.boundary)
+    loose = ~vault.boundary
+    at_supports = np.zeros(vault.part_count, dtype=bool)
+    for a, b in structure.pair_parts.tolist():
+        at_supports[[a, b]] |= vault.boundary[[b, a]]
+    parent[at_supports & loose] = REMOVED
+    carried, held = np.flatnonzero(parent == INSTALLED)[[0, -1]]
+    parent[[carried, held]] = HELD
+    state = parent.copy()
+    state[carried] = INSTALLED
+    kept, free = hold_beside_corridor(structure, state, parent, 0, near)
+    assert 0 < kept < free
+    pairs = structure.pair_parts
+    inside = near[pairs] == INSTALLED
+    assert ((pairs == held) & inside[:, ::-1]).any()
 
 
 def test_units_leave_wrenches_as_they_are(vault: Assembly) -> None:

@@ -75,26 +75,31 @@ def hold_far_parts(structure, state, parent, rings, near):
 
 @njit(cache=True)
 def hold_beside_corridor(structure, state, parent, detour, near):
-    """Copy `state` to `near`, holding free parts away from the shortest ways from the change to what is fixed.
+    """Copy `state` to `near`, holding free parts away from the shortest ways from the change to a support.
 
     Those on ways that are longer than the shortest by up to `detour` contacts stay free, and those as far from where it
-    differs from `parent`.
+    differs from `parent`. Ways lead to parts that robots hold only where none leads to a support: what a part that is
+    held near by can take up, regions around the change have shown already.
 
     Returns:
         Number of parts that stay free, and number of free parts before.
     """
-    parts = len(state)
+    parts, position = len(state), structure.elimination.position
     queue, away, down = np.empty(parts, np.int32), np.empty(parts, np.int32), np.empty(parts, np.int32)
-    fixed, shortest = 0, parts
-    for i in range(parts):
-        if state[i] == 2:
-            queue[fixed] = i
-            fixed += 1
-    _measure_ways(structure, state, queue, fixed, parts, down)
-    changed = _changed_parts(state, parent, queue)
-    for k in range(changed):
-        if down[queue[k]] >= 0:
-            shortest = min(shortest, down[queue[k]])
+    shortest, changed = parts, 0
+    for supported in range(2):
+        fixed = 0
+        for i in range(parts):
+            if state[i] == 2 and (supported == 1 or position[i] < 0):
+                queue[fixed] = i
+                fixed += 1
+        _measure_ways(structure, state, queue, fixed, parts, down)
+        changed = _changed_parts(state, parent, queue)
+        for k in range(changed):
+            if down[queue[k]] >= 0:
+                shortest = min(shortest, down[queue[k]])
+        if shortest < parts:
+            break
     _measure_ways(structure, state, queue, changed, shortest + detour, away)
     kept, free = 0, 0
     for i in range(parts):

@@ -35,9 +35,9 @@ REPAIR_RINGS = np.array([2, 4, 8])
 CORRIDORS = np.array([3, 9, 18])
 """Contacts by which the ways from a changed part to a support may be longer than the shortest one, tried after that;
 forces as far from the part may change too."""
-_CENTRED_RINGS = np.array([2, 4, 8, 16])
-"""The former where forces lie inside their cones."""
-_CENTRED_CORRIDORS = np.array([9, 18])
+_CENTRED_RINGS = np.array([3])
+"""The former where forces lie inside their cones. Wider regions around a change cost more than ways to a support."""
+_CENTRED_CORRIDORS = np.array([5, 10, 20])
 """The latter."""
 _NEAR_STEPS, _ALL_STEPS = 12, 40
 """Most steps in a region, and in the whole."""

@@ -32,7 +32,7 @@ _LARGER = 400
 """Parts from which those take the place of the widest repair around a change and of interior point steps in the others:
 these regions are a small share then, and what they leave open is cheaper along the ways. A wider corridor is a small
 share too, and what the whole leaves open is begun again along the ways before it is begun again as a whole."""
-_CENTRED = 1000
+_CENTRED = 400
 """Parts from which forces are kept inside their cones, where all contacts have friction and none has cohesion, so that
 they change near the difference only. In smaller structures that takes longer than ADMM on the whole."""
 _LEAST_FRICTION = 1e-3
