@@ -176,12 +176,11 @@ class Selector:
         task = self.frontier.task
         if task.neighbours is None:
             return fixing
-        held = (self.frontier.level == HELD) & ~task.boundary
-        near, beside = held.astype(np.float32), task.neighbours.astype(np.float32)
+        held = near = (self.frontier.level == HELD) & ~task.boundary
         for _ in range(_NEAR_CONTACTS):
-            near = ((near + near @ beside) > 0).astype(np.float32)
-        near[~held.any(axis=1)] = 1.0
-        return fixing[near[self.frontier.parent(fixing), self.frontier.part(fixing)] > 0]
+            near = near | _beside(near, task.neighbours)
+        near = near | ~held.any(axis=1)[:, None]
+        return fixing[near[self.frontier.parent(fixing), self.frontier.part(fixing)]]
 
     def _in_turn(self, fixed: Rows) -> Rows:
         """Return candidates in which every robot holds a part in turn over the states that they come from.
@@ -192,13 +191,13 @@ class Selector:
         rows = fixed[full]
         parent, beside = self.frontier.parent(rows), np.zeros(len(rows), dtype=bool)
         if task.neighbours is not None:
-            holding = ((self.frontier.level == HELD) & ~task.boundary).astype(np.float32)
-            beside = (holding @ task.neighbours > 0)[parent, self.frontier.part(rows)]
-        order = np.lexsort((np.arange(len(rows)), ~beside, parent))
+            holding = (self.frontier.level == HELD) & ~task.boundary
+            beside = _beside(holding, task.neighbours)[parent, self.frontier.part(rows)]
+        order = _stable_order(2 * parent + ~beside)
         begin = np.flatnonzero(np.diff(parent[order], prepend=-1))
         rank = np.empty(len(rows), dtype=np.int64)
         rank[order] = np.arange(len(rows)) - np.repeat(begin, np.diff(np.append(begin, len(rows))))
-        return np.concatenate([fixed[~full], rows[np.argsort(rank // _TURN, kind="stable")]])
+        return np.concatenate([fixed[~full], rows[_stable_order(rank // _TURN)]])
 
     def _hopeful_first(self, first: Callable[[int], Rows], wanted: int, width: int) -> Rows:
         """Return candidates that fixing a part leads to, those first from which a move is left that has not failed.
@@ -278,3 +277,14 @@ class Selector:
     def _selection(self, kept: Rows, rejected: Rows) -> Selection:
         best_first = kept[np.argsort(-self.scores.of(kept), kind="stable")]
         return Selection(best_first, rejected, exhaustive=len(kept) + len(rejected) == len(self.frontier))
+
+
+def _beside(some: Mask, neighbours: Mask) -> Mask:
+    """Return which parts are in contact with at least one of some others, mostly few. Shapes (states, parts)."""
+    parts = np.flatnonzero(some.any(axis=0))
+    return some[:, parts].astype(np.float32) @ neighbours[parts].astype(np.float32) > 0
+
+
+def _stable_order(keys: NDArray[np.int64]) -> Rows:
+    """Return the order that sorts non-negative integers, equal ones as they were; NumPy sorts short ones faster."""
+    return np.argsort(keys.astype(np.min_scalar_type(keys.max(initial=0))), kind="stable")
