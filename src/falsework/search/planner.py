@@ -31,7 +31,7 @@ from falsework.search.problem.task import Direction, Task
 from falsework.search.settings import COMPACT, EDGES, Attempt, PlannerSettings
 from falsework.utils.archive import read_archive, write_archive
 
-FORMAT = "falsework.planner/8"
+FORMAT = "falsework.planner/9"
 
 _MOST_FALLS = 64
 """Number of routes with a failing replay before an attempt is given up."""
@@ -222,8 +222,8 @@ class Planner:
         if name not in self._beams:
             narrowest = min(_NOVEL_WIDTH if self._stage == "alternatives" else 1, self.settings.width)
             base = narrowest, name == COMPACT, self.settings.seed
-            settings = AdaptiveSettings(attempt.direction, *base, gaps=name == EDGES)
-            task = self.task.postpone(self._trial)
+            edges, task = name == EDGES, self.task.postpone(self._trial)
+            settings = AdaptiveSettings(attempt.direction, *base, edges, edges and task.holds_keep_stable)
             self._beams[name] = AdaptiveBeam(task, self._oracle, settings, guide=self._beam_guide(name))
         beam = self._beams[name]
         result = beam.run(attempt.width, deaths=attempt.deaths, progress=report, stop=stop)

@@ -21,8 +21,9 @@ _OTHER_WIDTH = 16
 """Widest beam for a plan unlike others."""
 _TRIAL_WIDTH = 4
 """Widest beam for a plan with missing parts later: independent of the width for the first plan."""
-_EDGE_DEATHS = 16
-"""Times that a beam which closes free edges first dies before the beam that is first elsewhere begins."""
+_EDGE_DEATHS = 128
+"""Times that a beam which closes free edges first dies before the beam that is first elsewhere begins; in large shells
+it dies once in most rows, and comes through at the next attempt."""
 _FREE_DEATHS = 16
 """Times that this one dies before one is tried in which robots work in one place ..."""
 _COMPACT_DEATHS = 64

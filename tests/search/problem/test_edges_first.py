@@ -11,6 +11,7 @@ from falsework.assembly import load_structure
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.search import PlannerSettings, find_plans
+from falsework.search.beam.adaptive import AdaptiveSettings
 from falsework.search.find import Planning, task_of
 from falsework.search.planner import Planner
 from falsework.search.problem import guide as guides
@@ -19,7 +20,7 @@ from falsework.search.problem.guide import SupportGuide
 from falsework.search.problem.task import Direction
 from falsework.search.settings import EDGES
 from falsework.stability import Stability
-from falsework.stability.settings import EQUILIBRIUM
+from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
 
 _LENGTH, _COURSES = 12, 13
 
@@ -56,13 +57,17 @@ def test_an_edge_between_fewer_than_two_supports_is_no_arch() -> None:
 
 def test_a_wall_has_no_rows() -> None:
     arch = load_structure("arch")
-    assert edge_rows(arch.contacts.parts, arch.boundary) is None
+    assert edge_rows(*_contacts(arch)) is None
+
+
+def _contacts(assembly: Assembly) -> tuple[np.ndarray, np.ndarray]:
+    return assembly.contacts.parts, assembly.boundary
 
 
 def _check_rows_in_order(planning: Planning, vault: Assembly) -> None:
     assert planning.found
     placed = (planning.plans[0].assembly_states != 0).argmax(axis=0)
-    rows = edge_rows(vault.contacts.parts, vault.boundary)
+    rows = edge_rows(*_contacts(vault))
     assert rows is not None
     free = ~vault.boundary
     means = [placed[free & (rows == row)].mean() for row in range(rows.max() + 1)]
@@ -76,7 +81,7 @@ def vault() -> Assembly:
 
 def test_parts_at_edges_are_inserted_first_and_removed_last(vault: Assembly) -> None:
     base, task = SupportGuide(vault), task_of(vault, 3)
-    guide, rows = base.edges_first(task), edge_rows(vault.contacts.parts, vault.boundary)
+    guide, rows = base.edges_first(task), edge_rows(*_contacts(vault))
     assert guide is not None
     assert rows is not None
     state = complete_state(vault.boundary)[None]
@@ -106,8 +111,27 @@ def test_two_robots_build_a_large_vault_from_its_edges_under_equilibrium(
     monkeypatch.setattr(guides, "_LARGE", vault.part_count)
     assert SupportGuide(vault).edges_first(task) is not None
     assert SupportGuide(vault).edges_first(task_of(vault, 2)) is None  # contact histories matter
+    assert SupportGuide(vault).edges_first(task_of(vault, 1).judged_by(oracle)) is None
     planning = find_plans(vault, robots=2, oracle=oracle, forces=False)
     _check_rows_in_order(planning, vault)
+
+
+def test_under_equilibrium_most_parts_wait_for_the_rows_before() -> None:
+    vault = load_structure("vault:parts=350")
+    planning = find_plans(vault, robots=2, oracle=Stability(vault, EQUILIBRIUM), forces=False)
+    assert planning.found
+    placed, rows = (planning.plans[0].assembly_states != 0).argmax(axis=0), edge_rows(*_contacts(vault))
+    assert rows is not None
+    free = np.flatnonzero(~vault.boundary)
+    order = rows[free[np.argsort(placed[free])]]
+    behind = np.maximum.accumulate(order) - order
+    assert (behind <= 1).mean() > 0.6  # 0.4 with four times as many states ahead
+
+
+def test_few_states_ahead_are_kept_until_a_beam_dies() -> None:
+    few, many = (AdaptiveSettings(few_ahead=few) for few in (True, False))
+    assert few.beam().lookahead < many.beam().lookahead
+    assert few.beam(number=1).lookahead == many.beam(number=1).lookahead > many.beam().lookahead
 
 
 def test_the_beam_that_closes_edges_comes_first_and_dies_a_few_times_at_most() -> None:
@@ -126,8 +150,13 @@ def test_three_robots_build_a_vault_from_its_edges(vault: Assembly) -> None:
     _check_rows_in_order(planning, vault)
 
 
-def test_resuming_a_search_from_the_edges_changes_nothing(vault: Assembly, tmp_path: Path) -> None:
-    oracle, task, guide = Stability(vault), task_of(vault, 3), SupportGuide(vault)
+@pytest.mark.parametrize("robots", [2, 3])
+def test_resuming_a_search_from_the_edges_changes_nothing(
+    vault: Assembly, robots: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(guides, "_LARGE", vault.part_count)
+    oracle = Stability(vault, EQUILIBRIUM if robots == 2 else StabilitySettings())
+    task, guide = task_of(vault, robots).judged_by(oracle), SupportGuide(vault)
     expected = Planner(task, oracle, guide=guide).run()
     planner, path = Planner(task, oracle, guide=guide), tmp_path / "planner.npz"
     calls = iter(range(60))

@@ -64,6 +64,9 @@ class AdaptiveSettings:
     """Same seed, same machine, same result."""
     gaps: bool = False
     """Come back to place parts that filled gaps before those around them."""
+    few_ahead: bool = False
+    """Begin with as few states ahead for their number as wide beams keep: until the beam dies, little but what the
+    guide puts first is tried."""
 
     def beam(
         self,
@@ -76,11 +79,12 @@ class AdaptiveSettings:
         """Return settings of the beam after so many retreats from one place, and `number` deaths altogether."""
         widened, trial = self.trial(retreats)
         width = self.width * _WIDENING_FACTOR**widened
+        ahead = _FARTHER_LOOKAHEAD if number else 0 if self.few_ahead else _LOOKAHEAD_STATES
         return BeamSettings(
             width=width,
             direction=self.direction,
             diversity="none",
-            lookahead=max(_FARTHER_LOOKAHEAD if number else _LOOKAHEAD_STATES, _LOOKAHEAD_PER_WIDTH * width),
+            lookahead=max(ahead, _LOOKAHEAD_PER_WIDTH * width),
             commit=width == 1,
             compact=self.compact,
             retries=0,
@@ -182,6 +186,7 @@ class AdaptiveBeam:
             "base_seed": self.settings.seed,
             "base_compact": self.settings.compact,
             "base_gaps": self.settings.gaps,
+            "base_few_ahead": self.settings.few_ahead,
         }, arrays
 
     @classmethod
@@ -200,8 +205,9 @@ class AdaptiveBeam:
             KeyError, TypeError, ValueError: not what `pack` returned for this task.
         """
         direction = Direction(header["settings"]["direction"])
-        base = int(header["base"]), bool(header["base_compact"]), int(header["base_seed"]), bool(header["base_gaps"])
-        beam = cls(task, oracle, AdaptiveSettings(direction, *base))
+        base = int(header["base"]), bool(header["base_compact"]), int(header["base_seed"])
+        rules = bool(header["base_gaps"]), bool(header["base_few_ahead"])
+        beam = cls(task, oracle, AdaptiveSettings(direction, *base, *rules))
         beam.search = BeamSearch.unpack(header, arrays, task, oracle, guide=guide)
         for name in _PLACE:
             setattr(beam, f"_{name}", int(header["adaptive"][name]))

@@ -27,9 +27,8 @@ _ROW, _STRICT_ROW = 0.3, 3.0
 for what is behind it, and with many, which would hold the ends of all these rows."""
 _FEWEST_ROBOTS, _MANY_ROBOTS = 3, 5
 """Robots from which on free edges are closed first, and from which on rows are."""
-_LARGE, _TOO_LARGE = 700, 3000
-"""Parts from which free edges are closed first under `equilibrium`, and from which they are not any more: with 4,000
-parts such a search died halfway."""
+_LARGE = 300
+"""Parts from which free edges are closed first under `equilibrium`; in smaller structures that saves no time."""
 _BESIDE_HELD = 0.15
 """Shares of support that a place beside a held part counts as."""
 
@@ -95,12 +94,12 @@ class SupportGuide:
         """Return a heuristic that closes free edges first; None where it is of no use for a task.
 
         Where contact histories matter, two robots are too few to close the edge of a large shell before anything else.
-        Under `equilibrium`, where they do not, this order saves time in shells of some size only. An edge that stands
-        already need not be closed.
+        Under `equilibrium`, where they do not, two suffice, and this order saves time in large shells. An edge that
+        stands already need not be closed.
         """
         useful = task.robots >= _FEWEST_ROBOTS
         if task.holds_keep_stable:
-            useful = _LARGE <= task.part_count < _TOO_LARGE
+            useful = task.robots > 1 and task.part_count >= _LARGE
         if not useful or (task.target[~task.boundary] != REMOVED).any():
             return None
         rows, strict = self._rows, task.holds_keep_stable or task.robots >= _MANY_ROBOTS
