@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 BLOCK = 32
 """Rows of a block: small, since a repair changes few contacts, and large beside the four bytes of its number."""
-_GROWTH = 1.125
+_GROWTH = 1.0625
 """Factor by which the memory for blocks grows."""
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from falsework.stability.state_arrays import BLOCK, Array
 
-_GROWTH = 1.25
+_GROWTH = 1.0625
 """Factor by which the memory for blocks grows."""
 _WHOLE = 256 * 1024 * 1024
 """Memory for arrays stored whole, bytes."""
