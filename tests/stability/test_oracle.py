@@ -354,7 +354,7 @@ def test_searches_of_large_structures_do_not_wait_for_the_exact_solver(
     cpu = CpuSettings(iterations=1, interior_steps=0)
     parents = states[np.flatnonzero(expected == 1)[:1]].repeat(len(states), axis=0)
     stability = Stability(arch, StabilitySettings(criterion="equilibrium", cpu=cpu))
-    monkeypatch.setattr("falsework.stability.oracle._LEFT_OPEN", arch.part_count)
+    monkeypatch.setattr("falsework.stability.oracle.LEFT_OPEN", arch.part_count)
     verdicts = stability.judge(states, parents=parents)
     decided = ~verdicts.undecided
     assert not decided.all()

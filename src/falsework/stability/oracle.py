@@ -18,7 +18,7 @@ from falsework.stability.certificate import verify_certificates
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.counters import Counters
-from falsework.stability.cpu.solver import CpuSolver
+from falsework.stability.cpu.solver import LEFT_OPEN, CpuSolver
 from falsework.stability.gpu.solver import GpuSolver
 from falsework.stability.margins.margins import QUICK, MarginFinder
 from falsework.stability.margins.prober import Prober
@@ -36,8 +36,6 @@ _BATCH = 32 * 1024 * 1024
 """Memory for contact forces or displacements of one batch, bytes."""
 _WORTH_A_GPU = 8
 """States from which `auto` uses the GPU: a launch costs as much as a few states on the CPU."""
-_LEFT_OPEN = 1000
-"""Parts from which the exact solver is not asked within a search: it takes ten seconds and more for one state."""
 _UNHELD = 3
 """Held parts of which a guess is looked up for the state before they were held."""
 
@@ -358,7 +356,7 @@ class Stability:
         rest = np.flatnonzero(verdicts.verdict == Verdict.UNDECIDED)
         if len(rest) and solver is self._gpu:
             verdicts.put(rest, self.settle(states[rest], verdicts.residual[rest]))
-        elif len(rest) and (parents is None or self.problem.parts < _LEFT_OPEN):
+        elif len(rest) and (parents is None or self.problem.parts < LEFT_OPEN):
             verdicts.put(rest, self._decide_exactly(states[rest], verdicts[rest]))
         return verdicts
 

@@ -106,3 +106,22 @@ def test_only_contacts_with_friction_and_without_cohesion(monkeypatch: pytest.Mo
     glued = problem.strength._replace(pull=np.where(one, 1.0, 0.0))
     for strength in (slippery, glued):
         assert not CpuSolver(replace(problem, strength=strength))._centred
+
+
+def test_what_centring_leaves_open_is_decided_on_the_whole_unless_that_takes_long(
+    vault: Assembly, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cpu_solver, "_CENTRED", 0)
+    monkeypatch.setattr(cpu_solver, "fall_range", lambda *arguments: len(arguments[1]))
+    monkeypatch.setattr(cpu_solver, "repair_range", lambda *arguments: len(arguments[1]))
+    parent = complete_state(vault.boundary)
+    states = np.repeat(parent[None], 2, axis=0)
+    states[:, np.flatnonzero(parent == INSTALLED)[:2]] = HELD
+    known = CpuSolver(build_problem(vault)).check(states).forces
+    assert known is not None
+    for left_open, verdict in ((vault.part_count + 1, Verdict.STABLE), (0, Verdict.UNDECIDED)):
+        monkeypatch.setattr(cpu_solver, "LEFT_OPEN", left_open)
+        solver = CpuSolver(build_problem(vault))
+        parents = np.repeat(parent[None], 2, axis=0)
+        found = solver.check(states, certificates=False, parents=parents, guess=known.copy())
+        assert (found.verdict == verdict).all()

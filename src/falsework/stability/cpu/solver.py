@@ -35,6 +35,9 @@ share too, and what the whole leaves open is begun again along the ways before i
 _CENTRED = 400
 """Parts from which forces are kept inside their cones, where all contacts have friction and none has cohesion, so that
 they change near the difference only. In smaller structures that takes longer than ADMM on the whole."""
+LEFT_OPEN = 1000
+"""Parts from which a search goes on without a verdict on what is still open then: ADMM and the exact solver take
+seconds for one state of the whole, and ADMM mostly decides nothing."""
 _LEAST_FRICTION = 1e-3
 """Coefficient of friction below which cones are too narrow for that."""
 _FROM_REST = {"iterations": 10, "interior_steps": 60}
@@ -98,6 +101,7 @@ class CpuSolver:
         strength = problem.strength
         rough = bool((strength.friction > _LEAST_FRICTION).all())
         self._centred = problem.parts >= _CENTRED and rough and not (strength.pull.any() or strength.stick.any())
+        self._leaves_open = self._centred and problem.parts >= LEFT_OPEN
         self._from_rest = self._options._replace(**_FROM_REST) if large else self._options
         self._workers = Workers(settings.cpu.threads)
 
@@ -142,7 +146,7 @@ class CpuSolver:
             chosen, motion, force, warm = states[rows], velocity[rows], forces[rows], guess is not None
             kernel, before = (self.structure, chosen), force
             centred = self._centred and warm and parents is not None
-            only_centred = centred and bool(known[rows].all())
+            only_centred = centred and self._leaves_open and bool(known[rows].all())
             if parents is not None:
                 beside = parents[rows]
                 # Proofs along a plan are requested for stable states.
@@ -153,9 +157,9 @@ class CpuSolver:
                 near = beside, known[rows], self._rings, self._corridors, self._around, self._along, warm, centred
                 if known[rows].any() and not repair_range(*kernel, *near, force, *found):
                     return
-            if only_centred:  # what is left open takes long and mostly stays open
+            if only_centred:
                 return
-            if not centred:  # whose forces would lie on the boundaries of cones
+            if not (centred and self._leaves_open):  # whose forces would lie on the boundaries of cones
                 solve_range(*kernel, self._from_forces if warm else self._options, force, motion, warm, *found)
             left = found[0] == UNDECIDED
             # From no forces: first along the ways to supports, with the forces of the parent farther away.
