@@ -121,6 +121,7 @@ LARGE = (
     _vault(989, "equilibrium", 2),
     _vault(2012, "equilibrium", 2),
     _vault(3998, "equilibrium", 2),
+    _vault(10021, "equilibrium", 2),
     _vault(126, "contact", 2),
     _vault(126, "contact", 3),
     _vault(246, "contact", 2),
