@@ -14,7 +14,7 @@ _GROWTH = 1.0625
 _WHOLE = 256 * 1024 * 1024
 """Memory for arrays stored whole, bytes."""
 _SHARED = 3 * 1024 * 1024 * 1024
-"""Memory for blocks, bytes: nearly all forces of a plan of some thousand parts, which takes as much for its proofs."""
+"""Memory for blocks, bytes: nearly all forces of a plan of ten thousand parts, which takes as much for its proofs."""
 _LARGE = 4096
 """Contact points from which blocks are shared; below, the forces of all states are mostly in memory whole."""
 
