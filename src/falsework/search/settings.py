@@ -22,8 +22,8 @@ _OTHER_WIDTH = 16
 _TRIAL_WIDTH = 4
 """Widest beam for a plan with missing parts later: independent of the width for the first plan."""
 _EDGE_DEATHS = 128
-"""Times that a beam which closes free edges first dies before the beam that is first elsewhere begins; in large shells
-it dies once in most rows, and comes through at the next attempt."""
+"""Deaths of the beam that closes free edges first before the beam that is first elsewhere begins. In large shells it
+dies in most rows (22 times in 30 rows of 3,998 parts), and passes after backtracking."""
 _FREE_DEATHS = 16
 """Times that this one dies before one is tried in which robots work in one place ..."""
 _COMPACT_DEATHS = 64

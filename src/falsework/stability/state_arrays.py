@@ -11,8 +11,8 @@ Array = NDArray[np.float64]
 
 BLOCK = 32
 """Rows of a block: small, since a repair changes few contacts, and large beside the four bytes of its number."""
-_GROWTH = 1.0625
-"""Factor by which the memory for blocks grows."""
+GROWTH = 1.0625
+"""Factor by which the memory for blocks grows: small, since room that is not used is resident too."""
 
 
 class _Blocks:
@@ -28,7 +28,7 @@ class _Blocks:
         first, self.count = self.count, self.count + len(blocks)
         if self.count > len(self.values):
             # In place, so that old and new memory are never both in use.
-            shape = (max(self.count, int(_GROWTH * len(self.values))), *self.values.shape[1:])
+            shape = (max(self.count, int(GROWTH * len(self.values))), *self.values.shape[1:])
             self.values.resize(shape, refcheck=False)
         self.values[first : self.count] = blocks
         return np.arange(first, self.count, dtype=np.int32)

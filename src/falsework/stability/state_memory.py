@@ -7,10 +7,8 @@ from collections import OrderedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.stability.state_arrays import BLOCK, Array
+from falsework.stability.state_arrays import BLOCK, GROWTH, Array
 
-_GROWTH = 1.0625
-"""Factor by which the memory for blocks grows."""
 _WHOLE = 256 * 1024 * 1024
 """Memory for arrays stored whole, bytes."""
 _SHARED = 3 * 1024 * 1024 * 1024
@@ -102,7 +100,7 @@ class StateMemory:
         first, self._count = self._count, self._count + count - len(reused)
         if self._count > len(self._values):
             # In place, so that old and new memory are never both in use.
-            size = max(self._count, int(_GROWTH * len(self._values)))
+            size = max(self._count, int(GROWTH * len(self._values)))
             self._values.resize((size, *self._values.shape[1:]), refcheck=False)
             self._users.resize(size, refcheck=False)
         return np.concatenate([reused, np.arange(first, self._count, dtype=np.int32)])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -182,11 +182,7 @@ class AdaptiveBeam:
             "tried": self._tried,
             "left": list(self._left.items()),
             "gaps": self._gaps,
-            "base": self.settings.width,
-            "base_seed": self.settings.seed,
-            "base_compact": self.settings.compact,
-            "base_gaps": self.settings.gaps,
-            "base_few_ahead": self.settings.few_ahead,
+            "base": asdict(self.settings),
         }, arrays
 
     @classmethod
@@ -204,10 +200,8 @@ class AdaptiveBeam:
         Raises:
             KeyError, TypeError, ValueError: not what `pack` returned for this task.
         """
-        direction = Direction(header["settings"]["direction"])
-        base = int(header["base"]), bool(header["base_compact"]), int(header["base_seed"])
-        rules = bool(header["base_gaps"]), bool(header["base_few_ahead"])
-        beam = cls(task, oracle, AdaptiveSettings(direction, *base, *rules))
+        base = header["base"] | {"direction": Direction(header["base"]["direction"])}
+        beam = cls(task, oracle, AdaptiveSettings(**base))
         beam.search = BeamSearch.unpack(header, arrays, task, oracle, guide=guide)
         for name in _PLACE:
             setattr(beam, f"_{name}", int(header["adaptive"][name]))

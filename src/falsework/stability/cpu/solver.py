@@ -36,8 +36,8 @@ _CENTRED = 400
 """Parts from which forces are kept inside their cones, where all contacts have friction and none has cohesion, so that
 they change near the difference only. In smaller structures that takes longer than ADMM on the whole."""
 LEFT_OPEN = 1000
-"""Parts from which a search goes on without a verdict on what is still open then: ADMM and the exact solver take
-seconds for one state of the whole, and ADMM mostly decides nothing."""
+"""Parts from which states that local repairs leave undecided stay undecided within a search: ADMM on the whole and the
+exact solver take seconds for one of them, and ADMM mostly decides nothing."""
 _LEAST_FRICTION = 1e-3
 """Coefficient of friction below which cones are too narrow for that."""
 _FROM_REST = {"iterations": 10, "interior_steps": 60}
@@ -101,7 +101,6 @@ class CpuSolver:
         strength = problem.strength
         rough = bool((strength.friction > _LEAST_FRICTION).all())
         self._centred = problem.parts >= _CENTRED and rough and not (strength.pull.any() or strength.stick.any())
-        self._leaves_open = self._centred and problem.parts >= LEFT_OPEN
         self._from_rest = self._options._replace(**_FROM_REST) if large else self._options
         self._workers = Workers(settings.cpu.threads)
 
@@ -146,7 +145,8 @@ class CpuSolver:
             chosen, motion, force, warm = states[rows], velocity[rows], forces[rows], guess is not None
             kernel, before = (self.structure, chosen), force
             centred = self._centred and warm and parents is not None
-            only_centred = centred and self._leaves_open and bool(known[rows].all())
+            left_open = centred and self.problem.parts >= LEFT_OPEN
+            only_centred = left_open and bool(known[rows].all())
             if parents is not None:
                 beside = parents[rows]
                 # Proofs along a plan are requested for stable states.
@@ -159,7 +159,7 @@ class CpuSolver:
                     return
             if only_centred:
                 return
-            if not (centred and self._leaves_open):  # whose forces would lie on the boundaries of cones
+            if not left_open:  # whose forces would lie on the boundaries of cones
                 solve_range(*kernel, self._from_forces if warm else self._options, force, motion, warm, *found)
             left = found[0] == UNDECIDED
             # From no forces: first along the ways to supports, with the forces of the parent farther away.
