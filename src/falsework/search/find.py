@@ -21,6 +21,7 @@ from falsework.search.margins.demands import DemandingStability
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.planner import Planner
 from falsework.search.plans.alternatives import Alternatives, choose_alternatives
+from falsework.search.plans.build import plan_of_build
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.plans.prove import prove
@@ -236,8 +237,8 @@ def plan_of(
 ) -> Plan:
     """Plan along a route, each state proved stable anew with a proof that the certificate checker accepts.
 
-    Under the criterion `contact` the plan is replayed as well; the result is in `Plan.replay`. The plan has only those
-    places for props that it uses.
+    Under the criterion `contact` states are proved in the order in which they are built; the result of that replay is
+    in `Plan.replay`. The plan has only those places for props that it uses.
 
     Args:
         route: states and actions.
@@ -257,15 +258,14 @@ def plan_of(
             states = np.ascontiguousarray(route.states[:, np.concatenate([np.arange(bare), bare + used])])
             assembly = keep_props(assembly, used.tolist())
             route, oracle, replay = SupportRoute.through(states), Stability(assembly, oracle.settings), None
-    verdicts, arrays = prove(route.states, oracle, forces=forces)
-    plan = Plan.of(route, assembly, task, verdicts, oracle.settings.claim)
-    if arrays is not None:
-        plan = replace(plan, forces=arrays)
+    if oracle.replayer is None:
+        verdicts, arrays = prove(route.states, oracle, forces=forces)
+        plan = replace(Plan.of(route, assembly, task, verdicts, oracle.settings.claim), forces=arrays)
+    else:
+        plan = plan_of_build(route, assembly, task, oracle.replayer, replay, forces=forces)
     if isinstance(oracle, DemandingStability):
         plan = replace(plan, margins=PlanMargins.of(oracle, plan.states, oracle.demands))
-    if oracle.replayer is None:
-        return plan
-    return replace(plan, replay=replay or PlanReplay.of(oracle.replayer.replay(plan.assembly_states)))
+    return plan
 
 
 def _choose(planner: Planner | SupportPlanner, settings: PlannerSettings, name: str, stop: Stop) -> Alternatives:

@@ -14,7 +14,7 @@ from falsework.assembly.state import REMOVED
 from falsework.errors import InputError
 from falsework.search.beam.adaptive import AdaptiveBeam, AdaptiveSettings
 from falsework.search.beam.beam import BeamSearch
-from falsework.search.plans.plan_replay import PlanReplay, replayer_of
+from falsework.search.plans.plan_replay import Acceptance, PlanReplay, replayer_of
 from falsework.search.problem.guide import Guide, NoveltyGuide
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import (
@@ -75,6 +75,7 @@ class Planner:
         """Replays that come to rest in every state, by the states of the routes."""
         self._oracle = oracle
         self._replayer = replayer_of(oracle, settings)
+        self._acceptance = Acceptance(getattr(oracle, "replayer", None))
         self._keeps = getattr(oracle, "keeps", None)
         self._forbidden, self._falls = self.states[:0], 0
         self._edge_guide = self._preferring("edges_first", guide)
@@ -259,11 +260,16 @@ class Planner:
                 return False
         if self._replayer is None:
             return True
-        moved = None if self.settings.robust else beam.search.largest_movement()
-        if moved is not None:
-            self.replays[route.states.tobytes()] = PlanReplay(True, *moved)
-            return True
-        replay = self._replayer.replay(route.states[::-1])
+        known = None if self.settings.robust else beam.search.replay_summary()
+        if known is not None:
+            moved, part, presses = known
+            replay = self._acceptance.replay(route.states[::-1], presses)
+            if replay is None:
+                self.replays[route.states.tobytes()] = PlanReplay(True, moved, part, presses=presses)
+                return True
+        else:
+            replay = self._replayer.replay(route.states[::-1])
+            replay = (self._acceptance.replay(route.states[::-1], replay.presses) if replay.good else None) or replay
         if replay.good:
             self.replays[route.states.tobytes()] = PlanReplay.of(replay)
             return True

@@ -13,7 +13,8 @@ enlarge the set of admissible forces (`Strength`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.stability.contact_geometry import geometry_of
+from falsework.stability.holds import HoldSettings
 from falsework.stability.state_arrays import StateArrays
 from falsework.stability.stiffness import MOVEMENT, TANGENTIAL_RATIO, normal_stiffness, structure_size
 from falsework.stability.strength import Strength, strength_of
@@ -56,6 +58,14 @@ class StabilityCriterion:
     """Definition of stability."""
     stiffness_ratio: float = TANGENTIAL_RATIO
     """Ratio of tangential to normal contact stiffness, under the criterion `contact`."""
+    reserve: float = 1.0
+    """Number by which friction is divided."""
+    holds: HoldSettings = field(default_factory=HoldSettings)
+    """Stiffness and limits of robots that hold parts, in replays."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the criterion as plain JSON values."""
+        return vars(self) | {"holds": self.holds.to_dict()}
 
 
 CONTACT = StabilityCriterion(cone="quadratic", criterion="contact")
@@ -151,12 +161,12 @@ def forces_of_displacement(assembly: Assembly, states: States, displacement: Arr
     geometry = geometry_of(assembly.contacts, assembly.mass)
     relative = geometry.relative(displacement)
     stiffness = normal_stiffness(assembly, claim.gravity)
-    strength = strength_of(assembly, claim.gravity)
+    strength = strength_of(assembly, claim.gravity, claim.reserve)
     normal = -stiffness * relative[..., 0]
     whole = ~strength.tears | (normal >= -_TEARS * strength.pull)
     tangent = -(claim.stiffness_ratio * stiffness)[:, None] * relative[..., 1:]
     springs = np.concatenate([normal[..., None], tangent], axis=2)
-    forces = np.where(whole[..., None], _into_cone(springs, strength, claim.cone)[0], 0.0)
+    forces = np.where(whole[..., None], into_cone(springs, strength, claim.cone)[0], 0.0)
     return np.where(geometry.acts(states)[:, :, None], forces, 0.0)
 
 
@@ -175,7 +185,10 @@ def residual_of_forces(
     Returns:
         Shares of gravity, shape (batch,).
     """
-    strength, geometry = strength_of(assembly, claim.gravity), geometry_of(assembly.contacts, assembly.mass)
+    strength, geometry = (
+        strength_of(assembly, claim.gravity, claim.reserve),
+        geometry_of(assembly.contacts, assembly.mass),
+    )
     forces, refused = _admit(forces, geometry.acts(states), strength, claim.cone, _weight(assembly, claim))
     admissible = ~refused.any(axis=1) & (forces[:, :, 0].sum(axis=1) <= _most(assembly, claim))
     share = _share_of_gravity(assembly, geometry.wrenches(forces), np.arange(states.shape[1]), claim)
@@ -209,7 +222,10 @@ def residuals_in_order(
         for rows in chunks(np.arange(len(states)), points):
             residual[rows] = residual_of_forces(assembly, states[rows], np.array([forces[k] for k in rows]), claim)
         return residual
-    strength, geometry = strength_of(assembly, claim.gravity), geometry_of(assembly.contacts, assembly.mass)
+    strength, geometry = (
+        strength_of(assembly, claim.gravity, claim.reserve),
+        geometry_of(assembly.contacts, assembly.mass),
+    )
     weight, most, owners = _weight(assembly, claim), _most(assembly, claim), (geometry.part_a, geometry.part_b)
     inside, refused = np.zeros((points, 3)), np.zeros(points, dtype=bool)
     share, known = np.zeros(states.shape[1]), None
@@ -256,7 +272,7 @@ def _admit(
     forces = np.where(acts[:, :, None], forces, 0.0)
     size = np.linalg.norm(forces, axis=2)
     finite = np.isfinite(size)
-    inside, outside = _into_cone(np.where(finite[:, :, None], forces, 0.0), strength, cone)
+    inside, outside = into_cone(np.where(finite[:, :, None], forces, 0.0), strength, cone)
     refused = acts & ~(finite & (outside <= _ROUNDING * (size + weight)))
     return np.where(acts[:, :, None], inside, 0.0), refused
 
@@ -315,7 +331,7 @@ def resistance_to_velocity(
     below. Neither depends on the loads. Arguments as for `residual_bound_of_velocity`, shapes (batch,).
     """
     mass, geometry = assembly.mass, geometry_of(assembly.contacts, assembly.mass)
-    strength, acts = strength_of(assembly, claim.gravity), geometry.acts(states)
+    strength, acts = strength_of(assembly, claim.gravity, claim.reserve), geometry.acts(states)
     relative = geometry.relative(velocity)
     slip = _slip(relative, claim.cone)
     taken = np.where(acts, strength.friction * slip - relative[..., 0], 0.0).max(axis=1, initial=0.0)
@@ -326,7 +342,7 @@ def resistance_to_velocity(
     return most * taken + joined, claim.gravity * (momentum + (turning / geometry.gyration).sum(axis=1))
 
 
-def _into_cone(forces: Array, strength: Strength, cone: str) -> tuple[Array, Array]:
+def into_cone(forces: Array, strength: Strength, cone: str) -> tuple[Array, Array]:
     """Return forces with tangents shrunk until they are admissible, and how far outside the cone they were, in N.
 
     Shapes (batch, points, 3) and (batch, points).

@@ -53,7 +53,9 @@ class Stability:
             raise InputError("joints that set need the criterion contact; equilibrium has no steps")
         self.assembly, self.settings = assembly, settings
         self._contact = settings.criterion == "contact"
-        self.problem = build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity)
+        self.problem = build_problem(
+            assembly, cone=settings.friction_cone, gravity=settings.gravity, reserve=settings.reserve
+        )
         self._gurobi = self._make_gurobi()
         self.counters = Counters()
         self._cpu, self._gpu = self._make_cpu(), self._make_gpu()
@@ -238,6 +240,25 @@ class Stability:
     def stable(self, states: ArrayLike, *, parents: ArrayLike | None = None) -> NDArray[np.bool_]:
         """Return whether states are proven stable; arguments as for `judge`. Shape (batch,)."""
         return self.judge(states, parents=parents).stable
+
+    def plausible(self, states: States, parents: States) -> NDArray[np.bool_]:
+        """Return which states a replay may find at rest: those without a mechanism near where they differ.
+
+        The test is cheap and its rejections are proofs; where the replay decides, nothing more is asked.
+
+        Args:
+            states: shape (batch, parts).
+            parents: states at rest one move away, shape (batch, parts).
+        """
+        self.counters.asked += len(states)
+        verdict, residual, _ = self._cache.look_up(states)
+        rest = np.flatnonzero(verdict == 0)
+        if len(rest) and isinstance(self._cpu, ContactSolver):
+            falls = self._cpu.falls(states[rest], parents[rest])
+            self.counters.cpu += int(falls.sum())
+            verdict[rest[falls]] = Verdict.UNSTABLE
+            self._cache.store(states[rest[falls]], verdict[rest[falls]], residual[rest[falls]])
+        return verdict != Verdict.UNSTABLE
 
     def settle(self, states: States, residual: NDArray[np.float64]) -> Verdicts:
         """Decide states that a GPU left undecided.

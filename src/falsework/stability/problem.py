@@ -105,13 +105,16 @@ class Problem:
         return (a != REMOVED) & (b != REMOVED) & ((a != HELD) | (b != HELD))
 
 
-def build_problem(assembly: Assembly, *, cone: Cone = "octagon", gravity: float = 9.81) -> Problem:
+def build_problem(
+    assembly: Assembly, *, cone: Cone = "octagon", gravity: float = 9.81, reserve: float = 1.0
+) -> Problem:
     """Set up the equilibrium problem of an assembly (paper, equations 2 to 6; docs/how-it-works).
 
     Args:
         assembly: parts, contacts, masses and friction.
         cone: `octagon` (the paper's eight tangents) or `quadratic` (Coulomb).
         gravity: acceleration of gravity along -z, m/s2.
+        reserve: number by which friction is divided.
 
     Raises:
         InputError: unknown cone, or gravity that is not positive.
@@ -175,8 +178,8 @@ def build_problem(assembly: Assembly, *, cone: Cone = "octagon", gravity: float 
         array.setflags(write=False)
     return Problem(
         parts=assembly.part_count,
-        friction=float(assembly.friction),
-        strength=strength_of(assembly, gravity),
+        friction=float(assembly.friction) / reserve,
+        strength=strength_of(assembly, gravity, reserve),
         cone=cone,
         weight=float(gravity * mass.mass[~immovable].sum()),
         **arrays,

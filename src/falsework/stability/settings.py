@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, get_args
 
 import numpy as np
 
 from falsework.errors import InputError
 from falsework.stability.certificate import StabilityCriterion
+from falsework.stability.holds import HoldSettings
 from falsework.stability.problem import TOLERANCE, Cone
 from falsework.stability.stiffness import TANGENTIAL_RATIO
 from falsework.stability.strength import FORCE_BOUND
@@ -92,6 +93,10 @@ class StabilitySettings:
     """Bound on the sum of all normal forces, in weights of the structure."""
     stiffness_ratio: float = TANGENTIAL_RATIO
     """Ratio of tangential to normal contact stiffness, under the criterion `contact`."""
+    reserve: float = 1.0
+    """Number by which friction is divided in all verdicts and replays; 1.1 is the default of plans."""
+    holds: HoldSettings = field(default_factory=HoldSettings)
+    """Stiffness and limits of robots that hold parts, and whether they press, in replays."""
     solver: SolverName = "cpu"
     """First solver; states that it leaves undecided go to the exact solver. `auto` takes the GPU, where there is
     one, for batches on which it is faster than the CPU."""
@@ -101,7 +106,7 @@ class StabilitySettings:
     def __post_init__(self) -> None:
         if self.criterion not in get_args(Criterion):
             raise InputError(f"unknown criterion {self.criterion!r}; choose {' or '.join(get_args(Criterion))}")
-        for name in ("gravity", "tolerance", "force_bound", "stiffness_ratio"):
+        for name in ("gravity", "tolerance", "force_bound", "stiffness_ratio", "reserve"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
                 raise InputError(f"{name} is {value}; give a positive number")
@@ -119,7 +124,14 @@ class StabilitySettings:
     def claim(self) -> StabilityCriterion:
         """Criterion and bounds for the certificate checker."""
         return StabilityCriterion(
-            self.friction_cone, self.gravity, self.tolerance, self.force_bound, self.criterion, self.stiffness_ratio
+            self.friction_cone,
+            self.gravity,
+            self.tolerance,
+            self.force_bound,
+            self.criterion,
+            self.stiffness_ratio,
+            self.reserve,
+            self.holds,
         )
 
 

@@ -40,8 +40,8 @@ class Strength(NamedTuple):
         return Strength(self.friction[points], self.pull[points], self.stick[points], self.tears[points])
 
 
-def strength_of(assembly: Assembly, gravity: float = 9.81) -> Strength:
-    """Return the strength of the contact points of a structure.
+def strength_of(assembly: Assembly, gravity: float = 9.81, reserve: float = 1.0) -> Strength:
+    """Return the strength of the contact points of a structure, its friction divided by a reserve.
 
     Tension is limited by the apex of the cone, cohesion over friction. The tension of a contact point, and its
     tangential force by cohesion, are limited to `FORCE_BOUND` weights of the structure shared by all contact points: a
@@ -50,7 +50,7 @@ def strength_of(assembly: Assembly, gravity: float = 9.81) -> Strength:
     count = len(assembly.contacts.points)
     friction = np.full(count, float(assembly.friction))
     if assembly.joints is None:
-        return Strength(friction, np.zeros(count), np.zeros(count), np.ones(count, bool))
+        return Strength(friction / reserve, np.zeros(count), np.zeros(count), np.ones(count, bool))
     given = assembly.joints
     friction = np.where(np.isnan(given.friction), friction, given.friction)
     most = FORCE_BOUND * gravity * assembly.mass.mass[~assembly.boundary].sum() / max(count, 1)
@@ -59,4 +59,4 @@ def strength_of(assembly: Assembly, gravity: float = 9.81) -> Strength:
     stick = given.cohesion - friction * pull
     # Where cohesion is not given, or the cone ends at the tension up to rounding, there is no disc.
     stick = np.where(stick > 1e-9 * given.cohesion, np.minimum(stick, most), 0.0)
-    return Strength(friction, pull, stick, ~given.ductile)
+    return Strength(friction / reserve, pull, stick, ~given.ductile)

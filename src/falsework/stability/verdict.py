@@ -35,7 +35,9 @@ class Proof(IntEnum):
     VELOCITY = 2
     """A virtual velocity that no admissible forces can stop (unstable)."""
     DISPLACEMENT = 3
-    """A displacement whose contact forces balance every part (stable under the criterion `contact`)."""
+    """A displacement whose contact forces balance every part (stable from rest under the criterion `contact`)."""
+    HISTORY = 4
+    """Displacements in the steps of a build whose contact forces balance every part (stable as reached in a plan)."""
 
 
 class Solver(IntEnum):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import cached_property
 from itertools import islice, pairwise
 from typing import Any
@@ -26,6 +26,7 @@ from falsework.search.problem.hashing import StateHash
 from falsework.search.problem.oracle import CountingOracle, Oracle
 from falsework.search.problem.result import Outcome, SearchCounters, SearchResult, beam_failure
 from falsework.search.problem.task import Direction, Task
+from falsework.stability.holds import Press
 
 _RETREAT_LEVELS = 8
 """Levels that a beam goes back when it is tried again ..."""
@@ -55,12 +56,15 @@ class BeamSearch(LevelSearch):
             guide: scores actions; without it only diversity decides.
         """
         task = task.judged_by(oracle)
+        replayer = getattr(oracle, "replayer", None) if settings.direction is Direction.ASSEMBLY else None
+        if replayer is not None:
+            task = replace(task, holds_keep_stable=True)  # with a history, a part that is fixed changes no force
         super().__init__(task, settings)
         self.levels = self._levels
         self._whole: list[bool] = []
         """For each level after the first, and for the attempt at the next if dead: no stable state was left out."""
         self._judge = CountingOracle(oracle)
-        replayer = getattr(oracle, "replayer", None) if settings.direction is Direction.ASSEMBLY else None
+        self._judge.screens = replayer is not None
         self._ways = BeamWays(self.levels, self._judge, replayer)
         self._failures = None if task.neighbours is None else FailureMemory(task.neighbours)
         self._guide = guide
@@ -175,14 +179,10 @@ class BeamSearch(LevelSearch):
             moved = draw.uniform(-settings.disorder, settings.disorder, self.task.part_count)
         return Scores(frontier, before, guide, tuple(fixed), moved)
 
-    def largest_movement(self) -> tuple[float, int] | None:
-        """Return how far a part moves at most in the replay of the route found, m, and that part.
-
-        Returns:
-            None where no histories are kept.
-        """
+    def replay_summary(self) -> tuple[float, int, tuple[tuple[Press, ...], ...]] | None:
+        """Return the replay of the route found, see `Histories.summary`; None where no histories are kept."""
         replays = self._ways.replays
-        return None if replays is None or not self.found else replays.histories.largest_movement(0)
+        return None if replays is None or not self.found else replays.histories.summary(0)
 
     def _beside(self, parts: tuple[int, ...]) -> NDArray[np.intp]:
         """Return the parts in contact with some others, those left out."""

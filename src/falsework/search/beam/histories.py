@@ -10,6 +10,7 @@ from falsework.search.beam.frontier import Level, PackedLevel
 if TYPE_CHECKING:
     from falsework.stability.contact.replay import History
     from falsework.stability.contact.varied_replay import AnyReplayer
+    from falsework.stability.holds import Press
     from falsework.stability.problem import Problem
 
 _HISTORY_BYTES = 256 << 20
@@ -39,8 +40,8 @@ class Histories:
         self._levels = levels
         self._most = histories_in_memory(replayer.problem)
         self._known: list[dict[int, History | None]] = []
-        self._moved: list[dict[int, tuple[float, int]]] = []
-        """Of the states at rest: the largest movement of a part, and that part."""
+        self._known_steps: list[dict[int, tuple[float, int, tuple[Press, ...]]]] = []
+        """Of the states at rest: the largest movement of a part, that part, and the presses of the step."""
 
     def of(self, level: int, row: int, replayer: AnyReplayer | None = None) -> History | None:
         """Return the history of a state of a level; None where the way to it does not stand.
@@ -79,7 +80,7 @@ class Histories:
             self._fit(level + 1)
             self._known[level][row] = history
             if history is not None:
-                self._moved[level][row] = history.moved, history.part
+                self._known_steps[level][row] = history.moved, history.part, history.presses
 
     def drop_oldest(self) -> None:
         """Forget the histories of the earliest levels where they take too much memory."""
@@ -94,22 +95,25 @@ class Histories:
     def rewind(self, level: int) -> None:
         """Forget all levels after `level`."""
         with self.lock:
-            del self._known[level + 1 :], self._moved[level + 1 :]
+            del self._known[level + 1 :], self._known_steps[level + 1 :]
 
-    def largest_movement(self, row: int) -> tuple[float, int] | None:
-        """Return how far a part has moved at most on the way to a state of the last level, m, and that part.
+    def summary(self, row: int) -> tuple[float, int, tuple[tuple[Press, ...], ...]] | None:
+        """Return the replay of the way to a state of the last level.
 
         Returns:
-            None where a state on the way does not come to rest.
+            How far a part moves at most, m, that part, and the presses of the step to each state; None where a state on
+            the way does not come to rest.
         """
         level = len(self._levels) - 1
         if self.of(level, row) is None:
             return None
-        most = (0.0, -1)
+        most, presses = (0.0, -1), []
         for number in range(level, -1, -1):
-            most = max(most, self._moved[number][row])
+            *movement, pressed = self._known_steps[number][row]
+            most = max(most, tuple(movement))
+            presses.append(pressed)
             row = int(self._levels[number].parent[row])
-        return most
+        return *most, tuple(presses[::-1])
 
     def _way(self, level: int, row: int) -> list[int]:
         """Return the rows, level by level, from a state back to one whose history is known, or to the first level."""
@@ -122,4 +126,4 @@ class Histories:
     def _fit(self, count: int) -> None:
         """Make room for the histories of `count` levels."""
         self._known.extend({} for _ in range(count - len(self._known)))
-        self._moved.extend({} for _ in range(count - len(self._moved)))
+        self._known_steps.extend({} for _ in range(count - len(self._known_steps)))

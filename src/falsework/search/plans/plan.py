@@ -17,6 +17,7 @@ from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.certificate import StabilityCriterion
+from falsework.stability.holds import Press
 from falsework.stability.state_arrays import StateArrays
 from falsework.stability.verdict import Verdicts
 
@@ -106,7 +107,12 @@ class Plan:
     """Contact forces `(n, t1, t2)` of each state in N, the proof under `equilibrium`, shape (steps + 1, points, 3);
     those of searches take memory only for what changes from state to state."""
     displacement: NDArray[np.float64] | None = None
-    """Proof of each state under `contact`: displacements of the parts in m and rad, shape (steps + 1, parts, 6)."""
+    """Proof of each state under `contact`: displacements of the parts in m and rad in the increments of the assembly
+    step that leads to it, shape (steps + 1, increments, parts, 6)."""
+    torn: Mask | None = None
+    """With it: contact points that have lost their tensile strength, shape (steps + 1, points)."""
+    presses: tuple[tuple[Press, ...], ...] = ()
+    """Presses of robots in each step as it is done in assembly, one entry a step; empty where there are none."""
     replay: PlanReplay | None = None
     """Result of the replay in the order of assembly; None if there was none."""
     margins: PlanMargins | None = None
@@ -136,6 +142,13 @@ class Plan:
         bad = np.flatnonzero(~verdicts.stable)
         if len(bad):
             raise PlanError(f"state {bad[0]} of the plan is not proven stable; plan again")
+        return cls.unproven(route, assembly, task, verdicts, claim)
+
+    @classmethod
+    def unproven(
+        cls, route: Route, assembly: Assembly, task: Task, verdicts: Verdicts, claim: StabilityCriterion
+    ) -> Plan:
+        """Plan as `of`, whatever the verdicts are."""
         return cls(
             states=route.states,
             actions=route.actions,
@@ -156,7 +169,6 @@ class Plan:
             props=assembly.props,
             prop_limit=task.prop_limit if assembly.props else 0,
             forces=verdicts.forces,
-            displacement=verdicts.displacement,
         )
 
     def __len__(self) -> int:
@@ -202,6 +214,8 @@ class Plan:
             residuals=self.residuals[::-1].copy(),
             forces=None if self.forces is None else self.forces[::-1].copy(),
             displacement=None if self.displacement is None else self.displacement[::-1].copy(),
+            torn=None if self.torn is None else self.torn[::-1].copy(),
+            presses=self.presses[::-1],
             margins=None if self.margins is None else self.margins.reverse(),
             direction=other,
         )
@@ -210,6 +224,12 @@ class Plan:
     def assembly_states(self) -> States:
         """States in the order of assembly, in which a plan is replayed, shape (steps + 1, parts)."""
         return self.states if self.direction is Direction.ASSEMBLY else self.states[::-1]
+
+    @property
+    def assembly_presses(self) -> tuple[tuple[Press, ...], ...]:
+        """Presses of the step to each state in the order of assembly, one entry a state."""
+        presses = self.presses or ((),) * len(self.actions)
+        return ((), *(presses if self.direction is Direction.ASSEMBLY else presses[::-1]))
 
     def proof_arrays(self) -> NDArray[np.float64] | StateArrays | None:
         """Return the certificates of the states under the plan's criterion, if the plan has them."""

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
@@ -18,13 +19,9 @@ from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_source import structure_of_plan
 from falsework.search.problem.support_moves import SupportMoves
 from falsework.search.problem.task import Direction, Task
-from falsework.stability.certificate import (
-    StabilityCriterion,
-    chunks,
-    residual_of_displacement,
-    residuals_in_order,
-    verify_certificates,
-)
+from falsework.stability.certificate import StabilityCriterion, residuals_in_order, verify_certificates
+from falsework.stability.contact.replay import Replayer
+from falsework.stability.history import BuildVerifier, StepCertificate
 from falsework.stability.oracle import Stability
 from falsework.stability.reference.clarabel import ExactSolver
 from falsework.stability.settings import StabilitySettings
@@ -124,6 +121,12 @@ def weaker_claim(claimed: StabilityCriterion, asked: StabilityCriterion) -> str:
     """
     if claimed.criterion != asked.criterion and asked.criterion == "contact":
         return "the plan claims equilibrium only; plan again, or check it with --criterion equilibrium"
+    if claimed.reserve < asked.reserve * (1 - 1e-12):
+        return f"the plan claims a reserve of {claimed.reserve:g}; {asked.reserve:g} is asked"
+    for name, unit in (("force", "N"), ("moment", "N m")):
+        most, limit = getattr(claimed.holds, name), getattr(asked.holds, name)
+        if claimed.criterion == "contact" and limit is not None and (most is None or most > limit * (1 + 1e-12)):
+            return f"the plan is for robots that hold with up to {most or np.inf:g} {unit}; {limit:g} {unit} is allowed"
     for name, unit in (("tolerance", ""), ("force_bound", " weights")):
         if getattr(claimed, name) > getattr(asked, name) * (1 + 1e-12):
             return f"the plan claims a {name} of {getattr(claimed, name):g}{unit}; {getattr(asked, name):g} is asked"
@@ -145,8 +148,9 @@ def validate_plan(
     The caller sets the stability criterion. Tolerance, gravity, force bound and criterion in the plan are claims: a
     plan that claims less than the caller requires is refused.
 
-    Under `equilibrium` the exact solver decides. Under `contact` a displacement is computed anew, from rest and without
-    a parent, and verified by the certificate checker, which shares no code with the solvers.
+    Under `equilibrium` the exact solver decides. Under `contact` the plan is built anew, with its presses and for the
+    robots that it names, with its reserve and under the true friction; every step is verified by `BuildVerifier`, which
+    shares no code with the solvers.
 
     Args:
         plan: plan to check.
@@ -169,27 +173,78 @@ def validate_plan(
     if weaker:
         return PlanReport(count, 0, weaker, claim=claim)
     broken = broken_rule(plan, assembly)
-    solver = Stability(assembly, settings) if settings.criterion == "contact" else ExactSolver(assembly, settings)
-    largest, before = 0.0, None
-    for row in range(count if broken is None else broken[0]):
-        if isinstance(solver, ExactSolver):
+    if claim.criterion == "contact":
+        if broken is not None:
+            return _end(plan, broken, 0.0, claim, time.perf_counter() - begun)
+        settings = replace(settings, reserve=plan.claim.reserve, holds=plan.claim.holds)
+        claim = settings.claim
+        row, reason, largest = _unproven_build(plan, assembly, settings, progress)
+        if reason:
+            verdict = None if row is None else Stability(assembly, settings).check(plan.states[row])
+            bad = count if row is None else row
+            return PlanReport(count, bad, reason, largest, claim, verdict, time.perf_counter() - begun)
+    else:
+        solver, largest = ExactSolver(assembly, settings), 0.0
+        for row in range(count if broken is None else broken[0]):
             verdict = solver.check(plan.states[row : row + 1])
-        else:
-            verdict = solver.check_beside(plan.states[row], plan.states[max(row - 1, 0) : row + 2])
-            if not verdict.stable[0] and before is not None:
-                verdict = solver.check_next(plan.states[row : row + 1], plan.states[row - 1 : row], before)
-        before = verdict
-        if not (verdict.stable[0] and verify_certificates(assembly, plan.states[row : row + 1], verdict, claim)[0]):
-            seconds = time.perf_counter() - begun
-            return PlanReport(count, row, _unstable(plan, row, verdict), largest, claim, verdict, seconds)
-        largest = max(largest, float(verdict.residual[0]))
-        if progress is not None:
-            progress(row + 1, count)
+            if not (verdict.stable[0] and verify_certificates(assembly, plan.states[row : row + 1], verdict, claim)[0]):
+                seconds = time.perf_counter() - begun
+                return PlanReport(count, row, _unstable(plan, row, verdict), largest, claim, verdict, seconds)
+            largest = max(largest, float(verdict.residual[0]))
+            if progress is not None:
+                progress(row + 1, count)
     weak = _weak(plan, assembly, settings, demands) if broken is None else None
     if weak is not None:
         reason = f"{weak[1]} {_place(plan, weak[0])}"
         return PlanReport(count, weak[0], reason, largest, claim, None, time.perf_counter() - begun)
     return _end(plan, broken, largest, claim, time.perf_counter() - begun)
+
+
+def _unproven_build(
+    plan: Plan, assembly: Assembly, settings: StabilitySettings, progress: Callable[[int, int], None] | None
+) -> tuple[int | None, str, float]:
+    """Return the first state in the order of assembly that is not proven as it is reached, and why.
+
+    Args:
+        plan: plan under `contact`.
+        assembly: the structure.
+        settings: with the reserve of the plan and its robots; the plan must come to rest under the true friction too.
+        progress: called with the number of states checked and of all states.
+
+    Returns:
+        Row of the plan and reason, None and empty if there is none; largest residual.
+    """
+    states, presses, count = plan.assembly_states, plan.assembly_presses, len(plan.states)
+    largest, cases = 0.0, [settings] if settings.reserve == 1.0 else [settings, replace(settings, reserve=1.0)]
+    for number, case in enumerate(cases):
+        under = f" with friction divided by {case.reserve:g}" if case.reserve != 1.0 else ""
+        verifier, row = BuildVerifier(assembly, case.claim), -1
+        for row, certificate in enumerate(Replayer(assembly, case).certificates(states, presses)):
+            proof = verifier.step(states[row], certificate)
+            if not proof.residual <= case.tolerance:
+                why = proof.reason or f"its forces leave {proof.residual:.3g} of gravity"
+                return _row(plan, row), f"{_built(plan, row)} is not proven{under}: {why}", largest
+            largest = max(largest, proof.residual)
+            if progress is not None and number == 0:
+                progress(row + 1, count)
+        if row + 1 < count:
+            return (
+                _row(plan, row + 1),
+                f"the structure does not come to rest{under} at {_built(plan, row + 1)}",
+                largest,
+            )
+    return None, "", largest
+
+
+def _row(plan: Plan, row: int) -> int:
+    """Return the row in the plan of a state counted in the order of assembly."""
+    return row if plan.direction is Direction.ASSEMBLY else len(plan.states) - 1 - row
+
+
+def _built(plan: Plan, row: int) -> str:
+    """Name a state by the assembly step that leads to it."""
+    forward = plan if plan.direction is Direction.ASSEMBLY else plan.reverse()
+    return f"assembly step {row} ({forward.describe(row - 1)})" if row else "the beginning of assembly"
 
 
 def _weak(
@@ -230,13 +285,12 @@ def validate_proofs(plan: Plan, assembly: Assembly, settings: StabilitySettings 
         return PlanReport(len(plan.states), 0, weaker, claim=claim)
     if proofs is None:
         raise PlanError(f"the plan carries no {name}; check it with the solver, or plan again with proofs")
-    if proofs.shape != wanted:
+    if (*proofs.shape[:1], *proofs.shape[-2:]) != wanted or proofs.ndim != 3 + contact:
         raise PlanError(f"the plan has {name} of shape {proofs.shape}; expected {wanted}; plan again")
     broken = broken_rule(plan, assembly)
     if contact:
-        rows = chunks(np.arange(len(plan.states)), len(assembly.contacts.points))
-        found = [residual_of_displacement(assembly, plan.states[some], proofs[some], claim) for some in rows]
-        residual = np.concatenate(found)
+        claim = replace(claim, reserve=plan.claim.reserve, holds=plan.claim.holds)
+        residual = _residuals_of_build(plan, assembly, claim)
     else:
         residual = residuals_in_order(assembly, plan.states, proofs, claim)
     bad = np.flatnonzero(~(residual <= claim.tolerance))
@@ -245,6 +299,20 @@ def validate_proofs(plan: Plan, assembly: Assembly, settings: StabilitySettings 
         reason = f"the {name} of {_place(plan, row)} leave {residual[row]:.3g} of gravity, above {claim.tolerance:g}"
         return PlanReport(len(plan.states), row, reason, claim=claim, seconds=time.perf_counter() - begun)
     return _end(plan, broken, float(residual.max(initial=0.0)), claim, time.perf_counter() - begun)
+
+
+def _residuals_of_build(plan: Plan, assembly: Assembly, claim: StabilityCriterion) -> NDArray[np.float64]:
+    """Return the residual of each state of a plan by the displacements that it carries, shape (states,)."""
+    assert plan.displacement is not None
+    forward = plan if plan.direction is Direction.ASSEMBLY else plan.reverse()
+    whole = np.zeros(len(assembly.contacts.points), dtype=bool)
+    verifier, residual = BuildVerifier(assembly, claim), np.empty(len(plan.states))
+    for row, (state, presses) in enumerate(zip(forward.states, forward.assembly_presses, strict=True)):
+        torn = whole if forward.torn is None else forward.torn[row]
+        residual[_row(plan, row)] = verifier.step(
+            state, StepCertificate(forward.displacement[row], torn, presses)
+        ).residual
+    return residual
 
 
 def _end(

@@ -24,7 +24,7 @@ def plan_schema() -> dict[str, Any]:
 
 
 def save_plan(plan: Plan, path: Path | str, *, proofs: bool = False) -> None:
-    """Write a plan as JSON, format `falsework.plan/2`, whole or not at all.
+    """Write a plan as JSON, format `falsework.plan/3`, whole or not at all.
 
     Args:
         plan: the plan.
@@ -39,6 +39,8 @@ def save_plan(plan: Plan, path: Path | str, *, proofs: bool = False) -> None:
         raise InputError(f"save_plan writes a Plan, not {type(plan).__name__}; results have theirs in plans")
     if proofs and plan.proof_arrays() is None:
         raise PlanError("the plan carries no displacements or contact forces to write; save it without proofs")
+    if proofs and plan.torn is not None and plan.torn.any():
+        raise PlanError("contacts of the plan break, which its file cannot prove; save it without proofs")
     write_json(path, plan_to_dict(plan, proofs=proofs), spread=("steps",))
 
 
@@ -49,8 +51,13 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
     judged = [
         {"verdict": "stable", "proof": proof, "residual": float(f"{residual:.6g}")} for residual in plan.residuals
     ]
+
+    def pressed(row: int) -> dict[str, Any]:
+        some = plan.presses[row] if plan.presses else ()
+        return {"presses": [{"part": press.part, "wrench": list(press.wrench)} for press in some]} if some else {}
+
     steps = [
-        {"do": plan.describe(row).partition(" ")[0], "part": action % parts, **judged[row + 1]}
+        {"do": plan.describe(row).partition(" ")[0], "part": action % parts, **judged[row + 1], **pressed(row)}
         for row, action in enumerate(plan.actions.tolist())
     ]
     data: dict[str, Any] = {
@@ -80,6 +87,8 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
             "gravity": plan.claim.gravity,
             "tolerance": plan.claim.tolerance,
             "force_bound": plan.claim.force_bound,
+            "reserve": plan.claim.reserve,
+            "holds": plan.claim.holds.to_dict(),
         },
         "start": {"state": plan.states[0].tolist(), **judged[0]},
         "steps": steps,
@@ -87,13 +96,19 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
         "needs": [asdict(need) for need in plan.needs],
     }
     if plan.replay is not None:
-        data["replay"] = asdict(plan.replay)
+        summary = asdict(plan.replay)
+        del summary["presses"]  # those of the steps
+        data["replay"] = summary
     if plan.margins is not None:
         data["margins"] = plan.margins.to_dict()
     arrays = plan.proof_arrays()
     if proofs and arrays is not None:
         name, count = PROOF_ARRAYS[plan.claim.criterion]
-        data[name] = {count: arrays.shape[1], **pack_proofs(arrays)}
+        data[name] = {count: arrays.shape[-2]}
+        if arrays.ndim == 4:
+            data[name]["increments"] = arrays.shape[1]
+            arrays = arrays.reshape(len(arrays), -1, 6)
+        data[name] |= pack_proofs(arrays)
     return data
 
 

@@ -18,13 +18,17 @@ from falsework.search.plans.plan import needs_of
 from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.problem.task import Direction
 from falsework.stability.certificate import StabilityCriterion
+from falsework.stability.holds import HoldSettings, Press
 from falsework.stability.state_arrays import StateArrays
 from falsework.stability.stiffness import TANGENTIAL_RATIO
 from falsework.stability.verdict import Proof, Verdict
 from falsework.utils.json_file import Reader
 
-FORMAT = "falsework.plan/2"
-OLD_FORMAT = "falsework.plan/1"
+FORMAT = "falsework.plan/3"
+SECOND_FORMAT = "falsework.plan/2"
+"""Plans of version 2 were made for robots that hold parts rigidly, without limits, and never press; under `contact` each
+of their states was proved from rest."""
+FIRST_FORMAT = "falsework.plan/1"
 """Plans of version 1 are under the criterion `equilibrium` and carry no replay."""
 
 MOVES = {
@@ -37,7 +41,7 @@ MOVES = {
 repeated holds, parts are held and released in both directions."""
 _SHARE = 0.1
 """Shares of gravity in 1 m/s2, rounded down."""
-PROOF_WORDS = {"contact": "displacement", "equilibrium": "forces"}
+PROOF_WORDS = {"contact": "history", "equilibrium": "forces"}
 PROOF_ARRAYS = {"contact": ("displacements", "parts"), "equilibrium": ("forces", "points")}
 """Entry of the file that holds the proofs, and the items along its first axis."""
 _KEYS = {"format", "direction", "structure", "robots", "rules", "stability", "start", "steps", "end", "needs"}
@@ -53,7 +57,26 @@ def _from_version_1(data: dict[str, Any]) -> dict[str, Any]:
             stability["tolerance"] *= _SHARE
     if isinstance(steps, list):
         steps = [_scaled(step) for step in steps]
-    return data | {"format": FORMAT, "stability": stability, "start": _scaled(start), "steps": steps}
+    return data | {"format": SECOND_FORMAT, "stability": stability, "start": _scaled(start), "steps": steps}
+
+
+def _from_version_2(data: dict[str, Any]) -> dict[str, Any]:
+    """Convert a plan of version 2; proofs of single states from rest are left out, they prove no build."""
+    stability = data.get("stability")
+    if isinstance(stability, dict):
+        rigid = {"stiffness": None, "force": None, "moment": None, "press": False}
+        stability = stability | {"reserve": 1.0, "holds": rigid}
+        if stability.get("criterion") == "contact":
+            data = {key: value for key, value in data.items() if key != "displacements"}
+            data["start"] = _from_rest(data.get("start"))
+            if isinstance(data.get("steps"), list):
+                data["steps"] = [_from_rest(step) for step in data["steps"]]
+    return data | {"format": FORMAT, "stability": stability}
+
+
+def _from_rest(record: Any) -> Any:
+    known = isinstance(record, dict) and record.get("proof") == "displacement"
+    return record | {"proof": "history"} if known else record
 
 
 def _scaled(record: Any) -> Any:
@@ -73,8 +96,10 @@ class PlanReader(Reader):
         Raises:
             PlanError: they are no plan; the message names the entry.
         """
-        if isinstance(data, dict) and data.get("format") == OLD_FORMAT:
+        if isinstance(data, dict) and data.get("format") == FIRST_FORMAT:
             data = _from_version_1(data)
+        if isinstance(data, dict) and data.get("format") == SECOND_FORMAT:
+            data = _from_version_2(data)
         self._header(data, _KEYS, optional=frozenset({"forces", "displacements", "replay", "margins"}))
         structure, rules, stability = data["structure"], data["rules"], data["stability"]
         self._keys(
@@ -85,7 +110,9 @@ class PlanReader(Reader):
         )
         self._keys(rules, {"fixed", "missing", "removable_only_if_clear"}, "rules", frozenset({"support", "props"}))
         self._keys(
-            stability, {"criterion", "stiffness_ratio", "cone", "gravity", "tolerance", "force_bound"}, "stability"
+            stability,
+            {"criterion", "stiffness_ratio", "cone", "gravity", "tolerance", "force_bound", "reserve", "holds"},
+            "stability",
         )
         names = structure["parts"]
         if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
@@ -106,13 +133,14 @@ class PlanReader(Reader):
             self._fail(f"stability.cone is {stability['cone']!r}", "it must be octagon or quadratic")
         if not isinstance(stability["criterion"], str) or stability["criterion"] not in PROOF_WORDS:
             self._fail(f"stability.criterion is {stability['criterion']!r}", "it must be contact or equilibrium")
-        numbers = ("gravity", "tolerance", "force_bound", "stiffness_ratio")
+        numbers = ("gravity", "tolerance", "force_bound", "stiffness_ratio", "reserve")
         claim = StabilityCriterion(
             cone=stability["cone"],
             criterion=stability["criterion"],
+            holds=self._holds(stability["holds"]),
             **{key: self._number(stability[key], f"stability.{key}") for key in numbers},
         )
-        if 0 in (claim.gravity, claim.tolerance, claim.force_bound, claim.stiffness_ratio):
+        if 0 in (claim.gravity, claim.tolerance, claim.force_bound, claim.stiffness_ratio, claim.reserve):
             self._fail("stability has a zero where a positive number must be")
         self._proof = PROOF_WORDS[claim.criterion]
         robots = self._count(data["robots"], "robots", least=1)
@@ -160,8 +188,13 @@ class PlanReader(Reader):
             if name in data and name != entry:
                 self._fail(f"it has {name}, which prove nothing under the criterion {claim.criterion}")
         if entry in data:
-            field = "displacement" if entry == "displacements" else entry
-            fields[field] = self._packed(data[entry], entry, counted, len(states))
+            if entry == "displacements":
+                fields["displacement"] = self._displacements(data[entry], len(states))
+            else:
+                fields[entry] = self._packed(data[entry], entry, counted, len(states))
+        presses = [self._presses(step, number, parts) for number, step in enumerate(data["steps"], 1)]
+        if any(presses):
+            fields["presses"] = tuple(presses)
         if data["needs"] != [asdict(need) for need in needs_of(actions, direction, parts, fields["missing"])]:
             self._fail("its needs do not agree with its steps")
         return fields
@@ -218,7 +251,7 @@ class PlanReader(Reader):
         states, actions = [state], []
         for number, step in enumerate(self._list(data["steps"], "steps"), 1):
             place = f"step {number}"
-            self._keys(step, {"do", "part", "verdict", "proof", "residual"}, place)
+            self._keys(step, {"do", "part", "verdict", "proof", "residual"}, place, frozenset({"presses"}))
             word, part = step["do"], self._count(step["part"], f"{place}: part")
             if part >= parts:
                 self._fail(f"{place} names part {part}, but parts are numbered 0 to {parts - 1}")
@@ -263,6 +296,41 @@ class PlanReader(Reader):
         if len(set(value)) != len(value):
             self._fail(f"{place} names a part twice")
         return value
+
+    def _holds(self, value: Any) -> HoldSettings:
+        self._keys(value, {"stiffness", "force", "moment", "press"}, "stability.holds")
+        numbers = {
+            key: np.inf if value[key] is None else self._number(value[key], f"stability.holds.{key}")
+            for key in ("stiffness", "force", "moment")
+        }
+        if not isinstance(value["press"], bool):
+            self._fail("stability.holds.press must be true or false")
+        if numbers["stiffness"] == 0:
+            self._fail("stability.holds.stiffness is 0", "it must be a positive number, or null for rigid holds")
+        return HoldSettings(**numbers, press=value["press"])
+
+    def _presses(self, step: dict[str, Any], number: int, parts: int) -> tuple[Press, ...]:
+        """Read the presses of a step; whether robots hold these parts is for the check."""
+        found = []
+        for entry in self._list(step.get("presses", []), f"step {number}: presses"):
+            place = f"step {number}: presses"
+            self._keys(entry, {"part", "wrench"}, place)
+            part, wrench = self._count(entry["part"], f"{place}: part"), self._list(entry["wrench"], f"{place}: wrench")
+            if part >= parts:
+                self._fail(f"{place} name part {part}, but parts are numbered 0 to {parts - 1}")
+            if len(wrench) != 6 or not all(type(x) in (int, float) and math.isfinite(x) for x in wrench):
+                self._fail(f"{place} have the wrench {wrench!r}", "it must be six finite numbers, N and N m")
+            found.append(Press(part, tuple(map(float, wrench))))
+        return tuple(found)
+
+    def _displacements(self, value: Any, states: int) -> NDArray[np.float64]:
+        """Return the displacements in the increments of all steps, shape (states, increments, parts, 6)."""
+        name = "displacements"
+        self._keys(value, {"parts", "increments", WHOLE}, name)
+        parts = self._count(value["parts"], f"{name}.parts")
+        increments = self._count(value["increments"], f"{name}.increments", least=1)
+        flat = self._packed({"parts": parts * increments, WHOLE: value[WHOLE]}, name, "parts", states)
+        return np.asarray(flat).reshape(states, increments, parts, 6)
 
     def _replay(self, value: Any, parts: int, states: int) -> PlanReplay:
         self._keys(value, {"stands", "moved", "part", "falls_at"}, "replay")

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from falsework.assembly.state import States
+from falsework.stability.contact.replay import ReplaySettings
+from falsework.stability.holds import Press
 
 if TYPE_CHECKING:
     from falsework.search.problem.oracle import Oracle
@@ -26,13 +30,39 @@ class PlanReplay:
     """The part that moved that far, -1 if none moved."""
     falls_at: int | None = None
     """First state in the order of assembly that does not come to rest, counted from 0."""
+    presses: tuple[tuple[Press, ...], ...] = ()
+    """Presses of the step to each state in the order of assembly; empty where they are not known."""
 
     @classmethod
     def of(cls, replay: Replay) -> PlanReplay:
         """Return the summary of a replay."""
         resting = np.flatnonzero(replay.stands == 1)
         most = int(resting[np.argmax(replay.moved[resting])]) if len(resting) else -1
-        return cls(replay.good, replay.largest, int(replay.part[most]) if most >= 0 else -1, replay.falls_at)
+        part = int(replay.part[most]) if most >= 0 else -1
+        return cls(replay.good, replay.largest, part, replay.falls_at, replay.presses)
+
+
+class Acceptance:
+    """Second test of a route that comes to rest with a reserve: it does so under the true friction too."""
+
+    def __init__(self, replayer: VariableReplayer | None) -> None:
+        """Prepare the test; without a replayer, or without a reserve, there is none."""
+        reserve = 1.0 if replayer is None else replayer.settings.reserve
+        self._plain = None
+        if replayer is not None and reserve != 1.0:
+            self._plain = replayer.vary(replace(replayer.settings, reserve=1.0), ReplaySettings())
+
+    def replay(self, states: States, presses: tuple[tuple[Press, ...], ...]) -> Replay | None:
+        """Return the replay of a route under the true friction if it fails, else None.
+
+        Args:
+            states: in assembly order, shape (steps + 1, parts).
+            presses: of the steps that lead to each state.
+        """
+        if self._plain is None:
+            return None
+        found = self._plain.replay(states, presses=presses)
+        return None if found.good else found
 
 
 def replayer_of(oracle: Oracle, settings: PlannerSettings) -> AnyReplayer | None:

@@ -79,13 +79,13 @@ class HoldBound:
         Args:
             assembly: the structure.
             task: start, target, fixed parts and clearance; its number of robots does not matter.
-            settings: of the plan; the friction cone, gravity and tolerances are taken over.
+            settings: of the plan; the friction cone, gravity, tolerances and reserve are taken over.
             clock: raises `DeadlineExceeded` out of `barrier` once it has run out.
         """
         self.task = task
         self.asked = self._stop_at = 0
         """Verdicts requested, and those after which a bound gives up."""
-        same = {name: getattr(settings, name) for name in ("gravity", "tolerance", "force_bound")}
+        same = {name: getattr(settings, name) for name in ("gravity", "tolerance", "force_bound", "reserve")}
         equilibrium = StabilitySettings(criterion="equilibrium", cone=settings.friction_cone, **same)
         if assembly.joints is not None:  # those that set bear less before
             assembly = assembly.replace(joints=assembly.joints.once_set())

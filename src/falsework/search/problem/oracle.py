@@ -23,6 +23,15 @@ class Oracle(Protocol):
         """
         ...
 
+    def plausible(self, states: States, parents: States) -> Mask:
+        """Return which states a replay may find at rest; asked only where the oracle has a `replayer`.
+
+        Args:
+            states: shape (batch, parts).
+            parents: states at rest one move away, shape (batch, parts).
+        """
+        ...
+
 
 class CountingOracle:
     """Oracle wrapper that queries in batches of bounded size and counts."""
@@ -37,6 +46,8 @@ class CountingOracle:
         self.forbidden: set[bytes] = set()
         """States at which a replay failed: counted as sliding without a verdict."""
         self.seconds = 0.0
+        self.screens = False
+        """Only reject states that a mechanism nearby proves unstable: a replay decides the others."""
         self._batch = batch
 
     def stable(self, states: States, parents: States) -> Mask:
@@ -53,14 +64,17 @@ class CountingOracle:
         stable = np.zeros(len(states), dtype=bool)
         for begin in range(0, len(states), self._batch):
             rows = slice(begin, begin + self._batch)
-            verdicts = self.oracle.judge(states[rows], parents=parents[rows])
-            stable[rows] = verdicts.stable
-            self.sliding += int(verdicts.slides.sum())
+            if self.screens:
+                stable[rows] = self.oracle.plausible(states[rows], parents[rows])
+            else:
+                verdicts = self.oracle.judge(states[rows], parents=parents[rows])
+                stable[rows] = verdicts.stable
+                self.sliding += int(verdicts.slides.sum())
+                self.undecided += int(verdicts.undecided.sum())
             if self.forbidden:
                 fallen = np.array([state.tobytes() in self.forbidden for state in states[rows]], dtype=bool)
                 self.sliding += int((stable[rows] & fallen).sum())
                 stable[rows] &= ~fallen
-            self.undecided += int(verdicts.undecided.sum())
         self.asked += len(states)
         self.rejected += int((~stable).sum())
         self.seconds += time.perf_counter() - begun

@@ -61,6 +61,20 @@ class TimedOracle:
             begin += len(rows)
         return verdicts
 
+    def plausible(self, states: States, parents: States) -> Mask:
+        """Return which states a replay may find at rest, see `Stability.plausible`.
+
+        Raises:
+            DeadlineExceeded: the deadline has passed.
+        """
+        self._between()
+        if self._clock.passed:
+            raise DeadlineExceeded
+        with self._clock.timed("verdicts"):
+            found = self._oracle.plausible(states, parents)
+        self.asked += len(states)
+        return found & ~self.rules_out(states)
+
     def rules_out(self, states: States) -> Mask:
         """Return which states replays have excluded, shape (batch,)."""
         known = () if self.replayer is None else self.replayer.ruled_out

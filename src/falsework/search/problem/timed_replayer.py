@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 from falsework.assembly.state import States
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.stability.contact.newton import RESTS
-from falsework.stability.contact.replay import History, Replay, Replayer, ReplaySettings
+from falsework.stability.contact.replay import History, Presses, Replay, Replayer, ReplaySettings
+from falsework.stability.holds import Press
 from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
 
@@ -50,6 +51,8 @@ class _Progress:
     reached: int = 0
     """States that came to rest."""
     fell: bool = False
+    presses: list[tuple[Press, ...]] = field(default_factory=list)
+    """Presses of the step to each of these states."""
 
     @classmethod
     def begin(cls, count: int) -> _Progress:
@@ -103,17 +106,17 @@ class DeadlineReplayer:
         """
         return self._replayer
 
-    def replay(self, states: ArrayLike, history: History | None = None) -> Replay:
+    def replay(self, states: ArrayLike, history: History | None = None, presses: Presses | None = None) -> Replay:
         """Replay as `Replayer.replay`, without histories unless a single state is replayed.
 
         Raises:
             DeadlineExceeded: the deadline passed; `unfinished` then is this sequence.
         """
         sequence = np.asarray(states, dtype=np.uint8)
-        if history is not None or len(sequence) < 2:
+        if history is not None or presses is not None or len(sequence) < 2:
             self._look()
             with self._clock.timed("replays"):
-                return self._replayer.replay(sequence, history)
+                return self._replayer.replay(sequence, history, presses)
         progress = self._go_on(sequence)
         if not progress.over:
             self.unfinished = sequence
@@ -122,7 +125,7 @@ class DeadlineReplayer:
         if progress.fell:
             result[:] = RESTS
             result[_inner(progress.reached, len(sequence)) or len(sequence) :] = 0
-        return Replay(result, progress.moved, progress.part, progress.residual, 0.0)
+        return Replay(result, progress.moved, progress.part, progress.residual, 0.0, presses=tuple(progress.presses))
 
     def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
         """Replay a step as `Replayer.step`.
@@ -168,6 +171,7 @@ class DeadlineReplayer:
             progress.result[fresh] = RESTS
             progress.fell = done < len(states[rows])
             if done:
+                progress.presses += found.presses[skipped:done]
                 progress.reached, progress.history = first + done, found.histories[done - 1]
             if progress.fell:
                 self._note(states, progress.reached)

@@ -22,6 +22,7 @@ from falsework.stability.contact.newton import (
 from falsework.stability.cpu.layout import make_scratch, pair_velocity, point_velocity, restrict, set_gravity
 from falsework.stability.cpu.neighbourhood import hold_far_parts
 from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED
+from falsework.stability.holds import PRESS_STIFFNESS, HoldSettings, limits_of
 from falsework.stability.problem import Problem
 from falsework.stability.stiffness import MOVEMENT, TANGENTIAL_RATIO, normal_stiffness, structure_size
 from falsework.utils.kernels import njit
@@ -51,7 +52,11 @@ class ContactOptions(NamedTuple):
 
 
 def build_contact_structure(
-    assembly: Assembly, problem: Problem, gravity: float, ratio: float = TANGENTIAL_RATIO
+    assembly: Assembly,
+    problem: Problem,
+    gravity: float,
+    ratio: float = TANGENTIAL_RATIO,
+    holds: HoldSettings = HoldSettings(),
 ) -> ContactArrays:
     """Lay out the stiffness of a structure for the kernel.
 
@@ -60,10 +65,13 @@ def build_contact_structure(
         problem: its scaled equilibrium problem.
         gravity: m/s2.
         ratio: ratio of tangential to normal stiffness.
+        holds: stiffness and limits of the holds of robots.
     """
     stiffness = normal_stiffness(assembly, gravity) / problem.force_scale**2
     scale = 1.0 / float(np.median(stiffness)) if len(stiffness) else 1.0
     wider = ((0, 0), (0, 0), (0, LANES - ROWS))
+    mass, limits = assembly.mass.mass, limits_of(assembly, holds, gravity)
+    pressing = min(holds.stiffness, PRESS_STIFFNESS) / mass * scale
     return ContactArrays(
         normal=stiffness * scale,
         tangential=ratio * stiffness * scale,
@@ -73,6 +81,10 @@ def build_contact_structure(
         scale=scale,
         reach=assembly.mass.gyration,
         limit=MOVEMENT * structure_size(assembly),
+        grip=np.zeros(len(mass)) if np.isinf(holds.stiffness) else holds.stiffness / mass * scale,
+        press_grip=pressing,
+        force_limit=limits.force / np.sqrt(mass),
+        moment_limit=limits.moment,
     )
 
 
@@ -135,9 +147,9 @@ def write_forces(structure, work, contact, pairs, out):
 
 
 @njit(cache=True)
-def lacks_contact(work, pairs):
-    """Return whether a part that can move has no contact with a present part."""
-    touched = np.zeros(len(work.free), dtype=np.bool_)
+def lacks_contact(work, contact, pairs):
+    """Return whether a part that can move, and that no robot holds, has no contact with a present part."""
+    touched = contact.grip > 0.0
     for p in range(pairs):
         if work.slot_a[p] >= 0:
             touched[work.slot_a[p]] = True
@@ -237,7 +249,7 @@ def solve_contact_state(structure, contact_structure, state, options, work, cont
         displacement[:] = 0.0
         forces[:] = 0.0
         return RESTS, 0.0, 0
-    if lacks_contact(work, pairs):
+    if lacks_contact(work, contact, pairs):
         displacement[:] = 0.0
         forces[:] = 0.0
         return MOVES_AWAY, np.inf, 0

@@ -20,7 +20,8 @@ from falsework.stability.cpu.layout import FAST, add_pair_wrench, pair_velocity,
 from falsework.stability.cpu.panels import factor_panels, solve_panels
 from falsework.utils.kernels import njit
 
-RESTS, MOVES_AWAY, OPEN = 1, -1, 0
+RESTS, MOVES_AWAY, OPEN, OVERLOADS = 1, -1, 0, -2
+"""Results: at rest, parts move away, undecided, and in replays that a robot bears more than it can."""
 
 FIRST_STEP = 30.0
 """First time step, in units in which the median contact stiffness is 1: longer means lower viscosity. With much longer
@@ -78,6 +79,15 @@ class ContactArrays(NamedTuple):
     """Radius of gyration of each part, m: converts rotations to movements, shape (parts,)."""
     limit: float
     """Movement of a part beyond which the structure counts as collapsing, m."""
+    grip: NDArray[np.float64]
+    """Scaled stiffness of a robot's hold on each part, zero where holds are rigid, shape (parts,). A hold resists turning
+    as it resists shifting (its stiffness is a multiple of the mass matrix), so one number is enough."""
+    press_grip: NDArray[np.float64]
+    """The same of a robot that presses, which is compliant; never zero."""
+    force_limit: NDArray[np.float64]
+    """Largest whitened force of a robot on each part, shape (parts,)."""
+    moment_limit: NDArray[np.float64]
+    """Largest moment of a robot on each part about its centre of mass, N m, shape (parts,)."""
 
 
 class ContactScratch(NamedTuple):
@@ -104,6 +114,8 @@ class ContactScratch(NamedTuple):
     residual: NDArray[np.float64]
     next_residual: NDArray[np.float64]
     step: NDArray[np.float64]
+    grip: NDArray[np.float64]
+    """Scaled stiffness of the hold on each part, zero for parts that nothing holds, shape (n,)."""
 
 
 @njit(cache=True)
@@ -125,6 +137,7 @@ def make_contact_scratch(structure):
         np.zeros((n, 6)),
         np.zeros((n, 6)),
         np.zeros((n, 6)),
+        np.zeros(n),
     )
 
 
@@ -135,10 +148,11 @@ def evaluate(structure, work, contact, pairs, displacement, trial, out):
     ta, tb, cone, mu = structure.transfer_a, structure.transfer_b, structure.cone, work.friction
     pull, stick = contact.pull, contact.stick
     kn, kt, offset, load, free = contact.normal, contact.tangential, contact.offset, contact.load, work.free
+    grip = contact.grip
     for j in range(len(free)):
         if free[j]:
             for r in range(6):
-                out[j, r] = load[j, r]
+                out[j, r] = load[j, r] - grip[j] * displacement[j, r]
     for p in range(pairs):
         q, a, b = pair[p], slot_a[p], slot_b[p]
         s0, s1, s2, s3, s4, s5 = pair_velocity(ta, tb, q, a, b, displacement)

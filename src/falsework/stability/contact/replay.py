@@ -3,25 +3,31 @@
 A state that is stable from rest may not be stable when it is reached as on site, because friction depends on earlier
 sliding and on the load that a robot carried before its release. A replay carries displacements and spring forces from
 state to state. Parts are inserted unstressed, robots release slowly, and every step is quasi-static, without inertia.
+Robots that hold parts are springs with limits. Where a part cannot be let go of otherwise, the others press before.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import REMOVED, States, as_states
+from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states
 from falsework.errors import InputError
 from falsework.stability.contact.kernel import ContactOptions
 from falsework.stability.contact.newton import FIRST_STEP, OPEN, RESTS
-from falsework.stability.contact.replay_kernel import replay_range
+from falsework.stability.contact.press import PressPlanner
+from falsework.stability.contact.replay_kernel import hold_wrench, replay_range
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.cpu.layout import COMPILED_LAYOUT
+from falsework.stability.history import StepCertificate
+from falsework.stability.holds import Press, pack_presses
 from falsework.stability.problem import build_problem
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.stiffness import structure_size
@@ -36,6 +42,12 @@ _LONGER_STEP = 1e4
 """Factor on the first time step of the whole structure after the parts near the change came to rest."""
 _SET = 1_000_000
 """Age in steps of joints that exist before the first state."""
+_OFF_SIZE, _OFF_DIRECTION = 0.1, np.radians(5.0)
+"""Share of its size, and angle, by which a robot may miss the force of a press."""
+_TRACKED = 64
+"""Steps whose certificates are in memory at once."""
+Presses = Sequence[Sequence[Press]]
+"""Presses of the steps that lead to each state, one entry a state."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +91,8 @@ class History:
     """Largest movement of a part since it was placed, m."""
     part: int = -1
     """The part that moved most, -1 where none moved."""
+    presses: tuple[Press, ...] = ()
+    """Presses of the step that led here."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,17 +100,20 @@ class Replay:
     """Result of a replay in assembly order, up to the first state that does not come to rest."""
 
     stands: NDArray[np.int8]
-    """For each state: 1 it comes to rest, -1 parts move away, 0 undecided or not reached; shape (states,)."""
+    """For each state: 1 it comes to rest, -1 parts move away, -2 a robot bears more than it can, 0 undecided or not
+    reached; shape (states,)."""
     moved: Array
     """Largest movement of a part since it was placed, m, shape (states,)."""
     part: NDArray[np.int32]
-    """The part that moved most, -1 where none moved, shape (states,)."""
+    """The part that moved most, -1 where none moved, or whose robot bears too much, shape (states,)."""
     residual: Array
     """Residual at rest, in the units of the tolerance, shape (states,)."""
     size: float
     """Diagonal of the structure, m."""
     histories: tuple[History, ...] = ()
     """Histories after each state that was reached."""
+    presses: tuple[tuple[Press, ...], ...] = ()
+    """Presses of the step to each state that was reached."""
 
     @property
     def good(self) -> bool:
@@ -137,7 +154,9 @@ class Replayer:
         self.settings = settings
         self.replay_settings = replay
         if solver is None:
-            problem = build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity)
+            problem = build_problem(
+                assembly, cone=settings.friction_cone, gravity=settings.gravity, reserve=settings.reserve
+            )
             solver = ContactSolver(assembly, problem, settings)
         self.problem = solver.problem
         self._solver = solver
@@ -159,63 +178,147 @@ class Replayer:
         """Return this replayer, which has no deadline."""
         return self
 
-    def replay(self, states: ArrayLike, history: History | None = None) -> Replay:
+    def replay(self, states: ArrayLike, history: History | None = None, presses: Presses | None = None) -> Replay:
         """Replay consecutive states up to the first that does not come to rest.
 
         Args:
             states: in assembly order, shape (states, parts).
             history: history of the first state; without it, gravity is ramped up on the first state.
+            presses: of the steps that lead to each state. If not given they are chosen where a release does not come to
+                rest without, unless the settings forbid it.
 
         Raises:
             StateError: states of the wrong length or with other values.
         """
         batch = np.require(as_states(states, self.assembly.boundary), requirements=COMPILED_LAYOUT)
+        if presses is not None:
+            return self._replay(batch, history, presses)
+        none: list[tuple[Press, ...]] = [()] * len(batch)
+        found = self._replay(batch, history, none)
+        parts = [found]
+        done = len(found.histories)
+        while 0 < done < len(batch):
+            helped = self._press(batch[done - 1], batch[done], found.histories[-1])
+            if helped is None:
+                break
+            found = self._replay(batch[done:], helped, none[done:])
+            parts.append(found)
+            done += len(found.histories)
+        return _joined(parts, len(batch))
+
+    def step(
+        self, history: History, before: States, after: States, presses: Sequence[Press] | None = None
+    ) -> tuple[bool, History]:
+        """Take one step, as a replay of both states does that begins with the history of the first.
+
+        Args:
+            history: history of the state before.
+            before, after: consecutive states in assembly order, shape (parts,).
+            presses: of this step; chosen where they are needed if not given.
+
+        Returns:
+            Whether the structure comes to rest, and its history then.
+        """
+        given = None if presses is None else [(), tuple(presses)]
+        replay = self.replay(np.stack([before, after]), history, given)
+        return bool(replay.stands[1] == RESTS), replay.histories[-1]
+
+    def hold_wrenches(self, history: History, state: States) -> Array:
+        """Return the wrench that a robot bears on each held part, N and N m about its centre, shape (parts, 6)."""
+        wrench, out = np.zeros((self.problem.parts, 6)), np.empty(6)
+        shares = self._set_shares(history.age[None])[0]
+        for part in np.flatnonzero((state == HELD) & ~self.problem.boundary).tolist():
+            hold_wrench(self._structure, state, part, history.springs, history.torn, shares, out)
+            wrench[part] = self.problem.momentum[part] @ out
+        return wrench
+
+    def certificates(self, states: ArrayLike, presses: Presses) -> Iterator[StepCertificate]:
+        """Yield the certificate of the step to each state, up to the first that does not come to rest.
+
+        Args:
+            states: in assembly order, shape (states, parts).
+            presses: of the steps that lead to each state.
+        """
+        batch = np.require(as_states(states, self.assembly.boundary), requirements=COMPILED_LAYOUT)
+        increments, history, first = self.replay_settings.increments, None, 0
+        while first < len(batch):
+            rows = slice(max(first - 1, 0), first + _TRACKED)
+            track = np.zeros((len(batch[rows]), increments, self.problem.parts, 6))
+            found = self._replay(batch[rows], history, presses[rows], track)
+            for row in range(first - rows.start, len(found.histories)):
+                kept = found.histories[row]
+                yield StepCertificate(track[row], kept.torn, kept.presses)
+            if not found.good:
+                return
+            history, first = found.histories[-1], first + _TRACKED
+
+    @cached_property
+    def _presses(self) -> PressPlanner:
+        return PressPlanner(self._solver)
+
+    def _press(self, before: States, after: States, history: History) -> History | None:
+        """Return the history of a step in which robots press before a part is released; None if none is found."""
+        if not self.settings.holds.presses or not ((before == HELD) & (after == INSTALLED)).any():
+            return None
+        shares = self._set_shares(history.age[None])[0]
+        for presses in self._presses.proposals(before, after, history.springs, history.torn, shares):
+            if all(
+                (found := self._replay(np.stack([before, after]), history, [(), varied])).good
+                for varied in (*inexact_presses(presses), presses)
+            ):
+                return found.histories[-1]
+        return None
+
+    def _set_shares(self, ages: NDArray[np.int32]) -> Array:
+        """Return the share of its strength that each contact point has reached, shape (states, points) or (states, 0)."""
+        joints = self.assembly.joints
+        return np.zeros((len(ages), 0)) if joints is None or not joints.setting else joints.set_share(ages)
+
+    def _replay(self, batch: States, history: History | None, presses: Presses, track: Array | None = None) -> Replay:
+        """Replay checked states with given presses; `track` as in `settle_step`, shape (states, increments, parts, 6)."""
+        if track is None:
+            track = np.zeros((1, self.replay_settings.increments, 0, 6))
         count, problem = len(batch), self.problem
         displacement, springs = np.zeros((count, problem.parts, 6)), np.zeros((count, problem.points, 3))
         torn = np.zeros((count, problem.points), bool)
-        age, joints = self._ages(batch, None if history is None else history.age), self.assembly.joints
-        set_share = np.zeros((count, 0)) if joints is None or not joints.setting else joints.set_share(age)
+        age = self._ages(batch, None if history is None else history.age)
         result, residual, moved = np.full(count, OPEN, np.int8), np.full(count, np.nan), np.zeros(count)
         iterations, part = np.zeros(count, np.int32), np.full(count, -1, np.int32)
         if history is not None:
             displacement[0], springs[0], torn[0] = history.displacement, history.springs, history.torn
             moved[0], part[0] = history.moved, history.part
+        start, pressed, wrench = pack_presses(presses)
         reached = replay_range(
             self._structure,
             self._contact,
             batch,
             history is None,
+            start,
+            pressed,
+            (problem.whitening[pressed] @ wrench[:, :, None])[:, :, 0],
             self._options,
             self.replay_settings.increments,
             self._noise,
             displacement,
             springs,
             torn,
-            set_share,
+            self._set_shares(age),
+            track,
             result,
             residual,
             iterations,
             part,
             moved,
         )
+        given = [tuple(some) for some in presses]
+        if history is not None:
+            given[0] = history.presses
         histories = tuple(
-            History(displacement[row], springs[row], torn[row], age[row], float(moved[row]), int(part[row]))
+            History(displacement[row], springs[row], torn[row], age[row], float(moved[row]), int(part[row]), given[row])
             for row in range(reached)
         )
-        return Replay(result, moved, part, residual, self._size, histories)
-
-    def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
-        """Take one step, as a replay of both states does that begins with the history of the first.
-
-        Args:
-            history: history of the state before.
-            before, after: consecutive states in assembly order, shape (parts,).
-
-        Returns:
-            Whether the structure comes to rest, and its history then.
-        """
-        replay = self.replay(np.stack([before, after]), history)
-        return bool(replay.stands[1] == RESTS), replay.histories[-1]
+        done = tuple(history.presses for history in histories)
+        return Replay(result, moved, part, residual, self._size, histories, done)
 
     def _ages(self, states: States, age: NDArray[np.int32] | None) -> NDArray[np.int32]:
         """Return for how many steps both parts of each contact point have been present, shape (states, points).
@@ -241,6 +344,38 @@ class Replayer:
             size = replay.friction_noise * typical * rng.uniform(0, 1, self.problem.points)
             noise = np.stack([np.cos(angle), np.sin(angle)], axis=1) * (size / self.problem.force_scale)[:, None]
         return noise
+
+
+def _joined(parts: list[Replay], count: int) -> Replay:
+    """Join replays of consecutive states, each of which begins with the state at which the one before it ended."""
+    if len(parts) == 1:
+        return parts[0]
+    histories: list[History] = []
+    stands, residual = np.full(count, OPEN, np.int8), np.full(count, np.nan)
+    moved, most = np.zeros(count), np.full(count, -1, np.int32)
+    for replay in parts:
+        begin = len(histories)
+        for whole, piece in zip(
+            (stands, residual, moved, most), (replay.stands, replay.residual, replay.moved, replay.part), strict=True
+        ):
+            whole[begin:] = piece
+        histories += replay.histories
+    presses = tuple(history.presses for history in histories)
+    return Replay(stands, moved, most, residual, parts[0].size, tuple(histories), presses)
+
+
+def inexact_presses(presses: Sequence[Press]) -> list[tuple[Press, ...]]:
+    """Return presses as robots may carry them out: 10 % off in size, or 5 degrees in direction."""
+
+    def changed(factor: float, axis: int, angle: float) -> tuple[Press, ...]:
+        turn = factor * Rotation.from_rotvec(angle * np.eye(3)[axis]).as_matrix()
+        return tuple(
+            replace(press, wrench=tuple((np.reshape(press.wrench, (2, 3)) @ turn.T).ravel().tolist()))
+            for press in presses
+        )
+
+    sizes = [changed(factor, 0, 0.0) for factor in (1 - _OFF_SIZE, 1 + _OFF_SIZE)]
+    return sizes + [changed(1.0, axis, angle) for axis in range(3) for angle in (-_OFF_DIRECTION, _OFF_DIRECTION)]
 
 
 def replay_plans(replayer: Replayer, plans: Sequence[States]) -> list[Replay]:

@@ -1,8 +1,11 @@
-"""Compiled step of a replay: contacts with history, and gradual release by robots.
+"""Compiled step of a replay: contacts with history, holds that give way and press, and gradual release by robots.
 
 Between two steps the structure keeps the positions of its parts and the spring forces of its contact points. Parts are
 inserted unstressed. When a robot releases a part, or a part is removed, the wrenches that are then missing are
 transferred to the contacts in equal increments; after each, points that slid keep their friction force.
+
+A robot that holds a part bears what balances it, and resists its movement like a spring. Where robots press, they add
+given wrenches in the increments in which the part is released.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ from falsework.stability.contact.law import contact_force
 from falsework.stability.contact.newton import (
     MOVES_AWAY,
     OPEN,
+    OVERLOADS,
     RESTS,
     VERDICT_PACE,
     come_to_rest,
@@ -28,8 +32,10 @@ from falsework.utils.kernels import njit
 
 
 @njit(cache=True)
-def _load_history(structure, contact_structure, state, work, contact, springs, torn, set_share, missing, share):
+def load_history(structure, contact_structure, state, work, contact, springs, torn, set_share, missing, share):
     """Prepare a state with the spring forces of its history, under gravity minus a share of the missing wrenches.
+
+    The part of a hold, where `contact.grip` is not zero, misses all of its wrench: that is what the robot bears.
 
     Returns:
         Number of acting pairs of parts, and number of parts that can move.
@@ -51,14 +57,91 @@ def _load_history(structure, contact_structure, state, work, contact, springs, t
     set_gravity(structure, state, contact.load)
     for j in range(len(work.free)):
         if work.free[j]:
+            left = 1.0 if contact.grip[j] > 0.0 else share
             for r in range(6):
-                contact.load[j, r] -= share * missing[j, r]
+                contact.load[j, r] -= left * missing[j, r]
     return pairs, count
 
 
 @njit(cache=True)
-def _keep_history(structure, contact_structure, work, contact, pairs, displacement, springs, torn):
-    """Add the increment to the displacement, and store the spring forces with friction limited by the law."""
+def set_holds(structure, contact_structure, before, state, pressed, contact, moving, origin):
+    """Write the springs of the holds in a step, and which parts can move in it.
+
+    Args:
+        structure, contact_structure, contact: as in `settle_step`.
+        before, state: shape (parts,).
+        pressed: held parts that robots press in this step.
+        moving: out: `state` with the parts whose holds give way as installed, shape (parts,).
+        origin: out: the same where the step changes nothing, 3 where it does, shape (parts,).
+    """
+    position, grip = structure.elimination.position, contact.grip
+    for j in range(len(grip)):
+        grip[j] = 0.0
+    for i in range(len(state)):
+        moving[i] = state[i]
+        if state[i] == 2 and position[i] >= 0 and contact_structure.grip[i] > 0.0:
+            moving[i], grip[position[i]] = 1, contact_structure.grip[i]
+        origin[i] = moving[i] if before[i] == state[i] else 3
+    for k in range(len(pressed)):
+        i = pressed[k]
+        moving[i], origin[i], grip[position[i]] = 1, 3, contact_structure.press_grip[i]
+
+
+@njit(cache=True)
+def hold_wrench(structure, state, part, springs, torn, set_share, out):
+    """Write the whitened wrench of a robot on a part that it holds, shape (6,), from the forces of its contacts."""
+    first, pair, parts = structure.neighbour_start, structure.neighbour_pair, structure.pair_parts
+    for r in range(6):
+        out[r] = -structure.gravity[part, r]
+    for k in range(first[part], first[part + 1]):
+        q = pair[k]
+        other = parts[q, 0] + parts[q, 1] - part
+        if state[other] == 0:
+            continue
+        transfer = structure.transfer_a if parts[q, 0] == part else structure.transfer_b
+        for j in range(structure.pair_start[q], structure.pair_start[q + 1]):
+            pull, stick = structure.pull[j], structure.stick[j]
+            if torn[j]:
+                pull, stick = 0.0, 0.0
+            elif len(set_share):
+                pull *= set_share[j]
+                stick *= set_share[j]
+            f0, f1, f2 = contact_force(
+                structure.cone, structure.friction[j], pull, stick, springs[j, 0], springs[j, 1], springs[j, 2]
+            )
+            for i in range(6):
+                bundle = structure.basis[j, i, 0] * f0 + structure.basis[j, i, 1] * f1 + structure.basis[j, i, 2] * f2
+                for r in range(6):
+                    out[r] -= transfer[q, r, i] * bundle
+
+
+@njit(cache=True)
+def _overloaded(structure, contact_structure, state, springs, torn, set_share):
+    """Return the first part whose robot bears more than it can, or -1."""
+    wrench = np.empty(6)
+    for i in range(len(state)):
+        if state[i] != 2 or structure.elimination.position[i] < 0:
+            continue
+        hold_wrench(structure, state, i, springs, torn, set_share, wrench)
+        force, moment = 0.0, 0.0
+        for r in range(3):
+            force += wrench[r] * wrench[r]
+            turning = 0.0
+            for c in range(3):
+                turning += structure.momentum[i, 3 + r, 3 + c] * wrench[3 + c]
+            moment += turning * turning
+        most, largest = contact_structure.force_limit[i], contact_structure.moment_limit[i]
+        if force > most * most or moment > largest * largest:
+            return i
+    return -1
+
+
+@njit(cache=True)
+def _keep_history(structure, contact_structure, work, contact, pairs, displacement, springs, torn, track):
+    """Add the increment to the displacement, and store the spring forces with friction limited by the law.
+
+    `track`, of shape (parts, 6) unless it is empty, is the displacement of the increment alone.
+    """
     order, turn = structure.elimination.order, structure.acceleration
     for j in range(len(work.free)):
         if work.free[j]:
@@ -68,6 +151,8 @@ def _keep_history(structure, contact_structure, work, contact, pairs, displaceme
                 for c in range(6):
                     total += turn[part, r, c] * contact.displacement[j, c]
                 displacement[part, r] += total * contact_structure.scale
+                if len(track):
+                    track[part, r] = total * contact_structure.scale
     for p in range(pairs):
         shift = structure.pair_start[work.pair[p]] - work.start[p]
         for j in range(work.start[p], work.start[p + 1]):
@@ -118,15 +203,20 @@ def settle_step(
     contact_structure,
     before,
     state,
+    press_part,
+    press_wrench,
     options,
     increments,
     work,
     contact,
     near,
+    moving,
+    origin,
     displacement,
     springs,
     torn,
     set_share,
+    track,
 ):
     """Move a structure with history to rest in a state.
 
@@ -135,19 +225,24 @@ def settle_step(
     Args:
         structure, contact_structure, options, work, contact: as in `solve_contact_state`.
         before, state: shape (parts,).
+        press_part, press_wrench: held parts that robots press in this step, and the whitened wrenches that they add, shapes
+            (n,) and (n, 6).
         increments: in how many the missing wrenches are transferred; all of gravity where the history is empty.
         displacement: displacement of the parts since they were placed, m and rad, shape (parts, 6); changed in place.
         springs: scaled spring forces of all contact points, shape (points, 3); changed in place.
-        near: scratch, shape (parts,).
+        near, moving, origin: scratch, shape (parts,).
         torn: contact points whose tensile strength was exceeded, shape (points,); changed in place.
         set_share: share of its full strength that each contact point has reached, shape (points,), or (0,) if all.
+        track: out: displacement in each increment, shape (increments, parts, 6), or (increments, 0, 6) to leave it out.
 
     Returns:
-        `RESTS`, `MOVES_AWAY` or `OPEN`; residual; iterations; the part that moved most, and its movement in m.
+        `RESTS`, `MOVES_AWAY`, `OVERLOADS` or `OPEN`; residual; iterations; the part that moved most, or whose robot
+        bears too much, and the largest movement in m.
     """
+    set_holds(structure, contact_structure, before, state, press_part, contact, moving, origin)
     missing = np.zeros((len(work.free), 6))
-    pairs, count = _load_history(
-        structure, contact_structure, state, work, contact, springs, torn, set_share, missing, 0.0
+    pairs, count = load_history(
+        structure, contact_structure, moving, work, contact, springs, torn, set_share, missing, 0.0
     )
     if count == 0:
         return RESTS, 0.0, 0, -1, 0.0
@@ -158,10 +253,14 @@ def settle_step(
         if work.free[j]:
             for r in range(6):
                 missing[j, r] = contact.residual[j, r]
+    push = np.zeros((len(work.free), 6))
+    for k in range(len(press_part)):
+        for r in range(6):
+            push[structure.elimination.position[press_part[k]], r] = press_wrench[k, r] / increments
     count = increments
-    if lacks_contact(work, pairs):
+    if lacks_contact(work, contact, pairs):
         result, count = MOVES_AWAY, 0
-    kept, free = hold_far_parts(structure, state, before, NEAR_RINGS, near)
+    kept, free = hold_far_parts(structure, moving, origin, NEAR_RINGS, near)
     guess = np.zeros((len(work.free), 6))  # parts move, and contacts slide, in each increment much as in the last
     for k in range(1, count + 1):
         share = 1.0 - k / count
@@ -169,12 +268,13 @@ def settle_step(
         for j in range(len(guess)):
             for r in range(6):
                 contact.displacement[j, r] = guess[j, r]
+                missing[j, r] -= push[j, r]
         if kept > 0 and 2 * kept <= free:
-            pairs, _ = _load_history(
+            pairs, _ = load_history(
                 structure, contact_structure, near, work, contact, springs, torn, set_share, missing, share
             )
             if k > 1:
-                move_far_parts(structure, state, near, work, contact, pairs, guess)
+                move_far_parts(structure, moving, near, work, contact, pairs, guess)
             result, residual, taken = find_rest(
                 structure,
                 contact_structure,
@@ -187,8 +287,8 @@ def settle_step(
                 VERDICT_PACE,
             )
             spent += taken
-        pairs, _ = _load_history(
-            structure, contact_structure, state, work, contact, springs, torn, set_share, missing, share
+        pairs, _ = load_history(
+            structure, contact_structure, moving, work, contact, springs, torn, set_share, missing, share
         )
         if result == RESTS:
             result, residual, taken = come_to_rest(
@@ -222,7 +322,8 @@ def settle_step(
         for j in range(len(guess)):
             for r in range(6):
                 guess[j, r] = contact.displacement[j, r]
-        _keep_history(structure, contact_structure, work, contact, pairs, displacement, springs, torn)
+                missing[j, r] += contact.grip[j] * guess[j, r]  # zero but for held parts
+        _keep_history(structure, contact_structure, work, contact, pairs, displacement, springs, torn, track[k - 1])
         if result != RESTS:
             break
     part, movement = -1, 0.0
@@ -233,6 +334,10 @@ def settle_step(
                 part, movement = i, moved
     if result == RESTS and movement > contact_structure.limit:
         result = MOVES_AWAY
+    if result == RESTS:
+        strained = _overloaded(structure, contact_structure, state, springs, torn, set_share)
+        if strained >= 0:
+            result, part = OVERLOADS, strained
     return result, residual, spent, part, movement
 
 
@@ -242,6 +347,9 @@ def replay_range(
     contact_structure,
     states,
     fresh,
+    press_start,
+    press_part,
+    press_wrench,
     options,
     increments,
     noise,
@@ -249,6 +357,7 @@ def replay_range(
     springs,
     torn,
     set_share,
+    track,
     result,
     residual,
     iterations,
@@ -260,14 +369,21 @@ def replay_range(
     Args:
         states: shape (steps + 1, parts); the history belongs to the first, unless `fresh`.
         fresh: whether the first state has no history.
+        press_start, press_part, press_wrench: the robots that press in the step to state `i` are the entries
+            `press_start[i]:press_start[i + 1]`; see `settle_step`.
         options, increments, noise: as in `settle_step` and `place_new`.
         displacement, springs, torn: the history before and after each state, shapes (steps + 1, parts, 6),
             (steps + 1, points, 3) and (steps + 1, points); the first entry is given, the others are written.
         set_share: as in `settle_step`, shape (steps + 1, points) or (steps + 1, 0).
+        track: as in `settle_step`, one entry a state, or one for all where it is left out.
         result, residual, iterations, part, movement: out, one entry per state.
     """
     work, contact = make_scratch(structure), make_contact_scratch(structure)
-    near = np.empty(states.shape[1], np.uint8)
+    near, moving, origin = (
+        np.empty(states.shape[1], np.uint8),
+        np.empty(states.shape[1], np.uint8),
+        np.empty(states.shape[1], np.uint8),
+    )
     for i in range(len(states)):
         settles = fresh
         if i > 0:
@@ -291,15 +407,20 @@ def replay_range(
                 contact_structure,
                 states[max(i - 1, 0)],
                 states[i],
+                press_part[press_start[i] : press_start[i + 1]],
+                press_wrench[press_start[i] : press_start[i + 1]],
                 options,
                 increments,
                 work,
                 contact,
                 near,
+                moving,
+                origin,
                 displacement[i],
                 springs[i],
                 torn[i],
                 set_share[i],
+                track[i] if track.shape[2] else track[0],
             )
             if result[i] != RESTS:
                 return i

@@ -44,7 +44,9 @@ class ContactSolver:
         self.problem = problem
         self.settings = settings
         self.structure = build_structure(problem)
-        self.contact_structure = build_contact_structure(assembly, problem, settings.gravity, settings.stiffness_ratio)
+        self.contact_structure = build_contact_structure(
+            assembly, problem, settings.gravity, settings.stiffness_ratio, settings.holds
+        )
         self._options = kernel_options(settings)
         self.contact_options = ContactOptions(
             settings.tolerance, settings.cpu.contact_steps, _WARM_STEPS, _NEAR_STEPS, FIRST_STEP, WARM_FIRST_STEP
@@ -52,6 +54,25 @@ class ContactSolver:
         self._quick = self.contact_options._replace(steps=0, warm_steps=0)
         self._pulls = bool(problem.strength.pull.any())
         self._workers = Workers(settings.cpu.threads)
+
+    def falls(self, states: States, parents: States) -> NDArray[np.bool_]:
+        """Return which states have a mechanism near where they differ from a stable one, as the kernel proves.
+
+        Args:
+            states, parents: checked states, shape (batch, parts).
+        """
+        states, parents = (np.require(some, requirements=COMPILED_LAYOUT) for some in (states, parents))
+        batch = len(states)
+        verdict, residual = np.full(batch, UNDECIDED, np.int8), np.zeros(batch)
+        iterations, steps = np.zeros(batch, np.int32), np.zeros(batch, np.int32)
+        nothing = np.zeros((0, self.problem.parts, 6))
+
+        def work(rows: slice) -> None:
+            tail = verdict[rows], residual[rows], iterations[rows], steps[rows]
+            fall_range(self.structure, states[rows], parents[rows], RINGS, self._options, nothing, *tail)
+
+        self._workers.run(work, batch)
+        return verdict == UNSTABLE
 
     def check(
         self,

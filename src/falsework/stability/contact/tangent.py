@@ -38,6 +38,11 @@ def assemble_tangent(structure, contact_structure, work, contact, pairs, shift):
     pair, slot_a, slot_b, panels = work.pair, work.slot_a, work.slot_b, work.panels
     upper, lower, diagonal, block, width = panels.upper, panels.lower, panels.diagonal, panels.block, panels.width
     clear_panels(panels, shift, pairs < 0)
+    grip, free = contact.grip, work.free
+    for j in range(len(free)):
+        if free[j] and grip[j] > 0.0:
+            for r in range(6):
+                upper[diagonal[j] + r * (width[supernode[j]] + 1)] += grip[j]
     turned, local, images_a, images_b = np.empty((6, 8)), np.zeros((6, 8)), np.empty((6, 8)), np.empty((6, 8))
     for p in range(pairs):
         closed, slides, begin = False, False, start[p]

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from falsework.assembly.state import States
 from falsework.stability.contact.newton import FIRST_STEP
-from falsework.stability.contact.replay import History, Replay, ReplaySettings
+from falsework.stability.contact.replay import History, Presses, Replay, ReplaySettings, inexact_presses
 from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.cores import core_count
@@ -36,7 +36,7 @@ class AnyReplayer(Protocol):
         """Return a replayer that looks at no deadline, which another thread may use."""
         ...
 
-    def replay(self, states: ArrayLike, history: History | None = None) -> Replay:
+    def replay(self, states: ArrayLike, history: History | None = None, presses: Presses | None = None) -> Replay:
         """Replay consecutive states in assembly order."""
         ...
 
@@ -85,22 +85,39 @@ def variations(settings: StabilitySettings, draws: int) -> list[tuple[str, Stabi
     return varied
 
 
-def replay_varied(replayer: VariableReplayer, states: States, *, draws: int = DRAWS) -> list[Variation]:
+def varied_presses(presses: Presses) -> list[tuple[str, Presses]]:
+    """Return named presses that robots may carry out instead of the given ones; none where there are none."""
+    if not any(presses):
+        return []
+    names = ["presses 10% weaker", "presses 10% stronger"]
+    names += [f"presses {angle} degrees off about {axis}" for axis in "xyz" for angle in (-5, 5)]
+    varied = [inexact_presses(some) if some else [()] * len(names) for some in presses]
+    return [(name, [some[k] for some in varied]) for k, name in enumerate(names)]
+
+
+def replay_varied(
+    replayer: VariableReplayer, states: States, presses: Presses | None = None, *, draws: int = DRAWS
+) -> list[Variation]:
     """Replay a plan under other settings: a plan that collapses under one of them is marginal.
 
     Args:
         replayer: replayer with the settings of the plan.
         states: in assembly order, shape (states, parts).
+        presses: of the steps that lead to each state; none if not given.
         draws: number of random initial friction states.
     """
+    given: Presses = [()] * len(states) if presses is None else presses
+    plain = ReplaySettings()
+    cases = [(name, *case, given) for name, *case in variations(replayer.settings, draws)]
+    cases += [(name, replayer.settings, plain, other) for name, other in varied_presses(given)]
 
-    def run(case: tuple[str, StabilitySettings, ReplaySettings]) -> Variation:
-        name, settings, replay = case
-        result = replayer.vary(settings, replay).replay(states)
+    def run(case: tuple[str, StabilitySettings, ReplaySettings, Presses]) -> Variation:
+        name, settings, replay, pressed = case
+        result = replayer.vary(settings, replay).replay(states, presses=pressed)
         return Variation(name, result.good, result.falls_at)
 
     with ThreadPoolExecutor(core_count()) as pool:
-        return list(pool.map(run, variations(replayer.settings, draws)))
+        return list(pool.map(run, cases))
 
 
 class RobustReplayer:
@@ -128,27 +145,32 @@ class RobustReplayer:
         """Return a replayer under the settings themselves that looks at no deadline."""
         return self._replayer.unlimited()
 
-    def replay(self, states: ArrayLike, history: History | None = None) -> Replay:
+    def replay(self, states: ArrayLike, history: History | None = None, presses: Presses | None = None) -> Replay:
         """Replay under the settings, and a complete plan under every variation too.
 
         Args:
             states: in assembly order, shape (states, parts).
             history: history of the first state; with it nothing is varied, since it belongs to one setting.
+            presses: of the steps that lead to each state; chosen where needed if not given.
 
         Returns:
             The plain replay if it and all variations succeed, else one that fails.
         """
-        plain = self._replayer.replay(states, history)
+        plain = self._replayer.replay(states, history, presses)
         if history is not None or not plain.good:
             return plain
-        workers, cases = core_count(), list(self._cases)
+        cases = [(case, plain.presses) for case in self._cases]
+        cases += [(self._replayer, pressed) for _, pressed in varied_presses(plain.presses)]
+        workers = core_count()
         with ThreadPoolExecutor(workers) as pool:
             for first in range(0, len(cases), workers):
                 some = cases[first : first + workers]
-                for case, varied in zip(some, pool.map(lambda case: case.replay(states), some), strict=True):
+                replays = pool.map(lambda case: case[0].replay(states, presses=case[1]), some)
+                for (replayer, _), varied in zip(some, replays, strict=True):
                     if not varied.good:
-                        self._cases.remove(case)
-                        self._cases.insert(0, case)
+                        if replayer in self._cases:
+                            self._cases.remove(replayer)
+                            self._cases.insert(0, replayer)
                         return varied
         return plain
 

@@ -57,7 +57,9 @@ class ExactSolver:
     ) -> None:
         self.assembly = assembly
         self.settings = settings
-        self.problem = problem or build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity)
+        self.problem = problem or build_problem(
+            assembly, cone=settings.friction_cone, gravity=settings.gravity, reserve=settings.reserve
+        )
 
     def check(self, states: ArrayLike) -> Verdicts:
         """Check states; forces and velocity are always returned.

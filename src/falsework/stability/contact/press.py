@@ -1,0 +1,174 @@
+"""Choice of the forces with which robots press before a part is released.
+
+Contact forces respond linearly to the forces of robots as long as closed contacts stick. So one factorisation near the
+released part, and one solve for each component of a robot's wrench, give all contact forces as an affine function of a
+few numbers. Those for which the contact forces come closest to the friction cones, of reduced friction, are the
+proposal. The contact law decides: a proposal is used only if the structure comes to rest under it in the replay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import HELD, States
+from falsework.stability.contact.newton import make_contact_scratch
+from falsework.stability.contact.press_kernel import press_responses
+from falsework.stability.contact.solver import ContactSolver
+from falsework.stability.cpu.layout import make_scratch
+from falsework.stability.holds import Press
+
+Array = NDArray[np.float64]
+
+_SAFETY = (1.5, 1.05)
+"""Friction is divided by these numbers in turn: a press with more reserve is tried first."""
+_GAINS = (1.0, 1.5)
+"""Multiples of the chosen wrench that are tried: contacts that slide take more than those that stick."""
+_WEAK = 1e-3
+"""Weight of the robots' wrenches beside the energy of the forces outside the cones: the least that help are chosen."""
+_HELPS = 0.9
+"""A press must leave less than this share of the energy of forces outside the cones to be tried."""
+_STEPS = 50
+"""Newton steps of the choice; it converges in about ten."""
+_SAME = 0.05
+"""Relative difference below which two proposals count as one."""
+
+
+class PressPlanner:
+    """Proposals of presses for the steps of a replay."""
+
+    def __init__(self, solver: ContactSolver) -> None:
+        """Take over the layout of a structure."""
+        self._solver, self._problem = solver, solver.problem
+
+    def proposals(
+        self, before: States, after: States, springs: Array, torn: NDArray[np.bool_], set_share: Array
+    ) -> Iterator[tuple[Press, ...]]:
+        """Yield presses that may let the structure come to rest when a part is released, the most promising first.
+
+        Args:
+            before, after: states before and after the release, shape (parts,).
+            springs, torn, set_share: contact history before the release, as in `settle_step`.
+        """
+        held = np.flatnonzero((after == HELD) & (before == HELD) & ~self._problem.boundary)
+        if not len(held):
+            return
+        structure, contact, problem = self._solver.structure, self._solver.contact_structure, self._problem
+        columns = 1 + 6 * len(held)
+        index, forces = np.zeros(problem.points, np.int64), np.zeros((columns, problem.points, 3))
+        moves = np.zeros((columns, columns - 1))
+        count = press_responses(
+            structure,
+            contact,
+            make_scratch(structure),
+            make_contact_scratch(structure),
+            before,
+            after,
+            held,
+            springs,
+            torn,
+            set_share,
+            index,
+            forces,
+            moves,
+        )
+        if not count:
+            return
+        index, forces = index[:count], forces[:, :count]
+        scale, strength = problem.force_scale[index], problem.strength.of(index)
+        forces[0, :, 0] += strength.pull / scale
+        compliance = 1.0 / contact.normal[index]
+        # What a rigid hold would bear keeps soft arms where they are, and is the least that a press may be.
+        still = _within(np.linalg.solve(moves[1:].T, -moves[0]), contact.force_limit[held])
+        seen = [np.zeros_like(still) if np.isinf(self._solver.settings.holds.stiffness) else still]
+        if seen[0].any():
+            yield self._presses(held, still)
+        for safety in _SAFETY:
+            cones = strength.friction / safety, strength.stick / scale / safety
+            added, helps = _least_outside(forces, still, *cones, compliance, contact.force_limit[held])
+            for gain in _GAINS if helps else ():
+                choice = still + gain * (added - still)
+                if not any(np.allclose(choice, other, rtol=_SAME) for other in seen):
+                    seen.append(choice)
+                    yield self._presses(held, choice)
+
+    def _presses(self, held: NDArray[np.int64], whitened: Array) -> tuple[Press, ...]:
+        """Return presses of the held parts by whitened wrenches, shape (6 n,)."""
+        wrenches = (self._problem.momentum[held] @ whitened.reshape(-1, 6, 1))[:, :, 0]
+        return tuple(Press(part, tuple(w.tolist())) for part, w in zip(held.tolist(), wrenches, strict=True))
+
+
+def _least_outside(
+    forces: Array, still: Array, friction: Array, stick: Array, compliance: Array, limit: Array
+) -> tuple[Array, bool]:
+    """Return the wrenches of robots for which contact forces are closest to their cones, and whether they help.
+
+    The distance is an energy: the square of the part of each force outside its cone, times the compliance of the point.
+    It is convex and piecewise smooth; Newton's method with halved steps finds its least value.
+
+    Args:
+        forces: contact forces without pressing, then their change by each component of a whitened wrench on each
+            pressed part, shape (1 + 6 n, points, 3).
+        still: wrenches from which others differ as little as possible, shape (6 n,).
+        friction, stick: of the cones, shape (points,).
+        compliance: of the points, shape (points,).
+        limit: largest whitened force on each pressed part, shape (n,).
+
+    Returns:
+        Whitened wrenches, shape (6 n,), and whether they leave much less energy outside the cones than `still`.
+    """
+    base, response = forces[0], forces[1:].reshape(len(forces) - 1, -1)
+    weight = np.repeat(compliance, 3)
+    weak = _WEAK * max(float(np.einsum("ij,j,ij->i", response, weight, response).mean()), 1e-300)
+
+    def measure(x: Array) -> tuple[float, float, Array]:
+        force = base + (x @ response).reshape(-1, 3)
+        outside = (force - _into_cones(force, friction, stick)).ravel()
+        energy = 0.5 * float(weight @ outside**2)
+        return energy + 0.5 * weak * float((x - still) @ (x - still)), energy, outside
+
+    x = still
+    value, energy, outside = measure(x)
+    without = energy
+    for _ in range(_STEPS):
+        gradient = response @ (weight * outside) + weak * (x - still)
+        active = np.repeat((outside.reshape(-1, 3) != 0).any(axis=1), 3)
+        some = response[:, active]
+        step = np.linalg.solve((some * weight[active]) @ some.T + weak * np.eye(len(x)), -gradient)
+        length = 1.0
+        while length > 1e-3:
+            ahead = _within(x + length * step, limit)
+            found = measure(ahead)
+            if found[0] < value:
+                break
+            length *= 0.5
+        else:
+            break
+        done = value - found[0] < 1e-6 * value
+        x, (value, energy, outside) = ahead, found
+        if done:
+            break
+    return x, energy < _HELPS * without
+
+
+def _within(x: Array, limit: Array) -> Array:
+    """Return whitened wrenches scaled down until their forces keep the limits, shape (6 n,)."""
+    wrench = x.reshape(-1, 6)
+    size = np.linalg.norm(wrench[:, :3], axis=1)
+    return (wrench * np.minimum(1.0, limit / np.maximum(size, 1e-300))[:, None]).ravel()
+
+
+def _into_cones(force: Array, friction: Array, stick: Array) -> Array:
+    """Return the closest forces inside quadratic cones that are widened by `stick`, shape (points, 3)."""
+    normal, tangent = force[:, 0], force[:, 1:]
+    size = np.linalg.norm(tangent, axis=1)
+    inside = (normal >= 0) & (size <= friction * normal + stick)
+    onto = np.maximum((normal + friction * (size - stick)) / (1 + friction**2), 0.0)
+    share = (friction * onto + stick) / np.maximum(size, 1e-300)
+    normal = np.where(inside, normal, onto)
+    return np.column_stack([normal, tangent * np.where(inside, 1.0, np.minimum(share, 1.0))[:, None]])
+
+
+__all__ = ["PressPlanner"]

@@ -1,0 +1,93 @@
+"""Compiled response of contact forces to robots that press: linear, with closed contacts that stick."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from falsework.stability.contact.newton import evaluate
+from falsework.stability.contact.replay_kernel import load_history, set_holds
+from falsework.stability.contact.tangent import assemble_tangent
+from falsework.stability.cpu.elimination import lay_out_panels
+from falsework.stability.cpu.layout import pair_velocity, point_velocity
+from falsework.stability.cpu.neighbourhood import hold_far_parts
+from falsework.stability.cpu.panels import factor_panels, solve_panels
+from falsework.utils.kernels import njit
+
+RINGS = 3
+"""Distance in contacts from the released and the pressed parts within which forces are considered."""
+_STICKS = 1e9
+"""Friction of contacts that stick."""
+_SHIFT = 1e-9
+"""Added to the diagonal of the matrix: parts without closed contacts have no stiffness."""
+
+
+@njit(nogil=True, cache=True)
+def press_responses(
+    structure, contact_structure, work, contact, before, state, pressed, springs, torn, set_share, points, forces, moves
+):
+    """Write the spring forces after a release, and by how much unit wrenches of robots change them.
+
+    Parts more than `RINGS` contacts away stay where they are.
+
+    Args:
+        structure, contact_structure, work, contact: as in `settle_step`.
+        before, state: state before and after a part is released, shape (parts,).
+        pressed: held parts on which robots press, shape (n,).
+        springs, torn, set_share: the history before the release, as in `settle_step`.
+        points: out: contact points whose forces follow, shape (points,).
+        forces: out: scaled spring forces without pressing, then their change by each component of a whitened wrench on
+            the first, second, ... pressed part, in the order of `points`, shape (1 + 6 n, points, 3).
+        moves: out: the whitened movements of the pressed parts that belong to them, shape (1 + 6 n, 6 n).
+
+    Returns:
+        Number of contact points; 0 where there is no response.
+    """
+    parts = len(state)
+    near, origin, moving = np.empty(parts, np.uint8), np.empty(parts, np.uint8), np.empty(parts, np.uint8)
+    position = structure.elimination.position
+    set_holds(structure, contact_structure, before, state, pressed, contact, moving, origin)
+    hold_far_parts(structure, moving, origin, RINGS, near)
+    missing = np.zeros((len(work.free), 6))
+    pairs, count = load_history(
+        structure, contact_structure, near, work, contact, springs, torn, set_share, missing, 0.0
+    )
+    if count == 0:
+        return 0
+    contact.displacement[:] = 0.0
+    evaluate(structure, work, contact, pairs, contact.displacement, contact.trial, contact.residual)
+    total = work.start[pairs]
+    for j in range(total):
+        work.friction[j] = _STICKS
+    lay_out_panels(structure, work.free, work.panels)
+    assemble_tangent(structure, contact_structure, work, contact, pairs, _SHIFT)
+    if not factor_panels(structure.elimination.supernode, work.panels, pairs < 0):
+        return 0
+    step = contact.step
+    for column in range(1 + 6 * len(pressed)):
+        for j in range(len(work.free)):
+            for r in range(6):
+                # What robots bear stays; the released part is carried by its contacts.
+                loaded = column == 0 and work.free[j] and contact.grip[j] == 0.0
+                step[j, r] = contact.residual[j, r] if loaded else 0.0
+        if column > 0:
+            step[position[pressed[(column - 1) // 6]], (column - 1) % 6] = 1.0
+        solve_panels(work.panels, step, False)
+        for k in range(len(pressed)):
+            for r in range(6):
+                moves[column, 6 * k + r] = step[position[pressed[k]], r]
+        for p in range(pairs):
+            s0, s1, s2, s3, s4, s5 = pair_velocity(
+                structure.transfer_a, structure.transfer_b, work.pair[p], work.slot_a[p], work.slot_b[p], step
+            )
+            shift = structure.pair_start[work.pair[p]] - work.start[p]
+            for j in range(work.start[p], work.start[p + 1]):
+                points[j] = j + shift
+                d0, d1, d2 = point_velocity(work.basis, j, s0, s1, s2, s3, s4, s5)
+                closed = 1.0 if contact.trial[j, 0] + contact.pull[j] >= 0.0 or contact.stick[j] > 0.0 else 0.0
+                forces[column, j, 0] = -closed * contact.normal[j] * d0
+                forces[column, j, 1] = -closed * contact.tangential[j] * d1
+                forces[column, j, 2] = -closed * contact.tangential[j] * d2
+                if column == 0:
+                    for r in range(3):
+                        forces[0, j, r] += closed * contact.offset[j, r]
+    return total

@@ -1,0 +1,190 @@
+"""Certificate of a build: the displacements in the increments of its steps, evaluated in float64.
+
+Whoever has them follows the contact law from state to state: springs take up the displacements, friction limits them,
+what slid keeps its force. So the forces of each state are a consequence of the displacements, inside the friction cones
+by construction, and what is left to check are sums: the forces balance every part that nothing holds, each robot bears
+what its spring and its presses give it, within its limits, and parts move little. This module shares no code with the
+solver.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import HELD, REMOVED, States
+from falsework.stability.certificate import StabilityCriterion, into_cone, residual_of_forces
+from falsework.stability.contact_geometry import geometry_of
+from falsework.stability.holds import PRESS_STIFFNESS, Press, limits_of
+from falsework.stability.stiffness import MOVEMENT, normal_stiffness, structure_size
+from falsework.stability.strength import Strength, strength_of
+
+Array = NDArray[np.float64]
+
+_TEARS = 1.0 + 1e-6
+"""A contact point breaks at this multiple of its tensile strength; the excess over 1 covers rounding of the solvers."""
+_SET = 1_000_000
+"""Age in steps of joints that exist before the first state."""
+_CLOSE = 1e-6
+"""Rounding that is allowed in movements and wrenches of robots, as a share of their limits."""
+
+
+class StepCertificate(NamedTuple):
+    """Certificate of the step to a state, in the order of assembly."""
+
+    displacement: Array
+    """Displacement of each part in each increment of the step, m and rad, shape (increments, parts, 6)."""
+    torn: NDArray[np.bool_]
+    """Contact points that have lost their tensile strength, shape (points,)."""
+    presses: tuple[Press, ...] = ()
+    """Presses of the step."""
+
+
+@dataclass(frozen=True, eq=False)
+class StepProof:
+    """Result of the evaluation of a step."""
+
+    residual: float
+    """Largest acceleration of a part that nothing holds, a share of gravity; infinite where the state is not proven."""
+    forces: Array
+    """Contact forces `(n, t1, t2)`, N, shape (points, 3)."""
+    wrenches: Array
+    """Wrench that a robot bears on each held part, N and N m about its centre, zero for others, shape (parts, 6)."""
+    moved: float
+    """Largest displacement of a part along an axis since it was placed, m."""
+    reason: str = ""
+    """Why the state is not proven; empty if it is."""
+
+
+class BuildVerifier:
+    """Evaluation of the certificates of a build, step by step."""
+
+    def __init__(self, assembly: Assembly, claim: StabilityCriterion) -> None:
+        """Begin before the first state.
+
+        Args:
+            assembly: the structure.
+            claim: cone, gravity, tolerance, reserve, and the stiffness and limits of robots.
+        """
+        self._assembly, self._claim, self._holds = assembly, claim, claim.holds
+        self._law = _Law(assembly, claim)
+        self._limits = limits_of(assembly, claim.holds, claim.gravity)
+        self._limit = MOVEMENT * structure_size(assembly)
+        self._before: States | None = None
+        self._springs = np.zeros((self._law.points, 3))
+        self._age = np.full(self._law.points, _SET, np.int32)
+        self._moved, self._borne = np.zeros((assembly.part_count, 6)), np.zeros((assembly.part_count, 6))
+
+    def step(self, state: States, certificate: StepCertificate) -> StepProof:
+        """Evaluate the step to the next state, shape (parts,); the first one is loaded from rest."""
+        assembly, claim, law = self._assembly, self._claim, self._law
+        before = np.zeros_like(state) if self._before is None else self._before
+        there, was = law.present(state), law.present(before)
+        if self._before is not None:
+            self._age = np.where(there & was, self._age + 1, 0)
+        springs = np.where((there & was)[:, None], self._springs, 0.0)
+        moved = np.where(((before != REMOVED) & (state != REMOVED))[:, None], self._moved, 0.0)
+        steps = certificate.displacement * (state != REMOVED)[None, :, None]
+        sound, torn = bool(np.isfinite(steps).all()), certificate.torn
+        strength = law.strength(torn, self._age)
+        for step in steps if sound else ():
+            springs, whole = law.follow(springs, step, strength, torn, there)
+            sound = sound and whole
+        moved = moved + steps.sum(axis=0)
+        forces = np.where(there[:, None], into_cone(springs[None], strength, claim.cone)[0][0], 0.0)
+        residual = float(residual_of_forces(assembly, state[None], forces[None], claim)[0])
+        loads = assembly.applied_wrench(claim.gravity)
+        borne = np.where(
+            ((state == HELD) & ~assembly.immovable)[:, None], -(law.geometry.wrenches(forces[None])[0] + loads), 0.0
+        )
+        farthest = float(np.abs(moved[:, :3]).max(initial=0.0))
+        reason = self._broken(before, state, certificate.presses, steps.sum(axis=0), borne)
+        if not sound:
+            reason = "the certificate is damaged, or calls a contact whole that breaks"
+        elif farthest > self._limit * (1 + _CLOSE):
+            part = assembly.names[int(np.abs(moved[:, :3]).max(axis=1).argmax())]
+            reason = f"{part} moves by {1e3 * farthest:.3g} mm, more than the limit of {1e3 * self._limit:.3g} mm"
+        self._before, self._springs, self._moved, self._borne = state, springs, moved, borne
+        return StepProof(residual if not reason else np.inf, forces, borne, farthest, reason)
+
+    def _broken(self, before: States, state: States, presses: Sequence[Press], step: Array, borne: Array) -> str:
+        """Return why the robots cannot bear what a state asks of them; empty if they can.
+
+        Args:
+            before, state: shape (parts,).
+            presses: of the step.
+            step: displacement of the parts in the step, shape (parts, 6).
+            borne: wrenches on the held parts, shape (parts, 6).
+        """
+        assembly, holds, limits = self._assembly, self._holds, self._limits
+        added = {press.part: np.asarray(press.wrench) for press in presses}
+        mass, inertia, gyration = assembly.mass.mass, assembly.mass.inertia, assembly.mass.gyration
+        held = (state == HELD) & (before == HELD) & ~assembly.immovable
+        stray = [part for part in added if not held[part]]
+        if stray:
+            return f"a robot presses {assembly.names[stray[0]]}, which it does not hold"
+        for part in np.flatnonzero((state == HELD) & ~assembly.immovable).tolist():
+            name, weight = assembly.names[part], mass[part] * self._claim.gravity
+            force, moment = np.linalg.norm(borne[part, :3]), np.linalg.norm(borne[part, 3:])
+            if force > limits.force[part] * (1 + _CLOSE) or moment > limits.moment[part] * (1 + _CLOSE):
+                return f"the robot that holds {name} bears {force:.4g} N and {moment:.4g} N m, more than it can"
+            if not held[part]:
+                continue  # it came with its robot, or its robot takes it as it is
+            stiffness = min(holds.stiffness, PRESS_STIFFNESS) if part in added else holds.stiffness
+            if np.isinf(stiffness):
+                if np.abs(step[part]).max() > 0.0:
+                    return f"the certificate moves {name}, which a rigid hold fixes"
+                continue
+            spring = stiffness * np.concatenate([step[part, :3], inertia[part] @ step[part, 3:] / mass[part]])
+            off = np.abs(borne[part] - (self._borne[part] + added.get(part, 0.0) - spring)) / weight
+            off[3:] /= gyration[part]
+            if off.max() > self._claim.tolerance + _CLOSE * max(1.0, force / weight):
+                return f"the robot that holds {name} does not bear what its stiffness and its presses give"
+        return ""
+
+
+class _Law:
+    """Contact law with history, from the structure alone."""
+
+    def __init__(self, assembly: Assembly, claim: StabilityCriterion) -> None:
+        self.geometry = geometry_of(assembly.contacts, assembly.mass)
+        self._whole = strength_of(assembly, claim.gravity, claim.reserve)
+        stiffness = normal_stiffness(assembly, claim.gravity)
+        self._stiffness = np.column_stack([stiffness, *[claim.stiffness_ratio * stiffness] * 2])
+        self._cone, self._joints = claim.cone, assembly.joints
+        self.points = len(stiffness)
+
+    def present(self, state: States) -> NDArray[np.bool_]:
+        """Return the contact points whose parts are both there, shape (points,)."""
+        there = state != REMOVED
+        return there[self.geometry.part_a] & there[self.geometry.part_b]
+
+    def strength(self, torn: NDArray[np.bool_], age: NDArray[np.int32]) -> Strength:
+        """Return the strength of the contact points at their age."""
+        share = np.where(torn, 0.0, 1.0)
+        if self._joints is not None and self._joints.setting:
+            share = share * self._joints.set_share(age[None])[0]
+        return self._whole._replace(pull=share * self._whole.pull, stick=share * self._whole.stick)
+
+    def follow(
+        self,
+        springs: Array,
+        step: Array,
+        strength: Strength,
+        torn: NDArray[np.bool_],
+        there: NDArray[np.bool_],
+    ) -> tuple[Array, bool]:
+        """Return the spring forces after an increment, and whether no point breaks that is called whole."""
+        change = self._stiffness * self.geometry.relative(step[None])[0]
+        trial = springs - np.where(there[:, None], change, 0.0)
+        breaks = strength.tears & ~torn & (strength.pull > 0) & (trial[:, 0] < -_TEARS * strength.pull)
+        force = into_cone(trial[None], strength, self._cone)[0][0]
+        return np.column_stack([trial[:, 0], force[:, 1:]]), not breaks.any()
+
+
+__all__ = ["BuildVerifier", "StepCertificate", "StepProof"]

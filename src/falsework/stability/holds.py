@@ -1,0 +1,134 @@
+"""Holds of robots: their stiffness, their limits, and the wrenches with which robots press.
+
+A robot that holds a part is a spring that carries a wrench, `w = w0 - K u`: `w0` is what it bears where it stopped, `u`
+how far the part has moved since then. That is an arm under impedance control, or one under position control with the
+stiffness of its joints and links. While another part is released, a robot may *press*: it adds a chosen wrench to `w0`
+(impedance control), or moves its set point by `K^-1` times the wrench (position control). Then it stays where it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.model import Assembly
+from falsework.errors import InputError
+
+Array = NDArray[np.float64]
+
+STIFFNESS = 1e7
+"""Default stiffness of a hold, N/m: that of a medium industrial arm at its tool, gripper included."""
+PRESS_STIFFNESS = 1e6
+"""Largest stiffness of a robot while it presses, N/m: a stiffer one would turn errors of position into errors of force.
+"""
+FORCE_WEIGHTS = 10.0
+"""Default largest force of a robot, in weights of the heaviest part that it may have to carry."""
+_LEVER = 2.0
+"""Default largest moment of a robot: its largest force at this multiple of the largest radius of gyration of a part."""
+
+
+@dataclass(frozen=True)
+class HoldSettings:
+    """What robots that hold parts can do."""
+
+    stiffness: float = STIFFNESS
+    """Stiffness of a hold, N/m; about the centre of mass it is this times the square of the radius of gyration, N m/rad.
+    Infinite: held parts never move."""
+    force: float | None = None
+    """Largest force on a held part, N; five weights of the heaviest part if not given."""
+    moment: float | None = None
+    """Largest moment about the centre of mass of a held part, N m; if not given, twice the largest force times the
+    largest radius of gyration."""
+    press: bool = True
+    """Whether robots may press held parts against others before a part is let go of."""
+
+    @property
+    def presses(self) -> bool:
+        """Whether robots press: if they may, and with a force of more than zero."""
+        return self.press and self.force != 0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the settings as plain JSON values; null stands for no limit, and for a rigid hold."""
+        finite = {name: getattr(self, name) for name in ("stiffness", "force", "moment")}
+        return {name: None if value == np.inf else value for name, value in finite.items()} | {"press": self.press}
+
+    def resolved(self, assembly: Assembly, gravity: float = 9.81) -> HoldSettings:
+        """Return the settings with the limits that they mean for a structure."""
+        limits = limits_of(assembly, self, gravity)
+        force, moment = float(limits.force.max(initial=0.0)), float(limits.moment.max(initial=0.0))
+        return replace(self, force=force, moment=moment, press=self.presses)
+
+    def __post_init__(self) -> None:
+        if not self.stiffness > 0:
+            raise InputError(f"the stiffness of holds is {self.stiffness:g} N/m; give a positive number, inf for rigid")
+        for name, unit in (("force", "N"), ("moment", "N m")):
+            value = getattr(self, name)
+            if value is not None and not value >= 0:
+                raise InputError(f"the largest {name} of holds is {value:g} {unit}; give 0 or more")
+
+
+@dataclass(frozen=True)
+class Press:
+    """Wrench that a robot adds to a part that it holds while another part is released."""
+
+    part: int
+    """The held part."""
+    wrench: tuple[float, ...]
+    """Force in N, and moment about the part's centre of mass in N m."""
+
+    @property
+    def force(self) -> float:
+        """Size of the force, N."""
+        return float(np.linalg.norm(self.wrench[:3]))
+
+
+@dataclass(frozen=True, eq=False)
+class HoldLimits:
+    """Limits of the holds of one structure."""
+
+    force: Array
+    """Largest force on each part, N, shape (parts,)."""
+    moment: Array
+    """Largest moment about its centre of mass, N m, shape (parts,)."""
+
+
+def limits_of(assembly: Assembly, settings: HoldSettings, gravity: float = 9.81) -> HoldLimits:
+    """Return the largest force and moment of a robot on each part.
+
+    Raises:
+        InputError: a robot cannot carry a part; the message names the heaviest one.
+    """
+    weight = gravity * assembly.mass.mass
+    movable = ~assembly.immovable
+    heaviest = float(weight[movable].max(initial=0.0))
+    force = FORCE_WEIGHTS * heaviest if settings.force is None else settings.force
+    if settings.force and settings.force < heaviest:
+        part = int(np.flatnonzero(movable)[np.argmax(weight[movable])])
+        raise InputError(
+            f"robots that hold with at most {force:.4g} N cannot carry part {assembly.names[part]}, which weighs "
+            f"{heaviest:.4g} N; raise the largest force of holds"
+        )
+    reach = float(assembly.mass.gyration[movable].max(initial=0.0))
+    moment = _LEVER * force * reach if settings.moment is None else settings.moment
+    parts = assembly.part_count
+    return HoldLimits(np.full(parts, force or np.inf), np.full(parts, moment or np.inf))
+
+
+def pack_presses(presses: Sequence[Sequence[Press]]) -> tuple[NDArray[np.int32], NDArray[np.int32], Array]:
+    """Return presses in the layout of the kernel.
+
+    Args:
+        presses: those of the step that leads to each state, one entry a state.
+
+    Returns:
+        First entry of each state and one past the last, shape (states + 1,); parts, shape (presses,); wrenches, shape
+        (presses, 6).
+    """
+    start = np.cumsum([0, *map(len, presses)]).astype(np.int32)
+    flat = [press for some in presses for press in some]
+    parts = np.array([press.part for press in flat], dtype=np.int32)
+    return start, parts, np.array([press.wrench for press in flat], dtype=np.float64).reshape(-1, 6)
