@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -123,7 +123,7 @@ class CheckPlan(JudgingCommand):
                 "reason": found.reason,
                 "moving": [motion.to_dict(assembly) for motion in moving],
                 "seconds": found.seconds,
-                **asdict(found.claim),
+                **found.claim.to_dict(),
             }
         )
         if self.steps:
@@ -152,8 +152,9 @@ class CheckPlan(JudgingCommand):
         from falsework.stability.contact.varied_replay import replay_varied
 
         forward = plan if plan.direction == "assembly" else plan.reverse()
+        settings = replace(settings, reserve=plan.claim.reserve, holds=plan.claim.holds)
         replayer = Replayer(assembly, settings)
-        replay = replayer.replay(forward.states)
+        replay = replayer.replay(forward.states, presses=forward.assembly_presses)
         for row in range(len(forward.states)):
             self._line(row, forward, assembly, replay, output)
             if replay.falls_at == row:
@@ -161,7 +162,7 @@ class CheckPlan(JudgingCommand):
         if not replay.good:
             output.note(f"falsework: {self.plan}: the replay fails {self._place(forward, replay.falls_at or 0)}")
             return False
-        varied = replay_varied(replayer, forward.states, draws=_DRAWS)
+        varied = replay_varied(replayer, forward.states, forward.assembly_presses, draws=_DRAWS)
         failed = [case for case in varied if not case.good]
         output.record(
             {
@@ -182,7 +183,7 @@ class CheckPlan(JudgingCommand):
 
         part, moved = int(replay.part[row]), float(replay.moved[row])
         size = float(np.ptp(assembly.meshes[part].vertices, axis=0).max()) if part >= 0 else 1.0
-        word = {1: "stands", -1: "falls", 0: "open"}[int(replay.stands[row])]
+        word = {1: "stands", -1: "falls", -2: "a robot bears more than it can", 0: "open"}[int(replay.stands[row])]
         record: dict[str, Any] = {"step": row, "replay": word, "moved_mm": moved * 1e3}
         record |= {"part": assembly.names[part] if part >= 0 else None, "share_of_part": moved / size}
         output.record(record)

@@ -12,7 +12,7 @@ from tyro.conf import arg
 from falsework.cli.command import CONE_HINT, UNSET, Command, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.output import counted
-from falsework.cli.planning import SupportOptions, refuse_unstable, writable
+from falsework.cli.planning import HoldOptions, SupportOptions, refuse_unstable, writable
 from falsework.errors import InputError
 
 if TYPE_CHECKING:
@@ -45,6 +45,7 @@ class MakePlan(Command):
     out: Annotated[Path, arg(metavar="FILE")] = Path("plan.json")
     """File to write; alternatives get -2, -3, ... added to its name."""
     task: SupportOptions
+    holds: HoldOptions
     robots: Annotated[str, arg(metavar="NUMBER")] = "2"
     """Number of robots: parts that can be held at a time; `auto` for the fewest with which a plan is found."""
     alternatives: int = 1
@@ -88,7 +89,7 @@ class MakePlan(Command):
         from falsework.search.margins.demands import DemandingStability, Demands
         from falsework.search.maximise import maximise_margin
         from falsework.search.problem.deadline import Deadline, check_deadline
-        from falsework.stability import Stability, StabilitySettings
+        from falsework.stability import Stability
 
         if self.maximise and (self.alternatives > 1 or self.resume):
             raise InputError("--maximise looks for one plan, from the beginning; leave out --alternatives and --resume")
@@ -107,9 +108,10 @@ class MakePlan(Command):
         settings, checkpoint = self._settings(), None if self.task.wider else self._checkpoint()
         assembly = self.task.with_places(self.structure.load())
         task = task_of(assembly, self._robot_count(), **self.task.rules(assembly))
-        stability = StabilitySettings(criterion=self.criterion, cone=self.cone, solver=self.solver)
+        stability = self.holds.settings(self.criterion, self.cone, self.solver)
+        plain = replace(stability, reserve=1.0)
         oracle = DemandingStability(assembly, stability, demands) if demands else Stability(assembly, stability)
-        if refuse_unstable(assembly, oracle, task, output):
+        if refuse_unstable(assembly, Stability(assembly, plain), task, output):
             return Exit.NO
         if demands:  # a search that was saved under other margins is another search
             task = replace(task, identity=f"{task.identity} {demands}")
@@ -135,7 +137,8 @@ class MakePlan(Command):
                 planning = find_plans(
                     assembly,
                     task,
-                    oracle=oracle,
+                    oracle=demanding,
+                    stability=stability,
                     settings=settings,
                     progress=report,
                     deadline=self.deadline,
@@ -152,6 +155,12 @@ class MakePlan(Command):
             self._report(self._save(planning.plans), planning, output)
             if result.interrupted:
                 output.note(f"{cut}; {saved}")
+            kept = planning.plans[0].claim.reserve
+            if kept < stability.reserve:
+                output.note(
+                    f"falsework: no plan was found with the reserve of {stability.reserve:g}; this one keeps {kept:g}"
+                )
+                return Exit.NO
         else:
             failure = explain(assembly, oracle, result)
             lacks, words = ({}, "") if demanding is None else explain_shortfall(demanding, result)
@@ -167,12 +176,12 @@ class MakePlan(Command):
     def _with_fewest_robots(self, output: Output) -> Exit:
         """Search for the fewest robots, and save the plan found with them."""
         from falsework.cli.robots_needed import ask, report
-        from falsework.stability import Stability, StabilitySettings
+        from falsework.stability import Stability
 
         if self.alternatives > 1 or self.resume:
             raise InputError("--robots auto takes neither --alternatives nor --resume; give the number of robots")
         assembly = self.task.with_places(self.structure.load())
-        oracle = Stability(assembly, StabilitySettings(criterion=self.criterion, cone=self.cone, solver=self.solver))
+        oracle = Stability(assembly, self.holds.settings(self.criterion, self.cone, self.solver))
         answer = ask(assembly, oracle, self.task, self._settings(), self.deadline, self.proofs, output)
         path = None if answer.plan is None else self._save([answer.plan])[0][0]
         return report(answer, path, output)
@@ -218,14 +227,14 @@ class MakePlan(Command):
         assert saved.replay is not None
         step = saved.replay.falls_at
         if step is None:
-            output.record({"plan": str(path), "replay": asdict(saved.replay) | {"robust": False}})
+            output.record({"plan": str(path), "replay": saved.replay.to_dict() | {"robust": False}})
             output.note(
                 f"falsework: the best plan is in {path}: its replay succeeds under the default settings only; "
                 f"falsework check {path} --replay names those under which it fails"
             )
             return
         action = (saved if self.assembly_order else saved.reverse()).describe(max(step - 1, 0))
-        output.record({"plan": str(path), "replay": asdict(saved.replay)})
+        output.record({"plan": str(path), "replay": saved.replay.to_dict()})
         output.note(f"falsework: the best plan is in {path}: its replay fails at step {step} of assembly ({action})")
 
     def _report(self, plans: list[tuple[Path, Plan]], planning: Planning, output: Output) -> None:
@@ -236,7 +245,9 @@ class MakePlan(Command):
             record: dict[str, Any] = {"plan": str(path), "steps": len(plan), "robots": plan.robots}
             record["needs"] = [asdict(need) for need in plan.needs]
             record["criterion"] = plan.claim.criterion
-            record["replay"] = None if plan.replay is None else asdict(plan.replay)
+            record["replay"] = None if plan.replay is None else plan.replay.to_dict()
+            record["reserve"] = plan.claim.reserve
+            record["presses"] = sum(map(bool, plan.presses))
             if plan.props:
                 record["props"] = [prop.to_dict() for prop in plan.props]
             if plan.margins is not None:
@@ -251,7 +262,13 @@ class MakePlan(Command):
         )
         if first.replay is not None:
             also = ", under varied settings too" if self.robust else ""
-            output.say(f"the replay succeeds{also}; parts move by at most {first.replay.moved * 1e3:.3g} mm")
+            kept = first.claim.reserve
+            reserve = f" with the true friction and with friction / {kept:g}" if kept > 1 else ""
+            output.say(f"the replay succeeds{reserve}{also}; parts move by at most {first.replay.moved * 1e3:.3g} mm")
+        pressed = [press.force for presses in first.presses for press in presses]
+        if pressed:
+            count = sum(map(bool, first.presses))
+            output.say(f"robots press in {counted(count, 'step')}, with at most {max(pressed):.4g} N")
         for prop in first.props:
             place = ", ".join(f"{value:.3f}" for value in prop.at)
             name = first.part_names[prop.part]

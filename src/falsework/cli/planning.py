@@ -19,7 +19,10 @@ if TYPE_CHECKING:
     from falsework.search.beam.settings import BeamSettings
     from falsework.search.find import TaskRules
     from falsework.search.problem.task import Task
-    from falsework.stability import Stability
+    from falsework.stability import Stability, StabilitySettings
+    from falsework.stability.problem import Cone
+    from falsework.stability.settings import SolverName
+    from falsework.stability.verdict import Criterion
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,6 +94,39 @@ class SupportOptions(RuleOptions):
         if self.props < 0:
             raise InputError(f"--props {self.props} is not a number of props; give 0 or more")
         return with_props(assembly, prop_places(assembly)) if self.props else assembly
+
+
+@dataclass(frozen=True, kw_only=True)
+class HoldOptions:
+    """What robots that hold parts can do, and the reserve that a plan keeps; under the criterion `contact`."""
+
+    hold_force: Annotated[float | None, arg(metavar="N", help_behavior_hint="(default: 10 weights)")] = None
+    """Largest force of a robot on a part that it holds, N; by default ten weights of the heaviest part."""
+    hold_stiffness: Annotated[float, arg(metavar="N/m")] = 1e7
+    """Stiffness of a robot at its gripper, N/m; inf for robots that never give way."""
+    no_press: bool = False
+    """Robots only hold; they do not press on parts while another part is released."""
+    reserve: Annotated[float | None, arg(metavar="FACTOR", help_behavior_hint="(default: 1.1)")] = None
+    """Number by which friction is divided: every state must come to rest with that friction, and with the true one."""
+
+    def settings(self, criterion: Criterion, cone: Cone | None = None, solver: SolverName = "cpu") -> StabilitySettings:
+        """Return the settings of stability.
+
+        Raises:
+            InputError: options that a criterion does not have, or numbers that are not possible.
+        """
+        from falsework.search.find import PLANS
+        from falsework.stability import StabilitySettings
+        from falsework.stability.holds import HoldSettings
+
+        given = self != HoldOptions()
+        if criterion == "equilibrium" and given and self != HoldOptions(reserve=self.reserve):
+            raise InputError("under equilibrium robots hold with any force; leave out the options of holds")
+        if self.reserve is not None and not self.reserve >= 1:
+            raise InputError(f"--reserve is {self.reserve:g}; give 1 for none, or more")
+        holds = HoldSettings(self.hold_stiffness, self.hold_force, press=not self.no_press)
+        reserve = self.reserve or (PLANS.reserve if criterion == "contact" else 1.0)
+        return StabilitySettings(criterion=criterion, cone=cone, solver=solver, reserve=reserve, holds=holds)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,7 @@ from tyro.conf import arg
 
 from falsework.cli.command import UNSET, JudgingCommand, StructureOptions
 from falsework.cli.exit_code import Exit
-from falsework.cli.planning import SupportOptions, writable
+from falsework.cli.planning import HoldOptions, SupportOptions, writable
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -37,6 +37,7 @@ class AskRobotsNeeded(JudgingCommand):
 
     structure: StructureOptions
     task: SupportOptions
+    holds: HoldOptions
     out: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=UNSET)] = None
     """File to write the plan to."""
     deadline: float = 60.0
@@ -48,12 +49,12 @@ class AskRobotsNeeded(JudgingCommand):
         """Search, report, save."""
         from falsework.search.plans.plan_file import save_plan
         from falsework.search.settings import PlannerSettings
-        from falsework.stability import Stability, StabilitySettings
+        from falsework.stability import Stability
 
         if self.out is not None:
             writable(self.out)
         assembly = self.task.with_places(self.structure.load())
-        oracle = Stability(assembly, StabilitySettings(criterion=self.criterion))
+        oracle = Stability(assembly, self.holds.settings(self.criterion))
         answer = ask(assembly, oracle, self.task, PlannerSettings(seed=self.seed), self.deadline, False, output)
         if answer.plan is not None and self.out is not None:
             save_plan(replace(answer.plan, source=self.structure.source(self.out)), self.out)

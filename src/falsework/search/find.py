@@ -45,6 +45,7 @@ from falsework.search.problem.timed_oracle import timed
 from falsework.search.settings import PlannerSettings
 from falsework.search.support.planner import SupportPlanner, planner_for
 from falsework.stability.oracle import Stability
+from falsework.stability.settings import StabilitySettings
 
 _SAVE_EVERY = 30.0
 """Seconds between two checkpoints."""
@@ -52,6 +53,10 @@ _BOUND_AFTER = 10.0
 """Seconds of processor time without a plan after which a search pauses to try to prove that robots are too few ..."""
 _BOUND_SECONDS = 5.0
 """... for so many seconds at most."""
+_FIRST_SHARE = 0.5
+"""Share of a deadline for plans with the reserve; the rest is for plans without, where there are none."""
+PLANS = StabilitySettings(reserve=1.1)
+"""Stability of plans by default: parts come to rest with friction divided by 1.1, and with the true one."""
 _CHOICE_SECONDS = 1.0
 """Seconds in which to choose among plans where the deadline leaves less."""
 
@@ -105,6 +110,7 @@ def find_plans(
     *,
     robots: int | None = None,
     oracle: Stability | None = None,
+    stability: StabilitySettings = PLANS,
     settings: PlannerSettings = PlannerSettings(),
     guide: Guide | None = None,
     progress: Progress | None = None,
@@ -121,6 +127,8 @@ def find_plans(
         task: rules between start and target, where they are not given by name.
         robots: parts that can be held at a time; 2 where no task says it.
         oracle: decides stability; pass an existing one to reuse its cache.
+        stability: criterion, reserve and robots, where no oracle is given. Where no plan keeps the reserve, half of the
+            deadline is left to search for one that comes to rest under the true friction; `Plan.claim` has its reserve.
         settings: effort of the search, and number of plans.
         guide: scores actions; by default parts with much support are inserted first, and where three robots or more
             build a shell, or under `equilibrium` one of 700 to 3,000 parts is built, its free edges.
@@ -143,8 +151,20 @@ def find_plans(
     named = [*rules, *(["robots"] if robots is not None else [])]
     if task is not None and named:
         raise InputError(f"a task and {', '.join(named)} were given; put them into the task, or leave the task out")
-    clock, assembly = Deadline(deadline), as_assembly(assembly)
-    oracle = oracle or Stability(assembly)
+    assembly = as_assembly(assembly)
+    if oracle is None:
+        task = task or task_of(assembly, 2 if robots is None else robots, **rules)
+        more = {"settings": settings, "guide": guide, "progress": progress, "stop": stop, "forces": forces}
+        weaker = replace(stability, reserve=1.0)
+        first, begun = Stability(assembly, stability), time.perf_counter()
+        again = stability.reserve > 1.0 and first.replayer is not None
+        share = deadline if deadline is None or not again else _FIRST_SHARE * deadline
+        found = find_plans(assembly, task, oracle=first, deadline=share, checkpoint=checkpoint, **more)
+        if found.found or not again or (found.result.interrupted and not found.deadline_passed):
+            return found
+        left = None if deadline is None else max(deadline - (time.perf_counter() - begun), _CHOICE_SECONDS)
+        return find_plans(assembly, task, oracle=Stability(assembly, weaker), deadline=left, **more)
+    clock = Deadline(deadline)
     task = task or task_of(assembly, 2 if robots is None else robots, **rules)
     guide = guide or SupportGuide(assembly)
     planner = _resume(checkpoint, task, timed(oracle, clock), settings, guide)

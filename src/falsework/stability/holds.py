@@ -36,7 +36,7 @@ class HoldSettings:
     """What robots that hold parts can do."""
 
     stiffness: float = STIFFNESS
-    """Stiffness of a hold, N/m; about the centre of mass it is this times the square of the radius of gyration, N m/rad.
+    """Stiffness of a hold, N/m; against turning it is this times the square of the radius of gyration, N m/rad.
     Infinite: held parts never move."""
     force: float | None = None
     """Largest force on a held part, N; five weights of the heaviest part if not given."""

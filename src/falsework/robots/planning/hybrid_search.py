@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -312,7 +311,7 @@ class HybridSearch:
     def _plan(self, root: Node, chain: list[Edge], why: Explanation | None = None) -> RobotPlan:
         statistics = self._statistics() | ({} if why is None else {"failure": why.to_dict()})
         plan = self.maker.plan(root, chain, whole=why is None)
-        replay = None if plan.plan.replay is None else asdict(plan.plan.replay)
+        replay = None if plan.plan.replay is None else plan.plan.replay.to_dict()
         plan.statistics.update(statistics, seconds=round(self.clock.seconds, 3), replay=replay)
         return plan
 

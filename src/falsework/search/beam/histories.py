@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from threading import RLock
 from typing import TYPE_CHECKING
 
 from falsework.search.beam.frontier import Level, PackedLevel
+from falsework.stability.holds import Press
 
 if TYPE_CHECKING:
     from falsework.stability.contact.replay import History
@@ -25,7 +25,7 @@ def histories_in_memory(problem: Problem) -> int:
 
 
 class Histories:
-    """Contact histories of the states of a beam, computed on demand; several threads may use them at once."""
+    """Contact histories of the states of a beam, computed on demand."""
 
     def __init__(self, replayer: AnyReplayer, levels: list[Level | PackedLevel]) -> None:
         """Begin with nothing.
@@ -35,67 +35,55 @@ class Histories:
             levels: of the beam; the list that the beam itself changes.
         """
         self.replayer = replayer
-        self.lock = RLock()
-        """Held by who reads or writes histories; while the levels change, by who changes them."""
         self._levels = levels
         self._most = histories_in_memory(replayer.problem)
         self._known: list[dict[int, History | None]] = []
         self._known_steps: list[dict[int, tuple[float, int, tuple[Press, ...]]]] = []
         """Of the states at rest: the largest movement of a part, that part, and the presses of the step."""
 
-    def of(self, level: int, row: int, replayer: AnyReplayer | None = None) -> History | None:
+    def of(self, level: int, row: int) -> History | None:
         """Return the history of a state of a level; None where the way to it does not stand.
 
         Args:
             level: index of the level.
             row: of the state in the level.
-            replayer: replays the steps whose histories are not known; by default that of these histories.
         """
-        replayer = replayer or self.replayer
-        with self.lock:
-            way = self._way(level, row)
-            first = level + 1 - len(way)
-            history = self._known[first].get(way[-1])
-            if history is None and first == 0 and way[-1] not in self._known[0]:
-                start = replayer.replay(self._levels[0].states[way[-1]][None])
-                history = start.histories[0] if start.histories else None
-                self.put(0, way[-1], history)
-            for at in range(first + 1, level + 1):
-                before, after = way[level + 1 - at], way[level - at]
-                if history is not None:
-                    states = self._levels[at - 1].states[before], self._levels[at].states[after]
-                    stands, history = replayer.step(history, *states)
-                    history = history if stands else None
-                self.put(at, after, history)
-            return history
-
-    def steps_to(self, level: int, row: int) -> int:
-        """Return how many steps must be replayed for the history of a state of a level."""
-        with self.lock:
-            return len(self._way(level, row)) - 1
+        replayer = self.replayer
+        way = self._way(level, row)
+        first = level + 1 - len(way)
+        history = self._known[first].get(way[-1])
+        if history is None and first == 0 and way[-1] not in self._known[0]:
+            start = replayer.replay(self._levels[0].states[way[-1]][None])
+            history = start.histories[0] if start.histories else None
+            self.put(0, way[-1], history)
+        for at in range(first + 1, level + 1):
+            before, after = way[level + 1 - at], way[level - at]
+            if history is not None:
+                states = self._levels[at - 1].states[before], self._levels[at].states[after]
+                stands, history = replayer.step(history, *states)
+                history = history if stands else None
+            self.put(at, after, history)
+        return history
 
     def put(self, level: int, row: int, history: History | None) -> None:
         """Remember the history of a state, None where the way to it does not stand."""
-        with self.lock:
-            self._fit(level + 1)
-            self._known[level][row] = history
-            if history is not None:
-                self._known_steps[level][row] = history.moved, history.part, history.presses
+        self._fit(level + 1)
+        self._known[level][row] = history
+        if history is not None:
+            self._known_steps[level][row] = history.moved, history.part, history.presses
 
     def drop_oldest(self) -> None:
         """Forget the histories of the earliest levels where they take too much memory."""
-        with self.lock:
-            count = sum(map(len, self._known))
-            for known in self._known[1:-1]:
-                if count <= self._most:
-                    return
-                count -= len(known)
-                known.clear()
+        count = sum(map(len, self._known))
+        for known in self._known[1:-1]:
+            if count <= self._most:
+                return
+            count -= len(known)
+            known.clear()
 
     def rewind(self, level: int) -> None:
         """Forget all levels after `level`."""
-        with self.lock:
-            del self._known[level + 1 :], self._known_steps[level + 1 :]
+        del self._known[level + 1 :], self._known_steps[level + 1 :]
 
     def summary(self, row: int) -> tuple[float, int, tuple[tuple[Press, ...], ...]] | None:
         """Return the replay of the way to a state of the last level.
@@ -107,13 +95,13 @@ class Histories:
         level = len(self._levels) - 1
         if self.of(level, row) is None:
             return None
-        most, presses = (0.0, -1), []
+        most, presses = (0.0, -1), list[tuple[Press, ...]]()
         for number in range(level, -1, -1):
-            *movement, pressed = self._known_steps[number][row]
-            most = max(most, tuple(movement))
+            moved, part, pressed = self._known_steps[number][row]
+            most = max(most, (moved, part))
             presses.append(pressed)
             row = int(self._levels[number].parent[row])
-        return *most, tuple(presses[::-1])
+        return most[0], most[1], tuple(presses[::-1])
 
     def _way(self, level: int, row: int) -> list[int]:
         """Return the rows, level by level, from a state back to one whose history is known, or to the first level."""

@@ -25,14 +25,6 @@ class Confirmation(Protocol):
         """Return which candidates are reached by states that are stable too, and come to rest. Shape (rows,)."""
         ...
 
-    def expect(self, row: int) -> None:
-        """Prepare the test of a candidate, whose verdict is sought meanwhile."""
-        ...
-
-    def dismiss(self) -> None:
-        """Give up what `expect` prepared and no call asked for."""
-        ...
-
 
 _ENOUGH = 4
 """Moves that failed before are tried where fewer than one in so many of the states wanted is found without them."""
@@ -260,14 +252,9 @@ class Selector:
         position = 0
         while wanted > 0 and position < len(waiting):
             batch = waiting[position : position + (max(wanted, _VERDICT_BATCH) if position else wanted)]
-            if len(batch) == 1:
-                confirmed.expect(int(batch[0]))
-            try:
-                stable = judge.stable(frontier.states(batch), self.standing[frontier.parent(batch)])
-                if stable.any():
-                    stable[stable] = confirmed(batch[stable])
-            finally:
-                confirmed.dismiss()
+            stable = judge.stable(frontier.states(batch), self.standing[frontier.parent(batch)])
+            if stable.any():
+                stable[stable] = confirmed(batch[stable])
             kept.append(batch[stable])
             rejected.append(batch[~stable])
             position += len(batch)

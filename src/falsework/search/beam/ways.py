@@ -90,17 +90,5 @@ class WayConfirmation:
         self.refused = self.refused or not good.all()
         return good
 
-    def expect(self, row: int) -> None:
-        """Begin the replay of a candidate, where that saves time."""
-        if self._ways.replays is not None and self._ways.replays.run_ahead:
-            rows = np.array([row])
-            parent, state = self._frontier.parent(rows), self._frontier.states(rows)
-            self._ways.replays.expect(row, int(parent[0]), state[0])
-
-    def dismiss(self) -> None:
-        """Give up the replay that was begun."""
-        if self._ways.replays is not None:
-            self._ways.replays.dismiss()
-
 
 __all__ = ["BeamWays", "WayConfirmation"]

@@ -190,6 +190,14 @@ class DemandingStability(Stability):
             verdicts.verdict[rows] = found
         return verdicts
 
+    def plausible(self, states: States, parents: States) -> NDArray[np.bool_]:
+        """Return which states a replay may find at rest, and keep the margins; see `Stability.plausible`."""
+        found = super().plausible(states, parents)
+        rows = np.flatnonzero(found)
+        if self.demands and len(rows):
+            found[rows] = self._ask(states[rows], parents[rows], everywhere=False) == Verdict.STABLE
+        return found
+
     def keeps(self, states: ArrayLike) -> NDArray[np.bool_]:
         """Return whether states keep the margins at every part. Shape (batch,)."""
         batch = as_states(states, self.assembly.boundary)

@@ -285,7 +285,7 @@ def validate_proofs(plan: Plan, assembly: Assembly, settings: StabilitySettings 
         return PlanReport(len(plan.states), 0, weaker, claim=claim)
     if proofs is None:
         raise PlanError(f"the plan carries no {name}; check it with the solver, or plan again with proofs")
-    if (*proofs.shape[:1], *proofs.shape[-2:]) != wanted or proofs.ndim != 3 + contact:
+    if (proofs.shape[0], *proofs.shape[-2:]) != wanted or len(proofs.shape) != 3 + contact:
         raise PlanError(f"the plan has {name} of shape {proofs.shape}; expected {wanted}; plan again")
     broken = broken_rule(plan, assembly)
     if contact:
@@ -303,8 +303,8 @@ def validate_proofs(plan: Plan, assembly: Assembly, settings: StabilitySettings 
 
 def _residuals_of_build(plan: Plan, assembly: Assembly, claim: StabilityCriterion) -> NDArray[np.float64]:
     """Return the residual of each state of a plan by the displacements that it carries, shape (states,)."""
-    assert plan.displacement is not None
     forward = plan if plan.direction is Direction.ASSEMBLY else plan.reverse()
+    assert forward.displacement is not None
     whole = np.zeros(len(assembly.contacts.points), dtype=bool)
     verifier, residual = BuildVerifier(assembly, claim), np.empty(len(plan.states))
     for row, (state, presses) in enumerate(zip(forward.states, forward.assembly_presses, strict=True)):

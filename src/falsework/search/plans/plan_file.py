@@ -96,16 +96,14 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
         "needs": [asdict(need) for need in plan.needs],
     }
     if plan.replay is not None:
-        summary = asdict(plan.replay)
-        del summary["presses"]  # those of the steps
-        data["replay"] = summary
+        data["replay"] = plan.replay.to_dict()
     if plan.margins is not None:
         data["margins"] = plan.margins.to_dict()
     arrays = plan.proof_arrays()
     if proofs and arrays is not None:
         name, count = PROOF_ARRAYS[plan.claim.criterion]
         data[name] = {count: arrays.shape[-2]}
-        if arrays.ndim == 4:
+        if isinstance(arrays, np.ndarray) and arrays.ndim == 4:
             data[name]["increments"] = arrays.shape[1]
             arrays = arrays.reshape(len(arrays), -1, 6)
         data[name] |= pack_proofs(arrays)

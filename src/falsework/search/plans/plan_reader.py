@@ -26,8 +26,8 @@ from falsework.utils.json_file import Reader
 
 FORMAT = "falsework.plan/3"
 SECOND_FORMAT = "falsework.plan/2"
-"""Plans of version 2 were made for robots that hold parts rigidly, without limits, and never press; under `contact` each
-of their states was proved from rest."""
+"""Plans of version 2 are for robots that hold parts rigidly, without limits, and never press; under `contact` each of
+their states was proved from rest."""
 FIRST_FORMAT = "falsework.plan/1"
 """Plans of version 1 are under the criterion `equilibrium` and carry no replay."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,6 +32,10 @@ class PlanReplay:
     """First state in the order of assembly that does not come to rest, counted from 0."""
     presses: tuple[tuple[Press, ...], ...] = ()
     """Presses of the step to each state in the order of assembly; empty where they are not known."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as plain JSON values, without the presses."""
+        return {name: value for name, value in vars(self).items() if name != "presses"}
 
     @classmethod
     def of(cls, replay: Replay) -> PlanReplay:

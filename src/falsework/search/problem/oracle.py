@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -23,14 +24,9 @@ class Oracle(Protocol):
         """
         ...
 
-    def plausible(self, states: States, parents: States) -> Mask:
-        """Return which states a replay may find at rest; asked only where the oracle has a `replayer`.
 
-        Args:
-            states: shape (batch, parts).
-            parents: states at rest one move away, shape (batch, parts).
-        """
-        ...
+Screen = Callable[[States, States], Mask]
+"""Test of states, given stable ones that are one move away; see `Stability.plausible`."""
 
 
 class CountingOracle:
@@ -46,8 +42,8 @@ class CountingOracle:
         self.forbidden: set[bytes] = set()
         """States at which a replay failed: counted as sliding without a verdict."""
         self.seconds = 0.0
-        self.screens = False
-        """Only reject states that a mechanism nearby proves unstable: a replay decides the others."""
+        self.screen: Screen | None = None
+        """Test that takes the place of verdicts where a replay decides: it rejects what falls by a cheap proof."""
         self._batch = batch
 
     def stable(self, states: States, parents: States) -> Mask:
@@ -64,8 +60,8 @@ class CountingOracle:
         stable = np.zeros(len(states), dtype=bool)
         for begin in range(0, len(states), self._batch):
             rows = slice(begin, begin + self._batch)
-            if self.screens:
-                stable[rows] = self.oracle.plausible(states[rows], parents[rows])
+            if self.screen is not None:
+                stable[rows] = self.screen(states[rows], parents[rows])
             else:
                 verdicts = self.oracle.judge(states[rows], parents=parents[rows])
                 stable[rows] = verdicts.stable

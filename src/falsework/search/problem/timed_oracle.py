@@ -8,7 +8,7 @@ import numpy as np
 
 from falsework.assembly.state import Mask, States
 from falsework.search.problem.deadline import AdaptiveBatchSize, Deadline, DeadlineExceeded
-from falsework.search.problem.oracle import Oracle
+from falsework.search.problem.oracle import Oracle, Screen
 from falsework.search.problem.timed_replayer import DeadlineReplayer
 from falsework.stability.oracle import Stability
 from falsework.stability.verdict import Verdict, Verdicts
@@ -36,6 +36,7 @@ class TimedOracle:
         self.replayer = replayer
         """Replays the routes of searches; None where there is no history to take into account."""
         self._oracle = oracle
+        self._screen: Screen = getattr(oracle, "plausible", lambda states, parents: oracle.judge(states).stable)
         self._clock = clock
         self._between = between or (lambda: None)
 
@@ -71,7 +72,7 @@ class TimedOracle:
         if self._clock.passed:
             raise DeadlineExceeded
         with self._clock.timed("verdicts"):
-            found = self._oracle.plausible(states, parents)
+            found = self._screen(states, parents)
         self.asked += len(states)
         return found & ~self.rules_out(states)
 

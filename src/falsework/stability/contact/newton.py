@@ -80,8 +80,8 @@ class ContactArrays(NamedTuple):
     limit: float
     """Movement of a part beyond which the structure counts as collapsing, m."""
     grip: NDArray[np.float64]
-    """Scaled stiffness of a robot's hold on each part, zero where holds are rigid, shape (parts,). A hold resists turning
-    as it resists shifting (its stiffness is a multiple of the mass matrix), so one number is enough."""
+    """Scaled stiffness of a robot's hold on each part, zero where holds are rigid, shape (parts,). The stiffness of a
+    hold is a multiple of the mass matrix of its part, so one number is enough."""
     press_grip: NDArray[np.float64]
     """The same of a robot that presses, which is compliant; never zero."""
     force_limit: NDArray[np.float64]

@@ -28,7 +28,7 @@ _GAINS = (1.0, 1.5)
 """Multiples of the chosen wrench that are tried: contacts that slide take more than those that stick."""
 _WEAK = 1e-3
 """Weight of the robots' wrenches beside the energy of the forces outside the cones: the least that help are chosen."""
-_HELPS = 0.9
+_HELPS = 0.5
 """A press must leave less than this share of the energy of forces outside the cones to be tried."""
 _STEPS = 50
 """Newton steps of the choice; it converges in about ten."""

@@ -270,12 +270,12 @@ class Replayer:
         return None
 
     def _set_shares(self, ages: NDArray[np.int32]) -> Array:
-        """Return the share of its strength that each contact point has reached, shape (states, points) or (states, 0)."""
+        """Return shares of the strength that contact points have reached, shape (states, points) or (states, 0)."""
         joints = self.assembly.joints
         return np.zeros((len(ages), 0)) if joints is None or not joints.setting else joints.set_share(ages)
 
     def _replay(self, batch: States, history: History | None, presses: Presses, track: Array | None = None) -> Replay:
-        """Replay checked states with given presses; `track` as in `settle_step`, shape (states, increments, parts, 6)."""
+        """Replay checked states with given presses; `track` as in `replay_range`."""
         if track is None:
             track = np.zeros((1, self.replay_settings.increments, 0, 6))
         count, problem = len(batch), self.problem

@@ -225,8 +225,8 @@ def settle_step(
     Args:
         structure, contact_structure, options, work, contact: as in `solve_contact_state`.
         before, state: shape (parts,).
-        press_part, press_wrench: held parts that robots press in this step, and the whitened wrenches that they add, shapes
-            (n,) and (n, 6).
+        press_part, press_wrench: held parts that robots press, and the whitened wrenches that they add, shapes (n,)
+            and (n, 6).
         increments: in how many the missing wrenches are transferred; all of gravity where the history is empty.
         displacement: displacement of the parts since they were placed, m and rad, shape (parts, 6); changed in place.
         springs: scaled spring forces of all contact points, shape (points, 3); changed in place.
