@@ -81,13 +81,13 @@ def read_states(path: Path) -> Any:
     Raises:
         StateError: no such file, or neither JSON nor NumPy.
     """
-    import numpy as np
+    from falsework.utils.archive import read_array
 
     if not path.is_file():
         raise StateError(f"no file {path}; give a JSON list of states or a .npy array")
     try:
         if path.suffix.lower() == ".npy":
-            return np.load(path, allow_pickle=False)
+            return read_array(path)
         content = parse_json(path.read_text(encoding="utf-8"))
     except Exception as error:  # NumPy fails in many ways on a damaged file
         raise StateError(f"{path} cannot be read; give a JSON list of states or a .npy array") from error

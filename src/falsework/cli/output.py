@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from falsework.utils.printable import printable
+
 if TYPE_CHECKING:
-    from rich.console import Console, RenderableType
+    from rich.console import Console
 
     from falsework.search.problem.result import SearchProgress
 
@@ -24,7 +26,7 @@ def counted(number: int, noun: str) -> str:
 
 
 class Output:
-    """Printer of text or, with `--json`, of JSON."""
+    """Printer of text or, with `--json`, of JSON. Control characters in text, such as in names, are escaped."""
 
     def __init__(self, *, machine: bool) -> None:
         self.machine = machine
@@ -35,18 +37,33 @@ class Output:
             sys.stdout.write(json.dumps(fields, allow_nan=False, default=_plain) + "\n")
             sys.stdout.flush()
 
-    def say(self, text: RenderableType) -> None:
-        """Print a result as text, unless it is printed as a JSON record already."""
+    def say(self, text: str) -> None:
+        """Print a line of a result as text, unless it is printed as a JSON record already."""
+        if not self.machine:
+            sys.stdout.write(printable(text) + "\n")
+
+    def table(self, headings: Sequence[str], rows: Sequence[Sequence[str]], *, dim: str = "") -> None:
+        """Print a table as text, unless its rows are printed as JSON records already.
+
+        Args:
+            headings: of the columns.
+            rows: cells, one a column.
+            dim: rows that begin with this text are details, which a terminal shows fainter.
+        """
         if self.machine:
             return
-        if isinstance(text, str):
-            sys.stdout.write(text + "\n")
-        else:
-            self._console(error=False).print(text, markup=False, highlight=False)
+        from rich.table import Table
+        from rich.text import Text
+
+        table = Table(*(Text(printable(name)) for name in headings), box=None, pad_edge=False, header_style="bold")
+        for row in rows:
+            faint = bool(dim) and row[0].startswith(dim)
+            table.add_row(*(Text(printable(cell)) for cell in row), style="dim" if faint else None)
+        self._console(error=False).print(table)
 
     def note(self, text: str) -> None:
-        """Print a remark beside the result, such as why there is none, to the error stream."""
-        sys.stderr.write(text + "\n")
+        """Print a remark beside the result, such as why there is none, on one line of the error stream."""
+        sys.stderr.write(printable(text) + "\n")
 
     @contextmanager
     def bar(self, title: str) -> Iterator[Callable[[int, int, str], None]]:
@@ -64,7 +81,7 @@ class Output:
         columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[now]}"), TimeElapsedColumn())
         with Progress(*columns, console=console, transient=True) as progress:
             task = progress.add_task(title, total=None, now="")
-            yield lambda done, total, now: progress.update(task, total=total, completed=done, now=now)
+            yield lambda done, total, now: progress.update(task, total=total, completed=done, now=printable(now))
 
     def _log(self, title: str) -> Callable[[int, int, str], None]:
         last = time.monotonic()

@@ -1,13 +1,15 @@
-"""Plan check: the rules, and the stability of every state."""
+"""Plan check: the rules, and the stability of every state; facts about the structure are taken from the structure."""
 
 from __future__ import annotations
 
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
@@ -28,7 +30,57 @@ from falsework.stability.certificate import (
 from falsework.stability.oracle import Stability
 from falsework.stability.reference.clarabel import ExactSolver
 from falsework.stability.settings import StabilitySettings
+from falsework.stability.state_arrays import StateArrays
 from falsework.stability.verdict import Verdicts
+
+
+_PROOF_NAMES = {"contact": "displacements", "equilibrium": "contact forces"}
+REPLAY = "its replay"
+"""Claim of a plan that only a replay verifies."""
+
+
+@dataclass(frozen=True)
+class CheckedPlan:
+    """What a check was about."""
+
+    structure: str
+    """Name of the structure, from itself."""
+    identity: str
+    """Digest of the structure, `Assembly.identity`."""
+    boundary: tuple[int, ...]
+    """Parts that the structure calls boundary."""
+    direction: str
+    steps: int
+    robots: int
+    """Parts that the plan may hold at a time."""
+    props: int
+    """Props of the plan."""
+    prop_limit: int
+    """Props that it may use at a time."""
+    start: tuple[int, ...]
+    """First state."""
+    end: tuple[int, ...]
+    """Last state."""
+
+    @classmethod
+    def of(cls, plan: Plan, assembly: Assembly) -> CheckedPlan:
+        """Return what a check of a plan for a structure is about."""
+        return cls(
+            structure=assembly.name,
+            identity=assembly.identity,
+            boundary=tuple(np.flatnonzero(assembly.boundary).tolist()),
+            direction=plan.direction.value,
+            steps=len(plan),
+            robots=plan.robots,
+            props=len(plan.props),
+            prop_limit=plan.prop_limit,
+            start=tuple(plan.states[0].tolist()),
+            end=tuple(plan.states[-1].tolist()),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as a JSON object."""
+        return asdict(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +100,12 @@ class PlanReport:
     verdict: Verdicts | None = None
     """Verdict on the first bad state, with the velocity that proves it unstable; None if it broke a rule."""
     seconds: float = 0.0
+    about: CheckedPlan | None = None
+    """Structure, steps, robots, start and end that were checked."""
+    certified: int = 0
+    """Good states that the certificates in the plan prove; the others were solved."""
+    unverified: tuple[str, ...] = ()
+    """Claims of the plan that the check does not verify."""
 
     @property
     def good(self) -> bool:
@@ -64,7 +122,7 @@ def check_identity(plan: Plan, assembly: Assembly) -> None:
     """Raise unless the plan is for this structure.
 
     Raises:
-        PlanError: parts, geometry, boundary, density or friction differ.
+        PlanError: parts, geometry, boundary, density, friction, names or props differ.
     """
     if len(plan.boundary) != assembly.part_count:
         raise PlanError(
@@ -76,6 +134,29 @@ def check_identity(plan: Plan, assembly: Assembly) -> None:
             f"the plan is for another structure: its hash {plan.identity[:12]} of {plan.name} differs from "
             f"{assembly.identity[:12]} of {assembly.name}; geometry, boundary, density or friction changed"
         )
+    # The hash is copied from the structure; what the plan says besides it must agree too.
+    other = np.flatnonzero(plan.boundary != assembly.boundary)
+    if len(other):
+        part, words = int(other[0]), ("free", "boundary")
+        raise PlanError(
+            f"the plan says that part {part} is {words[int(plan.boundary[part])]}, but in {assembly.name} it is "
+            f"{words[int(assembly.boundary[part])]}; plan again"
+        )
+    for part, (said, name) in enumerate(zip(plan.part_names, assembly.names, strict=True)):
+        if said != name:
+            raise PlanError(f"the plan calls part {part} {said!r}, but in {assembly.name} it is {name!r}; plan again")
+    if plan.friction != assembly.friction:
+        raise PlanError(
+            f"the plan says that friction is {plan.friction:g}, but in {assembly.name} it is {assembly.friction:g}; "
+            "plan again"
+        )
+    for said, prop in zip(plan.props, assembly.props, strict=True):
+        same = said.part == prop.part and np.allclose((*said.at, said.floor), (*prop.at, prop.floor), 1e-9, 1e-9)
+        if not same:
+            raise PlanError(
+                f"the plan has a prop under part {said.part} from {said.floor:g} m up to {said.at[2]:g} m, but in "
+                f"{assembly.name} it is under part {prop.part}, from {prop.floor:g} m to {prop.at[2]:g} m; plan again"
+            )
 
 
 def broken_rule(plan: Plan, assembly: Assembly | None = None) -> tuple[int, str] | None:
@@ -129,7 +210,37 @@ def weaker_claim(claimed: StabilityCriterion, asked: StabilityCriterion) -> str:
             return f"the plan claims a {name} of {getattr(claimed, name):g}{unit}; {getattr(asked, name):g} is asked"
     if not math.isclose(claimed.gravity, asked.gravity, rel_tol=1e-9):
         return f"the plan is for a gravity of {claimed.gravity:g} m/s2; {asked.gravity:g} is asked"
+    given, wanted = claimed.stiffness_ratio, asked.stiffness_ratio
+    if claimed.criterion == asked.criterion == "contact" and not math.isclose(given, wanted, rel_tol=1e-9):
+        return f"the plan is for a stiffness ratio of {given:g}; {wanted:g} is asked"
     return ""
+
+
+def unverified_claims(plan: Plan, asked: StabilityCriterion, demands: Demands | None = None) -> tuple[str, ...]:
+    """Return the claims of a plan that a check of its states under a criterion does not verify, in words.
+
+    Args:
+        plan: the plan, whose claim is not weaker than required.
+        asked: criterion of the caller.
+        demands: margins of the caller, checked instead of those of the plan.
+    """
+    found = [] if plan.replay is None else [REPLAY]
+    for name, value in asdict(plan.claim).items():
+        if value != getattr(asked, name) and (name != "stiffness_ratio" or plan.claim.criterion == "contact"):
+            found.append(f"its {name.replace('_', ' ')} {value if isinstance(value, str) else f'{value:g}'}")
+    if plan.proof_arrays() is not None and not _comparable(plan.claim, asked):
+        found.append(f"its {_PROOF_NAMES[plan.claim.criterion]}")
+    margins = plan.margins
+    if margins is not None and demands is not None and margins.demands and margins.demands != demands:
+        found.append(f"its margins {margins.demands}")
+    if margins is not None and margins.bound is not None:
+        found.append(f"its bound on the margin of {margins.maximised} of all plans")
+    return tuple(found)
+
+
+def _comparable(claimed: StabilityCriterion, asked: StabilityCriterion) -> bool:
+    """Return whether certificates under one criterion can prove another."""
+    return (claimed.criterion, claimed.cone) == (asked.criterion, asked.cone)
 
 
 def validate_plan(
@@ -140,13 +251,15 @@ def validate_plan(
     demands: Demands | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> PlanReport:
-    """Check the rules and the stability of a plan by a solver, state by state up to the first bad one.
+    """Check the rules and the stability of a plan, state by state up to the first bad one.
 
     The caller sets the stability criterion. Tolerance, gravity, force bound and criterion in the plan are claims: a
-    plan that claims less than the caller requires is refused.
+    plan that claims less than the caller requires is refused, and so is one without steps.
 
-    Under `equilibrium` the exact solver decides. Under `contact` a displacement is computed anew, from rest and without
-    a parent, and verified by the certificate checker, which shares no code with the solvers.
+    States are proven by the certificates that the plan carries, which the certificate checker evaluates; it shares no
+    code with the solvers. States without one are solved: under `equilibrium` by the exact solver; under `contact` a
+    displacement is computed anew, from rest and without a parent, and verified by the certificate checker. A plan
+    with a certificate that proves nothing is not good, even if the state is stable.
 
     Args:
         plan: plan to check.
@@ -164,32 +277,122 @@ def validate_plan(
     if not isinstance(assembly, Assembly):
         assembly = structure_of_plan(plan, structure=as_assembly(assembly))
     check_identity(plan, assembly)
-    begun, count, claim = time.perf_counter(), len(plan.states), settings.claim
-    weaker = weaker_claim(plan.claim, claim)
-    if weaker:
-        return PlanReport(count, 0, weaker, claim=claim)
+    begun = time.perf_counter()
+    report = _blank(plan, assembly, settings.claim, demands)
+    if not report.good:
+        return report
     broken = broken_rule(plan, assembly)
-    solver = Stability(assembly, settings) if settings.criterion == "contact" else ExactSolver(assembly, settings)
-    largest, before = 0.0, None
-    for row in range(count if broken is None else broken[0]):
-        if isinstance(solver, ExactSolver):
-            verdict = solver.check(plan.states[row : row + 1])
-        else:
-            verdict = solver.check_beside(plan.states[row], plan.states[max(row - 1, 0) : row + 2])
-            if not verdict.stable[0] and before is not None:
-                verdict = solver.check_next(plan.states[row : row + 1], plan.states[row - 1 : row], before)
-        before = verdict
-        if not (verdict.stable[0] and verify_certificates(assembly, plan.states[row : row + 1], verdict, claim)[0]):
-            seconds = time.perf_counter() - begun
-            return PlanReport(count, row, _unstable(plan, row, verdict), largest, claim, verdict, seconds)
-        largest = max(largest, float(verdict.residual[0]))
-        if progress is not None:
-            progress(row + 1, count)
-    weak = _weak(plan, assembly, settings, demands) if broken is None else None
+    carried = _proofs_under(plan, settings.claim) is not None and _comparable(plan.claim, settings.claim)
+    misfit = _misfit(plan, assembly, settings.claim) if carried else ""
+    proven = _residuals_of_proofs(plan, assembly, settings.claim) if carried and not misfit else None
+    count = len(plan.states) if broken is None else broken[0]
+    report = _solve(report, plan, assembly, settings, count, proven, progress)
+    weak = _weak(plan, assembly, settings, demands) if report.good and broken is None else None
     if weak is not None:
-        reason = f"{weak[1]} {_place(plan, weak[0])}"
-        return PlanReport(count, weak[0], reason, largest, claim, None, time.perf_counter() - begun)
-    return _end(plan, broken, largest, claim, time.perf_counter() - begun)
+        report = replace(report, checked=weak[0], reason=f"{weak[1]} {_place(plan, weak[0])}")
+    if report.good:
+        report = replace(report, reason=misfit if broken is None else broken[1])
+    return replace(report, seconds=time.perf_counter() - begun)
+
+
+def _blank(plan: Plan, assembly: Assembly, claim: StabilityCriterion, demands: Demands | None = None) -> PlanReport:
+    """Return the report on a plan of which no state is checked yet, with the reason if none needs to be."""
+    about, unverified = CheckedPlan.of(plan, assembly), unverified_claims(plan, claim, demands)
+    reason = weaker_claim(plan.claim, claim) or ("" if len(plan) else "the plan has no step and shows nothing; plan again")
+    return PlanReport(len(plan.states), 0, reason, claim=claim, about=about, unverified=unverified)
+
+
+def _solve(
+    report: PlanReport,
+    plan: Plan,
+    assembly: Assembly,
+    settings: StabilitySettings,
+    count: int,
+    proven: NDArray[np.float64] | None,
+    progress: Callable[[int, int], None] | None,
+) -> PlanReport:
+    """Check the stability of states from the first on, up to the first bad one.
+
+    Args:
+        report: report so far.
+        plan, assembly, settings: as for `validate_plan`.
+        count: states to check.
+        proven: residuals that the certificates in the plan leave, shape (states,), or None; states that they do not
+            prove are solved, so that the report says whether the state or only its certificate is at fault.
+        progress: as for `validate_plan`.
+    """
+    claim, largest, before = settings.claim, 0.0, None
+    solver: Stability | ExactSolver | None = None
+    for row in range(count):
+        if proven is not None and proven[row] <= claim.tolerance:
+            residual, before = float(proven[row]), None
+        else:
+            if solver is None:
+                contact = settings.criterion == "contact"
+                solver = Stability(assembly, settings) if contact else ExactSolver(assembly, settings)
+            verdict = before = _verdict(solver, plan, row, before)
+            residual = float(verdict.residual[0])
+            wrong = ""
+            if not (verdict.stable[0] and verify_certificates(assembly, plan.states[row : row + 1], verdict, claim)[0]):
+                wrong = _unstable(plan, row, verdict)
+            elif proven is not None:
+                wrong, verdict = _unproven(plan, row, float(proven[row]), claim), None
+            if wrong:
+                certified = 0 if proven is None else row
+                return replace(
+                    report, checked=row, reason=wrong, residual=largest, verdict=verdict, certified=certified
+                )
+        largest = max(largest, residual)
+        if progress is not None:
+            progress(row + 1, report.states)
+    return replace(report, checked=count, residual=largest, certified=0 if proven is None else count)
+
+
+def _verdict(solver: Stability | ExactSolver, plan: Plan, row: int, before: Verdicts | None) -> Verdicts:
+    """Return the verdict on a state of a plan, under `contact` also from the displacement of the state before."""
+    here = plan.states[row : row + 1]
+    if isinstance(solver, ExactSolver):
+        return solver.check(here)
+    verdict = solver.check_beside(plan.states[row], plan.states[max(row - 1, 0) : row + 2])
+    if not verdict.stable[0] and before is not None:
+        verdict = solver.check_next(here, plan.states[row - 1 : row], before)
+    return verdict
+
+
+def _proofs_under(plan: Plan, claim: StabilityCriterion) -> NDArray[np.float64] | StateArrays | None:
+    """Return what a plan carries that can prove its states under a criterion."""
+    return plan.displacement if claim.criterion == "contact" else plan.forces
+
+
+def _misfit(plan: Plan, assembly: Assembly, claim: StabilityCriterion) -> str:
+    """Return why the plan does not carry a certificate for each of its states; empty if it does."""
+    name, proofs, rows = _PROOF_NAMES[claim.criterion], _proofs_under(plan, claim), (assembly.part_count, 6)
+    if proofs is None:
+        return f"the plan carries no {name}; check it with the solver, or plan again with proofs"
+    if claim.criterion == "equilibrium":
+        rows = (len(assembly.contacts.points), 3)
+    wanted = (len(plan.states), *rows)
+    return "" if proofs.shape == wanted else f"the plan has {name} of shape {proofs.shape}; expected {wanted}; plan again"
+
+
+def _residuals_of_proofs(plan: Plan, assembly: Assembly, claim: StabilityCriterion) -> NDArray[np.float64]:
+    """Return the residuals that the certificates in a plan leave, which fit its states."""
+    proofs = _proofs_under(plan, claim)
+    assert proofs is not None
+    if claim.criterion == "equilibrium":
+        return residuals_in_order(assembly, plan.states, proofs, claim)
+    rows = chunks(np.arange(len(plan.states)), len(assembly.contacts.points))
+    return np.concatenate(
+        [residual_of_displacement(assembly, plan.states[some], proofs[some], claim) for some in rows]
+    )
+
+
+def _unproven(plan: Plan, row: int, residual: float, claim: StabilityCriterion) -> str:
+    name = _PROOF_NAMES[claim.criterion]
+    return (
+        f"the {name} in the plan for the state {_place(plan, row)} leave {residual:.3g} of gravity, above "
+        f"{claim.tolerance:g}, and prove nothing"
+    )
 
 
 def _weak(
@@ -222,37 +425,21 @@ def validate_proofs(plan: Plan, assembly: Assembly, settings: StabilitySettings 
     """
     check_identity(plan, assembly)
     begun, claim = time.perf_counter(), settings.claim
-    contact = claim.criterion == "contact"
-    name, proofs = ("displacements", plan.displacement) if contact else ("contact forces", plan.forces)
-    wanted = (len(plan.states), *((assembly.part_count, 6) if contact else (len(assembly.contacts.points), 3)))
-    weaker = weaker_claim(plan.claim, claim)
-    if weaker:
-        return PlanReport(len(plan.states), 0, weaker, claim=claim)
-    if proofs is None:
-        raise PlanError(f"the plan carries no {name}; check it with the solver, or plan again with proofs")
-    if proofs.shape != wanted:
-        raise PlanError(f"the plan has {name} of shape {proofs.shape}; expected {wanted}; plan again")
+    report = _blank(plan, assembly, claim)
+    if not report.good:
+        return report
+    misfit = _misfit(plan, assembly, claim)
+    if misfit:
+        raise PlanError(misfit)
     broken = broken_rule(plan, assembly)
-    if contact:
-        rows = chunks(np.arange(len(plan.states)), len(assembly.contacts.points))
-        found = [residual_of_displacement(assembly, plan.states[some], proofs[some], claim) for some in rows]
-        residual = np.concatenate(found)
-    else:
-        residual = residuals_in_order(assembly, plan.states, proofs, claim)
-    bad = np.flatnonzero(~(residual <= claim.tolerance))
-    if len(bad) and (broken is None or bad[0] < broken[0]):
-        row = int(bad[0])
-        reason = f"the {name} of {_place(plan, row)} leave {residual[row]:.3g} of gravity, above {claim.tolerance:g}"
-        return PlanReport(len(plan.states), row, reason, claim=claim, seconds=time.perf_counter() - begun)
-    return _end(plan, broken, float(residual.max(initial=0.0)), claim, time.perf_counter() - begun)
-
-
-def _end(
-    plan: Plan, broken: tuple[int, str] | None, residual: float, claim: StabilityCriterion, seconds: float
-) -> PlanReport:
-    if broken is None:
-        return PlanReport(len(plan.states), len(plan.states), "", residual, claim, None, seconds)
-    return PlanReport(len(plan.states), broken[0], broken[1], residual, claim, None, seconds)
+    residual = _residuals_of_proofs(plan, assembly, claim)
+    count, reason = (len(plan.states), "") if broken is None else broken
+    bad = np.flatnonzero(~(residual[:count] <= claim.tolerance))
+    if len(bad):
+        count = int(bad[0])
+        reason = _unproven(plan, count, float(residual[count]), claim)
+    largest, seconds = float(residual[:count].max(initial=0.0)), time.perf_counter() - begun
+    return replace(report, checked=count, reason=reason, residual=largest, certified=count, seconds=seconds)
 
 
 def _unstable(plan: Plan, row: int, verdict: Verdicts) -> str:

@@ -16,6 +16,7 @@ from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans.packed_proofs import CHANGES, WHOLE, unpack_proofs
 from falsework.search.plans.plan import needs_of
 from falsework.search.plans.plan_replay import PlanReplay
+from falsework.search.plans.plan_source import wrong_source
 from falsework.search.problem.task import Direction
 from falsework.stability.certificate import StabilityCriterion
 from falsework.stability.state_arrays import StateArrays
@@ -40,6 +41,8 @@ _SHARE = 0.1
 PROOF_WORDS = {"contact": "displacement", "equilibrium": "forces"}
 PROOF_ARRAYS = {"contact": ("displacements", "parts"), "equilibrium": ("forces", "points")}
 """Entry of the file that holds the proofs, and the items along its first axis."""
+MOST_ENTRIES = 1 << 30
+"""States of a plan times parts that are read, a byte each: a complete plan of 23,000 parts."""
 _KEYS = {"format", "direction", "structure", "robots", "rules", "stability", "start", "steps", "end", "needs"}
 
 
@@ -161,7 +164,7 @@ class PlanReader(Reader):
                 self._fail(f"it has {name}, which prove nothing under the criterion {claim.criterion}")
         if entry in data:
             field = "displacement" if entry == "displacements" else entry
-            fields[field] = self._packed(data[entry], entry, counted, len(states))
+            fields[field] = self._packed(data[entry], entry, counted, states.shape)
         if data["needs"] != [asdict(need) for need in needs_of(actions, direction, parts, fields["missing"])]:
             self._fail("its needs do not agree with its steps")
         return fields
@@ -183,16 +186,9 @@ class PlanReader(Reader):
 
     def _source_of(self, value: Any) -> dict[str, Any]:
         """Read the source of the structure, without checking that it exists."""
-        kinds = {
-            "built_in": str, "path": str, "unit": str, "density": (int, float), "friction": (int, float),
-            "boundary": list, "ground": bool, "interfaces": str, "loads": list, "earthquake": list,
-        }  # fmt: skip
-        self._keys(value, set(), "structure.source", optional=frozenset(kinds))
-        for key, entry in value.items():
-            if not isinstance(entry, kinds[key]) or (isinstance(entry, bool) and key != "ground"):
-                self._fail(f"structure.source.{key} is {entry!r}")
-        if ("built_in" in value) == ("path" in value):
-            self._fail("structure.source must have either built_in or path")
+        wrong = wrong_source(value)
+        if wrong:
+            self._fail(wrong)
         return value
 
     def _sequence(
@@ -215,8 +211,12 @@ class PlanReader(Reader):
         if held > robots:
             self._fail(f"start.state has {held} parts held with {robots} robots")
         residuals = [self._judged(data["start"], "start")]
-        states, actions = [state], []
-        for number, step in enumerate(self._list(data["steps"], "steps"), 1):
+        steps, actions = self._list(data["steps"], "steps"), []
+        if (len(steps) + 1) * parts > MOST_ENTRIES:
+            self._fail(f"it has {len(steps)} steps of {parts} parts", f"at most {MOST_ENTRIES} states of parts are read")
+        states = np.empty((len(steps) + 1, parts), dtype=np.uint8)
+        states[0] = state
+        for number, step in enumerate(steps, 1):
             place = f"step {number}"
             self._keys(step, {"do", "part", "verdict", "proof", "residual"}, place)
             word, part = step["do"], self._count(step["part"], f"{place}: part")
@@ -229,17 +229,16 @@ class PlanReader(Reader):
             if boundary[part] or state[part] != old:
                 found = "boundary" if boundary[part] else ("removed", "installed", "held")[int(state[part])]
                 self._fail(f"{place} cannot {word} part {part}, which is {found}")
-            state = state.copy()
             state[part] = new
             held += 0 if is_prop[part] else 1 if new == HELD else -1
             if held > robots:
                 self._fail(f"{place} needs {held} robots, but the plan has {robots}")
-            states.append(state)
+            states[number] = state
             actions.append(part + parts * above)
             residuals.append(self._judged(step, place))
         if not np.array_equal(self._state(data["end"], boundary, "end"), state):
             self._fail("its steps do not lead to its end")
-        return np.array(states), np.array(actions, dtype=np.int64), np.array(residuals)
+        return states, np.array(actions, dtype=np.int64), np.array(residuals)
 
     def _judged(self, record: dict[str, Any], place: str) -> float:
         if (record["verdict"], record["proof"]) != ("stable", self._proof):
@@ -275,15 +274,18 @@ class PlanReader(Reader):
             self._fail(f"replay.falls_at is {falls_at}", f"the plan has {states} states")
         return PlanReplay(stands, self._number(value["moved"], "replay.moved"), part, falls_at)
 
-    def _packed(self, value: Any, name: str, counted: str, states: int) -> NDArray[np.float64] | StateArrays:
-        """Return the proofs of all states: forces of points, or displacements of parts."""
+    def _packed(
+        self, value: Any, name: str, counted: str, shape: tuple[int, ...]
+    ) -> NDArray[np.float64] | StateArrays:
+        """Return the proofs of all states, of so many states and parts: forces of points, or displacements of parts."""
         entry = CHANGES if isinstance(value, dict) and CHANGES in value and name == "forces" else WHOLE
         self._keys(value, {counted, entry}, name)
-        count, width = self._count(value[counted], f"{name}.{counted}"), 6 if name == "displacements" else 3
-
+        (states, parts), count = shape, self._count(value[counted], f"{name}.{counted}")
+        what = f"{name} of {count} {counted} for each of {states} states"
+        if counted == "parts" and count != parts:
+            self._fail(f"{name}.{entry} does not hold {what}", f"the plan has {parts} parts; plan again")
         try:
-            what = f"{name} of {count} {counted} for each of {states} states"
-            return unpack_proofs(entry, value[entry], (states, count, width), what)
+            return unpack_proofs(entry, value[entry], (states, count, 6 if name == "displacements" else 3), what)
         except ValueError as error:
             self._fail(f"{name}.{entry} {error}")
 
