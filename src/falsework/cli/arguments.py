@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
-from collections.abc import Sequence
+import shlex
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -73,6 +75,28 @@ def parse_load(text: str) -> dict[str, Any]:
     option = f"--load {part}="
     load: dict[str, Any] = {"part": part, "force": parse_numbers(force, option, (3,))}
     return load | {"at": parse_numbers(place, f"{option}{force}@", (3,))} if at else load
+
+
+def spell_options(options: Mapping[str, Any]) -> str:
+    """Return options of a structure, as `LoadOptions.given` returns them, as they are written on the command line."""
+    words: list[str] = []
+    for name, value in options.items():
+        if name == "loads":
+            for load in value:
+                words += ["--load", _spell_load(load)]
+        elif name == "ground":
+            words += ["--ground"] * bool(value)
+        else:
+            words += [f"--{name}", ",".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)]
+    return " ".join(shlex.quote(word) for word in words)
+
+
+def _spell_load(load: Any) -> str:
+    """Return an entry of `loads` as `parse_load` reads it; one with further entries, which it cannot read, as JSON."""
+    if not isinstance(load, dict) or not {"part", "force"} <= set(load) <= {"part", "force", "at"}:
+        return json.dumps(load)
+    force, at = (",".join(map(str, load.get(key, []))) for key in ("force", "at"))
+    return f"{load['part']}={force}{'@' if at else ''}{at}"
 
 
 def read_states(path: Path) -> Any:

@@ -119,8 +119,8 @@ def check_header(path: Path | str, header: Mapping[str, Any], kinds: Mapping[str
     Args:
         path: file, for the message.
         header: as `read_archive` returns it, with its format.
-        kinds: type of each entry that must be there, and no others, beside the format; `list` stands for a list of whole
-            numbers.
+        kinds: type of each entry that must be there, and no others, beside the format; `list` stands for a list of
+            whole numbers.
         remedy: remedy for a damaged file.
 
     Raises:

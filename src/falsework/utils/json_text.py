@@ -13,8 +13,8 @@ def parse_json(text: str) -> Any:
     """Parse JSON text.
 
     Raises:
-        ValueError: it is no JSON, has more than `LEVELS` levels, an integer that does not fit into 64 bits, or an object
-            with two entries of the same name.
+        ValueError: it is no JSON, has more than `LEVELS` levels, an integer that does not fit into 64 bits, or an
+            object with two entries of the same name.
     """
     try:
         data = json.loads(text, parse_int=_integer, object_pairs_hook=_object)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +15,14 @@ from falsework.assembly.state import HELD, States, action_mask, apply_actions, h
 from falsework.errors import InputError, PlanError
 from falsework.search.margins.demands import DemandingStability, Demands
 from falsework.search.plans.plan import Plan
+from falsework.search.plans.plan_report import (
+    PROOF_NAMES,
+    CheckedPlan,
+    PlanReport,
+    comparable,
+    unverified_claims,
+    weaker_claim,
+)
 from falsework.search.plans.plan_source import structure_of_plan
 from falsework.search.problem.support_moves import SupportMoves
 from falsework.search.problem.task import Direction, Task
@@ -32,90 +38,6 @@ from falsework.stability.reference.clarabel import ExactSolver
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.state_arrays import StateArrays
 from falsework.stability.verdict import Verdicts
-
-
-_PROOF_NAMES = {"contact": "displacements", "equilibrium": "contact forces"}
-REPLAY = "its replay"
-"""Claim of a plan that only a replay verifies."""
-
-
-@dataclass(frozen=True)
-class CheckedPlan:
-    """What a check was about."""
-
-    structure: str
-    """Name of the structure, from itself."""
-    identity: str
-    """Digest of the structure, `Assembly.identity`."""
-    boundary: tuple[int, ...]
-    """Parts that the structure calls boundary."""
-    direction: str
-    steps: int
-    robots: int
-    """Parts that the plan may hold at a time."""
-    props: int
-    """Props of the plan."""
-    prop_limit: int
-    """Props that it may use at a time."""
-    start: tuple[int, ...]
-    """First state."""
-    end: tuple[int, ...]
-    """Last state."""
-
-    @classmethod
-    def of(cls, plan: Plan, assembly: Assembly) -> CheckedPlan:
-        """Return what a check of a plan for a structure is about."""
-        return cls(
-            structure=assembly.name,
-            identity=assembly.identity,
-            boundary=tuple(np.flatnonzero(assembly.boundary).tolist()),
-            direction=plan.direction.value,
-            steps=len(plan),
-            robots=plan.robots,
-            props=len(plan.props),
-            prop_limit=plan.prop_limit,
-            start=tuple(plan.states[0].tolist()),
-            end=tuple(plan.states[-1].tolist()),
-        )
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return it as a JSON object."""
-        return asdict(self)
-
-
-@dataclass(frozen=True, eq=False)
-class PlanReport:
-    """Result of a plan check."""
-
-    states: int
-    """States of the plan."""
-    checked: int
-    """States found good, from the first on."""
-    reason: str = ""
-    """Error of the first bad state; empty if all are good."""
-    residual: float = 0.0
-    """Largest residual of a good state, a share of gravity."""
-    claim: StabilityCriterion = field(default_factory=StabilityCriterion)
-    """Stability criterion of the check: the caller's criterion, cone, gravity, tolerance and force bound."""
-    verdict: Verdicts | None = None
-    """Verdict on the first bad state, with the velocity that proves it unstable; None if it broke a rule."""
-    seconds: float = 0.0
-    about: CheckedPlan | None = None
-    """Structure, steps, robots, start and end that were checked."""
-    certified: int = 0
-    """Good states that the certificates in the plan prove; the others were solved."""
-    unverified: tuple[str, ...] = ()
-    """Claims of the plan that the check does not verify."""
-
-    @property
-    def good(self) -> bool:
-        """Whether every step keeps the rules and every state is stable."""
-        return not self.reason
-
-    @property
-    def bad_step(self) -> int | None:
-        """Action that leads to the first bad state, counted from 0; -1 if the first state is bad, None if none is."""
-        return None if self.good else self.checked - 1
 
 
 def check_identity(plan: Plan, assembly: Assembly) -> None:
@@ -196,53 +118,6 @@ def broken_rule(plan: Plan, assembly: Assembly | None = None) -> tuple[int, str]
     return None
 
 
-def weaker_claim(claimed: StabilityCriterion, asked: StabilityCriterion) -> str:
-    """Return why the claim of a plan is weaker than required; empty if it is not.
-
-    Args:
-        claimed: criterion that the plan claims.
-        asked: criterion of the caller.
-    """
-    if claimed.criterion != asked.criterion and asked.criterion == "contact":
-        return "the plan claims equilibrium only; plan again, or check it with --criterion equilibrium"
-    for name, unit in (("tolerance", ""), ("force_bound", " weights")):
-        if getattr(claimed, name) > getattr(asked, name) * (1 + 1e-12):
-            return f"the plan claims a {name} of {getattr(claimed, name):g}{unit}; {getattr(asked, name):g} is asked"
-    if not math.isclose(claimed.gravity, asked.gravity, rel_tol=1e-9):
-        return f"the plan is for a gravity of {claimed.gravity:g} m/s2; {asked.gravity:g} is asked"
-    given, wanted = claimed.stiffness_ratio, asked.stiffness_ratio
-    if claimed.criterion == asked.criterion == "contact" and not math.isclose(given, wanted, rel_tol=1e-9):
-        return f"the plan is for a stiffness ratio of {given:g}; {wanted:g} is asked"
-    return ""
-
-
-def unverified_claims(plan: Plan, asked: StabilityCriterion, demands: Demands | None = None) -> tuple[str, ...]:
-    """Return the claims of a plan that a check of its states under a criterion does not verify, in words.
-
-    Args:
-        plan: the plan, whose claim is not weaker than required.
-        asked: criterion of the caller.
-        demands: margins of the caller, checked instead of those of the plan.
-    """
-    found = [] if plan.replay is None else [REPLAY]
-    for name, value in asdict(plan.claim).items():
-        if value != getattr(asked, name) and (name != "stiffness_ratio" or plan.claim.criterion == "contact"):
-            found.append(f"its {name.replace('_', ' ')} {value if isinstance(value, str) else f'{value:g}'}")
-    if plan.proof_arrays() is not None and not _comparable(plan.claim, asked):
-        found.append(f"its {_PROOF_NAMES[plan.claim.criterion]}")
-    margins = plan.margins
-    if margins is not None and demands is not None and margins.demands and margins.demands != demands:
-        found.append(f"its margins {margins.demands}")
-    if margins is not None and margins.bound is not None:
-        found.append(f"its bound on the margin of {margins.maximised} of all plans")
-    return tuple(found)
-
-
-def _comparable(claimed: StabilityCriterion, asked: StabilityCriterion) -> bool:
-    """Return whether certificates under one criterion can prove another."""
-    return (claimed.criterion, claimed.cone) == (asked.criterion, asked.cone)
-
-
 def validate_plan(
     plan: Plan,
     assembly: AnyStructure,
@@ -282,7 +157,7 @@ def validate_plan(
     if not report.good:
         return report
     broken = broken_rule(plan, assembly)
-    carried = _proofs_under(plan, settings.claim) is not None and _comparable(plan.claim, settings.claim)
+    carried = _proofs_under(plan, settings.claim) is not None and comparable(plan.claim, settings.claim)
     misfit = _misfit(plan, assembly, settings.claim) if carried else ""
     proven = _residuals_of_proofs(plan, assembly, settings.claim) if carried and not misfit else None
     count = len(plan.states) if broken is None else broken[0]
@@ -298,7 +173,8 @@ def validate_plan(
 def _blank(plan: Plan, assembly: Assembly, claim: StabilityCriterion, demands: Demands | None = None) -> PlanReport:
     """Return the report on a plan of which no state is checked yet, with the reason if none needs to be."""
     about, unverified = CheckedPlan.of(plan, assembly), unverified_claims(plan, claim, demands)
-    reason = weaker_claim(plan.claim, claim) or ("" if len(plan) else "the plan has no step and shows nothing; plan again")
+    empty = "" if len(plan) else "the plan has no step and shows nothing; plan again"
+    reason = weaker_claim(plan.claim, claim) or empty
     return PlanReport(len(plan.states), 0, reason, claim=claim, about=about, unverified=unverified)
 
 
@@ -366,13 +242,13 @@ def _proofs_under(plan: Plan, claim: StabilityCriterion) -> NDArray[np.float64] 
 
 def _misfit(plan: Plan, assembly: Assembly, claim: StabilityCriterion) -> str:
     """Return why the plan does not carry a certificate for each of its states; empty if it does."""
-    name, proofs, rows = _PROOF_NAMES[claim.criterion], _proofs_under(plan, claim), (assembly.part_count, 6)
+    name, proofs, rows = PROOF_NAMES[claim.criterion], _proofs_under(plan, claim), (assembly.part_count, 6)
     if proofs is None:
         return f"the plan carries no {name}; check it with the solver, or plan again with proofs"
     if claim.criterion == "equilibrium":
         rows = (len(assembly.contacts.points), 3)
-    wanted = (len(plan.states), *rows)
-    return "" if proofs.shape == wanted else f"the plan has {name} of shape {proofs.shape}; expected {wanted}; plan again"
+    shape, wanted = proofs.shape, (len(plan.states), *rows)
+    return "" if shape == wanted else f"the plan has {name} of shape {shape}; expected {wanted}; plan again"
 
 
 def _residuals_of_proofs(plan: Plan, assembly: Assembly, claim: StabilityCriterion) -> NDArray[np.float64]:
@@ -382,13 +258,11 @@ def _residuals_of_proofs(plan: Plan, assembly: Assembly, claim: StabilityCriteri
     if claim.criterion == "equilibrium":
         return residuals_in_order(assembly, plan.states, proofs, claim)
     rows = chunks(np.arange(len(plan.states)), len(assembly.contacts.points))
-    return np.concatenate(
-        [residual_of_displacement(assembly, plan.states[some], proofs[some], claim) for some in rows]
-    )
+    return np.concatenate([residual_of_displacement(assembly, plan.states[some], proofs[some], claim) for some in rows])
 
 
 def _unproven(plan: Plan, row: int, residual: float, claim: StabilityCriterion) -> str:
-    name = _PROOF_NAMES[claim.criterion]
+    name = PROOF_NAMES[claim.criterion]
     return (
         f"the {name} in the plan for the state {_place(plan, row)} leave {residual:.3g} of gravity, above "
         f"{claim.tolerance:g}, and prove nothing"

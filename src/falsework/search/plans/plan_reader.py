@@ -213,7 +213,7 @@ class PlanReader(Reader):
         residuals = [self._judged(data["start"], "start")]
         steps, actions = self._list(data["steps"], "steps"), []
         if (len(steps) + 1) * parts > MOST_ENTRIES:
-            self._fail(f"it has {len(steps)} steps of {parts} parts", f"at most {MOST_ENTRIES} states of parts are read")
+            self._fail(f"it has {len(steps)} steps of {parts} parts", f"at most {MOST_ENTRIES} entries are read")
         states = np.empty((len(steps) + 1, parts), dtype=np.uint8)
         states[0] = state
         for number, step in enumerate(steps, 1):
@@ -274,9 +274,7 @@ class PlanReader(Reader):
             self._fail(f"replay.falls_at is {falls_at}", f"the plan has {states} states")
         return PlanReplay(stands, self._number(value["moved"], "replay.moved"), part, falls_at)
 
-    def _packed(
-        self, value: Any, name: str, counted: str, shape: tuple[int, ...]
-    ) -> NDArray[np.float64] | StateArrays:
+    def _packed(self, value: Any, name: str, counted: str, shape: tuple[int, ...]) -> NDArray[np.float64] | StateArrays:
         """Return the proofs of all states, of so many states and parts: forces of points, or displacements of parts."""
         entry = CHANGES if isinstance(value, dict) and CHANGES in value and name == "forces" else WHOLE
         self._keys(value, {counted, entry}, name)

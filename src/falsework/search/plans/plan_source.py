@@ -66,7 +66,7 @@ def structure_of_plan(
 def structure_to_check(
     plan: Plan, file: Path | str | None = None, structure: str | Path | Assembly | None = None, **options: Any
 ) -> tuple[Assembly, dict[str, Any]]:
-    """Load the structure of a plan for a check: as its own files and the caller describe it, if that is what was planned.
+    """Load the structure of a plan for a check, as its own files and the caller describe it if it was planned for that.
 
     Options that the plan records, such as its friction, are applied only if the plan is for another structure without
     them. A structure with options is read twice for this.
@@ -101,7 +101,7 @@ def structure_to_check(
 
 
 def wrong_source(value: Any) -> str:
-    """Return why a value in a file is no source of a structure; empty if it is one. Whether it exists is not checked."""
+    """Return why a value in a file is no source of a structure; empty if it is one, which need not exist."""
     if not isinstance(value, Mapping):
         return "structure.source is not an object"
     unknown = sorted(set(value) - set(_KINDS))
