@@ -22,9 +22,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Union, cast, get_args, get_ori
 
 from falsework import __version__
 from falsework.cli.exit_code import Exit
-from falsework.cli.output import Output
+from falsework.cli.output import Output, printable
 from falsework.errors import FalseworkError
-from falsework.utils.printable import printable
 
 if TYPE_CHECKING:
     from falsework.cli.command import Command

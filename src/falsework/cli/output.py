@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
-
-from falsework.utils.printable import printable
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -18,6 +17,17 @@ if TYPE_CHECKING:
 
 LOG_EVERY = 30.0
 """Seconds between two lines of progress where the error stream is no terminal."""
+_CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+"""Control characters, line separators, marks that change the direction of writing, and bytes of file names that are no
+text (lone surrogates), which most streams cannot encode."""
+
+
+def printable(text: str) -> str:
+    r"""Return text on one line in which control characters are escaped, such as `\x1b` and `\n`.
+
+    Names in files come from anywhere; printed raw, they could move the cursor, hide lines or add forged ones.
+    """
+    return _CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
 
 
 def counted(number: int, noun: str) -> str:
@@ -34,7 +44,8 @@ class Output:
     def record(self, fields: Mapping[str, Any]) -> None:
         """Print one JSON object on a line of its own, for machines only."""
         if self.machine:
-            sys.stdout.write(json.dumps(fields, allow_nan=False, default=_plain) + "\n")
+            text = json.dumps(fields, allow_nan=False, default=_plain)  # escapes all control characters but one
+            sys.stdout.write(text.replace("\x7f", "\\u007f") + "\n")
             sys.stdout.flush()
 
     def say(self, text: str) -> None:

@@ -53,12 +53,19 @@ def describe_structure(assembly: Assembly, source: Mapping[str, Any]) -> dict[st
     Args:
         assembly: the structure.
         source: `built_in` or `path`, the latter relative to the folder of the run, and options of `load_structure`.
+
+    Raises:
+        InputError: another source, which `load_run` would refuse.
     """
+    plain = {name: _plain(value) for name, value in source.items()}
+    wrong = wrong_source(plain)
+    if wrong:
+        raise InputError(f"the source of {assembly.name} cannot be recorded: {wrong}; give its path or built-in name")
     return {
         "name": assembly.name,
         "identity": assembly.identity,
         "parts": assembly.part_count,
-        "source": {name: _plain(value) for name, value in source.items()},
+        "source": plain,
     }
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from falsework.assembly.loads import Loads
+from falsework.assembly.loads import MOST, Loads
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import INSTALLED, States, as_states
 from falsework.errors import InputError
@@ -70,6 +70,8 @@ class Demands:
             if name in given:
                 raise InputError(f"{option} {text}: {name} is given twice; give it once")
             given[name] = parse_quantity(quantity, _KINDS[name], f"{option} {name}")
+            if given[name] > MOST:
+                raise InputError(f"{option} {name}={quantity}: no state keeps that; give less than {MOST:g}")
         if given.get("friction", 1.0) < 1.0:
             raise InputError(f"{option} friction={given['friction']:g}: a factor of safety is at least 1")
         if given.get("tilt", 0.0) >= np.radians(80):
@@ -87,8 +89,8 @@ class Demands:
         if not isinstance(value, dict) or not set(value) <= set(names):
             raise InputError(f"{place} must be an object with {', '.join(names)}")
         for key, number in value.items():
-            if isinstance(number, bool) or not isinstance(number, (int, float)) or not 0 < number < np.inf:
-                raise InputError(f"{place}.{key} is {number!r}; it must be a number above zero")
+            if isinstance(number, bool) or not isinstance(number, (int, float)) or not 0 < number <= MOST:
+                raise InputError(f"{place}.{key} is {number!r}; it must be a number above zero, at most {MOST:g}")
         return cls(**{key: float(number) for key, number in value.items()})
 
     def to_dict(self) -> dict[str, float]:

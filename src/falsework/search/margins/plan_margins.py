@@ -8,6 +8,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from falsework.assembly.loads import MOST
 from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.search.margins.demands import Demands
@@ -129,7 +130,7 @@ class PlanMargins:
         if maximised is not None and maximised not in MEASURED:
             raise InputError(f"margins.maximised is {maximised!r}; it must be one of {', '.join(MEASURED)}")
         if not _is_bound(bound):
-            raise InputError(f"margins.bound is {bound!r}; it must be a number or null")
+            raise InputError(f"margins.bound is {bound!r}; it must be null or a number up to {MOST:g}")
         demands = Demands.read(value["demands"], "margins.demands")
         return cls(demands, {kind: tuple(values) for kind, values in measured.items()}, maximised, bound)
 
@@ -163,5 +164,5 @@ def quantity_text(kind: str, value: float) -> str:
 
 
 def _is_bound(value: Any) -> bool:
-    number = isinstance(value, (int, float)) and not isinstance(value, bool) and 0 <= value < np.inf
+    number = isinstance(value, (int, float)) and not isinstance(value, bool) and 0 <= value <= MOST
     return value is None or bool(number)

@@ -255,10 +255,13 @@ def _residuals_of_proofs(plan: Plan, assembly: Assembly, claim: StabilityCriteri
     """Return the residuals that the certificates in a plan leave, which fit its states."""
     proofs = _proofs_under(plan, claim)
     assert proofs is not None
-    if claim.criterion == "equilibrium":
-        return residuals_in_order(assembly, plan.states, proofs, claim)
-    rows = chunks(np.arange(len(plan.states)), len(assembly.contacts.points))
-    return np.concatenate([residual_of_displacement(assembly, plan.states[some], proofs[some], claim) for some in rows])
+    # Numbers from a file may overflow; what is not finite leaves an infinite residual.
+    with np.errstate(over="ignore", invalid="ignore"):
+        if claim.criterion == "equilibrium":
+            return residuals_in_order(assembly, plan.states, proofs, claim)
+        rows = chunks(np.arange(len(plan.states)), len(assembly.contacts.points))
+        found = [residual_of_displacement(assembly, plan.states[some], proofs[some], claim) for some in rows]
+        return np.concatenate(found)
 
 
 def _unproven(plan: Plan, row: int, residual: float, claim: StabilityCriterion) -> str:
