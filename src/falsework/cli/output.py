@@ -66,7 +66,9 @@ class Output:
         from rich.table import Table
         from rich.text import Text
 
-        table = Table(*(Text(printable(name)) for name in headings), box=None, pad_edge=False, header_style="bold")
+        table = Table(box=None, pad_edge=False, header_style="bold")
+        for name in headings:
+            table.add_column(Text(printable(name)))
         for row in rows:
             faint = bool(dim) and row[0].startswith(dim)
             table.add_row(*(Text(printable(cell)) for cell in row), style="dim" if faint else None)

@@ -129,7 +129,7 @@ def validate_plan(
     """Check the rules and the stability of a plan, state by state up to the first bad one.
 
     The caller sets the stability criterion. Tolerance, gravity, force bound and criterion in the plan are claims: a
-    plan that claims less than the caller requires is refused, and so is one without steps.
+    plan that claims less than the caller requires is refused, and so is one without steps, unless no part can move.
 
     States are proven by the certificates that the plan carries, which the certificate checker evaluates; it shares no
     code with the solvers. States without one are solved: under `equilibrium` by the exact solver; under `contact` a
@@ -173,7 +173,9 @@ def validate_plan(
 def _blank(plan: Plan, assembly: Assembly, claim: StabilityCriterion, demands: Demands | None = None) -> PlanReport:
     """Return the report on a plan of which no state is checked yet, with the reason if none needs to be."""
     about, unverified = CheckedPlan.of(plan, assembly), unverified_claims(plan, claim, demands)
-    empty = "" if len(plan) else "the plan has no step and shows nothing; plan again"
+    # Where every part is boundary, no other plan exists.
+    complete = len(plan) > 0 or assembly.boundary.all()
+    empty = "" if complete else "the plan has no step and shows nothing; plan again"
     reason = weaker_claim(plan.claim, claim) or empty
     return PlanReport(len(plan.states), 0, reason, claim=claim, about=about, unverified=unverified)
 
