@@ -57,7 +57,7 @@ class CheckPlan(JudgingCommand):
         "falsework check plan.json",
         "falsework check plan.json --replay",
         "falsework check plan.json --structure my-folder --steps",
-        "falsework check plan.json --friction 0.5",
+        "falsework check plan.json --accept-overrides",
     )
 
     plan: Annotated[Positional[Path], arg(metavar="PLAN")]
