@@ -196,34 +196,37 @@ def _solve(
         plan, assembly, settings: as for `validate_plan`.
         count: states to check.
         proven: residuals that the certificates in the plan leave, shape (states,), or None; states that they do not
-            prove are solved, so that the report says whether the state or only its certificate is at fault.
+            settle are solved, so that the report says whether the state or only its certificate is at fault.
         progress: as for `validate_plan`.
     """
-    claim, largest, before = settings.claim, 0.0, None
+    claim, largest, certified, before = settings.claim, 0.0, 0, None
     solver: Stability | ExactSolver | None = None
     for row in range(count):
-        if proven is not None and proven[row] <= claim.tolerance:
-            residual, before = float(proven[row]), None
+        if proven is not None and proven[row] <= _settled(claim):
+            residual, certified, before = float(proven[row]), certified + 1, None
         else:
             if solver is None:
                 contact = settings.criterion == "contact"
                 solver = Stability(assembly, settings) if contact else ExactSolver(assembly, settings)
             verdict = before = _verdict(solver, plan, row, before)
-            residual = float(verdict.residual[0])
-            wrong = ""
+            residual, wrong = float(verdict.residual[0]), ""
             if not (verdict.stable[0] and verify_certificates(assembly, plan.states[row : row + 1], verdict, claim)[0]):
                 wrong = _unstable(plan, row, verdict)
-            elif proven is not None:
+            elif proven is not None and not proven[row] <= claim.tolerance:
                 wrong, verdict = _unproven(plan, row, float(proven[row]), claim), None
             if wrong:
-                certified = 0 if proven is None else row
-                return replace(
-                    report, checked=row, reason=wrong, residual=largest, verdict=verdict, certified=certified
-                )
+                report = replace(report, reason=wrong, verdict=verdict)
+                count = row
+                break
         largest = max(largest, residual)
         if progress is not None:
             progress(row + 1, report.states)
-    return replace(report, checked=count, residual=largest, certified=0 if proven is None else count)
+    return replace(report, checked=count, residual=largest, certified=certified)
+
+
+def _settled(claim: StabilityCriterion) -> float:
+    """Return the residual up to which a certificate in a plan settles a state, a share of gravity."""
+    return claim.tolerance
 
 
 def _verdict(solver: Stability | ExactSolver, plan: Plan, row: int, before: Verdicts | None) -> Verdicts:
