@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import load_structure
+from falsework.assembly import Assembly, load_structure
 from falsework.assembly.props import prop_places, with_props
 from falsework.errors import InputError, PlanError
 from falsework.search import Plan, PlanReport, find_plans, load_plan, save_plan, validate_plan, validate_proofs
@@ -38,7 +38,7 @@ def plan() -> Plan:
     assembly = load_structure(SPEC)
     oracle = Stability(assembly)
     found = find_plans(assembly, oracle=oracle).plans[0]
-    margins = PlanMargins.of(oracle, found.states, Demands(friction=1.1), "push")
+    margins = PlanMargins.of(oracle, found.states, Demands(friction=1.1))
     return replace(found, margins=margins, source={"built_in": SPEC})
 
 
@@ -47,11 +47,35 @@ def data(plan: Plan) -> dict[str, Any]:
     return json.loads(json.dumps(plan_to_dict(plan, proofs=True)))
 
 
-def checked(data: Any) -> tuple[PlanReport, dict[str, Any]]:
-    """Check a plan as the command does."""
+@pytest.fixture(scope="module")
+def propped() -> tuple[Assembly, Plan]:
+    """A structure with a place for a prop, and a plan of it that does not use the prop."""
+    ground = load_structure(SPEC, ground=True)
+    with_one = with_props(ground, prop_places(ground)[:1])
+    bare = find_plans(ground).plans[0]
+    plan = replace(
+        bare,
+        states=np.append(bare.states, np.zeros((len(bare.states), 1), np.uint8), axis=1),
+        actions=np.where(bare.actions >= ground.part_count, bare.actions + 1, bare.actions),
+        identity=with_one.identity,
+        part_names=with_one.names,
+        boundary=with_one.boundary,
+        props=with_one.props,
+        prop_limit=1,
+        support=True,
+        forces=None,
+        displacement=None,
+        replay=None,
+        source={"built_in": SPEC, "ground": True},
+    )
+    return with_one, plan
+
+
+def checked(data: Any, settings: StabilitySettings = StabilitySettings()) -> tuple[PlanReport, dict[str, Any]]:
+    """Check a plan as the command does, with `--ground` if the plan has props, which need a floor."""
     plan = plan_from_dict(data)
-    assembly, overrides = structure_to_check(plan)
-    return validate_plan(plan, assembly), overrides
+    assembly, overrides = structure_to_check(plan, ground=True if plan.props else None)
+    return validate_plan(plan, assembly, settings), overrides
 
 
 # Every entry, changed one at a time
@@ -72,7 +96,17 @@ def mutations(value: Any) -> Iterator[Any]:
     if isinstance(value, bool):
         yield not value
     elif isinstance(value, (int, float)):
-        yield from (value + 1, value * 2, value * 1e-3, value * (1 + 1e-6), 1e300, [value], str(value))
+        yield from (
+            value + np.pi,
+            value + 2 * np.pi,
+            value + 1,
+            value * 2,
+            value * 1e-3,
+            value * (1 + 1e-6),
+            1e300,
+            [value],
+            str(value),
+        )
     elif isinstance(value, str):
         yield from (value + " ", value.upper(), "", value[:-4], value[::-1])
     elif isinstance(value, list):
@@ -112,8 +146,12 @@ def margins_are_kept(old: PlanMargins, new: PlanMargins | None) -> bool:
 LISTED: dict[str, Callable[[Plan, Plan, PlanReport], bool]] = {
     "structure.name": lambda old, new, report: report.about is not None and report.about.structure == old.name,
     "structure.source": lambda old, new, report: report.about is not None and report.about.identity == old.identity,
+    "structure.props": lambda old, new, report: report.about is not None and report.about.props == len(new.props) == 1,
     "robots": lambda old, new, report: report.about is not None and report.about.robots == new.robots > old.robots,
     "rules.removable_only_if_clear": lambda old, new, report: new.removable_only_if_clear,
+    "rules.support": lambda old, new, report: new.support is not old.support,
+    "rules.props": lambda old, new, report: report.about is not None and report.about.prop_limit == new.prop_limit,
+    "stability.stiffness_ratio": lambda old, new, report: report.claim.criterion == "equilibrium",
     "stability.tolerance": lambda old, new, report: f"its tolerance {new.claim.tolerance:g}" in report.unverified,
     "stability.force_bound": lambda old, new, report: f"its force bound {new.claim.force_bound:g}" in report.unverified,
     "start.residual": lambda old, new, report: bool(new.residuals[0] <= new.claim.tolerance),
@@ -134,9 +172,15 @@ def entry_of(path: tuple[Any, ...], old: Any, new: Any) -> str:
     return next((name for name in LISTED if ".".join(keys).startswith(name)), ".".join(keys))
 
 
-def test_one_change_at_a_time_is_refused_or_claims_nothing(plan: Plan, data: dict[str, Any]) -> None:
+def accepted_changes(
+    data: dict[str, Any], settings: StabilitySettings = StabilitySettings(), among: tuple[str, ...] = ()
+) -> tuple[int, set[str]]:
+    """Change one value at a time; return how many changes there were, and the entries of those that pass."""
     count, accepted, original = 0, set(), plan_from_dict(data)
+    assert checked(data, settings)[0].good
     for path in paths(data):
+        if among and path[:1] and path[0] not in among:
+            continue
         old = data
         for key in path:
             old = old[key]
@@ -146,7 +190,7 @@ def test_one_change_at_a_time_is_refused_or_claims_nothing(plan: Plan, data: dic
                 continue
             count += 1
             try:
-                report, overrides = checked(changed_data)
+                report, overrides = checked(changed_data, settings)
             except InputError:
                 continue
             found = plan_from_dict(changed_data)
@@ -156,9 +200,35 @@ def test_one_change_at_a_time_is_refused_or_claims_nothing(plan: Plan, data: dic
             assert entry in LISTED, (path, value)
             assert LISTED[entry](original, found, report), (path, value, report)
             accepted.add(entry)
-    assert count > 1400
-    # All but what this plan does not have is seen to be accepted, so that the list is not longer than it must be.
-    assert accepted == set(LISTED) - {"forces", "stability.tolerance"}
+    return count, accepted
+
+
+_ALWAYS = {"structure.name", "structure.source", "robots", "rules.removable_only_if_clear", "stability.force_bound"}
+_JUDGED = {"start.residual", "steps.residual"}
+
+
+def test_one_change_at_a_time_is_refused_or_claims_nothing(data: dict[str, Any]) -> None:
+    count, accepted = accepted_changes(data)
+    assert count > 1200
+    # What is listed is seen to be accepted, here or below, so that the list is not longer than it must be.
+    assert accepted == _ALWAYS | _JUDGED | {"replay", "displacements", "margins"}
+
+
+def test_one_change_of_a_plan_under_equilibrium() -> None:
+    found = find_plans(load_structure(SPEC), oracle=Stability(load_structure(SPEC), EQUILIBRIUM)).plans[0]
+    exact = validate_plan(replace(found, forces=None), load_structure(SPEC), EQUILIBRIUM).residual
+    assert exact < 1e-7
+    data = json.loads(json.dumps(plan_to_dict(replace(found, source={"built_in": SPEC}), proofs=True)))
+    count, accepted = accepted_changes(data, EQUILIBRIUM)
+    assert count > 1000
+    assert accepted - {"stability.tolerance"} == _ALWAYS | _JUDGED | {"stability.stiffness_ratio", "forces"}
+
+
+def test_one_change_of_a_plan_with_props(propped: tuple[Assembly, Plan]) -> None:
+    data = json.loads(json.dumps(plan_to_dict(propped[1])))
+    count, accepted = accepted_changes(data, among=("structure", "robots", "rules", "stability"))
+    assert count > 500
+    assert accepted == _ALWAYS | {"structure.props", "rules.support", "rules.props"}
 
 
 def test_the_documentation_lists_what_claims_nothing() -> None:
@@ -221,34 +291,15 @@ def test_free_parts_that_a_plan_calls_boundary_support_nothing() -> None:
         checked(forged)
 
 
-def test_props_are_where_the_structure_has_them(tmp_path: Path) -> None:
-    ground = load_structure("arch:blocks=3", ground=True)
-    propped = with_props(ground, prop_places(ground)[:1])
-    bare = find_plans(ground).plans[0]
-
-    def stretched(rows: Any) -> Any:
-        return np.append(rows, np.zeros((len(rows), 1), rows.dtype), axis=1)
-
-    shifted = np.where(bare.actions >= ground.part_count, bare.actions + 1, bare.actions)
-    plan = replace(
-        bare,
-        states=stretched(bare.states),
-        actions=shifted,
-        identity=propped.identity,
-        part_names=propped.names,
-        boundary=propped.boundary,
-        props=propped.props,
-        prop_limit=1,
-        support=True,
-        forces=None,
-        displacement=None,
-    )
-    assert validate_plan(plan, propped).good
-    assert validate_plan(plan, propped).about.props == 1  # type: ignore[union-attr]
+def test_props_are_where_the_structure_has_them(propped: tuple[Assembly, Plan]) -> None:
+    assembly, plan = propped
+    about = validate_plan(plan, assembly).about
+    assert about is not None
+    assert (about.props, about.prop_limit) == (1, 1)
     (prop,) = plan.props
     for other in (replace(prop, floor=prop.floor - 1.0), replace(prop, part=prop.part + 1)):
         with pytest.raises(PlanError, match="the plan has a prop under part"):
-            validate_plan(replace(plan, props=(other,)), propped)
+            validate_plan(replace(plan, props=(other,)), assembly)
 
 
 def test_options_of_the_plan_count_only_with_the_callers_word() -> None:
@@ -393,6 +444,25 @@ def test_claims_that_a_check_does_not_verify_are_named(plan: Plan) -> None:
     assert other.good
     assert {"its criterion contact", "its cone quadratic", "its displacements"} <= set(other.unverified)
     assert other.certified == 0
+
+
+@pytest.mark.parametrize(
+    ("margins", "message"),
+    [
+        ({"demands": {"tilt": float(np.pi)}}, "margins.demands.tilt: 180 degrees is too steep"),
+        ({"demands": {"tilt": float(2 * np.pi)}}, "margins.demands.tilt: 360 degrees is too steep"),
+        ({"demands": {"friction": 0.5}}, "margins.demands.friction=0.5: a factor of safety is at least 1"),
+        ({"demands": {"push": 1e300}}, "margins.demands.push=1e+300: no state keeps that; give at most 1e+12"),
+        ({"measured": {"tilt": [float(2 * np.pi)] * 7}}, "margins.measured.tilt must be a list of 7 numbers"),
+        ({"measured": {"push": [1e300] * 7}}, "margins.measured.push must be a list of 7 numbers"),
+        ({"maximised": "tilt", "bound": 7.0}, "margins.bound is 7.0; it must be a number within the range of its kind"),
+    ],
+)
+def test_margins_outside_of_their_range(data: dict[str, Any], margins: dict[str, Any], message: str) -> None:
+    """A tilt of a whole turn loads a structure like none; loads of 1e300 N overflow."""
+    with pytest.raises(PlanError) as caught:
+        plan_from_dict(data | {"margins": data["margins"] | margins})
+    assert message in str(caught.value)
 
 
 def test_a_plan_for_another_stiffness_is_refused(plan: Plan) -> None:
