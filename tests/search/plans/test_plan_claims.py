@@ -13,13 +13,23 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import numpy as np
 import pytest
 
 from falsework.assembly import Assembly, load_structure
 from falsework.assembly.props import prop_places, with_props
 from falsework.errors import InputError, PlanError
-from falsework.search import Plan, PlanReport, find_plans, load_plan, save_plan, validate_plan, validate_proofs
+from falsework.search import (
+    Plan,
+    PlanReport,
+    find_plans,
+    load_plan,
+    plan_schema,
+    save_plan,
+    validate_plan,
+    validate_proofs,
+)
 from falsework.search.margins.demands import Demands
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans import packed_proofs, plan_check, plan_reader
@@ -460,6 +470,10 @@ def test_claims_that_a_check_does_not_verify_are_named(plan: Plan) -> None:
 )
 def test_margins_outside_of_their_range(data: dict[str, Any], margins: dict[str, Any], message: str) -> None:
     """A tilt of a whole turn loads a structure like none; loads of 1e300 N overflow."""
+    jsonschema.validate(data, plan_schema())
+    if "bound" not in margins:  # its range depends on its kind
+        with pytest.raises(jsonschema.ValidationError):
+            jsonschema.validate(data | {"margins": data["margins"] | margins}, plan_schema())
     with pytest.raises(PlanError) as caught:
         plan_from_dict(data | {"margins": data["margins"] | margins})
     assert message in str(caught.value)
