@@ -24,7 +24,7 @@ def test_props_and_what_shows_them(falsework: Run, tmp_path: Path) -> None:
         assert f"a prop under {plan.part_names[prop.part]}: from the floor at {prop.floor:.3f} to" in finished.out
     told = falsework("plan", "arch:blocks=7", *options, "--json").records[-1]["props"]
     assert told == [prop.to_dict() for prop in plan.props]
-    checked = falsework("check", out, "--replay", "--json")
+    checked = falsework("check", out, "--ground", "--replay", "--json")
     assert checked.code == 0, checked.error
     assert checked.records[0]["good"]
     assert falsework("export", out, "--out", tmp_path / "plan.glb").code == 0

@@ -45,6 +45,19 @@ def test_only_changes_take_memory(dense: np.ndarray) -> None:
     assert arrays.nbytes < 0.1 * dense.nbytes
 
 
+def test_states_that_follow_each_other_need_only_their_changes(dense: np.ndarray) -> None:
+    """Stored as changes of the state before, or as a whole, arrays are the same and take the same memory."""
+    dense[7, 3] = -0.0, np.nan, np.inf
+    whole, arrays, before = StateArrays(*dense.shape), StateArrays(*dense.shape), np.zeros(dense.shape[1:])
+    whole[np.arange(60)] = dense
+    for state, array in enumerate(dense):
+        rows = np.flatnonzero((array.view(np.uint64) != before.view(np.uint64)).any(axis=1))
+        arrays.follow(state, rows, array[rows])
+        before = array
+    assert np.asarray(arrays).tobytes() == dense.tobytes()
+    assert arrays.nbytes == whole.nbytes
+
+
 def test_what_is_stored_again_replaces_what_was_there(dense: np.ndarray) -> None:
     arrays = StateArrays(*dense.shape)
     arrays[np.arange(60)] = dense

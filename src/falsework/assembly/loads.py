@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 
 GRAVITY = 9.81
 """Acceleration of which loads are shares where a file has them in m/s2."""
+MOST = 1e12
+"""Largest load, or margin of one, in SI units: beyond all that can be built, and far from where numbers overflow."""
 _ENTRIES = {"part", "force", "moment", "at"}
 
 
@@ -122,6 +124,8 @@ def _numbers(value: Any, what: str, counts: Sequence[int], unit: str) -> Array:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
         array = np.empty(0)
-    if array.ndim != 1 or len(array) not in counts or not np.isfinite(array).all():
-        raise AssemblyError(f"{what} is {value!r}; give {' or '.join(map(str, counts))} finite numbers in {unit}")
+    if array.ndim != 1 or len(array) not in counts or not (np.abs(array) <= MOST).all():
+        raise AssemblyError(
+            f"{what} is {value!r}; give {' or '.join(map(str, counts))} finite numbers in {unit}, at most {MOST:g}"
+        )
     return array

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
-from collections.abc import Sequence
+import shlex
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -75,19 +77,41 @@ def parse_load(text: str) -> dict[str, Any]:
     return load | {"at": parse_numbers(place, f"{option}{force}@", (3,))} if at else load
 
 
+def spell_options(options: Mapping[str, Any]) -> str:
+    """Return options of a structure, as `LoadOptions.given` returns them, as they are written on the command line."""
+    words: list[str] = []
+    for name, value in options.items():
+        if name == "loads":
+            for load in value:
+                words += ["--load", _spell_load(load)]
+        elif name == "ground":
+            words += ["--ground"] * bool(value)
+        else:
+            words += [f"--{name}", ",".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)]
+    return " ".join(shlex.quote(word) for word in words)
+
+
+def _spell_load(load: Any) -> str:
+    """Return an entry of `loads` as `parse_load` reads it; one with further entries, which it cannot read, as JSON."""
+    if not isinstance(load, dict) or not {"part", "force"} <= set(load) <= {"part", "force", "at"}:
+        return json.dumps(load)
+    force, at = (",".join(map(str, load.get(key, []))) for key in ("force", "at"))
+    return f"{load['part']}={force}{'@' if at else ''}{at}"
+
+
 def read_states(path: Path) -> Any:
     """Read states from a JSON list or a `.npy` file, without checking their length or values.
 
     Raises:
         StateError: no such file, or neither JSON nor NumPy.
     """
-    import numpy as np
+    from falsework.utils.archive import read_array
 
     if not path.is_file():
         raise StateError(f"no file {path}; give a JSON list of states or a .npy array")
     try:
         if path.suffix.lower() == ".npy":
-            return np.load(path, allow_pickle=False)
+            return read_array(path)
         content = parse_json(path.read_text(encoding="utf-8"))
     except Exception as error:  # NumPy fails in many ways on a damaged file
         raise StateError(f"{path} cannot be read; give a JSON list of states or a .npy array") from error

@@ -77,11 +77,9 @@ class CheckCell(Command):
 
     def _say(self, output: Output, assembly: Assembly, cell: Cell, parts: PartShapes, table: ReachTable) -> None:
         """Print one row per part."""
-        from rich.table import Table
-
         from falsework.robots.grasping.reachability import Reachability
 
-        shown = Table("part", "kg", *table.robots, box=None, pad_edge=False, header_style="bold")
+        shown: list[tuple[str, ...]] = []
         for row, part in enumerate(table.parts.tolist()):
             levels = [Reachability(int(level)) for level in table.levels[row]]
             record: dict[str, Any] = {
@@ -97,8 +95,8 @@ class CheckCell(Command):
                 f"{level.words} ({' and '.join(pairs[name])})" if name in pairs else level.words
                 for name, level in zip(table.robots, levels, strict=True)
             ]
-            shown.add_row(assembly.names[part], f"{parts.mass[part]:.2f}", *words)
-        output.say(shown)
+            shown.append((assembly.names[part], f"{parts.mass[part]:.2f}", *words))
+        output.table(("part", "kg", *table.robots), shown)
         reached = (table.levels == Reachability.REACHED).sum(axis=0)
         counts = ", ".join(f"{name} {count}" for name, count in zip(table.robots, reached, strict=True))
         output.say(f"{cell.name}: of {len(table.parts)} parts within reach: {counts}")

@@ -3,42 +3,61 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import Positional, arg
 
+from falsework.cli.arguments import spell_options
 from falsework.cli.command import CONE_HINT, UNSET, JudgingCommand, LoadOptions
 from falsework.cli.exit_code import Exit
+from falsework.cli.output import counted
 from falsework.errors import InputError
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
     from falsework.search.plans.plan import Plan
-    from falsework.search.plans.plan_check import PlanReport
+    from falsework.search.plans.plan_report import CheckedPlan, PlanReport
     from falsework.stability import StabilitySettings
     from falsework.stability.contact.replay import Replay
 
 _DRAWS = 4
 """Random initial friction states under which a plan is replayed."""
+_NAMED = 4
+"""Boundary parts that are named; the rest is counted."""
+
+
+def _state_words(state: Sequence[int], assembly: Assembly) -> str:
+    """Describe a state: `complete`, `empty`, or how many parts are in place and held."""
+    free = [value for value, fixed in zip(state, assembly.immovable.tolist(), strict=True) if not fixed]
+    if all(value == 1 for value in free):
+        return "complete"
+    if not any(free):
+        return "empty"
+    held = f", {free.count(2)} held" if 2 in free else ""
+    return f"{len(free) - free.count(0)} of {len(free)} parts{held}"
 
 
 @dataclass(frozen=True, kw_only=True)
 class CheckPlan(JudgingCommand):
     """Verify every step of a plan, up to the first that fails.
 
-    The options, not the file, set the criterion; a plan that claims less is refused. Under `contact`, displacements are
-    computed from rest, or from those of neighbouring states, and verified by a checker that shares no code with the
-    solver; under `equilibrium` the exact solver decides. The structure is the one that the plan names; a plan for
-    another structure is refused. Exit code 1 at the first step that fails.
+    The options, not the file, set the criterion; a plan that claims less is refused. A checker that shares no code with
+    the solvers evaluates the certificates that the plan carries (`plan --proofs`). Other states are solved: under
+    `contact` by displacements from rest, or from those of neighbouring states, which the checker verifies; under
+    `equilibrium` by the exact solver. The structure is the one that the plan names; a plan for another structure is
+    refused. Options of the structure that the plan records, such as its friction, count only if they are given here
+    too. Exit code 1 at the first step that fails; 3 if all is well, but only with such options of the plan.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework check plan.json",
         "falsework check plan.json --replay",
         "falsework check plan.json --structure my-folder --steps",
+        "falsework check plan.json --accept-overrides",
     )
 
     plan: Annotated[Positional[Path], arg(metavar="PLAN")]
@@ -46,6 +65,8 @@ class CheckPlan(JudgingCommand):
     structure: Annotated[str | None, arg(metavar="STRUCTURE", help_behavior_hint=UNSET)] = None
     """Structure to check it on, instead of the one that the plan names."""
     reading: LoadOptions
+    accept_overrides: bool = False
+    """Accept the options of the structure that the plan records, as if all were given."""
     cone: Annotated[Literal["octagon", "quadratic"] | None, arg(help_behavior_hint=CONE_HINT)] = None
     """Friction cone: round, or eight-sided as in the paper."""
     tolerance: float = 1e-4
@@ -69,7 +90,7 @@ class CheckPlan(JudgingCommand):
         from falsework.search.margins.demands import Demands
         from falsework.search.plans.plan_check import validate_plan
         from falsework.search.plans.plan_file import load_plan
-        from falsework.search.plans.plan_source import structure_of_plan
+        from falsework.search.plans.plan_source import structure_to_check
         from falsework.stability import StabilitySettings
 
         if self.by != "contact" and not self.replay:
@@ -85,7 +106,7 @@ class CheckPlan(JudgingCommand):
         )
         demands = None if self.margin is None else Demands.parse(self.margin)
         plan = load_plan(self.plan)
-        assembly = structure_of_plan(plan, self.plan, self.structure, **self.reading.given())
+        assembly, overrides = structure_to_check(plan, self.plan, self.structure, **self.reading.given())
         with output.bar("checking") as show:
             found = validate_plan(
                 plan,
@@ -94,22 +115,33 @@ class CheckPlan(JudgingCommand):
                 demands=demands,
                 progress=lambda done, total: show(done, total, f"state {done} of {total}"),
             )
-        self._report(plan, assembly, found, output)
+        self._report(plan, assembly, found, overrides, output)
         if not found.good:
             return Exit.NO
-        if not self.replay:
+        if self.replay:
+            stands = (
+                self._judge_with_lmgc90(plan, assembly, output)
+                if self.by == "lmgc90"
+                else self._replay(plan, assembly, settings, output)
+            )
+            if not stands:
+                return Exit.NO
+        if not overrides or self.accept_overrides:
             return Exit.DONE
-        stands = (
-            self._judge_with_lmgc90(plan, assembly, output)
-            if self.by == "lmgc90"
-            else self._replay(plan, assembly, settings, output)
+        output.note(
+            f"falsework: {self.plan}: good only with options of the structure that the plan sets itself: "
+            f"{spell_options(overrides)}; give them too, or --accept-overrides"
         )
-        return Exit.DONE if stands else Exit.NO
+        return Exit.CONDITIONAL
 
-    def _report(self, plan: Plan, assembly: Assembly, found: PlanReport, output: Output) -> None:
+    def _report(
+        self, plan: Plan, assembly: Assembly, found: PlanReport, overrides: dict[str, Any], output: Output
+    ) -> None:
         from falsework.cli.velocity_text import describe, motions
+        from falsework.search.plans.plan_report import REPLAY
         from falsework.stability.motion import motion_of
 
+        unverified = [claim for claim in found.unverified if claim != REPLAY or not self.replay or self.by != "contact"]
         motion = None if found.verdict is None else motion_of(assembly, found.verdict, 0)
         moving = [] if motion is None else motions(assembly, motion)
         output.record(
@@ -124,6 +156,10 @@ class CheckPlan(JudgingCommand):
                 "moving": [motion.to_dict(assembly) for motion in moving],
                 "seconds": found.seconds,
                 **found.claim.to_dict(),
+                "about": None if found.about is None else asdict(found.about),
+                "overrides": overrides,
+                "certified": found.certified,
+                "unverified": unverified,
             }
         )
         if self.steps:
@@ -141,10 +177,33 @@ class CheckPlan(JudgingCommand):
                 output.say(f"every state keeps {demanded}")
             if plan.margins is not None and plan.margins.measured:
                 output.say(f"every state keeps its recorded margins of {', '.join(plan.margins.measured)}")
-        else:
+        if found.checked and found.about is not None:
+            output.say(self._about(found.about, plan, assembly))
+            if overrides:
+                output.say(f"options of the structure that the plan sets: {spell_options(overrides)}")
+        if found.certified:
+            output.say(f"certificates in the plan prove {found.certified} states")
+        if found.good and unverified:
+            output.say(f"not verified: {', '.join(unverified)}")
+        if not found.good:
             output.note(
                 f"falsework: {self.plan}: {found.reason}{'; ' if moving else ''}{describe(assembly, moving, limit=3)}"
             )
+
+    def _about(self, about: CheckedPlan, plan: Plan, assembly: Assembly) -> str:
+        """Describe what was checked on one line."""
+        source = plan.source or {}
+        place = self.structure or source.get("built_in") or source.get("path")
+        named = about.structure if place in (None, about.structure) else f"{about.structure} ({place})"
+        fixed = [assembly.names[part] for part in about.boundary[:_NAMED]]
+        more = ["..."] if len(about.boundary) > _NAMED else []
+        props = f" and {counted(about.prop_limit, 'prop')}" if about.props else ""
+        start, end = (_state_words(state, assembly) for state in (about.start, about.end))
+        return (
+            f"checked: {named}, digest {about.identity[:12]}, {assembly.part_count} parts, {len(about.boundary)} "
+            f"boundary ({', '.join([*fixed, *more])}); {about.direction} in {counted(about.steps, 'step')} with "
+            f"{counted(about.robots, 'robot')}{props}, from {start} to {end}"
+        )
 
     def _replay(self, plan: Plan, assembly: Assembly, settings: StabilitySettings, output: Output) -> bool:
         """Replay under the settings, then under varied ones; return whether the plan succeeds."""
@@ -161,6 +220,10 @@ class CheckPlan(JudgingCommand):
                 break
         if not replay.good:
             output.note(f"falsework: {self.plan}: the replay fails {self._place(forward, replay.falls_at or 0)}")
+            return False
+        denied = "" if plan.replay is None else plan.replay.denied_by(replay)
+        if denied:
+            output.note(f"falsework: {self.plan}: the plan says of its replay {denied}, which is not so; plan again")
             return False
         varied = replay_varied(replayer, forward.states, forward.assembly_presses, draws=_DRAWS)
         failed = [case for case in varied if not case.good]

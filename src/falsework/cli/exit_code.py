@@ -12,5 +12,7 @@ class Exit(IntEnum):
     NO = 1
     """The input is valid and the answer is no."""
     WRONG_INPUT = 2
+    CONDITIONAL = 3
+    """The answer is yes on conditions that the input sets itself and that the command line does not repeat."""
     INTERRUPTED = 130
     """As shells report it: 128 plus the number of SIGINT."""

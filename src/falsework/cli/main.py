@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Union, cast, get_args, get_ori
 
 from falsework import __version__
 from falsework.cli.exit_code import Exit
-from falsework.cli.output import Output
+from falsework.cli.output import Output, printable
 from falsework.errors import FalseworkError
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ Example:
   falsework plan vault --robots 2 --out plan.json
   falsework check plan.json
 
-Exit codes: 0 done, 1 the answer is no, 2 wrong input."""
+Exit codes: 0 done, 1 the answer is no, 2 wrong input, 3 yes on conditions that the input sets itself."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -94,7 +94,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return Exit.DONE
     except Exception as error:  # the last handler: one line and an exit code
         if debug:
-            traceback.print_exc()
+            for line in traceback.format_exc().splitlines():
+                sys.stderr.write(printable(line) + "\n")
         return _fail(_explain(error), Exit.WRONG_INPUT)
 
 
@@ -257,7 +258,7 @@ def _explain(error: Exception) -> str:
 
 
 def _fail(text: str, code: Exit) -> Exit:
-    sys.stderr.write(f"falsework: {text}\n")
+    sys.stderr.write(f"falsework: {printable(text)}\n")
     return code
 
 
@@ -267,7 +268,7 @@ def _warn_in_one_line() -> None:
     def show(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
         if not issubclass(category, UserWarning):  # warnings of packages for programmers are not for users
             return
-        sys.stderr.write(f"falsework: warning: {' '.join(str(message).split())}\n")
+        sys.stderr.write(f"falsework: warning: {printable(' '.join(str(message).split()))}\n")
 
     warnings.simplefilter("default")
     warnings.showwarning = show

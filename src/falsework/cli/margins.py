@@ -80,6 +80,7 @@ class FindMargins(Command):
         """Find and print the margins."""
         from falsework.interop.formats import read_exportable
         from falsework.search.plans.plan import Plan
+        from falsework.search.plans.plan_check import check_identity
         from falsework.stability import Stability, StabilitySettings
         from falsework.stability.margins.margins import QUICK
         from falsework.utils.quantity import parse_quantity
@@ -90,6 +91,8 @@ class FindMargins(Command):
         if assembly is None:
             raise InputError(f"{self.structure.spec} is a robot plan; give the plan or the structure")
         plan = subject if isinstance(subject, Plan) else None
+        if plan is not None:
+            check_identity(plan, assembly)
         states = self._states(plan, assembly)
         criterion = self.criterion or ("contact" if plan is None else plan.claim.criterion)
         settings = StabilitySettings(criterion=criterion, cone=self.cone)

@@ -3,19 +3,31 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rich.console import Console, RenderableType
+    from rich.console import Console
 
     from falsework.search.problem.result import SearchProgress
 
 LOG_EVERY = 30.0
 """Seconds between two lines of progress where the error stream is no terminal."""
+_CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+"""Control characters, line separators, marks that change the direction of writing, and bytes of file names that are no
+text (lone surrogates), which most streams cannot encode."""
+
+
+def printable(text: str) -> str:
+    r"""Return text on one line in which control characters are escaped, such as `\x1b` and `\n`.
+
+    Names in files come from anywhere; printed raw, they could move the cursor, hide lines or add forged ones.
+    """
+    return _CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
 
 
 def counted(number: int, noun: str) -> str:
@@ -24,7 +36,7 @@ def counted(number: int, noun: str) -> str:
 
 
 class Output:
-    """Printer of text or, with `--json`, of JSON."""
+    """Printer of text or, with `--json`, of JSON. Control characters in text, such as in names, are escaped."""
 
     def __init__(self, *, machine: bool) -> None:
         self.machine = machine
@@ -32,21 +44,39 @@ class Output:
     def record(self, fields: Mapping[str, Any]) -> None:
         """Print one JSON object on a line of its own, for machines only."""
         if self.machine:
-            sys.stdout.write(json.dumps(fields, allow_nan=False, default=_plain) + "\n")
+            text = json.dumps(fields, allow_nan=False, default=_plain)  # escapes all control characters but one
+            sys.stdout.write(text.replace("\x7f", "\\u007f") + "\n")
             sys.stdout.flush()
 
-    def say(self, text: RenderableType) -> None:
-        """Print a result as text, unless it is printed as a JSON record already."""
+    def say(self, text: str) -> None:
+        """Print a line of a result as text, unless it is printed as a JSON record already."""
+        if not self.machine:
+            sys.stdout.write(printable(text) + "\n")
+
+    def table(self, headings: Sequence[str], rows: Sequence[Sequence[str]], *, dim: str = "") -> None:
+        """Print a table as text, unless its rows are printed as JSON records already.
+
+        Args:
+            headings: of the columns.
+            rows: cells, one a column.
+            dim: rows that begin with this text are details, which a terminal shows fainter.
+        """
         if self.machine:
             return
-        if isinstance(text, str):
-            sys.stdout.write(text + "\n")
-        else:
-            self._console(error=False).print(text, markup=False, highlight=False)
+        from rich.table import Table
+        from rich.text import Text
+
+        table = Table(box=None, pad_edge=False, header_style="bold")
+        for name in headings:
+            table.add_column(Text(printable(name)))
+        for row in rows:
+            faint = bool(dim) and row[0].startswith(dim)
+            table.add_row(*(Text(printable(cell)) for cell in row), style="dim" if faint else None)
+        self._console(error=False).print(table)
 
     def note(self, text: str) -> None:
-        """Print a remark beside the result, such as why there is none, to the error stream."""
-        sys.stderr.write(text + "\n")
+        """Print a remark beside the result, such as why there is none, on one line of the error stream."""
+        sys.stderr.write(printable(text) + "\n")
 
     @contextmanager
     def bar(self, title: str) -> Iterator[Callable[[int, int, str], None]]:
@@ -64,7 +94,7 @@ class Output:
         columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[now]}"), TimeElapsedColumn())
         with Progress(*columns, console=console, transient=True) as progress:
             task = progress.add_task(title, total=None, now="")
-            yield lambda done, total, now: progress.update(task, total=total, completed=done, now=now)
+            yield lambda done, total, now: progress.update(task, total=total, completed=done, now=printable(now))
 
     def _log(self, title: str) -> Callable[[int, int, str], None]:
         last = time.monotonic()

@@ -20,17 +20,15 @@ class Structures(Command):
 
     def run(self, output: Output) -> Exit:
         """Print one row per structure."""
-        from rich.table import Table
-
         from falsework.assembly.library import structures
 
-        table = Table("name and parameters", "what it is", box=None, pad_edge=False, header_style="bold")
+        rows: list[tuple[str, str]] = []
         for entry in structures():
             parameters = [{**asdict(detail), "kind": detail.kind.__name__} for detail in entry.details]
             output.record({"name": entry.name, "description": entry.description, "parameters": parameters})
-            table.add_row(entry.name, entry.description)
+            rows.append((entry.name, entry.description))
             for detail in entry.details:
                 about = f"{detail.meaning}, {detail.minimum:g} to {detail.maximum:g} {detail.unit}".rstrip()
-                table.add_row(f"  {detail.name}={detail.default:g}", f"  {about}", style="dim")
-        output.say(table)
+                rows.append((f"  {detail.name}={detail.default:g}", f"  {about}"))
+        output.table(("name and parameters", "what it is"), rows, dim="  ")
         return Exit.DONE

@@ -20,7 +20,6 @@ from falsework.search.plans.alternatives import Alternatives as Alternatives
 from falsework.search.plans.alternatives import choose_alternatives as choose_alternatives
 from falsework.search.plans.plan import PartDeadline as PartDeadline
 from falsework.search.plans.plan import Plan as Plan
-from falsework.search.plans.plan_check import PlanReport as PlanReport
 from falsework.search.plans.plan_check import validate_plan as validate_plan
 from falsework.search.plans.plan_check import validate_proofs as validate_proofs
 from falsework.search.plans.plan_file import load_plan as load_plan
@@ -29,7 +28,9 @@ from falsework.search.plans.plan_file import plan_schema as plan_schema
 from falsework.search.plans.plan_file import plan_to_dict as plan_to_dict
 from falsework.search.plans.plan_file import save_plan as save_plan
 from falsework.search.plans.plan_replay import PlanReplay as PlanReplay
+from falsework.search.plans.plan_report import PlanReport as PlanReport
 from falsework.search.plans.plan_source import structure_of_plan as structure_of_plan
+from falsework.search.plans.plan_source import structure_to_check as structure_to_check
 from falsework.search.problem.guide import Guide as Guide
 from falsework.search.problem.guide import SupportGuide as SupportGuide
 from falsework.search.problem.oracle import Oracle as Oracle

@@ -40,7 +40,7 @@ class StepCertificate(NamedTuple):
     displacement: Array
     """Displacement of each part in each increment of the step, m and rad, shape (increments, parts, 6)."""
     torn: NDArray[np.bool_]
-    """Contact points that have lost their tensile strength, shape (points,)."""
+    """Contact points that have lost their tensile strength, shape (points,), or (0,) if none has."""
     presses: tuple[Press, ...] = ()
     """Presses of the step."""
 
@@ -90,7 +90,8 @@ class BuildVerifier:
         springs = np.where((there & was)[:, None], self._springs, 0.0)
         moved = np.where(((before != REMOVED) & (state != REMOVED))[:, None], self._moved, 0.0)
         steps = certificate.displacement * (state != REMOVED)[None, :, None]
-        sound, torn = bool(np.isfinite(steps).all()), certificate.torn
+        sound = bool(np.isfinite(steps).all())
+        torn = certificate.torn if len(certificate.torn) else np.zeros(law.points, dtype=bool)
         strength = law.strength(torn, self._age)
         for step in steps if sound else ():
             springs, whole = law.follow(springs, step, strength, torn, there)

@@ -77,6 +77,21 @@ class StateArrays:
         for state, array in zip(np.arange(len(self))[states].tolist(), arrays, strict=True):
             self._put(state, array)
 
+    def follow(self, state: int, rows: NDArray[np.int64], values: Array) -> None:
+        """Store the array of a state that differs from that of the state before, or the first from zeros, in some rows.
+
+        Args:
+            state: number of the state; all before it are stored.
+            rows: ascending, shape (some,).
+            values: shape (some, width).
+        """
+        number = self._number[state - 1].copy() if state else np.zeros_like(self._number[0])
+        touched, place = np.unique(rows // BLOCK, return_inverse=True)
+        blocks = self._blocks.values[number[touched]]
+        blocks[place, rows % BLOCK] = values
+        number[touched] = self._blocks.add(blocks)
+        self._number[state], self._known[state] = number, True
+
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         return np.asarray(self[np.arange(len(self))], dtype=dtype)
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import secrets
+import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import IO, Any
@@ -16,6 +18,11 @@ from falsework.errors import InputError
 from falsework.utils.json_text import parse_json
 
 _HEADER = "header"
+_ROOM, _EXPANSION = 1 << 28, 256
+"""Arrays of an archive may take 256 MiB, or so many times the size of the file if that is more: states that differ in a
+few parts are packed to a hundredth, while an archive of zeros could claim a thousand times its size."""
+_PIECE = 1 << 24
+"""Bytes that are read at a time, so that no array is in memory twice."""
 
 
 def write_whole(path: Path | str, write: Callable[[IO[bytes]], object]) -> None:
@@ -57,27 +64,105 @@ def read_archive(
 ) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Read what `write_archive` wrote.
 
+    Format, names and sizes are checked before an array is read.
+
     Args:
         path: file to read.
         form: the one format and version that is accepted.
         names: the arrays that must be there and no others; unchecked if not given.
 
     Raises:
-        InputError: no such file, not such a file, damaged, or of another format or version.
+        InputError: no such file, not such a file, damaged, of another format or version, or one whose arrays are far
+            larger than the file.
     """
     path = Path(path)
     try:
-        with np.load(path, allow_pickle=False) as data:
-            arrays = {name: data[name] for name in data.files}
-        header = parse_json(str(arrays.pop(_HEADER)[()]))
+        with zipfile.ZipFile(path) as archive:
+            entries = {entry.filename: entry for entry in archive.infolist()}
+            if len(entries) < len(archive.infolist()):
+                raise ValueError("an entry occurs twice")
+            sizes = sum(entry.file_size for entry in entries.values())
+            if sizes > (most := max(_ROOM, _EXPANSION * path.stat().st_size)):
+                raise InputError(
+                    f"{path} has {path.stat().st_size} bytes and claims arrays of {sizes}, more than the {most} that "
+                    f"are read from such a file; it is damaged or not a {form} file; write it again"
+                )
+            header = parse_json(str(_read_entry(archive, entries.pop(f"{_HEADER}.npy"))[()]))
+            _check_format(path, header, form)
+            found = {name.removesuffix(".npy") for name in entries}
+            if names is not None and found != names:
+                odd = ", ".join(sorted(found ^ names))
+                raise InputError(f"{path} is not a valid {form} file: unexpected or absent entries {odd}")
+            return header, {name.removesuffix(".npy"): _read_entry(archive, entry) for name, entry in entries.items()}
+    except InputError:
+        raise
     except FileNotFoundError:
         raise InputError(f"there is no file {path}") from None
     except Exception as error:  # NumPy and the unpackers below it fail in many ways on a damaged file
         raise InputError(f"{path} is damaged or not a {form} file ({type(error).__name__}); write it again") from None
+
+
+def read_array(path: Path | str) -> NDArray[Any]:
+    """Read a `.npy` file, never pickled, whose size must be the one that it claims.
+
+    Raises:
+        OSError: it cannot be read.
+        ValueError: it is no such file, or has another size.
+    """
+    with open(path, "rb") as file:
+        return _read_numbers(file, Path(path).stat().st_size)
+
+
+def check_header(path: Path | str, header: Mapping[str, Any], kinds: Mapping[str, type], remedy: str) -> None:
+    """Check the entries of the header of an archive.
+
+    Args:
+        path: file, for the message.
+        header: as `read_archive` returns it, with its format.
+        kinds: type of each entry that must be there, and no others, beside the format; `list` stands for a list of
+            whole numbers.
+        remedy: remedy for a damaged file.
+
+    Raises:
+        InputError: an entry is absent or unexpected, or of another type.
+    """
+    if odd := set(header) ^ {"format", *kinds}:
+        raise InputError(f"{path} is damaged: unexpected or absent header entries {', '.join(sorted(odd))}; {remedy}")
+    for name, kind in kinds.items():
+        value = header[name]
+        if type(value) is not kind or (kind is list and not all(type(entry) is int for entry in value)):
+            raise InputError(f"{path} is damaged: its header entry {name} is {str(value)[:40]!r}; {remedy}")
+
+
+def _check_format(path: Path, header: Any, form: str) -> None:
     found = header.get("format") if isinstance(header, dict) else None
     if found != form:
         raise InputError(f"{path} has format {found!r}; this version reads {form!r} only")
-    if names is not None and set(arrays) != names:
-        odd = ", ".join(sorted(set(arrays) ^ names))
-        raise InputError(f"{path} is not a valid {form} file: unexpected or absent entries {odd}")
-    return header, arrays
+
+
+def _read_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any]:
+    if not entry.filename.endswith(".npy"):
+        raise ValueError(f"{entry.filename} is no array")
+    with archive.open(entry) as file:
+        return _read_numbers(file, entry.file_size)
+
+
+def _read_numbers(file: IO[bytes], size: int) -> NDArray[Any]:
+    """Read an array in NumPy's format from a stream of so many bytes.
+
+    Raises:
+        ValueError: it is none, has Python objects, or another size than its header claims.
+    """
+    version = np.lib.format.read_magic(file)
+    readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    shape, columns_first, kind = readers[version](file)
+    if kind.hasobject or math.prod(shape) * kind.itemsize != size - file.tell():
+        raise ValueError(f"an array of {size} bytes claims the shape {shape}")
+    data = bytearray(size - file.tell())
+    rest = memoryview(data)
+    while len(rest):
+        got = file.read(min(len(rest), _PIECE))
+        if not got:
+            raise ValueError("it ends early")
+        rest[: len(got)], rest = got, rest[len(got) :]
+    return np.frombuffer(data, dtype=kind).reshape(shape, order="F" if columns_first else "C")

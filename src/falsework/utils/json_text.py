@@ -1,4 +1,4 @@
-"""Parser of untrusted JSON text with limits on nesting and integers."""
+"""Parser of untrusted JSON text with limits on nesting and integers, and without entries that occur twice."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ def parse_json(text: str) -> Any:
     """Parse JSON text.
 
     Raises:
-        ValueError: it is no JSON, has more than `LEVELS` levels, or an integer that does not fit into 64 bits.
+        ValueError: it is no JSON, has more than `LEVELS` levels, an integer that does not fit into 64 bits, or an
+            object with two entries of the same name.
     """
     try:
-        data = json.loads(text, parse_int=_integer)
+        data = json.loads(text, parse_int=_integer, object_pairs_hook=_object)
     except RecursionError:
         raise ValueError(f"it is nested deeper than {LEVELS} levels") from None
     level = [data]
@@ -36,3 +37,13 @@ def _integer(digits: str) -> int:
     if len(digits) > 20 or not -(2**63) <= int(digits) < 2**63:
         raise ValueError(f"the integer {digits[:12]}... in it does not fit into 64 bits")
     return int(digits)
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return an object, unless an entry occurs twice: programs differ in which of the two they read."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        seen: set[str] = set()
+        twice = next(key for key, _ in pairs if key in seen or seen.add(key))
+        raise ValueError(f"an object in it has two entries {twice[:40]!r}")
+    return found

@@ -102,6 +102,36 @@ def test_saved_and_loaded(arch: Any, data: Dataset, tmp_path: Path) -> None:
         load_dataset(tmp_path / "bad.npz", arch)
 
 
+@pytest.mark.parametrize(
+    ("entry", "value"),
+    [
+        ("train_width", "wide"),
+        ("test_width", None),
+        ("robots", 2.0),
+        ("fixed", [[1]]),
+        ("fixed", 3),
+        ("removable_only_if_clear", "no"),
+        ("name", ["arch"]),
+        ("criterion", []),
+        ("identity", 7),
+    ],
+)
+def test_wrong_headers(arch: Any, data: Dataset, tmp_path: Path, entry: str, value: Any) -> None:
+    path = tmp_path / "data.npz"
+    save_dataset(data, path)
+    header, arrays = read_archive(path, FORMAT)
+    form = header.pop("format")
+    write_archive(path, form, header | {entry: value}, arrays)
+    with pytest.raises(InputError, match=rf"data\.npz is damaged.* {entry}") as caught:
+        load_dataset(path, arch)
+    assert "\n" not in str(caught.value)
+    for name in arrays:
+        write_archive(path, form, header, {**arrays, name: np.array("text")})
+        if name != "boundary":
+            with pytest.raises(InputError, match=rf"data\.npz is damaged \({name}"):
+                load_dataset(path, arch)
+
+
 @pytest.mark.parametrize("wrong", [{"train_width": 0}, {"widths": (64, 0)}, {"seed": -1}])
 def test_settings_that_make_no_sense_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(InputError, match=r"give at least 1|not negative"):

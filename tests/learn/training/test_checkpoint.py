@@ -52,6 +52,10 @@ def change(run: Path, **entries: Any) -> None:
     (run / "run.json").write_text(json.dumps({**content, **entries}))
 
 
+def spoil_structure(run: Path, **entries: Any) -> None:
+    change(run, structure={**json.loads((run / "run.json").read_text())["structure"], **entries})
+
+
 def test_a_run_comes_back_as_it_was(arch: Any, run: Path) -> None:
     loaded = load_run(run)
     expected = make_policy(arch, SETTINGS.policy, seed=3).state_dict()
@@ -92,6 +96,14 @@ def test_a_structure_on_disk_is_found_beside_the_run(arch: Any, tmp_path: Path) 
         (lambda run: change(run, settings={"phases": [{"algorithm": "ppo", "batch": None}]}), "PpoPhase.batch is None"),
         (lambda run: change(run, settings={"phases": [{"batch": 3}]}), "a phase of the algorithm None"),
         (lambda run: change(run, settings={"phases": "ppo"}), "a phase of the algorithm None"),
+        (lambda run: change(run, structure=[]), "its structure must have name, identity, parts, source"),
+        (lambda run: change(run, structure={"name": "arch"}), "its structure must have name, identity, parts, source"),
+        (lambda run: spoil_structure(run, parts="many"), "structure.parts is 'many'"),
+        (lambda run: spoil_structure(run, source={}), "structure.source must have either built_in or path"),
+        (lambda run: spoil_structure(run, source={"built_in": "arch", "colour": 1}), "has an unknown entry 'colour'"),
+        (lambda run: spoil_structure(run, source={"path": 3}), "structure.source.path is '3'"),
+        (lambda run: spoil_structure(run, source={"path": "x", "boundary": [[1]]}), r"source.boundary is '\[\[1\]\]'"),
+        (lambda run: (run / "run.json").write_text('{"format": 1, "format": 2}'), "is damaged .*two entries 'format'"),
         (lambda run: (run / "run.json").write_text("{"), "is damaged"),
         (lambda run: (run / "run.json").unlink(), "is not a run: it has no run.json"),
         (lambda run: (run / "weights.safetensors").unlink(), "there is no file .*weights.safetensors"),
@@ -172,3 +184,9 @@ def test_settings_survive_json() -> None:
     filled = SETTINGS.resolved(62, "cuda")
     assert from_dict(TrainSettings, json.loads(json.dumps(to_dict(filled)))) == filled
     assert filled.resolved(62, "cuda") == filled
+
+
+def test_a_source_that_could_not_be_read_again_is_refused_at_once(arch: Any) -> None:
+    with pytest.raises(InputError, match=r"cannot be recorded: structure\.source has an unknown entry 'colour'"):
+        describe_structure(arch, {"built_in": "arch:blocks=5", "colour": "red"})
+    assert describe_structure(arch, {"path": Path("a") / "b"})["source"] == {"path": "a/b"}

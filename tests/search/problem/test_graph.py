@@ -139,6 +139,15 @@ def damaged(name: str, change: Any) -> Any:
         (lambda h, a: h.update(robots="two"), "damaged"),
         (lambda h, a: h.update(fixed=[99]), "does not exist"),
         (lambda h, a: h.update(criterion="good"), "its criterion is 'good'"),
+        (lambda h, a: h.update(missing="abc"), "its header entry missing is 'abc'"),
+        (lambda h, a: h.update(name=[1]), "its header entry name is"),
+        (lambda h, a: h.update(postponed=[3]), "postponed parts have another form"),
+        (lambda h, a: a.update(boundary=a["boundary"][None]), "boundary or postponed parts have another form"),
+        (lambda h, a: a.update(boundary=a["boundary"].astype("U5")), "boundary or postponed parts have another form"),
+        (lambda h, a: a.update(start_state=np.array("abc")), "states must be numbers"),
+        (lambda h, a: a.update(source=np.array(3, np.int32)), "edges are not a list of numbers"),
+        (lambda h, a: a.update(source=a["source"][None]), "edges are not a list of numbers"),
+        (lambda h, a: a.update(target=a["target"].astype(complex)), "different lengths"),
     ],
 )
 def test_rejects_what_it_does_not_know(graph: StateGraph, tmp_path: Path, change: Any, message: str) -> None:

@@ -24,7 +24,7 @@ from falsework.search.problem.result import Stop
 from falsework.search.problem.state_graph import criterion_of, read_criterion
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Criterion
-from falsework.utils.archive import read_archive, write_archive
+from falsework.utils.archive import check_header, read_archive, write_archive
 from falsework.utils.distributed import ProcessGroup
 from falsework.utils.quantity import check_seed
 from falsework.utils.tensors import choose_device
@@ -39,7 +39,15 @@ VALIDATION_STATES = 1024
 
 _SETS = ("train", "test", "validation", "more")
 _ARRAYS = frozenset({*_SETS, "boundary"})
-_KEYS = {"format", "name", "identity", "robots", "removable_only_if_clear", "fixed", "train_width", "test_width"}
+_KINDS: dict[str, type] = {
+    "name": str,
+    "identity": str,
+    "robots": int,
+    "removable_only_if_clear": bool,
+    "fixed": list,
+    "train_width": int,
+    "test_width": int,
+}
 
 Report = Callable[[str], None]
 """Called with progress messages."""
@@ -126,9 +134,7 @@ def load_dataset(path: Path | str, assembly: Assembly) -> Dataset:
     """
     header, arrays = read_archive(path, FORMAT, _ARRAYS)
     criterion = read_criterion(path, header, "make it anew")
-    if set(header) != _KEYS:
-        odd = ", ".join(sorted(set(header) ^ _KEYS))
-        raise InputError(f"{path} is not a valid {FORMAT} file: unexpected or absent header entries {odd}")
+    check_header(path, header, _KINDS, "make it anew")
     if header["identity"] != assembly.identity:
         raise InputError(f"{path} is a data set of {header['name']}, not of {assembly.name}; make one for it")
     task = task_for(assembly, header["robots"], header["removable_only_if_clear"], header["fixed"])

@@ -18,6 +18,7 @@ from falsework.learn.config.train import TrainSettings, from_dict
 from falsework.learn.networks import policy as policies
 from falsework.learn.networks.factory import make_policy
 from falsework.learn.networks.policy import Policy
+from falsework.search.plans.plan_source import wrong_source
 from falsework.utils.archive import write_whole
 from falsework.utils.json_text import parse_json
 
@@ -52,12 +53,19 @@ def describe_structure(assembly: Assembly, source: Mapping[str, Any]) -> dict[st
     Args:
         assembly: the structure.
         source: `built_in` or `path`, the latter relative to the folder of the run, and options of `load_structure`.
+
+    Raises:
+        InputError: another source, which `load_run` would refuse.
     """
+    plain = {name: _plain(value) for name, value in source.items()}
+    wrong = wrong_source(plain)
+    if wrong:
+        raise InputError(f"the source of {assembly.name} cannot be recorded: {wrong}; give its path or built-in name")
     return {
         "name": assembly.name,
         "identity": assembly.identity,
         "parts": assembly.part_count,
-        "source": {name: _plain(value) for name, value in source.items()},
+        "source": plain,
     }
 
 
@@ -113,7 +121,19 @@ def read_run(folder: Path) -> dict[str, Any]:
     if set(content) != _KEYS:
         odd = ", ".join(sorted(set(content) ^ _KEYS))
         raise InputError(f"{path} is not a valid {FORMAT} file: unexpected or absent entries {odd}")
+    wrong = _wrong_structure(content["structure"])
+    if wrong:
+        raise InputError(f"{path} is not a valid {FORMAT} file: {wrong}; train again")
     return content
+
+
+def _wrong_structure(value: Any) -> str:
+    """Return why a value is no `describe_structure`; empty if it is one."""
+    kinds = {"name": str, "identity": str, "parts": int, "source": dict}
+    if not isinstance(value, dict) or set(value) != set(kinds):
+        return f"its structure must have {', '.join(kinds)}"
+    wrong = next((key for key, kind in kinds.items() if type(value[key]) is not kind), None)
+    return f"structure.{wrong} is {str(value[wrong])[:40]!r}" if wrong else wrong_source(value["source"])
 
 
 def settings_of(metadata: Mapping[str, Any]) -> TrainSettings:
@@ -133,11 +153,11 @@ def load_structure_of(folder: Path, metadata: Mapping[str, Any]) -> Assembly:
     """
     from falsework.assembly import load_structure
 
-    structure = dict(metadata["structure"])
+    structure = metadata["structure"]
     source = dict(structure["source"])
     spec = source.pop("built_in", None)
     if spec is None:
-        path = Path(source.pop("path", ""))
+        path = Path(source.pop("path"))
         spec = str(path if path.is_absolute() else (folder.resolve() / path))
         if not Path(spec).exists():
             raise InputError(

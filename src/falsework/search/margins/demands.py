@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from falsework.assembly.loads import Loads
+from falsework.assembly.loads import MOST, Loads
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import INSTALLED, States, as_states
 from falsework.errors import InputError
@@ -30,6 +30,8 @@ _KINDS: dict[str, str] = {
     "load": "force",
     "placement": "length",
 }
+STEEPEST = np.radians(80)
+"""Tilt that is too steep to be demanded, rad."""
 _CORNERS = 8
 """Horizontal directions that are checked, each so far out that their polygon encloses the required circle: if a state
 is stable at all of them, under `equilibrium` it is in every direction."""
@@ -70,10 +72,7 @@ class Demands:
             if name in given:
                 raise InputError(f"{option} {text}: {name} is given twice; give it once")
             given[name] = parse_quantity(quantity, _KINDS[name], f"{option} {name}")
-        if given.get("friction", 1.0) < 1.0:
-            raise InputError(f"{option} friction={given['friction']:g}: a factor of safety is at least 1")
-        if given.get("tilt", 0.0) >= np.radians(80):
-            raise InputError(f"{option} tilt: {np.degrees(given['tilt']):g} degrees is too steep; give less")
+            _check_range(name, given[name], f"{option} {name}")
         return cls(**given)
 
     @classmethod
@@ -89,6 +88,7 @@ class Demands:
         for key, number in value.items():
             if isinstance(number, bool) or not isinstance(number, (int, float)) or not 0 < number < np.inf:
                 raise InputError(f"{place}.{key} is {number!r}; it must be a number above zero")
+            _check_range(key, float(number), f"{place}.{key}")
         return cls(**{key: float(number) for key, number in value.items()})
 
     def to_dict(self) -> dict[str, float]:
@@ -267,6 +267,16 @@ class DemandingStability(Stability):
         if self._start is None or self._start[0] != key:
             self._start = key, self.prober.ask(state, self.prober.own())
         return self.prober.ask(state, Condition(self.assembly.friction, load), self._start[1])
+
+
+def _check_range(name: str, value: float, place: str) -> None:
+    """Refuse a margin that no number of its kind can mean; a tilt of a whole turn would be none."""
+    if name == "friction" and value < 1.0:
+        raise InputError(f"{place}={value:g}: a factor of safety is at least 1")
+    if name == "tilt" and value >= STEEPEST:
+        raise InputError(f"{place}: {np.degrees(value):g} degrees is too steep; give less")
+    if value > MOST:
+        raise InputError(f"{place}={value:g}: no state keeps that; give at most {MOST:g}")
 
 
 def _accelerated(assembly: Assembly, vector: NDArray[np.float64]) -> Assembly:

@@ -8,6 +8,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from falsework.assembly.loads import MOST
 from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.search.margins.demands import Demands
@@ -122,14 +123,14 @@ class PlanMargins:
         if not isinstance(measured, dict) or not set(measured) <= set(MEASURED):
             raise InputError(f"margins.measured must be an object with some of {', '.join(MEASURED)}")
         for kind, values in measured.items():
-            numbers = isinstance(values, list) and all(_is_bound(entry) for entry in values)
+            numbers = isinstance(values, list) and all(_is_bound(entry, kind) for entry in values)
             if not numbers or len(values) != states:
                 raise InputError(f"margins.measured.{kind} must be a list of {states} numbers or nulls, one a state")
         maximised, bound = value.get("maximised"), value.get("bound")
         if maximised is not None and maximised not in MEASURED:
             raise InputError(f"margins.maximised is {maximised!r}; it must be one of {', '.join(MEASURED)}")
-        if not _is_bound(bound):
-            raise InputError(f"margins.bound is {bound!r}; it must be a number or null")
+        if not _is_bound(bound, maximised):
+            raise InputError(f"margins.bound is {bound!r}; it must be a number within the range of its kind, or null")
         demands = Demands.read(value["demands"], "margins.demands")
         return cls(demands, {kind: tuple(values) for kind, values in measured.items()}, maximised, bound)
 
@@ -162,6 +163,8 @@ def quantity_text(kind: str, value: float) -> str:
     return f"{np.degrees(value) if kind == 'tilt' else value:.3g}{units[kind]}"
 
 
-def _is_bound(value: Any) -> bool:
-    number = isinstance(value, (int, float)) and not isinstance(value, bool) and 0 <= value < np.inf
+def _is_bound(value: Any, kind: Any) -> bool:
+    # Beyond a right angle, a tilt would load the structure as a smaller one does.
+    most = np.pi / 2 if kind == "tilt" else MOST
+    number = isinstance(value, (int, float)) and not isinstance(value, bool) and 0 <= value <= most
     return value is None or bool(number)

@@ -20,8 +20,9 @@ WHOLE, CHANGES = "zlib_base64", "changes_zlib_base64"
 
 _LARGE = 64 * 1024 * 1024
 """Bytes of whole arrays from which only changes are written; other programs read whole arrays more easily."""
-_SPARSEST = 4096
-"""Rows for each change at most, so that a short text cannot ask for any amount of memory."""
+_ROOM, _EXPANSION = 1 << 28, 64
+"""Proofs may take 256 MiB, or so many times the size of their text if that is more, so that a short text cannot ask for
+any amount of memory."""
 _LEVELS = {WHOLE: 9, CHANGES: 6}
 """Levels of compression; there is little left to gain in changes."""
 
@@ -49,15 +50,22 @@ def unpack_proofs(entry: str, text: Any, shape: tuple[int, int, int], what: str)
     misfit = f"does not hold {what}"
     try:
         packed, unpacker = base64.b64decode(text, validate=True), zlib.decompressobj()
+        most = max(_ROOM, _EXPANSION * len(packed))
+        # A whole array, or for changes one state and the numbers of the blocks of all states.
+        least = 8 * rows * width * (states if entry == WHOLE else 1) + states * rows * (entry == CHANGES) // 8
+        if least > most:
+            raise ValueError(misfit)
         count = np.full(states, rows)
         if entry == CHANGES:
             head = unpacker.decompress(packed, 4 * states)
             if len(head) != 4 * states:
                 raise ValueError(misfit)
             count, packed = np.frombuffer(head, dtype="<u4").astype(np.int64), unpacker.unconsumed_tail
-            if count.max(initial=0) > rows or rows > _SPARSEST * count.sum():
+            if count.max(initial=0) > rows:
                 raise ValueError(misfit)
         wanted = int(count.sum()) * (8 * width + 4 * (entry == CHANGES))
+        if wanted > most:
+            raise ValueError(misfit)
         # One extra byte reveals oversized data without unpacking all of it.
         data = unpacker.decompress(packed, wanted + 1)
     except (TypeError, OverflowError, binascii.Error, zlib.error):
@@ -68,14 +76,15 @@ def unpack_proofs(entry: str, text: Any, shape: tuple[int, int, int], what: str)
         return np.frombuffer(data, dtype="<f8").reshape(shape).astype(np.float64)
     row = np.frombuffer(data, dtype="<u4", count=int(count.sum())).astype(np.int64)
     values = np.frombuffer(data, dtype="<f8", offset=4 * len(row)).reshape(len(row), width)
-    arrays, now, end = StateArrays(*shape), np.zeros((rows, width)), 0
+    arrays, end = StateArrays(*shape), 0
     for state, changes in enumerate(count.tolist()):
         begin, end = end, end + changes
         some = row[begin:end]
         if len(some) and (some[-1] >= rows or (np.diff(some) <= 0).any()):
             raise ValueError(misfit)
-        now[some] = values[begin:end]
-        arrays[np.array([state])] = now[None]
+        arrays.follow(state, some, values[begin:end])
+        if arrays.nbytes > most:
+            raise ValueError(misfit)
     return arrays
 
 

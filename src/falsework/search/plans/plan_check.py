@@ -1,11 +1,10 @@
-"""Plan check: the rules, and the stability of every state."""
+"""Plan check: the rules, and the stability of every state; facts about the structure are taken from the structure."""
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +15,14 @@ from falsework.assembly.state import HELD, States, action_mask, apply_actions, h
 from falsework.errors import InputError, PlanError
 from falsework.search.margins.demands import DemandingStability, Demands
 from falsework.search.plans.plan import Plan
+from falsework.search.plans.plan_report import (
+    PROOF_NAMES,
+    CheckedPlan,
+    PlanReport,
+    comparable,
+    unverified_claims,
+    weaker_claim,
+)
 from falsework.search.plans.plan_source import structure_of_plan
 from falsework.search.problem.support_moves import SupportMoves
 from falsework.search.problem.task import Direction, Task
@@ -25,43 +32,15 @@ from falsework.stability.history import BuildVerifier, StepCertificate
 from falsework.stability.oracle import Stability
 from falsework.stability.reference.clarabel import ExactSolver
 from falsework.stability.settings import StabilitySettings
+from falsework.stability.state_arrays import StateArrays
 from falsework.stability.verdict import Verdicts
-
-
-@dataclass(frozen=True, eq=False)
-class PlanReport:
-    """Result of a plan check."""
-
-    states: int
-    """States of the plan."""
-    checked: int
-    """States found good, from the first on."""
-    reason: str = ""
-    """Error of the first bad state; empty if all are good."""
-    residual: float = 0.0
-    """Largest residual of a good state, a share of gravity."""
-    claim: StabilityCriterion = field(default_factory=StabilityCriterion)
-    """Stability criterion of the check: the caller's criterion, cone, gravity, tolerance and force bound."""
-    verdict: Verdicts | None = None
-    """Verdict on the first bad state, with the velocity that proves it unstable; None if it broke a rule."""
-    seconds: float = 0.0
-
-    @property
-    def good(self) -> bool:
-        """Whether every step keeps the rules and every state is stable."""
-        return not self.reason
-
-    @property
-    def bad_step(self) -> int | None:
-        """Action that leads to the first bad state, counted from 0; -1 if the first state is bad, None if none is."""
-        return None if self.good else self.checked - 1
 
 
 def check_identity(plan: Plan, assembly: Assembly) -> None:
     """Raise unless the plan is for this structure.
 
     Raises:
-        PlanError: parts, geometry, boundary, density or friction differ.
+        PlanError: parts, geometry, boundary, density, friction, names or props differ.
     """
     if len(plan.boundary) != assembly.part_count:
         raise PlanError(
@@ -73,6 +52,29 @@ def check_identity(plan: Plan, assembly: Assembly) -> None:
             f"the plan is for another structure: its hash {plan.identity[:12]} of {plan.name} differs from "
             f"{assembly.identity[:12]} of {assembly.name}; geometry, boundary, density or friction changed"
         )
+    # The hash is copied from the structure; what the plan says besides it must agree too.
+    other = np.flatnonzero(plan.boundary != assembly.boundary)
+    if len(other):
+        part, words = int(other[0]), ("free", "boundary")
+        raise PlanError(
+            f"the plan says that part {part} is {words[int(plan.boundary[part])]}, but in {assembly.name} it is "
+            f"{words[int(assembly.boundary[part])]}; plan again"
+        )
+    for part, (said, name) in enumerate(zip(plan.part_names, assembly.names, strict=True)):
+        if said != name:
+            raise PlanError(f"the plan calls part {part} {said!r}, but in {assembly.name} it is {name!r}; plan again")
+    if plan.friction != assembly.friction:
+        raise PlanError(
+            f"the plan says that friction is {plan.friction:g}, but in {assembly.name} it is {assembly.friction:g}; "
+            "plan again"
+        )
+    for said, prop in zip(plan.props, assembly.props, strict=True):
+        same = said.part == prop.part and np.allclose((*said.at, said.floor), (*prop.at, prop.floor), 1e-9, 1e-9)
+        if not same:
+            raise PlanError(
+                f"the plan has a prop under part {said.part} from {said.floor:g} m up to {said.at[2]:g} m, but in "
+                f"{assembly.name} it is under part {prop.part}, from {prop.floor:g} m to {prop.at[2]:g} m; plan again"
+            )
 
 
 def broken_rule(plan: Plan, assembly: Assembly | None = None) -> tuple[int, str] | None:
@@ -112,29 +114,6 @@ def broken_rule(plan: Plan, assembly: Assembly | None = None) -> tuple[int, str]
     return None
 
 
-def weaker_claim(claimed: StabilityCriterion, asked: StabilityCriterion) -> str:
-    """Return why the claim of a plan is weaker than required; empty if it is not.
-
-    Args:
-        claimed: criterion that the plan claims.
-        asked: criterion of the caller.
-    """
-    if claimed.criterion != asked.criterion and asked.criterion == "contact":
-        return "the plan claims equilibrium only; plan again, or check it with --criterion equilibrium"
-    if claimed.reserve < asked.reserve * (1 - 1e-12):
-        return f"the plan claims a reserve of {claimed.reserve:g}; {asked.reserve:g} is asked"
-    for name, unit in (("force", "N"), ("moment", "N m")):
-        most, limit = getattr(claimed.holds, name), getattr(asked.holds, name)
-        if claimed.criterion == "contact" and limit is not None and (most is None or most > limit * (1 + 1e-12)):
-            return f"the plan is for robots that hold with up to {most or np.inf:g} {unit}; {limit:g} {unit} is allowed"
-    for name, unit in (("tolerance", ""), ("force_bound", " weights")):
-        if getattr(claimed, name) > getattr(asked, name) * (1 + 1e-12):
-            return f"the plan claims a {name} of {getattr(claimed, name):g}{unit}; {getattr(asked, name):g} is asked"
-    if not math.isclose(claimed.gravity, asked.gravity, rel_tol=1e-9):
-        return f"the plan is for a gravity of {claimed.gravity:g} m/s2; {asked.gravity:g} is asked"
-    return ""
-
-
 def validate_plan(
     plan: Plan,
     assembly: AnyStructure,
@@ -143,14 +122,16 @@ def validate_plan(
     demands: Demands | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> PlanReport:
-    """Check the rules and the stability of a plan by a solver, state by state up to the first bad one.
+    """Check the rules and the stability of a plan, state by state up to the first bad one.
 
     The caller sets the stability criterion. Tolerance, gravity, force bound and criterion in the plan are claims: a
-    plan that claims less than the caller requires is refused.
+    plan that claims less than the caller requires is refused, and so is one without steps, unless no part can move.
 
-    Under `equilibrium` the exact solver decides. Under `contact` the plan is built anew, with its presses and for the
-    robots that it names, with its reserve and under the true friction; every step is verified by `BuildVerifier`, which
-    shares no code with the solvers.
+    States are proven by the certificates that the plan carries, which the certificate checker evaluates; it shares no
+    code with the solvers. Without them, states are solved: under `equilibrium` by the exact solver; under `contact` the
+    plan is built anew, with its presses and for the robots that it names, and `BuildVerifier` evaluates every step. A
+    plan with a reserve must come to rest under the true friction too. A plan with a certificate that proves nothing is
+    not good, even if the state is stable.
 
     Args:
         plan: plan to check.
@@ -168,72 +149,136 @@ def validate_plan(
     if not isinstance(assembly, Assembly):
         assembly = structure_of_plan(plan, structure=as_assembly(assembly))
     check_identity(plan, assembly)
-    begun, count, claim = time.perf_counter(), len(plan.states), settings.claim
-    weaker = weaker_claim(plan.claim, claim)
-    if weaker:
-        return PlanReport(count, 0, weaker, claim=claim)
+    begun = time.perf_counter()
+    report = _blank(plan, assembly, settings.claim, demands)
+    if not report.good:
+        return report
     broken = broken_rule(plan, assembly)
-    if claim.criterion == "contact":
-        if broken is not None:
-            return _end(plan, broken, 0.0, claim, time.perf_counter() - begun)
+    if settings.criterion == "contact":
         settings = replace(settings, reserve=plan.claim.reserve, holds=plan.claim.holds)
-        claim = settings.claim
-        row, reason, largest = _unproven_build(plan, assembly, settings, progress)
-        if reason:
-            verdict = None if row is None else Stability(assembly, settings).check(plan.states[row])
-            bad = count if row is None else row
-            return PlanReport(count, bad, reason, largest, claim, verdict, time.perf_counter() - begun)
+        report = replace(report, claim=settings.claim)
+    carried = _proofs_under(plan, settings.claim) is not None and comparable(plan.claim, settings.claim)
+    misfit = _misfit(plan, assembly, settings.claim) if carried else ""
+    count = len(plan.states) if broken is None else broken[0]
+    if settings.criterion == "contact":
+        if broken is None:
+            report = _build(report, plan, assembly, settings, carried and not misfit, progress)
+        else:
+            report = replace(report, checked=broken[0])
     else:
-        solver, largest = ExactSolver(assembly, settings), 0.0
-        for row in range(count if broken is None else broken[0]):
-            verdict = solver.check(plan.states[row : row + 1])
-            if not (verdict.stable[0] and verify_certificates(assembly, plan.states[row : row + 1], verdict, claim)[0]):
-                seconds = time.perf_counter() - begun
-                return PlanReport(count, row, _unstable(plan, row, verdict), largest, claim, verdict, seconds)
-            largest = max(largest, float(verdict.residual[0]))
-            if progress is not None:
-                progress(row + 1, count)
-    weak = _weak(plan, assembly, settings, demands) if broken is None else None
+        proven = _residuals_of_proofs(plan, assembly, settings.claim) if carried and not misfit else None
+        report = _solve(report, plan, assembly, settings, count, proven, progress)
+    weak = _weak(plan, assembly, settings, demands) if report.good and broken is None else None
     if weak is not None:
-        reason = f"{weak[1]} {_place(plan, weak[0])}"
-        return PlanReport(count, weak[0], reason, largest, claim, None, time.perf_counter() - begun)
-    return _end(plan, broken, largest, claim, time.perf_counter() - begun)
+        report = replace(report, checked=weak[0], reason=f"{weak[1]} {_place(plan, weak[0])}")
+    if report.good:
+        report = replace(report, reason=misfit if broken is None else broken[1])
+    return replace(report, seconds=time.perf_counter() - begun)
 
 
-def _unproven_build(
-    plan: Plan, assembly: Assembly, settings: StabilitySettings, progress: Callable[[int, int], None] | None
-) -> tuple[int | None, str, float]:
-    """Return the first state in the order of assembly that is not proven as it is reached, and why.
+def _blank(plan: Plan, assembly: Assembly, claim: StabilityCriterion, demands: Demands | None = None) -> PlanReport:
+    """Return the report on a plan of which no state is checked yet, with the reason if none needs to be."""
+    about, unverified = CheckedPlan.of(plan, assembly), unverified_claims(plan, claim, demands)
+    # Where every part is boundary, no other plan exists.
+    complete = len(plan) > 0 or assembly.boundary.all()
+    empty = "" if complete else "the plan has no step and shows nothing; plan again"
+    reason = weaker_claim(plan.claim, claim) or empty
+    return PlanReport(len(plan.states), 0, reason, claim=claim, about=about, unverified=unverified)
+
+
+def _solve(
+    report: PlanReport,
+    plan: Plan,
+    assembly: Assembly,
+    settings: StabilitySettings,
+    count: int,
+    proven: NDArray[np.float64] | None,
+    progress: Callable[[int, int], None] | None,
+) -> PlanReport:
+    """Check under `equilibrium` the stability of states from the first on, up to the first bad one.
 
     Args:
-        plan: plan under `contact`.
-        assembly: the structure.
-        settings: with the reserve of the plan and its robots; the plan must come to rest under the true friction too.
-        progress: called with the number of states checked and of all states.
-
-    Returns:
-        Row of the plan and reason, None and empty if there is none; largest residual.
+        report: report so far.
+        plan, assembly, settings: as for `validate_plan`.
+        count: states to check.
+        proven: residuals that the certificates in the plan leave, shape (states,), or None; states that they do not
+            settle are solved, so that the report says whether the state or only its certificate is at fault.
+        progress: as for `validate_plan`.
     """
-    states, presses, count = plan.assembly_states, plan.assembly_presses, len(plan.states)
+    claim, largest, certified = settings.claim, 0.0, 0
+    solver: ExactSolver | None = None
+    for row in range(count):
+        if proven is not None and proven[row] <= _settled(claim):
+            residual, certified = float(proven[row]), certified + 1
+        else:
+            solver = solver or ExactSolver(assembly, settings)
+            here, wrong = plan.states[row : row + 1], ""
+            verdict = solver.check(here)
+            residual = float(verdict.residual[0])
+            if not (verdict.stable[0] and verify_certificates(assembly, here, verdict, claim)[0]):
+                wrong = _unstable(plan, row, verdict)
+            elif proven is not None and not proven[row] <= claim.tolerance:
+                wrong, verdict = _unproven(plan, row, float(proven[row]), claim), None
+            if wrong:
+                report = replace(report, reason=wrong, verdict=verdict)
+                count = row
+                break
+        largest = max(largest, residual)
+        if progress is not None:
+            progress(row + 1, report.states)
+    return replace(report, checked=count, residual=largest, certified=certified)
+
+
+def _build(
+    report: PlanReport,
+    plan: Plan,
+    assembly: Assembly,
+    settings: StabilitySettings,
+    carried: bool,
+    progress: Callable[[int, int], None] | None,
+) -> PlanReport:
+    """Check under `contact` the stability of states as they are reached in assembly, up to the first bad one.
+
+    Args:
+        report: report so far.
+        plan, assembly, settings: as for `validate_plan`, with the reserve and the robots of the plan.
+        carried: the plan carries a certificate for each of its states.
+        progress: as for `validate_plan`.
+    """
+    states, presses = plan.assembly_states, plan.assembly_presses
     largest, cases = 0.0, [settings] if settings.reserve == 1.0 else [settings, replace(settings, reserve=1.0)]
     for number, case in enumerate(cases):
+        verifier, row, wrong = BuildVerifier(assembly, case.claim), -1, ""
         under = f" with friction divided by {case.reserve:g}" if case.reserve != 1.0 else ""
-        verifier, row = BuildVerifier(assembly, case.claim), -1
-        for row, certificate in enumerate(Replayer(assembly, case).certificates(states, presses)):
-            proof = verifier.step(states[row], certificate)
-            if not proof.residual <= case.tolerance:
-                why = proof.reason or f"its forces leave {proof.residual:.3g} of gravity"
-                return _row(plan, row), f"{_built(plan, row)} is not proven{under}: {why}", largest
-            largest = max(largest, proof.residual)
-            if progress is not None and number == 0:
-                progress(row + 1, count)
-        if row + 1 < count:
-            return (
-                _row(plan, row + 1),
-                f"the structure does not come to rest{under} at {_built(plan, row + 1)}",
-                largest,
-            )
-    return None, "", largest
+        steps = _carried(plan) if carried and number == 0 else Replayer(assembly, case).certificates(states, presses)
+        with np.errstate(over="ignore", invalid="ignore"):
+            for row, certificate in enumerate(steps):
+                proof = verifier.step(states[row], certificate)
+                if not proof.residual <= case.tolerance:
+                    why = proof.reason or f"its forces leave {proof.residual:.3g} of gravity"
+                    carries = "the displacements in the plan prove nothing: " if steps is not None and carried else ""
+                    wrong = f"{_built(plan, row)} is not proven{under}: {carries * (number == 0)}{why}"
+                    break
+                largest = max(largest, proof.residual)
+                if progress is not None and number == 0:
+                    progress(row + 1, len(states))
+        if not wrong and row + 1 < len(states):
+            row, wrong = row + 1, f"the structure does not come to rest{under} at {_built(plan, row + 1)}"
+        if wrong:
+            bad = _row(plan, row)
+            verdict = Stability(assembly, replace(case, reserve=1.0)).check(plan.states[bad])
+            return replace(report, reason=wrong, checked=bad, residual=largest, verdict=verdict)
+    count = len(states)
+    return replace(report, checked=count, residual=largest, certified=count * carried)
+
+
+def _carried(plan: Plan) -> Iterator[StepCertificate]:
+    """Yield the certificates that a plan carries, in the order of assembly."""
+    forward = plan if plan.direction is Direction.ASSEMBLY else plan.reverse()
+    assert forward.displacement is not None
+    for row, presses in enumerate(forward.assembly_presses):
+        torn = np.zeros(0, dtype=bool) if forward.torn is None else forward.torn[row]
+        yield StepCertificate(forward.displacement[row], torn, presses)
 
 
 def _row(plan: Plan, row: int) -> int:
@@ -245,6 +290,51 @@ def _built(plan: Plan, row: int) -> str:
     """Name a state by the assembly step that leads to it."""
     forward = plan if plan.direction is Direction.ASSEMBLY else plan.reverse()
     return f"assembly step {row} ({forward.describe(row - 1)})" if row else "the beginning of assembly"
+
+
+def _settled(claim: StabilityCriterion) -> float:
+    """Return the residual up to which a certificate in a plan settles a state, a share of gravity."""
+    return claim.tolerance
+
+
+def _proofs_under(plan: Plan, claim: StabilityCriterion) -> NDArray[np.float64] | StateArrays | None:
+    """Return what a plan carries that can prove its states under a criterion."""
+    return plan.displacement if claim.criterion == "contact" else plan.forces
+
+
+def _misfit(plan: Plan, assembly: Assembly, claim: StabilityCriterion) -> str:
+    """Return why the plan does not carry a certificate for each of its states; empty if it does."""
+    name, proofs, rows = PROOF_NAMES[claim.criterion], _proofs_under(plan, claim), (assembly.part_count, 6)
+    if proofs is None:
+        return f"the plan carries no {name}; check it with the solver, or plan again with proofs"
+    if claim.criterion == "equilibrium":
+        rows = (len(assembly.contacts.points), 3)
+    shape, wanted = tuple(proofs.shape), (len(plan.states), *rows)
+    if claim.criterion == "contact":  # any number of increments
+        wanted = (len(plan.states), *shape[1:2], *rows)
+    return "" if shape == wanted else f"the plan has {name} of shape {shape}; expected {wanted}; plan again"
+
+
+def _residuals_of_proofs(plan: Plan, assembly: Assembly, claim: StabilityCriterion) -> NDArray[np.float64]:
+    """Return the residuals that the certificates in a plan leave, which fit its states."""
+    proofs = _proofs_under(plan, claim)
+    assert proofs is not None
+    # Numbers from a file may overflow; what is not finite leaves an infinite residual.
+    with np.errstate(over="ignore", invalid="ignore"):
+        if claim.criterion == "equilibrium":
+            return residuals_in_order(assembly, plan.states, proofs, claim)
+        verifier, found = BuildVerifier(assembly, claim), np.empty(len(plan.states))
+        for row, (state, step) in enumerate(zip(plan.assembly_states, _carried(plan), strict=True)):
+            found[_row(plan, row)] = verifier.step(state, step).residual
+        return found
+
+
+def _unproven(plan: Plan, row: int, residual: float, claim: StabilityCriterion) -> str:
+    name = PROOF_NAMES[claim.criterion]
+    return (
+        f"the {name} in the plan for the state {_place(plan, row)} leave {residual:.3g} of gravity, above "
+        f"{claim.tolerance:g}, and prove nothing"
+    )
 
 
 def _weak(
@@ -277,50 +367,24 @@ def validate_proofs(plan: Plan, assembly: Assembly, settings: StabilitySettings 
     """
     check_identity(plan, assembly)
     begun, claim = time.perf_counter(), settings.claim
-    contact = claim.criterion == "contact"
-    name, proofs = ("displacements", plan.displacement) if contact else ("contact forces", plan.forces)
-    wanted = (len(plan.states), *((assembly.part_count, 6) if contact else (len(assembly.contacts.points), 3)))
-    weaker = weaker_claim(plan.claim, claim)
-    if weaker:
-        return PlanReport(len(plan.states), 0, weaker, claim=claim)
-    if proofs is None:
-        raise PlanError(f"the plan carries no {name}; check it with the solver, or plan again with proofs")
-    if (proofs.shape[0], *proofs.shape[-2:]) != wanted or len(proofs.shape) != 3 + contact:
-        raise PlanError(f"the plan has {name} of shape {proofs.shape}; expected {wanted}; plan again")
-    broken = broken_rule(plan, assembly)
-    if contact:
+    report = _blank(plan, assembly, claim)
+    if not report.good:
+        return report
+    if claim.criterion == "contact":
         claim = replace(claim, reserve=plan.claim.reserve, holds=plan.claim.holds)
-        residual = _residuals_of_build(plan, assembly, claim)
-    else:
-        residual = residuals_in_order(assembly, plan.states, proofs, claim)
-    bad = np.flatnonzero(~(residual <= claim.tolerance))
-    if len(bad) and (broken is None or bad[0] < broken[0]):
-        row = int(bad[0])
-        reason = f"the {name} of {_place(plan, row)} leave {residual[row]:.3g} of gravity, above {claim.tolerance:g}"
-        return PlanReport(len(plan.states), row, reason, claim=claim, seconds=time.perf_counter() - begun)
-    return _end(plan, broken, float(residual.max(initial=0.0)), claim, time.perf_counter() - begun)
-
-
-def _residuals_of_build(plan: Plan, assembly: Assembly, claim: StabilityCriterion) -> NDArray[np.float64]:
-    """Return the residual of each state of a plan by the displacements that it carries, shape (states,)."""
-    forward = plan if plan.direction is Direction.ASSEMBLY else plan.reverse()
-    assert forward.displacement is not None
-    whole = np.zeros(len(assembly.contacts.points), dtype=bool)
-    verifier, residual = BuildVerifier(assembly, claim), np.empty(len(plan.states))
-    for row, (state, presses) in enumerate(zip(forward.states, forward.assembly_presses, strict=True)):
-        torn = whole if forward.torn is None else forward.torn[row]
-        residual[_row(plan, row)] = verifier.step(
-            state, StepCertificate(forward.displacement[row], torn, presses)
-        ).residual
-    return residual
-
-
-def _end(
-    plan: Plan, broken: tuple[int, str] | None, residual: float, claim: StabilityCriterion, seconds: float
-) -> PlanReport:
-    if broken is None:
-        return PlanReport(len(plan.states), len(plan.states), "", residual, claim, None, seconds)
-    return PlanReport(len(plan.states), broken[0], broken[1], residual, claim, None, seconds)
+        report = replace(report, claim=claim)
+    misfit = _misfit(plan, assembly, claim)
+    if misfit:
+        raise PlanError(misfit)
+    broken = broken_rule(plan, assembly)
+    residual = _residuals_of_proofs(plan, assembly, claim)
+    count, reason = (len(plan.states), "") if broken is None else broken
+    bad = np.flatnonzero(~(residual[:count] <= claim.tolerance))
+    if len(bad):
+        count = int(bad[0])
+        reason = _unproven(plan, count, float(residual[count]), claim)
+    largest, seconds = float(residual[:count].max(initial=0.0)), time.perf_counter() - begun
+    return replace(report, checked=count, reason=reason, residual=largest, certified=count, seconds=seconds)
 
 
 def _unstable(plan: Plan, row: int, verdict: Verdicts) -> str:

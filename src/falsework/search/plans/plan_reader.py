@@ -16,6 +16,7 @@ from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans.packed_proofs import CHANGES, WHOLE, unpack_proofs
 from falsework.search.plans.plan import needs_of
 from falsework.search.plans.plan_replay import PlanReplay
+from falsework.search.plans.plan_source import wrong_source
 from falsework.search.problem.task import Direction
 from falsework.stability.certificate import StabilityCriterion
 from falsework.stability.holds import HoldSettings, Press
@@ -44,6 +45,10 @@ _SHARE = 0.1
 PROOF_WORDS = {"contact": "history", "equilibrium": "forces"}
 PROOF_ARRAYS = {"contact": ("displacements", "parts"), "equilibrium": ("forces", "points")}
 """Entry of the file that holds the proofs, and the items along its first axis."""
+MOST_ENTRIES = 1 << 30
+"""States of a plan times parts that are read, a byte each: a complete plan of 23,000 parts."""
+MOST_INCREMENTS = 64
+"""Increments of a step that are read."""
 _KEYS = {"format", "direction", "structure", "robots", "rules", "stability", "start", "steps", "end", "needs"}
 
 
@@ -189,9 +194,9 @@ class PlanReader(Reader):
                 self._fail(f"it has {name}, which prove nothing under the criterion {claim.criterion}")
         if entry in data:
             if entry == "displacements":
-                fields["displacement"] = self._displacements(data[entry], len(states))
+                fields["displacement"] = self._displacements(data[entry], states.shape)
             else:
-                fields[entry] = self._packed(data[entry], entry, counted, len(states))
+                fields[entry] = self._packed(data[entry], entry, counted, states.shape)
         presses = [self._presses(step, number, parts) for number, step in enumerate(data["steps"], 1)]
         if any(presses):
             fields["presses"] = tuple(presses)
@@ -216,16 +221,9 @@ class PlanReader(Reader):
 
     def _source_of(self, value: Any) -> dict[str, Any]:
         """Read the source of the structure, without checking that it exists."""
-        kinds = {
-            "built_in": str, "path": str, "unit": str, "density": (int, float), "friction": (int, float),
-            "boundary": list, "ground": bool, "interfaces": str, "loads": list, "earthquake": list,
-        }  # fmt: skip
-        self._keys(value, set(), "structure.source", optional=frozenset(kinds))
-        for key, entry in value.items():
-            if not isinstance(entry, kinds[key]) or (isinstance(entry, bool) and key != "ground"):
-                self._fail(f"structure.source.{key} is {entry!r}")
-        if ("built_in" in value) == ("path" in value):
-            self._fail("structure.source must have either built_in or path")
+        wrong = wrong_source(value)
+        if wrong:
+            self._fail(wrong)
         return value
 
     def _sequence(
@@ -248,8 +246,12 @@ class PlanReader(Reader):
         if held > robots:
             self._fail(f"start.state has {held} parts held with {robots} robots")
         residuals = [self._judged(data["start"], "start")]
-        states, actions = [state], []
-        for number, step in enumerate(self._list(data["steps"], "steps"), 1):
+        steps, actions = self._list(data["steps"], "steps"), []
+        if (len(steps) + 1) * parts > MOST_ENTRIES:
+            self._fail(f"it has {len(steps)} steps of {parts} parts", f"at most {MOST_ENTRIES} entries are read")
+        states = np.empty((len(steps) + 1, parts), dtype=np.uint8)
+        states[0] = state
+        for number, step in enumerate(steps, 1):
             place = f"step {number}"
             self._keys(step, {"do", "part", "verdict", "proof", "residual"}, place, frozenset({"presses"}))
             word, part = step["do"], self._count(step["part"], f"{place}: part")
@@ -262,17 +264,16 @@ class PlanReader(Reader):
             if boundary[part] or state[part] != old:
                 found = "boundary" if boundary[part] else ("removed", "installed", "held")[int(state[part])]
                 self._fail(f"{place} cannot {word} part {part}, which is {found}")
-            state = state.copy()
             state[part] = new
             held += 0 if is_prop[part] else 1 if new == HELD else -1
             if held > robots:
                 self._fail(f"{place} needs {held} robots, but the plan has {robots}")
-            states.append(state)
+            states[number] = state
             actions.append(part + parts * above)
             residuals.append(self._judged(step, place))
         if not np.array_equal(self._state(data["end"], boundary, "end"), state):
             self._fail("its steps do not lead to its end")
-        return np.array(states), np.array(actions, dtype=np.int64), np.array(residuals)
+        return states, np.array(actions, dtype=np.int64), np.array(residuals)
 
     def _judged(self, record: dict[str, Any], place: str) -> float:
         if (record["verdict"], record["proof"]) != ("stable", self._proof):
@@ -323,13 +324,16 @@ class PlanReader(Reader):
             found.append(Press(part, tuple(map(float, wrench))))
         return tuple(found)
 
-    def _displacements(self, value: Any, states: int) -> NDArray[np.float64]:
+    def _displacements(self, value: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
         """Return the displacements in the increments of all steps, shape (states, increments, parts, 6)."""
-        name = "displacements"
+        name, (states, parts) = "displacements", shape
         self._keys(value, {"parts", "increments", WHOLE}, name)
-        parts = self._count(value["parts"], f"{name}.parts")
         increments = self._count(value["increments"], f"{name}.increments", least=1)
-        flat = self._packed({"parts": parts * increments, WHOLE: value[WHOLE]}, name, "parts", states)
+        if increments > MOST_INCREMENTS:
+            self._fail(f"{name}.increments is {increments}", f"at most {MOST_INCREMENTS} are read")
+        if self._count(value["parts"], f"{name}.parts") != parts:
+            self._fail(f"{name}.parts is {value['parts']!r}", f"the plan has {parts} parts; plan again")
+        flat = self._packed({"parts": parts * increments, WHOLE: value[WHOLE]}, name, "parts", (states, parts * increments))
         return np.asarray(flat).reshape(states, increments, parts, 6)
 
     def _replay(self, value: Any, parts: int, states: int) -> PlanReplay:
@@ -343,15 +347,16 @@ class PlanReader(Reader):
             self._fail(f"replay.falls_at is {falls_at}", f"the plan has {states} states")
         return PlanReplay(stands, self._number(value["moved"], "replay.moved"), part, falls_at)
 
-    def _packed(self, value: Any, name: str, counted: str, states: int) -> NDArray[np.float64] | StateArrays:
-        """Return the proofs of all states: forces of points, or displacements of parts."""
+    def _packed(self, value: Any, name: str, counted: str, shape: tuple[int, ...]) -> NDArray[np.float64] | StateArrays:
+        """Return the proofs of all states, of so many states and parts: forces of points, or displacements of parts."""
         entry = CHANGES if isinstance(value, dict) and CHANGES in value and name == "forces" else WHOLE
         self._keys(value, {counted, entry}, name)
-        count, width = self._count(value[counted], f"{name}.{counted}"), 6 if name == "displacements" else 3
-
+        (states, parts), count = shape, self._count(value[counted], f"{name}.{counted}")
+        what = f"{name} of {count} {counted} for each of {states} states"
+        if counted == "parts" and count != parts:
+            self._fail(f"{name}.{entry} does not hold {what}", f"the plan has {parts} parts; plan again")
         try:
-            what = f"{name} of {count} {counted} for each of {states} states"
-            return unpack_proofs(entry, value[entry], (states, count, width), what)
+            return unpack_proofs(entry, value[entry], (states, count, 6 if name == "displacements" else 3), what)
         except ValueError as error:
             self._fail(f"{name}.{entry} {error}")
 

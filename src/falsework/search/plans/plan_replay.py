@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from falsework.stability.contact.replay import Replay
     from falsework.stability.contact.varied_replay import AnyReplayer, VariableReplayer
 
+_REPEATS, _LEAST = 1.1, 1e-9
+"""Factor and length in m within which two replays of the same plan agree, on different processors too."""
+
 
 @dataclass(frozen=True)
 class PlanReplay:
@@ -67,6 +70,14 @@ class Acceptance:
             return None
         found = self._plain.replay(states, presses=presses)
         return None if found.good else found
+
+    def denied_by(self, replay: Replay) -> str:
+        """Return what another replay of the same plan denies of this summary, in words; empty if nothing."""
+        if self.stands and not replay.good:
+            return "that it succeeds"
+        if self.stands and replay.largest > _REPEATS * self.moved + _LEAST:
+            return f"that parts move by at most {self.moved * 1e3:.3g} mm"
+        return ""
 
 
 def replayer_of(oracle: Oracle, settings: PlannerSettings) -> AnyReplayer | None:

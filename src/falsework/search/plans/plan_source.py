@@ -1,9 +1,12 @@
-"""Structure of a plan, loaded from the source that the plan records."""
+"""Structure of a plan, loaded from the source that the plan records, with or without the options in it."""
 
 from __future__ import annotations
 
+import math
 import os
+import warnings
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +14,15 @@ from falsework.assembly.library import is_built_in
 from falsework.assembly.load import as_assembly, load_structure
 from falsework.assembly.model import Assembly
 from falsework.assembly.props import with_props
-from falsework.errors import PlanError
+from falsework.errors import InputError, PlanError
 from falsework.search.plans.plan import Plan
+
+PLACES = ("built_in", "path")
+"""Entries of a source that say where the structure is; all others are options of `load_structure`."""
+_KINDS: dict[str, Any] = {
+    "built_in": str, "path": str, "unit": str, "density": (int, float), "friction": (int, float),
+    "boundary": list, "ground": bool, "interfaces": str, "loads": list, "earthquake": list,
+}  # fmt: skip
 
 
 def structure_of_plan(
@@ -39,6 +49,8 @@ def structure_of_plan(
     source = dict(plan.source or {})
     if "built_in" in source:
         spec = source.pop("built_in")
+        if not is_built_in(spec):
+            raise PlanError(f"{file or 'the plan'} names a built-in structure {spec!r}, which there is not; plan again")
     elif "path" in source:
         folder = Path() if file is None else Path(file).resolve().parent
         spec = folder / source.pop("path")
@@ -49,6 +61,60 @@ def structure_of_plan(
         if not is_built_in(spec) or with_props(load_structure(spec), plan.props).identity != plan.identity:
             raise PlanError(f"{file or 'the plan'} does not say where its structure is; name it (--structure)")
     return with_props(load_structure(spec, **{**source, **options}), plan.props)
+
+
+def structure_to_check(
+    plan: Plan, file: Path | str | None = None, structure: str | Path | Assembly | None = None, **options: Any
+) -> tuple[Assembly, dict[str, Any]]:
+    """Load the structure of a plan for a check, as its own files and the caller describe it if it was planned for that.
+
+    Options that the plan records, such as its friction, are applied only if the plan is for another structure without
+    them. A structure with options is read twice for this.
+
+    Args:
+        plan: the plan.
+        file, structure: as for `structure_of_plan`.
+        options: options of `load_structure` from the caller.
+
+    Returns:
+        The structure, and the options of the plan that it depends on and that the caller did not give.
+
+    Raises:
+        PlanError: as `structure_of_plan`.
+        InputError: as `structure_of_plan`.
+    """
+    own = {key: value for key, value in (plan.source or {}).items() if key not in PLACES and options.get(key) is None}
+    if structure is not None or not own:
+        return structure_of_plan(plan, file, structure, **options), {}
+    bare = replace(plan, source={key: value for key, value in (plan.source or {}).items() if key in PLACES})
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            found = structure_of_plan(bare, file, **options)
+        except InputError:  # such as a structure without boundary, which needs a ground
+            found = None
+    if found is None or found.identity != plan.identity:
+        return structure_of_plan(plan, file, **options), own
+    for warning in caught:
+        warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
+    return found, {}
+
+
+def wrong_source(value: Any) -> str:
+    """Return why a value in a file is no source of a structure; empty if it is one, which need not exist."""
+    if not isinstance(value, Mapping):
+        return "structure.source is not an object"
+    unknown = sorted(set(value) - set(_KINDS))
+    if unknown:
+        return f"structure.source has an unknown entry {unknown[0]!r}"
+    for key, entry in value.items():
+        wrong = not isinstance(entry, _KINDS[key]) or (isinstance(entry, bool) and key != "ground")
+        numbers = [entry] if isinstance(entry, float) else entry if key == "earthquake" and not wrong else []
+        wrong |= any(type(x) not in (int, float) or not math.isfinite(x) for x in numbers)
+        wrong |= key == "boundary" and not wrong and any(type(part) not in (int, str) for part in entry)
+        if wrong:
+            return f"structure.source.{key} is {str(entry)[:40]!r}"
+    return "" if len(set(value) & set(PLACES)) == 1 else "structure.source must have either built_in or path"
 
 
 def moved_source(plan: Plan, file: Path, beside: Path) -> Mapping[str, Any] | None:

@@ -17,12 +17,20 @@ from falsework.search.problem.hashing import StateHash, StateIndex, merge
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Criterion
-from falsework.utils.archive import read_archive, write_archive
+from falsework.utils.archive import check_header, read_archive, write_archive
 
 FORMAT = "falsework.graph/1"
 
 _ARRAYS = frozenset({"states", "source", "action", "target", "boundary", "start_state", "target_state"})
-_KEYS = {"format", "name", "identity", "robots", "removable_only_if_clear", "fixed", "missing", "postponed"}
+_KINDS: dict[str, type] = {
+    "name": str,
+    "identity": str,
+    "robots": int,
+    "removable_only_if_clear": bool,
+    "fixed": list,
+    "missing": list,
+    "postponed": list,
+}
 _CHUNK_STATES = 1024
 
 
@@ -231,12 +239,13 @@ def load_state_graph(path: Path | str) -> StateGraph:
     """
     header, arrays = read_archive(path, FORMAT, _ARRAYS)
     criterion = read_criterion(path, header, "build the graph again")
-    if set(header) != _KEYS:
-        odd = ", ".join(sorted(set(header) ^ _KEYS))
-        raise InputError(f"{path} is not a valid {FORMAT} file: unexpected or absent header entries {odd}")
+    check_header(path, header, _KINDS, "build the graph again")
+    boundary = arrays["boundary"]
+    if boundary.ndim != 1 or boundary.dtype != bool or len(header["postponed"]) != len(header["missing"]):
+        raise InputError(f"{path} is damaged (boundary or postponed parts have another form); build the graph again")
     try:
         task = Task.create(
-            arrays["boundary"],
+            boundary,
             header["robots"],
             start=arrays["start_state"],
             target=arrays["target_state"],
@@ -245,7 +254,7 @@ def load_state_graph(path: Path | str) -> StateGraph:
             identity=header["identity"],
         ).postpone(header["postponed"])
         task = replace(task, holds_keep_stable=criterion == "equilibrium")
-    except (InputError, TypeError) as error:
+    except (InputError, TypeError, ValueError) as error:
         raise InputError(f"{path} is damaged ({error}); build the graph again") from None
     graph = StateGraph(
         arrays["states"],
@@ -261,7 +270,7 @@ def load_state_graph(path: Path | str) -> StateGraph:
 
 
 def _check(graph: StateGraph, path: Path | str) -> None:
-    states, parts, edges = graph.states, graph.task.part_count, len(graph.source)
+    states, parts, edges = graph.states, graph.task.part_count, graph.source.size
     damage = ""
     if states.dtype != np.uint8 or states.ndim != 2 or states.shape[1] != parts or (states > HELD).any():
         damage = f"states are not 0, 1, 2 for {parts} parts"
