@@ -333,7 +333,9 @@ class PlanReader(Reader):
             self._fail(f"{name}.increments is {increments}", f"at most {MOST_INCREMENTS} are read")
         if self._count(value["parts"], f"{name}.parts") != parts:
             self._fail(f"{name}.parts is {value['parts']!r}", f"the plan has {parts} parts; plan again")
-        flat = self._packed({"parts": parts * increments, WHOLE: value[WHOLE]}, name, "parts", (states, parts * increments))
+        flat = self._packed(
+            {"parts": parts * increments, WHOLE: value[WHOLE]}, name, "parts", (states, parts * increments)
+        )
         return np.asarray(flat).reshape(states, increments, parts, 6)
 
     def _replay(self, value: Any, parts: int, states: int) -> PlanReplay:

@@ -48,6 +48,14 @@ class PlanReplay:
         part = int(replay.part[most]) if most >= 0 else -1
         return cls(replay.good, replay.largest, part, replay.falls_at, replay.presses)
 
+    def denied_by(self, replay: Replay) -> str:
+        """Return what another replay of the same plan denies of this summary, in words; empty if nothing."""
+        if self.stands and not replay.good:
+            return "that it succeeds"
+        if self.stands and replay.largest > _REPEATS * self.moved + _LEAST:
+            return f"that parts move by at most {self.moved * 1e3:.3g} mm"
+        return ""
+
 
 class Acceptance:
     """Second test of a route that comes to rest with a reserve: it does so under the true friction too."""
@@ -70,14 +78,6 @@ class Acceptance:
             return None
         found = self._plain.replay(states, presses=presses)
         return None if found.good else found
-
-    def denied_by(self, replay: Replay) -> str:
-        """Return what another replay of the same plan denies of this summary, in words; empty if nothing."""
-        if self.stands and not replay.good:
-            return "that it succeeds"
-        if self.stands and replay.largest > _REPEATS * self.moved + _LEAST:
-            return f"that parts move by at most {self.moved * 1e3:.3g} mm"
-        return ""
 
 
 def replayer_of(oracle: Oracle, settings: PlannerSettings) -> AnyReplayer | None:

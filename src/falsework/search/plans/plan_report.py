@@ -131,7 +131,11 @@ def unverified_claims(plan: Plan, asked: StabilityCriterion, demands: Demands | 
     found = [] if plan.replay is None else [REPLAY]
     checked = {"reserve", "holds"}  # a plan is built with those that it names
     for name, value in asdict(plan.claim).items():
-        if name not in checked and value != getattr(asked, name) and (name != "stiffness_ratio" or plan.claim.criterion == "contact"):
+        if (
+            name not in checked
+            and value != getattr(asked, name)
+            and (name != "stiffness_ratio" or plan.claim.criterion == "contact")
+        ):
             found.append(f"its {name.replace('_', ' ')} {value if isinstance(value, str) else f'{value:g}'}")
     if plan.proof_arrays() is not None and not comparable(plan.claim, asked):
         found.append(f"its {PROOF_NAMES[plan.claim.criterion]}")
