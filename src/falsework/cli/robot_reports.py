@@ -74,6 +74,7 @@ def check_record(report: CheckReport) -> dict[str, Any]:
         "acceleration_share": report.acceleration_share,
         "tolerance": report.tolerance,
         "links": report.links,
+        "lower_bound": report.lower_bound,
         "problems": [
             {
                 "step": problem.step,
@@ -113,6 +114,57 @@ def runs_text(runs: SimulationReport, longest_delay: float) -> str:
         )
     least, median, most = runs.spread
     return f"{what} take {least:.1f} to {most:.1f} s, median {median:.1f} s"
+
+
+def scope_record(plan: RobotPlan, assembly: Assembly, cell: Cell, place: str) -> dict[str, Any]:
+    """Return what a robot plan was checked against."""
+    states = plan.plan.states
+    return {
+        "structure": assembly.name,
+        "structure_identity": assembly.identity,
+        "cell": cell.name,
+        "cell_file": place,
+        "cell_identity": plan.cell_identity,
+        "robots": [robot.name for robot in cell.robots],
+        "criterion": plan.plan.claim.criterion,
+        "direction": plan.direction.value,
+        "steps": len(plan),
+        "start": "".join(map(str, states[0].tolist())),
+        "end": "".join(map(str, states[-1].tolist())),
+    }
+
+
+def scope_text(plan: RobotPlan, assembly: Assembly, cell: Cell, place: str) -> str:
+    """Return what a robot plan was checked against, in one sentence."""
+    record = scope_record(plan, assembly, cell, place)
+    return (
+        f"{plan.direction.value} of {assembly.name} ({assembly.identity[:12]}) in {len(plan)} steps from "
+        f"{record['start']} to {record['end']}, in cell {cell.name} of {place} ({plan.cell_identity[:12]}) with "
+        f"{', '.join(record['robots'])}, criterion {record['criterion']}"
+    )
+
+
+def unverified(plan: RobotPlan, report: CheckReport, *, states: bool) -> list[str]:
+    """Return the claims of a robot plan that its check does not establish.
+
+    Args:
+        plan: the robot plan.
+        report: the check of its motions.
+        states: whether the stability of its states was checked.
+    """
+    found = []
+    if not states:
+        found.append("the stability of the states, and the forces that robots bear where grippers have no limits")
+    if plan.plan.replay is not None:
+        found.append("that a replay of the plan succeeds")
+    if plan.schedule is not None and report.lower_bound is not None:
+        bound, proven = plan.schedule.lower_bound, report.lower_bound
+        if bound > proven + _NO_GAIN:
+            found.append(
+                f"that no schedule of these motions takes less than {bound:.1f} s, as the plan says; the busiest arm "
+                f"alone moves for {proven:.1f} s"
+            )
+    return found
 
 
 def overloads_of(plan: RobotPlan, assembly: Assembly, cell: Cell) -> list[PlanProblem]:

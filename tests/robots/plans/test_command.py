@@ -94,11 +94,17 @@ def test_a_bag_says_what_it_lacks(run: Callable, cell_file: Path, tmp_path: Path
     full = (tmp_path / "bag" / "plan.mcap").stat().st_size
     cell_file.rename(tmp_path / "moved.toml")
     code, _, error = run(*export)
-    assert code == 0
-    assert error.startswith("falsework: the bag has no shapes of parts: ")
-    assert (tmp_path / "bag" / "plan.mcap").stat().st_size < full
+    assert (code, error.count("\n")) == (2, 1)  # nothing is written for robots that nobody knows
     assert run(*export, "--cell", tmp_path / "moved.toml")[::2] == (0, "")
     assert (tmp_path / "bag" / "plan.mcap").stat().st_size == full
+    data = json.loads(out.read_text())
+    data["plan"]["structure"]["source"] = {"path": "gone"}
+    (tmp_path / "bare.json").write_text(json.dumps(data))
+    bare = ("robots", "export", tmp_path / "bare.json", "--cell", tmp_path / "moved.toml", *export[3:])
+    code, _, error = run(*bare)
+    assert code == 0, error
+    assert error.startswith("falsework: the bag has no shapes of parts: ")
+    assert (tmp_path / "bag" / "plan.mcap").stat().st_size < full
     code, _, error = run(*export, "--cell", tmp_path / "moved.toml", "--structure", "stack:blocks=3")
     assert code == 2
     assert error.count("\n") == 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from math import perm
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from falsework.robots.plans.temporal_graph import TemporalPlanGraph
 
 Array = NDArray[np.float64]
+
+_SAME_POSE = 1e-9
+"""Entries of poses that differ by no more are equal."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -356,17 +359,46 @@ class RobotPlan:
         return replace(self, plan=self.plan.reverse(), keyframes=self.keyframes[::-1], steps=steps, schedule=schedule)
 
     def check_identity(self, assembly: Assembly, cell: Cell) -> None:
-        """Raise PlanError unless the plan is for this structure in this cell."""
+        """Raise PlanError unless the plan is for this structure in this cell, and names their parts and robots."""
         if assembly.identity != self.plan.identity:
             raise PlanError(
                 f"the robot plan is for another {self.plan.name} than this {assembly.name}; give the structure that it "
                 "was made for"
             )
+        names = tuple(assembly.names)
+        if tuple(self.plan.part_names) != names:
+            part = next(k for k, pair in enumerate(zip(self.plan.part_names, names, strict=True)) if pair[0] != pair[1])
+            raise PlanError(
+                f"the robot plan calls part {part} {self.plan.part_names[part]!r}, the structure calls it "
+                f"{names[part]!r}; plan again"
+            )
+        if not np.array_equal(self.plan.boundary, assembly.boundary):
+            part = assembly.names[int(np.argmax(self.plan.boundary != assembly.boundary))]
+            raise PlanError(f"part {part} is boundary in either the robot plan or the structure only; plan again")
+        self.check_cell(cell)
+
+    def check_cell(self, cell: Cell) -> None:
+        """Raise PlanError unless the plan is for this cell, and the robots that it records are those of the cell."""
         if cell_identity(cell) != self.cell_identity:
             raise PlanError(
                 f"the robot plan is for another cell {self.cell_name} than this {cell.name}: something in it differs; "
                 "give the cell that it was made for, or plan again"
             )
+        wanted = records_of(cell)
+        if len(self.robots) != len(wanted):
+            raise PlanError(f"the robot plan has {len(self.robots)} robots, {cell.name} has {len(wanted)}; plan again")
+        for number, (mine, robot) in enumerate(zip(self.robots, wanted, strict=True)):
+            for entry in fields(RobotRecord):
+                here, there = getattr(mine, entry.name), getattr(robot, entry.name)
+                if isinstance(there, np.ndarray):
+                    if here.shape == there.shape and np.abs(here - there).max() <= _SAME_POSE:
+                        continue
+                    what = f"has another {entry.name} pose for robot {robot.name} than"
+                elif here == there:
+                    continue
+                else:
+                    what = f"says {here!r} as the {entry.name.replace('_', ' ')} of robot {number}, not {there!r} as"
+                raise PlanError(f"the robot plan {what} the cell {cell.name}; plan again")
 
 
 def acts(step: RobotStep) -> bool:
