@@ -300,7 +300,8 @@ class CheckRobots(Command):
         loads = [] if report.loads is None else list(report.loads)
         if report.loads is None and stable is not None and stable.good:
             loads = grip_loads(plan, assembly, cell)
-        heavy, holds = overloads(loads, plan, cell), holds_record(loads, plan, cell)
+        heavy = [] if report.loads is None else overloads(loads, plan, cell)
+        holds = holds_record(loads, plan, cell)
         good = report.good and (stable is None or stable.good) and (runs is None or runs.good)
         open_claims = unverified(plan, report, states=stable is not None)
         output.record(

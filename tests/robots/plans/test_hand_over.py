@@ -20,7 +20,7 @@ from falsework.robots.model.cell import Cell, cell_identity
 from falsework.robots.plans.check import CheckReport, check_robot_plan
 from falsework.robots.plans.export import export_plan
 from falsework.robots.plans.programs import Begin, Grip, PublishCount, Wait, commands_of
-from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.plans.robot_plan import RobotPlan, records_of
 from falsework.robots.plans.robot_plan_file import (
     load_robot_plan,
     robot_plan_from_dict,
@@ -219,7 +219,8 @@ def test_the_check_sees_the_second_arm_in_the_first(plan: RobotPlan, falling: As
     base = roofed.robots[1].base.copy()
     base[0, 3] -= 0.2
     near = replace(roofed, robots=(roofed.robots[0], replace(roofed.robots[1], base=base)))
-    report = check_robot_plan(replace(plan, cell_identity=cell_identity(near)), falling, near)
+    moved = replace(plan, cell_identity=cell_identity(near), robots=records_of(near))
+    report = check_robot_plan(moved, falling, near)
     take, _ = halves(plan)
     assert any(problem.step == take and "collides with arm 1" in problem.what for problem in report.problems)
 

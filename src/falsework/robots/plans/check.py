@@ -142,14 +142,17 @@ class _Checker:
             if fault := description_fault(entry.model):
                 self.say(0, robot, fault)
 
-    def limits(self) -> None:
-        """Check the limits and durations of all motions by arithmetic, before any of them is sampled."""
+    def limits(self) -> bool:
+        """Check limits and durations of all motions by arithmetic; return whether all of them may be sampled."""
+        bounded = True
         for index, robot, trajectory in self.plan.moves():
             found = check_limits(trajectory, self.cell.robots[robot].model, self.cell.speed)
             self.velocity = max(self.velocity, found.velocity_share)
             self.acceleration = max(self.acceleration, found.acceleration_share)
+            bounded &= found.bounded
             for fault in found.faults if not self.full() else ():
                 self.say(index, robot, fault)
+        return bounded
 
     def step(self, index: int) -> None:
         """Check one action: contents, continuity, limits, collisions."""
@@ -378,11 +381,10 @@ def check_robot_plan(
     began = time.perf_counter()
     checker = _Checker(plan, assembly, cell, step)
     checker.surroundings()
-    checker.limits()
-    within_limits = not checker.problems  # what is beyond them is not sampled
-    if within_limits:
+    bounded = checker.limits()
+    if bounded:
         checker.at_rest(0, "start")
-    for index in range(len(plan)) if within_limits else ():
+    for index in range(len(plan)) if bounded else ():
         if checker.full():
             break
         checker.keyframe(index)
@@ -390,14 +392,14 @@ def check_robot_plan(
         if progress is not None:
             progress(index + 1, len(plan))
     loads = None
-    if within_limits:
+    if bounded:
         checker.keyframe(len(plan))
         checker.at_rest(len(plan), "end")
         if any(robot.gripper.has_limits for robot in cell.robots):
             loads = tuple(grip_loads(plan, assembly, cell))
             checker.problems += overloads(list(loads), plan, cell)
     timed, delays = 0, None
-    if plan.schedule is not None and within_limits and not checker.full():
+    if plan.schedule is not None and bounded and not checker.full():
         found, timed = check_schedule(plan, cell, checker.judge, step=step)
         delays = check_delays(plan, checker.judge, most=_MAX_PROBLEMS)
         checker.problems += [*found, *delays.problems]

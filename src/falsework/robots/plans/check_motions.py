@@ -23,6 +23,8 @@ _OUTSIDE = 1e-6
 """Amount by which rounded knots may exceed a position limit, rad or m."""
 _AT_REST = 1e-6
 """Speed below which a joint is at rest, rad/s or m/s."""
+_SAMPLED = 10.0
+"""Largest speed of motions that are sampled, in velocity limits."""
 _PAUSE, _SLOWEST = 60.0, 20.0
 """A motion may take this many seconds, and this many times as long as joints need for their whole range."""
 
@@ -32,6 +34,8 @@ class LimitReport:
     """Limits of one motion: faults, and how much of the limits it uses."""
 
     faults: tuple[str, ...]
+    bounded: bool
+    """Whether it may be sampled: its duration and speed bound the number of samples."""
     velocity_share: float
     """Largest speed of a joint as a share of the limit in the cell."""
     acceleration_share: float
@@ -58,7 +62,7 @@ def check_limits(trajectory: Trajectory, model: RobotModel, speed: float) -> Lim
         model: its arm.
         speed: share of the velocity limits that motions may use; of acceleration limits its square.
     """
-    faults = []
+    faults: list[str] = []
     longest = longest_motion(model, speed)
     if not trajectory.seconds <= longest:
         faults.append(f"a motion takes {trajectory.seconds:.4g} s; this arm needs no more than {longest:.4g} s")
@@ -75,7 +79,8 @@ def check_limits(trajectory: Trajectory, model: RobotModel, speed: float) -> Lim
             faults.append(f"the {what} of {model.joint_names[worst]} is {100 * found[worst]:.0f} % of its limit")
     if any(np.abs(trajectory.velocities[end]).max() > _AT_REST for end in (0, -1)):
         faults.append("a motion does not start or end at rest")
-    return LimitReport(tuple(faults), float(velocity.max()), float(push.max()))
+    bounded = trajectory.seconds <= longest and bool((velocity <= _SAMPLED).all())
+    return LimitReport(tuple(faults), bounded, float(velocity.max()), float(push.max()))
 
 
 def first_limit_fault(plan: RobotPlan, cell: Cell) -> str:
