@@ -32,7 +32,10 @@ def description_fault(model: RobotModel) -> str:
         return f"its description {file} is gone; nothing proves that the cell has this arm"
     pinocchio, _ = import_pinocchio()
     try:
-        read = pinocchio.buildModelFromUrdf(str(file), True)
+        root = ElementTree.parse(file).getroot()
+        for limit in root.iter("limit"):  # which is not used, and without which Pinocchio reads nothing
+            limit.attrib.setdefault("effort", "0")
+        read = pinocchio.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"), True)
     except Exception as error:  # of its parser, of no common class
         return f"its description {file} cannot be read by Pinocchio: {' '.join(str(error).split())}"
     return _joint_fault(model, read, file) or _frame_fault(pinocchio, model, read, file) or _shape_fault(model, file)
