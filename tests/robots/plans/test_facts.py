@@ -131,7 +131,9 @@ def at_face(case: Case, *, beside: float = 0.0, depth: float = 0.0) -> Case:
 def longer_line(case: Case, length: float) -> Case:
     """Replace the approach by a longer line from farther away."""
     grip = case.plan.keyframes[HOLD + 1].configurations[0]
-    out = case.path(grip, -length * case.tool(HOLD, 1, -1)[:3, 2], touches=case.plan.steps[HOLD].trajectories[1].touches)
+    out = case.path(
+        grip, -length * case.tool(HOLD, 1, -1)[:3, 2], touches=case.plan.steps[HOLD].trajectories[1].touches
+    )
     return case.stepped(HOLD, trajectories=(case.plan.steps[HOLD].trajectories[0], out.reverse()))
 
 

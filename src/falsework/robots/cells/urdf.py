@@ -134,7 +134,9 @@ def load_urdf(path: str | Path, *, base: str | None = None, tip: str | None = No
         pairs = always_touching(model) - ignored
         said = ", ".join(f"{names[a]} and {names[b]}" for a, b in sorted(pairs))
         if pairs:
-            notes = [f"{file}: links that touch in nearly all configurations are not checked against each other: {said}"]
+            notes = [
+                f"{file}: links that touch in nearly all configurations are not checked against each other: {said}"
+            ]
     ignored |= pairs
     stood_in = [name for of_link in carried.values() for name in of_link if not links[name].collisions]
     for what, named in (

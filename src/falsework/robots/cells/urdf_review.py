@@ -41,12 +41,12 @@ def read_xml(file: Path) -> Element:
     for entry in root.iter():
         values = (entry.tag, *entry.attrib.values())
         if any("xacro" in value or "${" in value or "$(" in value for value in map(str, values)):
-            raise CellError(f"{file} has macros ({_plain(entry.tag)}); expand them first: xacro {file.name} > plain.urdf")
+            raise CellError(
+                f"{file} has macros ({_plain(entry.tag)}); expand them first: xacro {file.name} > plain.urdf"
+            )
     if root.tag != "robot":
         raise CellError(f"{file} is not a readable URDF: its root is <{root.tag}>, not <robot>")
-    links, joints = (
-        [_name(file, entry, root.tag) for entry in root.findall(kind)] for kind in ("link", "joint")
-    )
+    links, joints = ([_name(file, entry, root.tag) for entry in root.findall(kind)] for kind in ("link", "joint"))
     for kind, names in (("links", links), ("joints", joints)):
         double = [name for name, count in Counter(names).items() if count > 1]
         if double:

@@ -52,9 +52,7 @@ def _joint_fault(model: RobotModel, read: Any, file: Path) -> str:
         if joint.nv != 1:
             return f"{file.name}: joint {name} has {joint.nv} degrees of freedom, it is planned with one"
         if joint.nq == 1:
-            low, high = (
-                float(limits[joint.idx_q]) for limits in (read.lowerPositionLimit, read.upperPositionLimit)
-            )
+            low, high = (float(limits[joint.idx_q]) for limits in (read.lowerPositionLimit, read.upperPositionLimit))
             if model.lower[number] < low - _SAME or model.upper[number] > high + _SAME:
                 return f"{file.name}: joint {name} has the range {low:.4g} to {high:.4g}, it is planned with more"
         fastest = float(read.upperVelocityLimit[joint.idx_v])

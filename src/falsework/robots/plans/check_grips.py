@@ -12,6 +12,10 @@ Array = NDArray[np.float64]
 
 _RINGS = ((0.0, 1), (0.5, 8), (1.0, 16))
 """Points of a cup at which the surface is measured: shares of its radius, and their numbers."""
+_PINCHES = 9
+"""Points along the contact length of jaws at which the part between them is measured."""
+_HELD_SHARE = 1 / 3
+"""Share of the contact length on which jaws must have the part between them."""
 _EDGE = 1e-7
 """Share of a triangle by which a ray may miss it at its edge."""
 
@@ -53,7 +57,19 @@ class GripChecker:
         if pose is not None:  # seen from the part at its place
             tool = np.linalg.inv(pose) @ tool
         triangles = self.judge.parts.meshes[part].triangles
-        return (_cup_fault if gripper.kind == "suction" else _jaw_fault)(gripper, tool, triangles, name)
+        return surface_fault(gripper, tool, triangles, name)
+
+
+def surface_fault(gripper: Gripper, tool: Array, triangles: Array, name: str) -> str:
+    """Return why a gripper does not meet the surface of a part as it must; empty if it does.
+
+    Args:
+        gripper: the gripper.
+        tool: pose of its tool frame, shape (4, 4).
+        triangles: the surface, outward, shape (triangles, 3, 3).
+        name: name of the part.
+    """
+    return (_cup_fault if gripper.kind == "suction" else _jaw_fault)(gripper, tool, triangles, name)
 
 
 def _cup_fault(gripper: Gripper, tool: Array, triangles: Array, name: str) -> str:
@@ -84,19 +100,28 @@ def _cup_fault(gripper: Gripper, tool: Array, triangles: Array, name: str) -> st
 
 
 def _jaw_fault(gripper: Gripper, tool: Array, triangles: Array, name: str) -> str:
-    x, at = tool[:3, 0], tool[:3, 3]
+    """Return why jaws do not close on a part: along their contact length, from the tool frame back, they must do so."""
+    x, z, at = tool[:3, 0], tool[:3, 2], tool[:3, 3]
+    faults = [
+        _pinch_fault(gripper, triangles, at - share * gripper.depth * z, x, name)
+        for share in np.linspace(0, 1, _PINCHES)
+    ]
+    bad = [fault for fault in faults if fault]
+    return "" if len(bad) <= (1 - _HELD_SHARE) * _PINCHES else bad[0]
+
+
+def _pinch_fault(gripper: Gripper, triangles: Array, at: Array, x: Array, name: str) -> str:
     height, normal = _cast(triangles, at, x)
-    cosine = float(np.cos(np.radians(GRIP_TILT)))
     sides = []
     for sign in (1.0, -1.0):
         ahead = (sign * height > 0) & (sign * (normal @ x) > 0)
         if not ahead.any():
             return f"{name} is not between the jaws"
         nearest = int(np.argmin(np.where(ahead, np.abs(height), np.inf)))
-        if sign * float(normal[nearest] @ x) < cosine:
+        if sign * float(normal[nearest] @ x) < np.cos(np.radians(GRIP_TILT)):
             return f"the jaws do not close flat on {name}"
         sides.append(abs(float(height[nearest])))
-    if 2 * max(sides) > gripper.opening + 2 * GRIP_DEPTH:
+    if sum(sides) > gripper.opening or max(sides) > gripper.opening / 2 + GRIP_DISTANCE:
         return f"{name} is {1000 * sum(sides):.1f} mm wide, the jaws open to {1000 * gripper.opening:.1f} mm"
     return ""
 

@@ -126,7 +126,9 @@ class HandlingChecker:
                 name = self.names[leg.touches]
                 faults.append(f"motion {order + 1} touches {name} and neither ends at it nor begins there")
         if run > margin * LONGEST_WITHDRAWAL + 0.001:
-            faults.append(f"its part is on lines for {1000 * run:.0f} mm, which is more than its way to or from a place")
+            faults.append(
+                f"its part is on lines for {1000 * run:.0f} mm, which is more than its way to or from a place"
+            )
         return faults
 
 

@@ -227,7 +227,10 @@ class PinocchioCollisionChecker:
 
     def is_pierced(self, robot: int, configuration: Array, part: int, pose: Array | None = None) -> bool:
         """Return whether a gripper reaches deeper into a part, in place or displaced, than it may press into it."""
-        flange, body = self.flange(robot, configuration), self._touched(robot, part, np.eye(4) if pose is None else pose)
+        flange, body = (
+            self.flange(robot, configuration),
+            self._touched(robot, part, np.eye(4) if pose is None else pose),
+        )
         here = self._coal.Transform3s(body.placement[:3, :3], body.placement[:3, 3])
         there = self._coal.Transform3s(flange[:3, :3], flange[:3, 3])
         request = self._coal.CollisionRequest()
