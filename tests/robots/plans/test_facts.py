@@ -22,7 +22,7 @@ from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.cell import Cell, Obstacle, cell_identity
 from falsework.robots.model.shapes import block
 from falsework.robots.plans.check import check_robot_plan
-from falsework.robots.plans.robot_plan import RobotPlan, RobotStep, Trajectory, records_of
+from falsework.robots.plans.robot_plan import RobotPlan, Trajectory, records_of
 from falsework.robots.plans.robot_plan_file import robot_plan_from_dict, robot_plan_to_dict
 from falsework.search.plans.plan_check import validate_plan
 
@@ -88,7 +88,7 @@ class Case:
         found = inverse(self.cell.robots[robot], tool[None])[0]
         return found[np.argmin(np.abs(found - near).max(axis=1))]
 
-    def path(self, start: np.ndarray, *shifts: np.ndarray, kind: str = "line", **more: Any) -> Trajectory:
+    def path(self, start: np.ndarray, *shifts: np.ndarray, **more: Any) -> Trajectory:
         """Return a timed motion of arm 1 on which its tool is moved to shifted poses without turning."""
         at, points = tool_pose(self.cell.robots[0], start), [start]
         for begin, end in zip((np.zeros(3), *shifts[:-1]), shifts, strict=True):
@@ -98,7 +98,7 @@ class Case:
                 points.append(self.reach(goal, points[-1]))
         made = timed_leg(self.cell.robots[0].model, PathSegment("line", np.array(points)), self.cell.speed)
         assert made is not None
-        return replace(made, kind=kind, **more)
+        return replace(made, **more)
 
 
 def shifted(pose: np.ndarray, *, by: float = 0.0, turn: float = 0.0, along: int = 2) -> np.ndarray:

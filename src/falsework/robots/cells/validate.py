@@ -53,8 +53,8 @@ def check_bases(cell: Cell, parts: PartShapes | None = None) -> None:
         lowest = min((float(piece[:, 2].min()) for piece in base), default=np.inf) - BASE_DEPTH
         if cell.floor is not None and cell.floor - lowest > BASE_DEPTH:
             raise CellError(
-                f"{cell.name}: the base of robot {robot.name} is {1000 * (cell.floor - lowest):.1f} mm below the floor; "
-                f"raise it by that, or set floor to {lowest:.4g}"
+                f"{cell.name}: the base of robot {robot.name} is {1000 * (cell.floor - lowest):.1f} mm below the "
+                f"floor; raise it by that, or set floor to {lowest:.4g}"
             )
 
 

@@ -115,7 +115,7 @@ class HandlingChecker:
             longest = margin * (LONGEST_WITHDRAWAL if carries else LONGEST_APPROACH)
             if fault := line_fault(tools, longest if carries or leg.touches is not None else np.inf):
                 faults.append(f"motion {order + 1} {fault}")
-            if carries and order not in at_place:
+            if leg.part is not None and order not in at_place:
                 name = self.names[leg.part]
                 faults.append(f"motion {order + 1} is a line on which {name} neither leaves a place nor reaches one")
             if carries and order in at_place and not (lying and order in (lying.start - 1, lying.stop)):
