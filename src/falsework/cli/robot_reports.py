@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
+    from falsework.robots.checks.check import CheckReport
     from falsework.robots.model.cell import Cell
-    from falsework.robots.plans.check import CheckReport
     from falsework.robots.plans.grip_loads import GripLoad
     from falsework.robots.plans.plan_problem import PlanProblem
     from falsework.robots.plans.robot_plan import RobotPlan
     from falsework.robots.schedule.simulation import SimulationReport
 
+_AT_HOME = 1e-6
+"""Joint values that differ by no more are equal, rad or m."""
 _NO_GAIN = 0.05
 """A schedule that saves no more than this is none, seconds."""
 
@@ -91,6 +95,29 @@ def check_record(report: CheckReport) -> dict[str, Any]:
     }
 
 
+def check_texts(name: str, report: CheckReport, states: int | None) -> list[str]:
+    """Return what the check of a good plan has established, in sentences.
+
+    Args:
+        name: name of the plan.
+        report: the check of its motions.
+        states: number of its states that were found stable; None if that was not checked.
+    """
+    stable = "" if states is None else f", all {states} states are stable"
+    links = ", ".join(f"{robot} as {shapes}" for robot, shapes in report.links.items())
+    timed = f" and at {report.timed_samples} moments of its schedule" if report.timed_samples else ""
+    found = [
+        f"{name}: no collision in {report.samples} configurations of {report.trajectories} motions{timed} (links of "
+        f"{links}), all within limits{stable}"
+    ]
+    if report.delays is not None:
+        found.append(
+            f"whatever the delays, states keep their order and arms keep apart: {report.delays.overlaps} pairs of "
+            "motions and rests can coincide, and are free of collisions between samples too"
+        )
+    return found
+
+
 def runs_record(runs: SimulationReport, longest_delay: float) -> dict[str, Any]:
     """Return the record of delayed runs."""
     least, median, most = runs.spread
@@ -118,7 +145,9 @@ def runs_text(runs: SimulationReport, longest_delay: float) -> str:
 
 def scope_record(plan: RobotPlan, assembly: Assembly, cell: Cell, place: str) -> dict[str, Any]:
     """Return what a robot plan was checked against."""
-    states = plan.plan.states
+    states, first = plan.plan.states, plan.keyframes[0].configurations
+    pairs = zip(cell.robots, first, strict=True)
+    elsewhere = [robot.name for robot, values in pairs if np.abs(robot.home - values).max() > _AT_HOME]
     return {
         "structure": assembly.name,
         "structure_identity": assembly.identity,
@@ -126,6 +155,7 @@ def scope_record(plan: RobotPlan, assembly: Assembly, cell: Cell, place: str) ->
         "cell_file": place,
         "cell_identity": plan.cell_identity,
         "robots": [robot.name for robot in cell.robots],
+        "not_at_home": elsewhere,
         "criterion": plan.plan.claim.criterion,
         "direction": plan.direction.value,
         "steps": len(plan),
@@ -137,10 +167,11 @@ def scope_record(plan: RobotPlan, assembly: Assembly, cell: Cell, place: str) ->
 def scope_text(plan: RobotPlan, assembly: Assembly, cell: Cell, place: str) -> str:
     """Return what a robot plan was checked against, in one sentence."""
     record = scope_record(plan, assembly, cell, place)
+    starts = f"; {' and '.join(record['not_at_home'])} not at home at the start" if record["not_at_home"] else ""
     return (
         f"{plan.direction.value} of {assembly.name} ({assembly.identity[:12]}) in {len(plan)} steps from "
         f"{record['start']} to {record['end']}, in cell {cell.name} of {place} ({plan.cell_identity[:12]}) with "
-        f"{', '.join(record['robots'])}, criterion {record['criterion']}"
+        f"{', '.join(record['robots'])}, criterion {record['criterion']}{starts}"
     )
 
 

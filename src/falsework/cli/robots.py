@@ -15,9 +15,10 @@ from falsework.cli.command import UNSET, Command, LoadOptions, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.output import counted
 from falsework.cli.planning import refuse_unstable, writable
-from falsework.cli.robot_arguments import parse_grips, parse_holding, parse_joints, parse_now
+from falsework.cli.robot_arguments import cell_of, parse_grips, parse_holding, parse_joints, parse_now
 from falsework.cli.robot_reports import (
     check_record,
+    check_texts,
     holds_record,
     holds_text,
     overloads_of,
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
     from falsework.robots.model.cell import Cell
     from falsework.robots.planning.hybrid_result import HybridResult
     from falsework.robots.plans.robot_plan import RobotPlan
-    from falsework.robots.schedule.simulation import SimulationReport
     from falsework.search.problem.guide import Guide
     from falsework.search.problem.task import Task
 
@@ -274,9 +274,10 @@ class CheckRobots(Command):
     def run(self, output: Output) -> Exit:
         """Load, compare, verify."""
         from falsework.robots.cells.cell_file import load_cell
-        from falsework.robots.plans.check import check_robot_plan
+        from falsework.robots.checks.check import check_robot_plan
         from falsework.robots.plans.grip_loads import grip_loads, overloads
         from falsework.robots.plans.robot_plan_file import load_robot_plan
+        from falsework.robots.schedule.simulation import simulate
         from falsework.search.plans.plan_check import validate_plan
         from falsework.search.plans.plan_source import structure_of_plan
 
@@ -284,7 +285,7 @@ class CheckRobots(Command):
             raise InputError("--longest-delay is for delayed runs; give their number too, such as --delays 1000")
         plan = load_robot_plan(self.plan)
         assembly = structure_of_plan(plan.plan, self.plan, self.structure, **self.reading.given())
-        place = self.cell or _cell_of(plan, self.plan)
+        place = self.cell or cell_of(plan, self.plan)
         cell = load_cell(place)
         with output.bar("checking motions") as show:
             report = check_robot_plan(
@@ -295,7 +296,9 @@ class CheckRobots(Command):
                 progress=lambda done, total: show(done, total, f"step {done}"),
             )
         # Only a plan whose motions are within limits, and so of bounded duration, is worth simulating.
-        runs = None if self.delays is None or not report.good else self._simulated(plan)
+        runs = None
+        if self.delays is not None and report.good:
+            runs = simulate(plan, runs=self.delays, most=self.longest_delay)
         stable = None if self.motions_only else validate_plan(plan.plan, assembly)
         loads = [] if report.loads is None else list(report.loads)
         if report.loads is None and stable is not None and stable.good:
@@ -329,18 +332,8 @@ class CheckRobots(Command):
         if not good:
             return Exit.NO
         output.say(scope_text(plan, assembly, cell, place))
-        states = "" if stable is None else f", all {stable.states} states are stable"
-        links = ", ".join(f"{robot} as {shapes}" for robot, shapes in report.links.items())
-        timed = f" and at {report.timed_samples} moments of its schedule" if report.timed_samples else ""
-        output.say(
-            f"{self.plan}: no collision in {report.samples} configurations of {report.trajectories} motions{timed} "
-            f"(links of {links}), all within limits{states}"
-        )
-        if report.delays is not None:
-            output.say(
-                f"whatever the delays, states keep their order and arms keep apart: {report.delays.overlaps} pairs of "
-                "motions and rests can coincide, and are free of collisions between samples too"
-            )
+        for text in check_texts(str(self.plan), report, None if stable is None else stable.states):
+            output.say(text)
         if runs is not None:
             output.say(runs_text(runs, self.longest_delay))
         for record in holds:
@@ -348,19 +341,6 @@ class CheckRobots(Command):
         for claim in open_claims:
             output.say(f"not verified: {claim}")
         return Exit.DONE
-
-    def _simulated(self, plan: RobotPlan) -> SimulationReport:
-        from falsework.robots.schedule.simulation import simulate
-
-        assert self.delays is not None
-        return simulate(plan, runs=self.delays, most=self.longest_delay)
-
-
-def _cell_of(plan: RobotPlan, file: Path) -> str:
-    if plan.cell_source is None:
-        raise InputError(f"{file} does not say where its cell is; name it with --cell")
-    beside = file.resolve().parent / plan.cell_source
-    return str(beside) if beside.is_file() else plan.cell_source
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -404,7 +384,7 @@ class ExportRobots(Command):
         plan = load_robot_plan(self.plan)
         if self.assembly_order and plan.direction is Direction.DISASSEMBLY:
             plan = plan.reverse()
-        cell, shapes = load_cell(self.cell or _cell_of(plan, self.plan)), None
+        cell, shapes = load_cell(self.cell or cell_of(plan, self.plan)), None
         if self.format == "mcap":
             try:
                 shapes = structure_of_plan(plan.plan, self.plan, self.structure)

@@ -264,7 +264,7 @@ def test_a_row_of_the_table(tmp_path: Path, row: str, does: str) -> None:
         assert said == []
     assert case.holds(model)
     pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'falsework[robots]'")
-    from falsework.robots.plans.check_descriptions import description_fault
+    from falsework.robots.checks.descriptions import description_fault
 
     assert description_fault(model) == ""
 
@@ -328,7 +328,7 @@ def test_what_a_cell_file_states_twice_or_for_nobody(tmp_path: Path) -> None:
 def test_the_check_has_its_own_reading(tmp_path: Path, old: str, new: str, message: str) -> None:
     """An arm that was read wrongly, as from another file, is found out by its description."""
     pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'falsework[robots]'")
-    from falsework.robots.plans.check_descriptions import description_fault
+    from falsework.robots.checks.descriptions import description_fault
 
     file = written(tmp_path, Case())
     model = load_urdf(file)

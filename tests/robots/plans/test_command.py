@@ -286,7 +286,9 @@ def test_where_nothing_is_left_to_do_there_is_a_plan_without_steps(
     assert records[-1]["found"]
     assert records[-1]["steps"] == 0
     assert records[-1]["makespan"] == 0.0
-    assert run("robots", "check", out)[0] == 0
+    code, _, error = run("robots", "check", out)
+    assert code == 1  # a check that has checked nothing does not say that all is well
+    assert "the plan has no steps" in error
 
 
 @pytest.mark.parametrize("values", [[0, 0, 0, 0, 0, True], [0, 0, 0, 0, 0, "0.1"], {"joint_1": 0}, None])

@@ -15,15 +15,16 @@ pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'fal
 
 from falsework.assembly.model import Assembly
 from falsework.errors import PlanError
+from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.keyframes.keyframes import PathSegment
 from falsework.robots.keyframes.trajectory_assembly import timed_leg
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.cell import Cell, Obstacle, cell_identity
 from falsework.robots.model.shapes import block
-from falsework.robots.plans.check import check_robot_plan
-from falsework.robots.plans.robot_plan import RobotPlan, Trajectory, records_of
+from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.robot_plan_file import robot_plan_from_dict, robot_plan_to_dict
+from falsework.robots.plans.robot_record import records_of
 from falsework.search.plans.plan_check import validate_plan
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "robot-plan-checks.md"
@@ -275,7 +276,7 @@ def wrong_urdf(case: Case) -> str:
     """Turn the second joint of a description after it was read."""
     import tempfile
 
-    from falsework.robots.plans.check_descriptions import description_fault
+    from falsework.robots.checks.descriptions import description_fault
     from tests.robots.cells.arm_description import arm_model, urdf_text
 
     with tempfile.TemporaryDirectory() as folder:
@@ -320,6 +321,7 @@ FORGED: dict[str, Callable[[Case], Case | str]] = {
     "grippers are those of the cell": lambda case: case.recorded(gripper="welder"),
     "tool frames are those of the cell": lambda case: case.recorded(tool=np.eye(4)),
     "an arm is the one that its URDF file describes": wrong_urdf,
+    "arms begin where the plan says": lambda case: case.framed(0, 1, np.array([0.0, 3.0, 0.0, 0.0, 0.0, 0.0])),
     "bases stand free of parts, obstacles, each other and the floor": lambda case: case.in_cell(
         obstacles=(Obstacle("wall", (block((-1.3, -0.2, 0.0), (-1.0, 0.2, 0.3)),)),)
     ),

@@ -10,11 +10,11 @@ pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'fal
 from falsework.assembly import load_structure
 from falsework.assembly.library.blocks import box, gather
 from falsework.assembly.model import Assembly
+from falsework.robots.checks.grips import surface_fault
 from falsework.robots.grasping.grasp import candidates
 from falsework.robots.model.cell import Gripper, Placement
 from falsework.robots.model.part_shapes import PartShapes, place_parts
 from falsework.robots.model.shapes import block, cylinder, pose
-from falsework.robots.plans.check_grips import surface_fault
 
 CUBE = 0.2
 TOOL = np.array(pose((0.0, 0.0, 0.1)))

@@ -16,17 +16,18 @@ pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'fal
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED
 from falsework.errors import PlanError, StateError
+from falsework.robots.checks.check import CheckReport, check_robot_plan
 from falsework.robots.model.cell import Cell, cell_identity
-from falsework.robots.plans.check import CheckReport, check_robot_plan
 from falsework.robots.plans.export import export_plan
 from falsework.robots.plans.programs import Begin, Grip, PublishCount, Wait, commands_of
-from falsework.robots.plans.robot_plan import RobotPlan, records_of
+from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import (
     load_robot_plan,
     robot_plan_from_dict,
     robot_plan_to_dict,
     save_robot_plan,
 )
+from falsework.robots.plans.robot_record import records_of
 from falsework.robots.plans.timeline import arm_shares, event_times, nodes_of
 from falsework.search import Direction
 from falsework.search.plans.plan_check import validate_plan

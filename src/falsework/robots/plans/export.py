@@ -18,8 +18,8 @@ from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.errors import InputError, PlanError
 from falsework.robots.cells.cell_file import AnyCell, as_cell
 from falsework.robots.model.part_shapes import place_parts
-from falsework.robots.plans.check_motions import first_limit_fault
 from falsework.robots.plans.mcap_bag import PlacedParts, write_bag
+from falsework.robots.plans.motion_limits import first_limit_fault
 from falsework.robots.plans.programs import Grip, events_of, rapid_modules, ur_scripts
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.robot_plan_file import rounded

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import perm
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import HELD, States
 from falsework.errors import PlanError
 from falsework.robots.model.cell import Cell, cell_identity
+from falsework.robots.plans.robot_record import RobotRecord, record_fault
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.task import Direction
 
@@ -22,9 +23,6 @@ if TYPE_CHECKING:
     from falsework.robots.plans.temporal_graph import TemporalPlanGraph
 
 Array = NDArray[np.float64]
-
-_SAME_POSE = 1e-9
-"""Entries of poses that differ by no more are equal."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,20 +189,6 @@ class Keyframe:
     def load(self, robot: int) -> int | None:
         """Return the part that a robot carries."""
         return self.carried[robot] if self.carried else None
-
-
-@dataclass(frozen=True, eq=False)
-class RobotRecord:
-    """Robot of a plan, described without its cell file."""
-
-    name: str
-    model: str
-    joint_names: tuple[str, ...]
-    base: Array
-    """Pose of the base in the world, shape (4, 4)."""
-    gripper: str
-    tool: Array
-    """Tool frame in the frame of the flange, shape (4, 4)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -384,38 +368,10 @@ class RobotPlan:
                 f"the robot plan is for another cell {self.cell_name} than this {cell.name}: something in it differs; "
                 "give the cell that it was made for, or plan again"
             )
-        wanted = records_of(cell)
-        if len(self.robots) != len(wanted):
-            raise PlanError(f"the robot plan has {len(self.robots)} robots, {cell.name} has {len(wanted)}; plan again")
-        for number, (mine, robot) in enumerate(zip(self.robots, wanted, strict=True)):
-            for entry in fields(RobotRecord):
-                here, there = getattr(mine, entry.name), getattr(robot, entry.name)
-                if isinstance(there, np.ndarray):
-                    if here.shape == there.shape and np.abs(here - there).max() <= _SAME_POSE:
-                        continue
-                    what = f"has another {entry.name} pose for robot {robot.name} than"
-                elif here == there:
-                    continue
-                else:
-                    what = f"says {here!r} as the {entry.name.replace('_', ' ')} of robot {number}, not {there!r} as"
-                raise PlanError(f"the robot plan {what} the cell {cell.name}; plan again")
+        if fault := record_fault(self.robots, cell):
+            raise PlanError(f"the robot plan {fault}; plan again")
 
 
 def acts(step: RobotStep) -> bool:
     """Return whether a step has an action of the plan: it is neither half of a hand-over nor a transit."""
     return step.hands_over is None and not step.transit
-
-
-def records_of(cell: Cell) -> tuple[RobotRecord, ...]:
-    """Return the records of the robots of a cell for a plan."""
-    return tuple(
-        RobotRecord(
-            robot.name,
-            robot.model.name,
-            tuple(robot.model.joint_names),
-            np.array(robot.base),
-            robot.gripper.name,
-            np.array(robot.gripper.tool),
-        )
-        for robot in cell.robots
-    )

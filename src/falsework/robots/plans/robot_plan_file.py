@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from falsework.errors import PlanError
 from falsework.robots.plans.loads import put_down_fault, transit_fault
-from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotRecord, RobotStep, Trajectory
+from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Trajectory
+from falsework.robots.plans.robot_record import RobotRecord
 from falsework.robots.plans.temporal_graph import MotionNode, Precedence, Reason, TemporalPlanGraph
 from falsework.robots.plans.timeline import nodes_of
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.robots.checks.libraries import import_pinocchio
 from falsework.robots.model.robot_model import RobotModel
-from falsework.robots.plans.pinocchio_checker import import_pinocchio
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from shapely import MultiPoint, Point, Polygon
 
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
@@ -17,26 +16,25 @@ from falsework.assembly.state import HELD, REMOVED
 from falsework.errors import CellError, InputError
 from falsework.robots.cells.cell_file import AnyCell, as_cell
 from falsework.robots.cells.validate import check_bases
+from falsework.robots.checks.delays import DelayReport, check_delays
+from falsework.robots.checks.descriptions import description_fault
+from falsework.robots.checks.grips import GripChecker
+from falsework.robots.checks.handling import HandlingChecker, place_lines
+from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
+from falsework.robots.checks.put_down import put_down_faults
+from falsework.robots.checks.schedule import check_schedule
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
-from falsework.robots.model.shapes import inverse_pose, move
-from falsework.robots.plans.check_delays import DelayReport, check_delays
-from falsework.robots.plans.check_descriptions import description_fault
-from falsework.robots.plans.check_grips import GripChecker
-from falsework.robots.plans.check_handling import HandlingChecker, place_lines
-from falsework.robots.plans.check_motions import check_limits
-from falsework.robots.plans.check_schedule import check_schedule
 from falsework.robots.plans.grip_loads import GripLoad, grip_loads, overloads
 from falsework.robots.plans.loads import (
     Load,
     load_of,
     loads_at,
     loads_beside,
-    lying_motions,
     put_down_fault,
     transit_fault,
 )
-from falsework.robots.plans.pinocchio_checker import PinocchioCollisionChecker
+from falsework.robots.plans.motion_limits import check_limits
 from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.search.problem.task import Direction
@@ -48,10 +46,10 @@ Progress = Callable[[int, int], None]
 _OVERLAP = 0.001
 """Allowed overlap of a part with its neighbours as it leaves or reaches its place, metres; where the structure's
 own meshes overlap by more at that place, this is doubled until they do not."""
-_STEADY = 0.05
-"""Least distance of a centre of mass from the edges of the face that a part stands on, in square roots of its area."""
 _SAME_JOINT = 1e-5
 """Joint values that differ by no more are equal, rad or m."""
+_OUTSIDE = 1e-6
+"""Amount by which a joint may exceed a position limit, rad or m."""
 _MAX_PROBLEMS = 20
 """Number of problems after which the check stops."""
 
@@ -172,7 +170,8 @@ class _Checker:
         elif step.gripped is not None:
             self._gripped(index, step.gripped)
         elif step.put_down is not None:
-            self._put_down(index, part, step.put_down, present)
+            for fault, pair in put_down_faults(self.plan, index, self.grips, present):
+                self.say(index, robot, fault, pair=pair)
         for fault in self.handling.faults(index):
             self.say(index, robot, fault)
         for other, (old, new) in enumerate(zip(before.held, after.held, strict=True)):
@@ -192,10 +191,12 @@ class _Checker:
                 self._joins(index, other, old, new, new)
 
     def at_rest(self, index: int, when: str) -> None:
-        """Check that the configurations of the first or the last keyframe are free of collisions."""
+        """Check that the configurations of the first or the last keyframe are within limits, and free of collisions."""
         frame, present = self.plan.keyframes[index], self.plan.states[index] != REMOVED
         loads = loads_at(self.plan, index)
         for robot, values in enumerate(frame.configurations):
+            if not self.cell.robots[robot].model.within_limits(values, _OUTSIDE):
+                self.say(min(index, len(self.plan) - 1), robot, f"at the {when} a joint is outside its limits")
             others = {other: load for other, load in loads.items() if other != robot}
             given = {"touches": frame.held[robot], "load": loads.get(robot), "loads": others}
             move = self.judge.prepare(robot, frame.configurations, present, **given)
@@ -240,32 +241,6 @@ class _Checker:
         if fault := self.grips.fault(robot, values, part):
             self.say(index, robot, f"{fault}, which it should carry")
 
-    def _put_down(self, index: int, part: int, pose: Array, present: NDArray[np.bool_]) -> None:
-        """Check that a part lies free and at rest on the floor, where its robot has it, within reach of the gripper.
-
-        Robots beside it are checked with the motions meanwhile.
-        """
-        step, lying = self.plan.steps[index], lying_motions(self.plan, index)
-        robot, name = step.robot, self.judge.parts.names[part]
-        ends = step.trajectories[lying.start].positions[0], step.trajectories[lying.stop - 1].positions[-1]
-        for values in ends:
-            if fault := self.grips.fault(robot, values, part, pose):
-                self.say(index, robot, f"{fault}, which lies on the floor")
-        # In the grip in which the part is in its place, it must come to lie there, or be lifted from there.
-        apart = self.plan.direction is Direction.DISASSEMBLY
-        there = self.judge.flange(robot, ends[0 if apart else 1])
-        carried = there @ inverse_pose(self.judge.flange(robot, self._grip(index, robot)))
-        corners = self.judge.parts.meshes[part].vertices
-        far = float(np.linalg.norm(move(carried, corners) - move(pose, corners), axis=1).max())
-        if far > _OVERLAP:
-            self.say(index, robot, f"{name} lies {1000 * far:.1f} mm away from where its robot has it")
-        other = self.judge.obstructs(Load(part, None, pose), present)
-        if other is not None:
-            self.say(index, robot, f"{name} is put down in {other}", pair=(f"part {name}", other))
-        why = unrest(move(pose, corners), move(pose, self.judge.parts.center[part : part + 1])[0], self.cell.floor)
-        if why:
-            self.say(index, robot, f"{name} does not rest where it is put down: {why}")
-
     def _joins(self, index: int, robot: int, here: Array, there: Array, end: Array) -> Array:
         far = float(np.abs(here - there).max())
         self.largest_join = max(self.largest_join, far)
@@ -288,7 +263,7 @@ class _Checker:
         if len(samples) > 1:
             self.largest_step = max(self.largest_step, float(np.abs(np.diff(samples, axis=0)).max()))
         model = self.cell.robots[robot].model
-        outside = ~model.within_limits(samples, 1e-6)
+        outside = ~model.within_limits(samples, _OUTSIDE)
         if outside.any():
             row = int(np.argmax(outside))
             beyond = np.maximum(samples[row] - model.upper, model.lower - samples[row])
@@ -310,28 +285,6 @@ class _Checker:
                 place = tuple(values.tolist())
                 self.say(index, robot, what, pair=pair, seconds=float(moment), configuration=place)
                 return
-
-
-def unrest(corners: Array, center: Array, floor: float | None) -> str:
-    """Return why a part would not rest on the floor; empty if it stands on a face of some width.
-
-    Args:
-        corners: its vertices, shape (vertices, 3).
-        center: its centre of mass, shape (3,).
-        floor: height of the floor; None: there is none.
-    """
-    if floor is None:
-        return "the cell has no floor"
-    gap = float(corners[:, 2].min()) - floor
-    if abs(gap) > _OVERLAP:
-        return f"it is {1000 * abs(gap):.1f} mm {'above' if gap > 0 else 'below'} the floor"
-    base = MultiPoint(corners[corners[:, 2] < floor + _OVERLAP, :2]).convex_hull
-    if not isinstance(base, Polygon) or base.area <= 0:
-        return "it stands on an edge or a corner"
-    inside = base.contains(Point(center[:2]))
-    if not inside or base.exterior.distance(Point(center[:2])) < _STEADY * np.sqrt(base.area):
-        return "its centre of mass is not well above the face that it stands on"
-    return ""
 
 
 def check_robot_plan(
@@ -381,6 +334,8 @@ def check_robot_plan(
     began = time.perf_counter()
     checker = _Checker(plan, assembly, cell, step)
     checker.surroundings()
+    if not len(plan):
+        checker.say(0, 0, "the plan has no steps, so that nothing is checked")
     bounded = checker.limits()
     if bounded:
         checker.at_rest(0, "start")

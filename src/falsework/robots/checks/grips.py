@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.model.cell import GRIP_DEPTH, GRIP_DISTANCE, GRIP_TILT, Cell, Gripper
-from falsework.robots.plans.pinocchio_checker import PinocchioCollisionChecker
 
 Array = NDArray[np.float64]
 

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from falsework.errors import DependencyError
 from falsework.geometry.mesh.collision import shrink
 from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.robots.checks.libraries import import_pinocchio
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.robot_model import RobotModel
@@ -28,22 +28,6 @@ Array = NDArray[np.float64]
 
 WORLD = 0
 """Index of Pinocchio's fixed joint."""
-
-
-def import_pinocchio() -> tuple[Any, Any]:
-    """Return the modules Pinocchio and Coal.
-
-    Raises:
-        DependencyError: not installed; the message names the extra.
-    """
-    try:
-        import coal
-        import pinocchio
-    except ImportError:
-        raise DependencyError(
-            "checking robot plans needs Pinocchio and Coal; install them: pip install 'falsework[robots]'"
-        ) from None
-    return pinocchio, coal
 
 
 @dataclass(frozen=True, eq=False)

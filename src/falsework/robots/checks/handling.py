@@ -10,11 +10,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.robots.checks.grips import GripChecker
 from falsework.robots.model.cell import LONGEST_APPROACH, LONGEST_WITHDRAWAL, Cell
 from falsework.robots.model.shapes import inverse_pose, move
-from falsework.robots.plans.check_grips import GripChecker
-from falsework.robots.plans.check_motions import line_fault
 from falsework.robots.plans.loads import load_of, lying_motions
+from falsework.robots.plans.motion_limits import line_fault
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.search.problem.task import Direction
 
