@@ -167,10 +167,11 @@ def scope_record(plan: RobotPlan, assembly: Assembly, cell: Cell, place: str) ->
 def scope_text(plan: RobotPlan, assembly: Assembly, cell: Cell, place: str) -> str:
     """Return what a robot plan was checked against, in one sentence."""
     record = scope_record(plan, assembly, cell, place)
+    first, last = (int((state != 0).sum()) for state in plan.plan.states[[0, -1]])
     starts = f"; {' and '.join(record['not_at_home'])} not at home at the start" if record["not_at_home"] else ""
     return (
         f"{plan.direction.value} of {assembly.name} ({assembly.identity[:12]}) in {len(plan)} steps from "
-        f"{record['start']} to {record['end']}, in cell {cell.name} of {place} ({plan.cell_identity[:12]}) with "
+        f"{first} to {last} parts, in cell {cell.name} of {place} ({plan.cell_identity[:12]}) with "
         f"{', '.join(record['robots'])}, criterion {record['criterion']}{starts}"
     )
 

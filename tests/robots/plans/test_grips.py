@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -10,11 +12,13 @@ pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'fal
 from falsework.assembly import load_structure
 from falsework.assembly.library.blocks import box, gather
 from falsework.assembly.model import Assembly
+from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.checks.grips import surface_fault
 from falsework.robots.grasping.grasp import candidates
-from falsework.robots.model.cell import Gripper, Placement
+from falsework.robots.model.cell import Cell, Gripper, Placement, cell_identity
 from falsework.robots.model.part_shapes import PartShapes, place_parts
 from falsework.robots.model.shapes import block, cylinder, pose
+from falsework.robots.planning.hybrid_planner import plan_robots
 
 CUBE = 0.2
 TOOL = np.array(pose((0.0, 0.0, 0.1)))
@@ -56,6 +60,24 @@ def placed(name: str) -> tuple[Assembly, PartShapes]:
     assembly = thin_faces() if name == "bars" else load_structure(name)
     size = float(np.median([np.ptp(mesh.vertices, axis=0).max() for mesh in assembly.meshes]))
     return assembly, place_parts(assembly, Placement(scale=CUBE / size), tolerance=1.0)
+
+
+def test_a_plan_with_jaws_is_right(make_boxes: Callable[..., Assembly], cell_of: Callable[..., Cell]) -> None:
+    """Fingers are drawn where they are open, 3.5 cm beside the part; narrower jaws do not hold it."""
+    from dataclasses import replace
+
+    assembly, plain = make_boxes((-0.1, -0.1, 0.0)), cell_of(1)
+    fingers = tuple(block((x, -0.02, 0.08), (x + 0.02, 0.02, 0.179)) for x in (-0.155, 0.135))
+    palm = block((-0.155, -0.03, 0.0), (0.155, 0.03, 0.08))
+    tool = np.array(pose((0.0, 0.0, 0.18)))
+    jaws = Gripper("jaws", "jaw", (palm, *fingers), tool, 10.0, mass=1.0, opening=0.27, depth=0.06)
+    cell = replace(plain, robots=(replace(plain.robots[0], gripper=jaws),))
+    plan = plan_robots(assembly, cell).plan
+    assert plan is not None
+    assert check_robot_plan(plan, assembly, cell).good
+    narrow = replace(cell, robots=(replace(cell.robots[0], gripper=replace(jaws, opening=0.19)),))
+    said = check_robot_plan(replace(plan, cell_identity=cell_identity(narrow)), assembly, narrow).problems
+    assert any("is 200.0 mm wide, the jaws open to 190.0 mm" in problem.what for problem in said)
 
 
 @pytest.mark.parametrize("name", ["arch:blocks=7", "dome", "catenary", "bars"])

@@ -49,7 +49,7 @@ class GripChecker:
     def _fault(self, robot: int, configuration: Array, part: int, pose: Array | None) -> str:
         name, gripper = self.judge.parts.names[part], self.cell.robots[robot].gripper
         far = self.judge.grip_distance(robot, configuration, part, pose)
-        if far > GRIP_DISTANCE:
+        if far > gripper.grip_distance:
             return f"the gripper is {1000 * far:.1f} mm away from {name}"
         if self.judge.is_pierced(robot, configuration, part, pose):
             return f"the gripper is inside {name}"

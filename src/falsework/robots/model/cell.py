@@ -15,7 +15,7 @@ from falsework.robots.model.shapes import Pieces, pose
 Array = NDArray[np.float64]
 
 GRIP_DISTANCE = 0.005
-"""Largest distance of a gripper from a part that it holds, metres."""
+"""Largest distance of a cup, or of closed jaws, from a part that is held, metres."""
 GRIP_DEPTH = 0.001
 """Largest depth of a tool frame below the surface that it touches, metres."""
 FLAT_DEGREES = 12.0
@@ -57,6 +57,11 @@ class Gripper:
     """Largest force on a part that it holds in place, in any direction, N."""
     moment: float = np.inf
     """Largest moment about the origin of the tool frame, about any axis, Nm."""
+
+    @property
+    def grip_distance(self) -> float:
+        """Largest distance of its bodies from a part that it holds, metres: those of jaws are where they are open."""
+        return GRIP_DISTANCE + self.opening / 2
 
     @property
     def press_depth(self) -> float:
