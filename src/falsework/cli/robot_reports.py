@@ -187,6 +187,10 @@ def unverified(plan: RobotPlan, report: CheckReport, *, states: bool) -> list[st
     found = []
     if not states:
         found.append("the stability of the states, and the forces that robots bear where grippers have no limits")
+    if plan.plan.proof_arrays() is not None:
+        found.append("the certificates in the file; those of the check are computed anew")
+    if plan.plan.margins is not None:
+        found.append("the margins that the plan records")
     if plan.plan.replay is not None:
         found.append("that a replay of the plan succeeds")
     if plan.schedule is not None and report.lower_bound is not None:

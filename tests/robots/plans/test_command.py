@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 
@@ -77,11 +78,64 @@ def test_plan_check_export(run: Callable, cell_file: Path, tmp_path: Path) -> No
     assert records[0]["stable"]
     assert records[0]["problems"] == []
     assert records[0]["links"] == {"arm": "convex pieces"}
+    assert records[0]["checked"]["structure_identity"] == plan.plan.identity
+    assert records[0]["checked"]["cell_identity"] == plan.cell_identity
+    assert records[0]["checked"]["robots"] == ["arm"]
+    assert [records[0]["checked"][key] for key in ("steps", "start", "end", "not_at_home")] == [4, "112", "002", []]
+    assert records[0]["unverified"] == ["that a replay of the plan succeeds"]
+    code, records, error = run("robots", "check", out, "--json", "--motions-only")
+    assert code == 0
+    assert len(records[0]["unverified"]) == 2
+    assert "the stability of the states" in records[0]["unverified"][0]
     for form, name in (("ros2-json", "plan.json"), ("csv", "plan.csv"), ("rapid", "arm.mod")):
         folder = tmp_path / form
         code, _, error = run("robots", "export", out, "--format", form, "--assembly-order", "--out", folder)
         assert code == 0, error
         assert (folder / name).is_file()
+
+
+@pytest.mark.parametrize("command", [("check",), ("export", "--format", "rapid", "--out", "programs")])
+def test_a_plan_for_other_robots_is_refused(
+    run: Callable, cell_file: Path, tmp_path: Path, command: tuple[str, ...]
+) -> None:
+    """By the check and before a program is written."""
+    out = tmp_path / "robot_plan.json"
+    assert run("robots", "plan", STACK, "--cell", cell_file, "--out", out, "--criterion", "equilibrium")[0] == 0
+    data = json.loads(out.read_text())
+    data["cell"]["robots"][0]["joints"].reverse()
+    out.write_text(json.dumps(data))
+    given = [tmp_path / word if word == "programs" else word for word in command[1:]]
+    code, _, error = run("robots", command[0], out, *given)
+    assert code == 2
+    assert "as the joint names of robot 0" in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "programs").exists()
+
+
+@pytest.mark.parametrize("factor", [1e6, 1e-9])
+def test_small_files_do_not_take_much_memory(run: Callable, cell_file: Path, tmp_path: Path, factor: float) -> None:
+    """A motion of days, or of joints that turn a million times, is refused before it is sampled."""
+    out = tmp_path / "robot_plan.json"
+    assert run("robots", "plan", STACK, "--cell", cell_file, "--out", out, "--criterion", "equilibrium")[0] == 0
+    data = json.loads(out.read_text())
+    for trajectory in data["steps"][0]["trajectories"]:
+        trajectory["times"] = [moment * factor for moment in trajectory["times"]]
+        trajectory["velocities"] = [[value / factor for value in row] for row in trajectory["velocities"]]
+    if factor < 1:
+        data["steps"][0]["trajectories"][0]["positions"][3][0] = 1e7
+    out.write_text(json.dumps(data))
+    tracemalloc.start()
+    try:
+        code, records, error = run("robots", "check", out, "--json", "--motions-only")
+        assert code == 1
+        assert records[0]["samples"] == 0
+        assert "a motion takes" in error if factor > 1 else "is outside its limits" in error
+        code, _, error = run("robots", "export", out, "--format", "csv", "--out", tmp_path / "tables")
+        assert code == 2
+        assert "cannot be exported" in error
+        assert tracemalloc.get_traced_memory()[1] < 50e6
+    finally:
+        tracemalloc.stop()
 
 
 def test_a_bag_says_what_it_lacks(run: Callable, cell_file: Path, tmp_path: Path) -> None:
