@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.assembly.state import States
     from falsework.robots.model.cell import Cell
-    from falsework.robots.plans.robot_plan import RobotPlan
 
 
 def parse_joints(text: str | None, cell: Cell) -> list[Any] | None:
@@ -154,11 +153,3 @@ def _robot(name: str, cell: Cell, option: str) -> int:
     if name not in names:
         raise InputError(f"{option}: the cell {cell.name} has no robot {name!r}; there are {', '.join(names)}")
     return names.index(name)
-
-
-def cell_of(plan: RobotPlan, file: Path) -> str:
-    """Return the cell that a robot plan names: a file, seen from that of the plan, or a built-in cell."""
-    if plan.cell_source is None:
-        raise InputError(f"{file} does not say where its cell is; name it with --cell")
-    beside = file.resolve().parent / plan.cell_source
-    return str(beside) if beside.is_file() else plan.cell_source

@@ -15,7 +15,7 @@ from falsework.cli.command import UNSET, Command, LoadOptions, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.output import counted
 from falsework.cli.planning import refuse_unstable, writable
-from falsework.cli.robot_arguments import cell_of, parse_grips, parse_holding, parse_joints, parse_now
+from falsework.cli.robot_arguments import parse_grips, parse_holding, parse_joints, parse_now
 from falsework.cli.robot_reports import (
     check_record,
     check_texts,
@@ -285,7 +285,7 @@ class CheckRobots(Command):
             raise InputError("--longest-delay is for delayed runs; give their number too, such as --delays 1000")
         plan = load_robot_plan(self.plan)
         assembly = structure_of_plan(plan.plan, self.plan, self.structure, **self.reading.given())
-        place = self.cell or cell_of(plan, self.plan)
+        place = self.cell or plan.cell_place(self.plan)
         cell = load_cell(place)
         with output.bar("checking motions") as show:
             report = check_robot_plan(
@@ -384,7 +384,7 @@ class ExportRobots(Command):
         plan = load_robot_plan(self.plan)
         if self.assembly_order and plan.direction is Direction.DISASSEMBLY:
             plan = plan.reverse()
-        cell, shapes = load_cell(self.cell or cell_of(plan, self.plan)), None
+        cell, shapes = load_cell(self.cell or plan.cell_place(self.plan)), None
         if self.format == "mcap":
             try:
                 shapes = structure_of_plan(plan.plan, self.plan, self.structure)

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import perm
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
@@ -360,6 +361,20 @@ class RobotPlan:
             part = assembly.names[int(np.argmax(self.plan.boundary != assembly.boundary))]
             raise PlanError(f"part {part} is boundary in either the robot plan or the structure only; plan again")
         self.check_cell(cell)
+
+    def cell_place(self, file: Path | str) -> str:
+        """Return the cell that the plan names, for `load_cell`: a file, seen from that of the plan, or a built-in cell.
+
+        Args:
+            file: file that the plan was read from.
+
+        Raises:
+            PlanError: it names none.
+        """
+        if self.cell_source is None:
+            raise PlanError(f"{file} does not say where its cell is; name it (--cell, or cell= in Python)")
+        beside = Path(file).resolve().parent / self.cell_source
+        return str(beside) if beside.is_file() else self.cell_source
 
     def check_cell(self, cell: Cell) -> None:
         """Raise PlanError unless the plan is for this cell, and the robots that it records are those of the cell."""
