@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -338,3 +338,15 @@ def test_the_check_has_its_own_reading(tmp_path: Path, old: str, new: str, messa
     assert re.search(message, description_fault(model))
     file.unlink()
     assert "is gone" in description_fault(model)
+
+
+@pytest.mark.parametrize("srdf", ["", '<robot><disable_collisions link1="base" link2="one"/></robot>'])
+def test_the_check_knows_which_links_are_left_out(tmp_path: Path, srdf: str) -> None:
+    """A pair that no SRDF excludes, and that does not always touch, must be checked."""
+    pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'falsework[robots]'")
+    from falsework.robots.checks.descriptions import description_fault
+
+    model = load_urdf(written(tmp_path, Case(srdf=srdf)))
+    assert description_fault(model) == ""
+    blind = replace(model, ignored=model.ignored | {(0, 2)})
+    assert "links base and two are not checked for collisions" in description_fault(blind)

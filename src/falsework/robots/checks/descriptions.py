@@ -1,4 +1,4 @@
-"""Check of arms against their URDF files, as Pinocchio reads them: joints, couplings, limits, frames and shapes."""
+"""Check of arms against their URDF files, as Pinocchio reads them: joints, limits, frames, shapes and pairs."""
 
 from __future__ import annotations
 
@@ -16,6 +16,9 @@ Array = NDArray[np.float64]
 
 _SAMPLES = 8
 """Random configurations in which the frames of both readings are compared."""
+_TOUCH_SAMPLES, _TOUCH_SHARE = 200, 0.85
+"""Random configurations in which links are compared that are not checked against each other, and in what share of them
+they must touch: less than the reader of cells asks for, since the configurations are others."""
 _SAME = 1e-6
 """Largest difference of poses and limits, m, rad, rad/s."""
 
@@ -38,7 +41,12 @@ def description_fault(model: RobotModel) -> str:
         read = pinocchio.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"), True)
     except Exception as error:  # of its parser, of no common class
         return f"its description {file} cannot be read by Pinocchio: {' '.join(str(error).split())}"
-    return _joint_fault(model, read, file) or _frame_fault(pinocchio, model, read, file) or _shape_fault(model, file)
+    return (
+        _joint_fault(model, read, file)
+        or _frame_fault(pinocchio, model, read, file)
+        or _shape_fault(model, root, file)
+        or _pair_fault(model, root, file)
+    )
 
 
 def _joint_fault(model: RobotModel, read: Any, file: Path) -> str:
@@ -88,23 +96,74 @@ def _frame_fault(pinocchio: Any, model: RobotModel, read: Any, file: Path) -> st
     return ""
 
 
-def _shape_fault(model: RobotModel, file: Path) -> str:
+def _shape_fault(model: RobotModel, root: ElementTree.Element, file: Path) -> str:
     """Return whether an arm has fewer shapes than the links of the file that it carries."""
-    root = ElementTree.parse(file).getroot()
+    for number, (name, links) in enumerate(zip(model.link_names, _carried(model, root), strict=True)):
+        wanted = sum(len(link.findall("collision")) or len(link.findall("visual")) for link in links)
+        has = len(model.pieces[number]) if model.meshes is None else len(model.meshes[number])
+        if has < wanted:
+            return f"{file.name}: link {name} has {wanted} shapes, it is checked with {has}"
+    return ""
+
+
+def _pair_fault(model: RobotModel, root: ElementTree.Element, file: Path) -> str:
+    """Return which links are not checked against each other, although no SRDF says so, and they can keep apart."""
+    srdf, carried = file.with_suffix(".srdf"), _carried(model, root)
+    apart = sorted((a, b) for a, b in model.ignored if b > a + 1 and carried[a] and carried[b])
+    excluded = set()
+    if srdf.is_file():
+        named = ElementTree.parse(srdf).getroot().iter("disable_collisions")
+        pairs = {frozenset((entry.get("link1"), entry.get("link2"))) for entry in named}
+        excluded = {
+            (a, b)
+            for a, b in apart
+            if all(frozenset((i.get("name"), j.get("name"))) in pairs for i in carried[a] for j in carried[b])
+        }
+    elif apart:
+        excluded = _touching(model, apart)
+    for a, b in apart:
+        if (a, b) not in excluded:
+            return f"{file.name}: links {model.link_names[a]} and {model.link_names[b]} are not checked for collisions"
+    return ""
+
+
+def _touching(model: RobotModel, pairs: list[tuple[int, int]]) -> set[tuple[int, int]]:
+    """Return the pairs of links that touch in nearly all of some random configurations, by Coal."""
+    _, coal = import_pinocchio()
+    hulls = []
+    for link in model.pieces:
+        points = [coal.StdVec_Vec3s() for _ in link]
+        for vertices, piece in zip(points, link, strict=True):
+            vertices.extend([np.array(point, dtype=float) for point in piece])
+        hulls.append([coal.ConvexBase.convexHull(vertices, True, None) for vertices in points])
+    rng, hits = np.random.default_rng(1), dict.fromkeys(pairs, 0)
+    for _ in range(_TOUCH_SAMPLES):
+        poses = [np.eye(4)]
+        for number, value in enumerate(rng.uniform(model.lower, model.upper)):
+            moved = _moved(model.axes[number], value, bool(model.prismatic[number]))
+            poses.append(poses[-1] @ model.origins[number] @ moved)
+        at = [coal.Transform3s(pose[:3, :3], pose[:3, 3]) for pose in poses]
+        for a, b in pairs:
+            hits[a, b] += any(
+                coal.collide(one, at[a], other, at[b], coal.CollisionRequest(), coal.CollisionResult())
+                for one in hulls[a]
+                for other in hulls[b]
+            )
+    return {pair for pair, count in hits.items() if count >= _TOUCH_SHARE * _TOUCH_SAMPLES}
+
+
+def _carried(model: RobotModel, root: ElementTree.Element) -> list[list[ElementTree.Element]]:
+    """Return for each moving link the links with shapes that move with it."""
     above = {j.find("child").get("link"): j.find("parent").get("link") for j in root.findall("joint")}  # type: ignore[union-attr]
     moved = {name: number for number, name in enumerate(model.link_names)}
-    wanted = [0] * len(model.link_names)
+    found: list[list[ElementTree.Element]] = [[] for _ in moved]
     for link in root.findall("link"):
         name: str | None = link.get("name")
         while name is not None and name not in moved:
             name = above.get(name)
-        if name is not None:
-            wanted[moved[name]] += len(link.findall("collision")) or len(link.findall("visual"))
-    for number, name in enumerate(model.link_names):
-        has = len(model.pieces[number]) if model.meshes is None else len(model.meshes[number])
-        if has < wanted[number]:
-            return f"{file.name}: link {name} has {wanted[number]} shapes, it is checked with {has}"
-    return ""
+        if name is not None and (link.find("collision") is not None or link.find("visual") is not None):
+            found[moved[name]].append(link)
+    return found
 
 
 def _moved(axis: Array, value: float, slides: bool) -> Array:
