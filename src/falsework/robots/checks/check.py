@@ -211,11 +211,6 @@ class _Checker:
         action = int(self.plan.actions[index])
         return -1 if action < 0 else action % parts, action >= parts
 
-    def _grip(self, index: int, robot: int) -> Array:
-        """Return the configuration in which the part of a removal, or an insertion, is gripped in place."""
-        apart = self.plan.direction is Direction.DISASSEMBLY
-        return self.plan.keyframes[index if apart else index + 1].configurations[robot]
-
     def _content(self, index: int, order: int, trajectory: Trajectory, part: int, load: Load | None) -> None:
         """Check that a removal always carries its part, and a hold carries none and touches it only on the line.
 
@@ -308,12 +303,14 @@ def check_robot_plan(
 
     - neighbouring links, and the pairs that the robot description excludes;
     - a gripper and the last two links of its arm, and a part in a gripper and the last link and the gripper;
-    - on an approach or a retreat: the gripper and the part that it grips;
+    - on an approach or a retreat, the gripper and the part that it grips: it may press into it by `Gripper.press_depth`;
     - on the lines on which a part leaves or reaches its place, or the floor where it is put down on the way, the part
       is shrunk by the tolerance, since it touches its neighbours and the floor. Everywhere else it has its full size;
       while it lies on the floor it is not checked against the floor, on which it must stand on a face.
 
-    The stability of the states is not checked here; `validate_plan(plan.plan, ...)` does that.
+    Robots, their tools and places, payloads and limits are those of the cell, which the plan must name as they are; the
+    facts that are checked are listed in `docs/robot-plan-checks.md`. The stability of the states is not checked here;
+    `validate_plan(plan.plan, ...)` does that.
 
     Args:
         plan: the robot plan.
