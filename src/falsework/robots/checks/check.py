@@ -303,7 +303,7 @@ def check_robot_plan(
 
     - neighbouring links, and the pairs that the robot description excludes;
     - a gripper and the last two links of its arm, and a part in a gripper and the last link and the gripper;
-    - on an approach or a retreat, the gripper and the part that it grips: it may press into it by `Gripper.press_depth`;
+    - on an approach or a retreat, the gripper may press into the part that it grips, by `Gripper.press_depth`;
     - on the lines on which a part leaves or reaches its place, or the floor where it is put down on the way, the part
       is shrunk by the tolerance, since it touches its neighbours and the floor. Everywhere else it has its full size;
       while it lies on the floor it is not checked against the floor, on which it must stand on a face.
