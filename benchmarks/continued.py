@@ -34,12 +34,12 @@ from states import find
 from falsework.assembly import Assembly
 from falsework.robots.cells.cell_file import load_cell
 from falsework.robots.cells.warm_up import compile_kernels
+from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.model.cell import Cell
 from falsework.robots.planning.end_motions import Continuation
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridSettings
 from falsework.robots.planning.plan_together import plan_together
-from falsework.robots.plans.check import check_robot_plan
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import load_robot_plan, save_robot_plan
 from falsework.robots.plans.timeline import Interruption, interruption

@@ -54,6 +54,10 @@ from falsework.errors import FalseworkError
 from falsework.robots.cells.cell_file import load_cell
 from falsework.robots.cells.validate import check_cell
 from falsework.robots.cells.warm_up import compile_kernels
+from falsework.robots.checks.check import check_robot_plan
+from falsework.robots.checks.delays import check_delays
+from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
+from falsework.robots.checks.schedule import check_schedule
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.model.cell import Cell, CellRobot
 from falsework.robots.model.part_shapes import place_parts
@@ -61,10 +65,6 @@ from falsework.robots.model.shapes import inverse_pose, pose
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
 from falsework.robots.planning.plan_together import plan_together
-from falsework.robots.plans.check import check_robot_plan
-from falsework.robots.plans.check_delays import check_delays
-from falsework.robots.plans.check_schedule import check_schedule
-from falsework.robots.plans.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import save_robot_plan
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph

@@ -77,7 +77,7 @@ def main() -> None:
     print(f"{again} free motions were known from the first plan")
 
     save_robot_plan(other, "robot_plan.json")
-    files = export_plan(other, "motions", "ros2-json")
+    files = export_plan(other, "motions", "ros2-json", cell=cell)
     print(f"robot_plan.json, and {len(files)} files for ROS 2 in motions")
 
 

@@ -48,6 +48,7 @@ SUBPACKAGES = {
         "cells",
         "grasping",
         "plans",
+        "checks",
         "schedule",
         "keyframes",
         "interleaving",

@@ -14,7 +14,8 @@ from falsework.assembly import Assembly, load_structure
 from falsework.robots.model.builtin_robots import builtin_robot
 from falsework.robots.model.cell import Cell, CellRobot, Gripper, Placement, cell_identity
 from falsework.robots.model.shapes import block, pose
-from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Trajectory, records_of
+from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Trajectory
+from falsework.robots.plans.robot_record import records_of
 from falsework.robots.plans.temporal_graph import Precedence, TemporalPlanGraph
 from falsework.robots.plans.timeline import nodes_of
 from falsework.search import Plan, find_plans, task_of

@@ -14,7 +14,8 @@ import pytest
 from falsework.cli.main import main
 from falsework.cli.subject import ViewableOptions
 from falsework.errors import InputError
-from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotRecord, RobotStep, Trajectory
+from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Trajectory
+from falsework.robots.plans.robot_record import RobotRecord
 from falsework.robots.plans.temporal_graph import Precedence, TemporalPlanGraph
 from falsework.robots.plans.timeline import nodes_of
 from falsework.search import plan_from_dict

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
+    from falsework.robots.checks.check import CheckReport
     from falsework.robots.model.cell import Cell
-    from falsework.robots.plans.check import CheckReport
     from falsework.robots.plans.grip_loads import GripLoad
     from falsework.robots.plans.plan_problem import PlanProblem
     from falsework.robots.plans.robot_plan import RobotPlan
     from falsework.robots.schedule.simulation import SimulationReport
 
+_AT_HOME = 1e-6
+"""Joint values that differ by no more are equal, rad or m."""
 _NO_GAIN = 0.05
 """A schedule that saves no more than this is none, seconds."""
 
@@ -74,6 +78,7 @@ def check_record(report: CheckReport) -> dict[str, Any]:
         "acceleration_share": report.acceleration_share,
         "tolerance": report.tolerance,
         "links": report.links,
+        "lower_bound": report.lower_bound,
         "problems": [
             {
                 "step": problem.step,
@@ -88,6 +93,29 @@ def check_record(report: CheckReport) -> dict[str, Any]:
         ],
         "seconds": report.seconds,
     }
+
+
+def check_texts(name: str, report: CheckReport, states: int | None) -> list[str]:
+    """Return what the check of a good plan has established, in sentences.
+
+    Args:
+        name: name of the plan.
+        report: the check of its motions.
+        states: number of its states that were found stable; None if that was not checked.
+    """
+    stable = "" if states is None else f", all {states} states are stable"
+    links = ", ".join(f"{robot} as {shapes}" for robot, shapes in report.links.items())
+    timed = f" and at {report.timed_samples} moments of its schedule" if report.timed_samples else ""
+    found = [
+        f"{name}: no collision in {report.samples} configurations of {report.trajectories} motions{timed} (links of "
+        f"{links}), all within limits{stable}"
+    ]
+    if report.delays is not None:
+        found.append(
+            f"whatever the delays, states keep their order and arms keep apart: {report.delays.overlaps} pairs of "
+            "motions and rests can coincide, and are free of collisions between samples too"
+        )
+    return found
 
 
 def runs_record(runs: SimulationReport, longest_delay: float) -> dict[str, Any]:
@@ -113,6 +141,66 @@ def runs_text(runs: SimulationReport, longest_delay: float) -> str:
         )
     least, median, most = runs.spread
     return f"{what} take {least:.1f} to {most:.1f} s, median {median:.1f} s"
+
+
+def scope_record(plan: RobotPlan, assembly: Assembly, cell: Cell, place: str) -> dict[str, Any]:
+    """Return what a robot plan was checked against."""
+    states, first = plan.plan.states, plan.keyframes[0].configurations
+    pairs = zip(cell.robots, first, strict=True)
+    elsewhere = [robot.name for robot, values in pairs if np.abs(robot.home - values).max() > _AT_HOME]
+    return {
+        "structure": assembly.name,
+        "structure_identity": assembly.identity,
+        "cell": cell.name,
+        "cell_file": place,
+        "cell_identity": plan.cell_identity,
+        "robots": [robot.name for robot in cell.robots],
+        "not_at_home": elsewhere,
+        "criterion": plan.plan.claim.criterion,
+        "direction": plan.direction.value,
+        "steps": len(plan),
+        "start": "".join(map(str, states[0].tolist())),
+        "end": "".join(map(str, states[-1].tolist())),
+    }
+
+
+def scope_text(plan: RobotPlan, assembly: Assembly, cell: Cell, place: str) -> str:
+    """Return what a robot plan was checked against, in one sentence."""
+    record = scope_record(plan, assembly, cell, place)
+    first, last = (int((state != 0).sum()) for state in plan.plan.states[[0, -1]])
+    starts = f"; {' and '.join(record['not_at_home'])} not at home at the start" if record["not_at_home"] else ""
+    return (
+        f"{plan.direction.value} of {assembly.name} ({assembly.identity[:12]}) in {len(plan)} steps from "
+        f"{first} to {last} parts, in cell {cell.name} of {place} ({plan.cell_identity[:12]}) with "
+        f"{', '.join(record['robots'])}, criterion {record['criterion']}{starts}"
+    )
+
+
+def unverified(plan: RobotPlan, report: CheckReport, *, states: bool) -> list[str]:
+    """Return the claims of a robot plan that its check does not establish.
+
+    Args:
+        plan: the robot plan.
+        report: the check of its motions.
+        states: whether the stability of its states was checked.
+    """
+    found = []
+    if not states:
+        found.append("the stability of the states, and the forces that robots bear where grippers have no limits")
+    if plan.plan.proof_arrays() is not None:
+        found.append("the certificates in the file; those of the check are computed anew")
+    if plan.plan.margins is not None:
+        found.append("the margins that the plan records")
+    if plan.plan.replay is not None:
+        found.append("that a replay of the plan succeeds")
+    if plan.schedule is not None and report.lower_bound is not None:
+        bound, proven = plan.schedule.lower_bound, report.lower_bound
+        if bound > proven + _NO_GAIN:
+            found.append(
+                f"that no schedule of these motions takes less than {bound:.1f} s, as the plan says; the busiest arm "
+                f"alone moves for {proven:.1f} s"
+            )
+    return found
 
 
 def overloads_of(plan: RobotPlan, assembly: Assembly, cell: Cell) -> list[PlanProblem]:

@@ -18,13 +18,17 @@ from falsework.cli.planning import refuse_unstable, writable
 from falsework.cli.robot_arguments import parse_grips, parse_holding, parse_joints, parse_now
 from falsework.cli.robot_reports import (
     check_record,
+    check_texts,
     holds_record,
     holds_text,
     overloads_of,
     runs_record,
     runs_text,
     schedule_text,
+    scope_record,
+    scope_text,
     times_record,
+    unverified,
 )
 from falsework.errors import InputError
 
@@ -270,7 +274,7 @@ class CheckRobots(Command):
     def run(self, output: Output) -> Exit:
         """Load, compare, verify."""
         from falsework.robots.cells.cell_file import load_cell
-        from falsework.robots.plans.check import check_robot_plan
+        from falsework.robots.checks.check import check_robot_plan
         from falsework.robots.plans.grip_loads import grip_loads, overloads
         from falsework.robots.plans.robot_plan_file import load_robot_plan
         from falsework.robots.schedule.simulation import simulate
@@ -281,8 +285,8 @@ class CheckRobots(Command):
             raise InputError("--longest-delay is for delayed runs; give their number too, such as --delays 1000")
         plan = load_robot_plan(self.plan)
         assembly = structure_of_plan(plan.plan, self.plan, self.structure, **self.reading.given())
-        cell = load_cell(self.cell or _cell_of(plan, self.plan))
-        runs = None if self.delays is None else simulate(plan, runs=self.delays, most=self.longest_delay)
+        place = self.cell or plan.cell_place(self.plan)
+        cell = load_cell(place)
         with output.bar("checking motions") as show:
             report = check_robot_plan(
                 plan,
@@ -291,14 +295,24 @@ class CheckRobots(Command):
                 step=self.resolution,
                 progress=lambda done, total: show(done, total, f"step {done}"),
             )
+        # Only a plan whose motions are within limits, and so of bounded duration, is worth simulating.
+        runs = None
+        if self.delays is not None and report.good:
+            runs = simulate(plan, runs=self.delays, most=self.longest_delay)
         stable = None if self.motions_only else validate_plan(plan.plan, assembly)
-        loads = [] if stable is None or not stable.good else grip_loads(plan, assembly, cell)
-        heavy, holds = overloads(loads, plan, cell), holds_record(loads, plan, cell)
-        good = report.good and (stable is None or stable.good) and (runs is None or runs.good) and not heavy
+        loads = [] if report.loads is None else list(report.loads)
+        if report.loads is None and stable is not None and stable.good:
+            loads = grip_loads(plan, assembly, cell)
+        heavy = [] if report.loads is None else overloads(loads, plan, cell)
+        holds = holds_record(loads, plan, cell)
+        good = report.good and (stable is None or stable.good) and (runs is None or runs.good)
+        open_claims = unverified(plan, report, states=stable is not None)
         output.record(
             {
                 "robot_plan": str(self.plan),
                 "good": good,
+                "checked": scope_record(plan, assembly, cell, place),
+                "unverified": open_claims,
                 "stable": None if stable is None else stable.good,
                 **check_record(report),
                 "holds": holds,
@@ -309,7 +323,7 @@ class CheckRobots(Command):
         if self.steps:
             for step in range(len(plan)):
                 output.say(f"{step + 1:4d}  {plan.describe(step)}")
-        for problem in (*report.problems, *heavy):
+        for problem in report.problems:
             output.note(f"falsework: {problem}")
         if stable is not None and not stable.good:
             output.note(f"falsework: {self.plan}: {stable.reason}")
@@ -317,30 +331,16 @@ class CheckRobots(Command):
             output.note(f"falsework: {self.plan}: {runs_text(runs, self.longest_delay)}")
         if not good:
             return Exit.NO
-        states = "" if stable is None else f", all {stable.states} states are stable"
-        links = ", ".join(f"{robot} as {shapes}" for robot, shapes in report.links.items())
-        timed = f" and at {report.timed_samples} moments of its schedule" if report.timed_samples else ""
-        output.say(
-            f"{self.plan}: no collision in {report.samples} configurations of {report.trajectories} motions{timed} "
-            f"(links of {links}), all within limits{states}"
-        )
-        if report.delays is not None:
-            output.say(
-                f"whatever the delays, states keep their order and arms keep apart: {report.delays.overlaps} pairs of "
-                "motions and rests can coincide, and are free of collisions between samples too"
-            )
+        output.say(scope_text(plan, assembly, cell, place))
+        for text in check_texts(str(self.plan), report, None if stable is None else stable.states):
+            output.say(text)
         if runs is not None:
             output.say(runs_text(runs, self.longest_delay))
         for record in holds:
             output.say(holds_text(record))
+        for claim in open_claims:
+            output.say(f"not verified: {claim}")
         return Exit.DONE
-
-
-def _cell_of(plan: RobotPlan, file: Path) -> str:
-    if plan.cell_source is None:
-        raise InputError(f"{file} does not say where its cell is; name it with --cell")
-    beside = file.resolve().parent / plan.cell_source
-    return str(beside) if beside.is_file() else plan.cell_source
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -349,7 +349,8 @@ class ExportRobots(Command):
 
     ROS 2 joint trajectories as JSON or YAML and tables as CSV, each one file per step and one for the plan; ABB RAPID
     and URScript as one program per robot, which wait for each other; an MCAP bag of ROS 2 messages with the times of
-    the schedule, and with the shapes of the parts if the structure and the cell are found.
+    the schedule, and with the shapes of the parts if the structure is found. The robots must be those of the cell, and
+    the motions within its limits; `falsework robots check` checks everything else.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -366,7 +367,7 @@ class ExportRobots(Command):
     structure: Annotated[str | None, arg(metavar="STRUCTURE", help_behavior_hint=UNSET)] = None
     """Structure whose shapes a bag has, instead of the one that the plan names."""
     cell: Annotated[str | None, arg(metavar="CELL", help_behavior_hint=UNSET)] = None
-    """Cell of a bag with shapes, instead of the one that the plan names."""
+    """Cell that the programs are for, instead of the one that the plan names."""
     rate: float = 50.0
     """Rows per second, for csv and urscript."""
     assembly_order: bool = False
@@ -383,16 +384,15 @@ class ExportRobots(Command):
         plan = load_robot_plan(self.plan)
         if self.assembly_order and plan.direction is Direction.DISASSEMBLY:
             plan = plan.reverse()
-        shapes: dict[str, Any] = {}
+        cell, shapes = load_cell(self.cell or plan.cell_place(self.plan)), None
         if self.format == "mcap":
             try:
-                shapes["structure"] = structure_of_plan(plan.plan, self.plan, self.structure)
-                shapes["cell"] = load_cell(self.cell or _cell_of(plan, self.plan))
+                shapes = structure_of_plan(plan.plan, self.plan, self.structure)
             except InputError as error:
-                if self.structure is not None or self.cell is not None:
+                if self.structure is not None:
                     raise
                 output.note(f"falsework: the bag has no shapes of parts: {error}")
-        paths = export_plan(plan, self.out, self.format, rate=self.rate, **shapes)
+        paths = export_plan(plan, self.out, self.format, rate=self.rate, structure=shapes, cell=cell)
         output.record({"folder": str(self.out), "files": [path.name for path in paths]})
         output.say(f"{counted(len(paths), 'file')} in {self.out}")
         return Exit.DONE

@@ -13,6 +13,7 @@ from falsework.errors import InputError
 from falsework.interop.compas_write import CompasKind, write_compas
 from falsework.interop.gltf import write_gltf
 from falsework.interop.usd import write_usd
+from falsework.robots.cells.cell_file import AnyCell
 from falsework.robots.plans.export import export_plan
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import load_robot_plan
@@ -88,6 +89,7 @@ def export(
     *,
     format: str | None = None,
     step_seconds: float | None = None,
+    cell: AnyCell | None = None,
     **options: Any,
 ) -> None:
     """Write a structure, a plan in motion, or the motions of a robot plan for other programs.
@@ -102,15 +104,19 @@ def export(
             robot plan `ros2-json`, `ros2-yaml`, `csv`, `rapid`, `urscript` or `mcap`. By the name of the file if not
             given.
         step_seconds: length of a step of a plan; 1 s if not given.
+        cell: cell of a robot plan, as for `export_plan`; that of a file is the one that the file names, if not given.
         options: as for `load_structure`.
 
     Raises:
         InputError: no such format, one that cannot show the subject, or a place that cannot be written.
     """
+    file = subject if isinstance(subject, (str, Path)) else None
     if isinstance(subject, (str, Path)):
         subject, structure = read_exportable(subject, structure, **options)
     if isinstance(subject, RobotPlan):
-        export_plan(subject, path, format or "ros2-json")
+        if cell is None and file is not None:
+            cell = subject.cell_place(file)
+        export_plan(subject, path, format or "ros2-json", cell=cell)
         return
     chosen = format_of(path) if format is None else format
     if chosen not in get_args(Format):

@@ -1,7 +1,11 @@
 from falsework.robots.cells.cell_file import builtin_cells as builtin_cells
 from falsework.robots.cells.cell_file import load_cell as load_cell
 from falsework.robots.cells.urdf import load_urdf as load_urdf
+from falsework.robots.cells.urdf_review import CellWarning as CellWarning
 from falsework.robots.cells.validate import check_cell as check_cell
+from falsework.robots.checks.check import CheckReport as CheckReport
+from falsework.robots.checks.check import check_robot_plan as check_robot_plan
+from falsework.robots.checks.delays import DelayReport as DelayReport
 from falsework.robots.grasping.reachability import BaseProposal as BaseProposal
 from falsework.robots.grasping.reachability import ReachTable as ReachTable
 from falsework.robots.grasping.reachability import propose_bases as propose_bases
@@ -24,9 +28,6 @@ from falsework.robots.planning.hybrid_result import HybridProgress as HybridProg
 from falsework.robots.planning.hybrid_result import HybridResult as HybridResult
 from falsework.robots.planning.hybrid_result import HybridSettings as HybridSettings
 from falsework.robots.planning.plan_together import plan_together as plan_together
-from falsework.robots.plans.check import CheckReport as CheckReport
-from falsework.robots.plans.check import check_robot_plan as check_robot_plan
-from falsework.robots.plans.check_delays import DelayReport as DelayReport
 from falsework.robots.plans.export import export_plan as export_plan
 from falsework.robots.plans.export import joint_trajectory as joint_trajectory
 from falsework.robots.plans.grip_loads import GripLoad as GripLoad
@@ -34,7 +35,6 @@ from falsework.robots.plans.grip_loads import grip_loads as grip_loads
 from falsework.robots.plans.plan_problem import PlanProblem as PlanProblem
 from falsework.robots.plans.robot_plan import Keyframe as Keyframe
 from falsework.robots.plans.robot_plan import RobotPlan as RobotPlan
-from falsework.robots.plans.robot_plan import RobotRecord as RobotRecord
 from falsework.robots.plans.robot_plan import RobotStep as RobotStep
 from falsework.robots.plans.robot_plan import Trajectory as Trajectory
 from falsework.robots.plans.robot_plan_file import load_robot_plan as load_robot_plan
@@ -42,6 +42,7 @@ from falsework.robots.plans.robot_plan_file import robot_plan_from_dict as robot
 from falsework.robots.plans.robot_plan_file import robot_plan_schema as robot_plan_schema
 from falsework.robots.plans.robot_plan_file import robot_plan_to_dict as robot_plan_to_dict
 from falsework.robots.plans.robot_plan_file import save_robot_plan as save_robot_plan
+from falsework.robots.plans.robot_record import RobotRecord as RobotRecord
 from falsework.robots.plans.temporal_graph import MotionNode as MotionNode
 from falsework.robots.plans.temporal_graph import Precedence as Precedence
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph as TemporalPlanGraph

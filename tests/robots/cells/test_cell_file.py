@@ -16,6 +16,8 @@ from falsework.robots.model.cell import Cell, CellRobot, Gripper
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.model.shapes import block, pose
 
+pytestmark = pytest.mark.filterwarnings("ignore::falsework.robots.cells.urdf_review.CellWarning")
+
 GOOD = """
 format = "falsework.cell/1"
 name = "one arm"

@@ -18,6 +18,8 @@ from falsework.robots.model.builtin_robots import BUILTIN, builtin_robot
 from falsework.robots.model.cell import CellRobot, Gripper
 from falsework.robots.model.shapes import move, pose
 
+pytestmark = pytest.mark.filterwarnings("ignore::falsework.robots.cells.urdf_review.CellWarning")
+
 REAL = {"irb2600-12/1.65": "abb_irb2600_12_165", "crb15000-5/0.95": "abb_crb15000_5_95", "ur10e": "ur10e"}
 
 

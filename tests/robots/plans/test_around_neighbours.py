@@ -12,6 +12,7 @@ pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'fal
 pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'falsework[schedule]'")
 
 from falsework.assembly.model import Assembly
+from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.keyframes.keyframe_graph import KeyframeSettings
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
@@ -21,7 +22,6 @@ from falsework.robots.planning.around_neighbours import plan_around_neighbours
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridSettings
 from falsework.robots.planning.plan_together import _APPROACHES, _WITHDRAWALS, plan_together
-from falsework.robots.plans.check import check_robot_plan
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph
 from falsework.robots.schedule.build import schedule_plan

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 
@@ -77,11 +78,64 @@ def test_plan_check_export(run: Callable, cell_file: Path, tmp_path: Path) -> No
     assert records[0]["stable"]
     assert records[0]["problems"] == []
     assert records[0]["links"] == {"arm": "convex pieces"}
+    assert records[0]["checked"]["structure_identity"] == plan.plan.identity
+    assert records[0]["checked"]["cell_identity"] == plan.cell_identity
+    assert records[0]["checked"]["robots"] == ["arm"]
+    assert [records[0]["checked"][key] for key in ("steps", "start", "end", "not_at_home")] == [4, "112", "002", []]
+    assert records[0]["unverified"] == ["that a replay of the plan succeeds"]
+    code, records, error = run("robots", "check", out, "--json", "--motions-only")
+    assert code == 0
+    assert len(records[0]["unverified"]) == 2
+    assert "the stability of the states" in records[0]["unverified"][0]
     for form, name in (("ros2-json", "plan.json"), ("csv", "plan.csv"), ("rapid", "arm.mod")):
         folder = tmp_path / form
         code, _, error = run("robots", "export", out, "--format", form, "--assembly-order", "--out", folder)
         assert code == 0, error
         assert (folder / name).is_file()
+
+
+@pytest.mark.parametrize("command", [("check",), ("export", "--format", "rapid", "--out", "programs")])
+def test_a_plan_for_other_robots_is_refused(
+    run: Callable, cell_file: Path, tmp_path: Path, command: tuple[str, ...]
+) -> None:
+    """By the check and before a program is written."""
+    out = tmp_path / "robot_plan.json"
+    assert run("robots", "plan", STACK, "--cell", cell_file, "--out", out, "--criterion", "equilibrium")[0] == 0
+    data = json.loads(out.read_text())
+    data["cell"]["robots"][0]["joints"].reverse()
+    out.write_text(json.dumps(data))
+    given = [tmp_path / word if word == "programs" else word for word in command[1:]]
+    code, _, error = run("robots", command[0], out, *given)
+    assert code == 2
+    assert "as the joint names of robot 0" in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "programs").exists()
+
+
+@pytest.mark.parametrize("factor", [1e6, 1e-9])
+def test_small_files_do_not_take_much_memory(run: Callable, cell_file: Path, tmp_path: Path, factor: float) -> None:
+    """A motion of days, or of joints that turn a million times, is refused before it is sampled."""
+    out = tmp_path / "robot_plan.json"
+    assert run("robots", "plan", STACK, "--cell", cell_file, "--out", out, "--criterion", "equilibrium")[0] == 0
+    data = json.loads(out.read_text())
+    for trajectory in data["steps"][0]["trajectories"]:
+        trajectory["times"] = [moment * factor for moment in trajectory["times"]]
+        trajectory["velocities"] = [[value / factor for value in row] for row in trajectory["velocities"]]
+    if factor < 1:
+        data["steps"][0]["trajectories"][0]["positions"][3][0] = 1e7
+    out.write_text(json.dumps(data))
+    tracemalloc.start()
+    try:
+        code, records, error = run("robots", "check", out, "--json", "--motions-only")
+        assert code == 1
+        assert records[0]["samples"] == 0
+        assert "a motion takes" in error if factor > 1 else "is outside its limits" in error
+        code, _, error = run("robots", "export", out, "--format", "csv", "--out", tmp_path / "tables")
+        assert code == 2
+        assert "cannot be exported" in error
+        assert tracemalloc.get_traced_memory()[1] < 50e6
+    finally:
+        tracemalloc.stop()
 
 
 def test_a_bag_says_what_it_lacks(run: Callable, cell_file: Path, tmp_path: Path) -> None:
@@ -94,11 +148,17 @@ def test_a_bag_says_what_it_lacks(run: Callable, cell_file: Path, tmp_path: Path
     full = (tmp_path / "bag" / "plan.mcap").stat().st_size
     cell_file.rename(tmp_path / "moved.toml")
     code, _, error = run(*export)
-    assert code == 0
-    assert error.startswith("falsework: the bag has no shapes of parts: ")
-    assert (tmp_path / "bag" / "plan.mcap").stat().st_size < full
+    assert (code, error.count("\n")) == (2, 1)  # nothing is written for robots that nobody knows
     assert run(*export, "--cell", tmp_path / "moved.toml")[::2] == (0, "")
     assert (tmp_path / "bag" / "plan.mcap").stat().st_size == full
+    data = json.loads(out.read_text())
+    data["plan"]["structure"]["source"] = {"path": "gone"}
+    (tmp_path / "bare.json").write_text(json.dumps(data))
+    bare = ("robots", "export", tmp_path / "bare.json", "--cell", tmp_path / "moved.toml", *export[3:])
+    code, _, error = run(*bare)
+    assert code == 0, error
+    assert error.startswith("falsework: the bag has no shapes of parts: ")
+    assert (tmp_path / "bag" / "plan.mcap").stat().st_size < full
     code, _, error = run(*export, "--cell", tmp_path / "moved.toml", "--structure", "stack:blocks=3")
     assert code == 2
     assert error.count("\n") == 1
@@ -280,7 +340,9 @@ def test_where_nothing_is_left_to_do_there_is_a_plan_without_steps(
     assert records[-1]["found"]
     assert records[-1]["steps"] == 0
     assert records[-1]["makespan"] == 0.0
-    assert run("robots", "check", out)[0] == 0
+    code, _, error = run("robots", "check", out)
+    assert code == 1  # a check that has checked nothing does not say that all is well
+    assert "the plan has no steps" in error
 
 
 @pytest.mark.parametrize("values", [[0, 0, 0, 0, 0, True], [0, 0, 0, 0, 0, "0.1"], {"joint_1": 0}, None])

@@ -15,11 +15,11 @@ pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'fal
 
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError, PlanError, StateError
+from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.model.cell import Cell
 from falsework.robots.planning.end_motions import Continuation
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridSettings
-from falsework.robots.plans.check import check_robot_plan
 from falsework.robots.plans.loads import load_of, loads_at
 from falsework.robots.plans.programs import Grip, events_of
 from falsework.robots.plans.robot_plan import RobotPlan

@@ -14,15 +14,15 @@ pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'fal
 
 from falsework.assembly.model import Assembly
 from falsework.errors import PlanError
+from falsework.robots.checks.check import check_robot_plan
+from falsework.robots.checks.delays import check_delays
+from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
+from falsework.robots.checks.schedule import check_schedule
+from falsework.robots.checks.separation import BodyPath, SeparationProver
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
-from falsework.robots.plans.check import check_robot_plan
-from falsework.robots.plans.check_delays import check_delays
-from falsework.robots.plans.check_schedule import check_schedule
-from falsework.robots.plans.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.plans.reachable_positions import Overlap, ReachablePositions, Segment
 from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.robots.plans.separation import BodyPath, SeparationProver
 from falsework.robots.plans.temporal_graph import Precedence, TemporalPlanGraph
 from falsework.robots.schedule.build import schedule_plan
 from falsework.robots.schedule.simulation import simulate

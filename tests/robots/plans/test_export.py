@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,10 +25,14 @@ from falsework.robots.plans.robot_plan_file import save_robot_plan
 from tests.robots.plans.bag_reading import corners, planning_scenes
 
 
-def test_one_function_exports_robot_plans_too(robot_plan: RobotPlan, tmp_path: Path) -> None:
+def test_one_function_exports_robot_plans_too(robot_plan: RobotPlan, cell: Cell, tmp_path: Path) -> None:
     save_robot_plan(robot_plan, tmp_path / "plan.json")
     export(robot_plan, tmp_path / "one", format="csv")
-    export(tmp_path / "plan.json", tmp_path / "other", format="csv")
+    export(tmp_path / "plan.json", tmp_path / "other", format="csv", cell=cell)
+    with pytest.raises(PlanError, match="does not say where its cell is"):
+        export(tmp_path / "plan.json", tmp_path / "unknown", format="csv")
+    with pytest.raises(PlanError, match="for another cell"):
+        export(tmp_path / "plan.json", tmp_path / "unknown", format="csv", cell=replace(cell, speed=0.5))
     export_plan(robot_plan, tmp_path / "three", "csv")
     texts = [[path.read_text() for path in sorted((tmp_path / name).iterdir())] for name in ("one", "three")]
     assert texts[0] == texts[1]

@@ -16,8 +16,8 @@ pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'fal
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED
 from falsework.errors import PlanError, StateError
+from falsework.robots.checks.check import CheckReport, check_robot_plan
 from falsework.robots.model.cell import Cell, cell_identity
-from falsework.robots.plans.check import CheckReport, check_robot_plan
 from falsework.robots.plans.export import export_plan
 from falsework.robots.plans.programs import Begin, Grip, PublishCount, Wait, commands_of
 from falsework.robots.plans.robot_plan import RobotPlan
@@ -27,6 +27,7 @@ from falsework.robots.plans.robot_plan_file import (
     robot_plan_to_dict,
     save_robot_plan,
 )
+from falsework.robots.plans.robot_record import records_of
 from falsework.robots.plans.timeline import arm_shares, event_times, nodes_of
 from falsework.search import Direction
 from falsework.search.plans.plan_check import validate_plan
@@ -219,7 +220,8 @@ def test_the_check_sees_the_second_arm_in_the_first(plan: RobotPlan, falling: As
     base = roofed.robots[1].base.copy()
     base[0, 3] -= 0.2
     near = replace(roofed, robots=(roofed.robots[0], replace(roofed.robots[1], base=base)))
-    report = check_robot_plan(replace(plan, cell_identity=cell_identity(near)), falling, near)
+    moved = replace(plan, cell_identity=cell_identity(near), robots=records_of(near))
+    report = check_robot_plan(moved, falling, near)
     take, _ = halves(plan)
     assert any(problem.step == take and "collides with arm 1" in problem.what for problem in report.problems)
 

@@ -13,11 +13,11 @@ pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'fal
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, complete_state
+from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.model.cell import Cell
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
-from falsework.robots.plans.check import check_robot_plan
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph
 from falsework.robots.plans.timeline import event_times, nodes_of

@@ -13,13 +13,15 @@ pytest.importorskip("yourdfpy", reason="reading URDF files needs yourdfpy; pip i
 
 from falsework.assembly.model import Assembly
 from falsework.robots.cells.urdf import hull_mesh, load_urdf
+from falsework.robots.checks.check import check_robot_plan
+from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.model.cell import Cell, CellRobot, Gripper, Obstacle, cell_identity
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.model.shapes import block, cylinder
-from falsework.robots.plans.check import check_robot_plan
-from falsework.robots.plans.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.plans.robot_plan import RobotPlan
+
+pytestmark = pytest.mark.filterwarnings("ignore::falsework.robots.cells.urdf_review.CellWarning")
 
 URDF = """<robot name="fork">
   <link name="base"><collision><origin xyz="0 0 0.05"/><geometry><cylinder radius="0.05" length="0.1"/></geometry>

@@ -17,6 +17,10 @@ pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'fal
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED, complete_state
 from falsework.errors import PlanError
+from falsework.robots.checks.check import CheckReport, check_robot_plan
+from falsework.robots.checks.delays import check_delays
+from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
+from falsework.robots.checks.put_down import unrest
 from falsework.robots.kernels.coordination import conflicts, still
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.putting_down import _downwards
@@ -28,11 +32,8 @@ from falsework.robots.model.shapes import block, move
 from falsework.robots.motion.collision_world import CollisionWorld
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
-from falsework.robots.plans.check import CheckReport, check_robot_plan, unrest
-from falsework.robots.plans.check_delays import check_delays
 from falsework.robots.plans.export import export_plan
 from falsework.robots.plans.loads import Load, load_of, lying_motions
-from falsework.robots.plans.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.plans.programs import Grip, events_of
 from falsework.robots.plans.robot_plan import RobotPlan, RobotStep
 from falsework.robots.plans.robot_plan_file import (

@@ -13,6 +13,7 @@ pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'fal
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED
+from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.interleaving.next_steps import grippers_allow
 from falsework.robots.interleaving.reordering import _follow, _lies_free, _views, reorder
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
@@ -22,7 +23,6 @@ from falsework.robots.motion.collision_world import CollisionQuery
 from falsework.robots.planning import plan_maker
 from falsework.robots.planning.hybrid_result import HybridSettings
 from falsework.robots.planning.plan_together import plan_together
-from falsework.robots.plans.check import check_robot_plan
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import event_times
 from falsework.robots.schedule.build import schedule_plan

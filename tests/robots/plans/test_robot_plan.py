@@ -176,6 +176,21 @@ DAMAGE: list[tuple[Callable[[dict[str, Any]], None], str]] = [
     (lambda data: _put(data, [[0.0]], "steps", 0, "trajectories", 0, "positions"), "positions has shape (1, 1)"),
     (lambda data: _put(data, [0.0] * 6, "keyframes", 1, "configurations", 0), "step"),
     (lambda data: _put(data, {}, "plan"), "the plan in"),
+    (lambda data: _put(data, [0.0, [1.0, 2.0]], "steps", 0, "trajectories", 0, "times"), "numbers of one shape"),
+    (lambda data: _put(data, 10**400, "steps", 0, "trajectories", 0, "times", -1), "does not fit into 64 bits"),
+]
+NUMBERS = (
+    ("keyframes", 0, "configurations", 0, 0),
+    ("cell", "robots", 0, "base", 0, 0),
+    ("cell", "robots", 0, "tool", 0, 0),
+    ("steps", 0, "trajectories", 0, "times", 0),
+    ("steps", 0, "trajectories", 0, "positions", 0, 0),
+    ("steps", 0, "trajectories", 0, "velocities", 0, 0),
+)
+DAMAGE += [
+    (lambda data, place=place, value=value: _put(data, value, *place), "does not hold numbers")
+    for place in NUMBERS
+    for value in ("0.0", True, None, [[0.0]], {})
 ]
 
 

@@ -17,6 +17,9 @@ pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'fal
 
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError, PlanError
+from falsework.robots.checks.check import check_robot_plan
+from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
+from falsework.robots.checks.schedule import check_schedule
 from falsework.robots.keyframes.failure_report import Explanation
 from falsework.robots.keyframes.keyframe_graph import KeyframeSettings
 from falsework.robots.model.cell import Cell
@@ -24,9 +27,6 @@ from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
 from falsework.robots.planning.plan_together import plan_together
-from falsework.robots.plans.check import check_robot_plan
-from falsework.robots.plans.check_schedule import check_schedule
-from falsework.robots.plans.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import load_robot_plan, robot_plan_to_dict, save_robot_plan
 from falsework.robots.plans.temporal_graph import Precedence, TemporalPlanGraph

@@ -14,11 +14,11 @@ import pytest
 pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'falsework[schedule]'")
 
 from falsework.assembly.model import Assembly
+from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.model.cell import Cell
 from falsework.robots.planning.hybrid_result import HybridSettings
 from falsework.robots.planning.plan_together import plan_together, second_plan
 from falsework.robots.planning.second_search import SecondSearch
-from falsework.robots.plans.check import check_robot_plan
 from falsework.stability.settings import StabilitySettings
 
 FOR_EVER: dict[str, Any] = {"object_list": [], "timeout": 600.0}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+from dataclasses import replace
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
@@ -11,10 +13,11 @@ from numpy.typing import NDArray
 
 from falsework.errors import CellError, InputError
 from falsework.robots.cells.urdf import load_urdf
+from falsework.robots.cells.urdf_review import CellWarning
 from falsework.robots.cells.validate import check_cell
 from falsework.robots.model.builtin_robots import BUILTIN, builtin_robot
 from falsework.robots.model.cell import Cell, CellRobot, Gripper, Margins, Obstacle, Placement
-from falsework.robots.model.robot_model import RobotModel
+from falsework.robots.model.robot_model import ACCELERATION_TIME, RobotModel
 from falsework.robots.model.shapes import block, cylinder, move, pose
 from falsework.utils.toml_table import Table, read_text
 
@@ -128,12 +131,27 @@ def parse_cell(text: str, source: str, folder: Path) -> Cell:
     )
     for table in (structure, margins, file):
         table.done()
+    idle = sorted(set(grippers) - {robot.gripper.name for robot in robots})
+    if idle:
+        warnings.warn(f"{source}: no robot has the gripper {', '.join(idle)}", CellWarning, stacklevel=3)
     return cell
 
 
 def _robot(table: Table, grippers: dict[str, Gripper], folder: Path) -> CellRobot:
     name = table.text("name")
     model = _model(table, folder)
+    if table.has("acceleration"):
+        given = table.numbers("acceleration", model.joints)
+        if not (given > 0).all():
+            raise table.fail("acceleration", f"is {given.tolist()}; give numbers above 0, in degrees (or m) per s2")
+        model = replace(model, acceleration=given * _units(model))
+    elif model.source != "built-in":
+        warnings.warn(
+            f"{table.source}: robot {name} has no acceleration, which a URDF does not state; its joints are taken to "
+            f"reach full speed in {ACCELERATION_TIME:g} s",
+            CellWarning,
+            stacklevel=4,
+        )
     wanted = table.text("gripper")
     if wanted not in grippers:
         known = ", ".join(grippers) or "none"
@@ -175,12 +193,17 @@ def _from_file(path: str, base: str | None, tip: str | None) -> RobotModel:
     return load_urdf(path, base=base, tip=tip)
 
 
+def _units(model: RobotModel) -> Array:
+    """Return the factors from the units of a cell file to those of joints, shape (joints,)."""
+    return np.where(model.prismatic, 1.0, np.pi / 180)
+
+
 def _home(table: Table, model: RobotModel) -> Array:
     """Return the home joint values, given in degrees as a list or a table by joint; by default those of the model."""
     if not table.has("home"):
         return model.home
     given = table.take("home")
-    units = np.where(model.prismatic, 1.0, np.pi / 180)
+    units = _units(model)
     if isinstance(given, dict):
         values = np.array(model.home)
         for joint in given:
@@ -259,6 +282,8 @@ def _pose(table: Table) -> Array:
     made = np.array(pose(table.numbers("position", 3, (0, 0, 0))))
     turned = table.numbers("rpy", 3, (0, 0, 0))
     if table.has("yaw"):
+        if table.has("rpy"):
+            raise table.fail("yaw", "is given beside rpy; give one of them")
         turned = np.array([0.0, 0.0, table.number("yaw")])
     roll, pitch, yaw = np.radians(turned)
     cx, sx, cy, sy, cz, sz = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)

@@ -1,7 +1,11 @@
-"""URDF reader: the joint chain from base to tip, with the convex hulls of the collision shapes."""
+"""URDF reader: the joint chain from base to tip, with the convex hulls of the collision shapes.
+
+What a file states and is not used, or used in another way than written, is a `CellWarning` that names it.
+"""
 
 from __future__ import annotations
 
+import warnings
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable
 from dataclasses import replace
@@ -14,6 +18,14 @@ from scipy.spatial import ConvexHull
 
 from falsework.errors import CellError, DependencyError, InputError
 from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
+from falsework.robots.cells.urdf_review import (
+    CellWarning,
+    coupling_fault,
+    excluded_pairs,
+    read_xml,
+    soft_range,
+    unused_text,
+)
 from falsework.robots.kernels.collision import Rules, make_work
 from falsework.robots.kernels.kernel_arrays import make_bodies, make_chain, make_obstacles, self_pairs
 from falsework.robots.kernels.rrt_connect import check_many
@@ -26,6 +38,8 @@ Array = NDArray[np.float64]
 
 COLLISION_SAMPLES = 1000
 """Random configurations in which pairs of links are tested where no SRDF lists the pairs to ignore."""
+_TIPS = ("tool0", "flange")
+"""Usual names of the link that a gripper is mounted on, in this order."""
 ALWAYS_SHARE = 0.95
 """Pairs that touch in this share of them are ignored: their hulls overlap at their common joint."""
 
@@ -33,26 +47,35 @@ ALWAYS_SHARE = 0.95
 def load_urdf(path: str | Path, *, base: str | None = None, tip: str | None = None) -> RobotModel:
     """Read an arm. Ignored pairs of links come from an SRDF beside it, else from random configurations.
 
+    A URDF has no accelerations: joints are taken to reach full speed in `ACCELERATION_TIME`.
+
     Args:
         path: URDF file; mesh paths are relative to it.
         base: name of the base link; by default the root of the file.
         tip: name of the link that a gripper is mounted on; by default `tool0` or `flange`, else the end of the
             longest chain.
 
+    Warns:
+        CellWarning: entries that are not used, shapes and pairs of links that are replaced or left out.
+
     Raises:
-        CellError: the file cannot be read, or does not describe an arm; the message names file and joint.
+        CellError: the file cannot be read, or does not describe an arm that plans can move; the message names file and
+            joint or link.
         DependencyError: yourdfpy is missing.
     """
     file = Path(path)
     if not file.is_file():
         raise CellError(f"no robot description {file}; give a URDF file or a built-in robot")
-    robot = _parse(file)
+    document, robot = read_xml(file), _parse(file)
     links = {link.name: link for link in robot.links}
     below = {joint.child: joint for joint in robot.joints}
     for name, which in ((base, "base"), (tip, "tip")):
         if name is not None and name not in links:
             raise CellError(f"{file}: no link {name!r} for the {which}; there are {', '.join(links)}")
-    root = base or next(name for name in links if name not in below)
+    roots = [name for name in links if name not in below]
+    if base is None and len(roots) != 1:
+        raise CellError(f"{file}: {', '.join(roots) or 'no link'} may be the base; name base_link")
+    root = base or roots[0]
     end = tip or _tip(links, below, root)
     chain = _chain(file, below, root, end)
     moving = [joint for joint in chain if joint.type != "fixed"]
@@ -67,12 +90,21 @@ def load_urdf(path: str | Path, *, base: str | None = None, tip: str | None = No
             pose = np.eye(4)
         frame_of[joint.child] = (len(origins), pose)
     shapes: list[list[TriangleMesh]] = [[] for _ in range(len(moving) + 1)]
-    owner: dict[str, int] = {}
+    carried: dict[int, list[str]] = {number: [] for number in range(len(moving) + 1)}
+    beside: dict[str, Any] = {}
+    left_out = []
     for name, link in links.items():
-        at = _carrier(name, below, frame_of)
-        if at is not None:
-            owner[name] = at[0]
-            shapes[at[0]] += [replace(shape, vertices=move(at[1], shape.vertices)) for shape in _shapes(file, link)]
+        at, shown = _carrier(name, below, frame_of), list(_shapes(file, link))
+        if not shown:
+            continue
+        if at is None:
+            left_out.append(name)
+            continue
+        carried[at[0]].append(name)
+        shapes[at[0]] += [replace(shape, vertices=move(at[1], shape.vertices)) for shape in shown]
+        beside |= {joint.name: joint for joint in _off_chain(name, below, frame_of) if joint.type != "fixed"}
+    if fault := coupling_fault(robot.joints, chain, beside):
+        raise CellError(f"{file}: {fault}")
     limits = np.array([_limits(file, joint) for joint in moving])
     names = (root, *(joint.child for joint in moving))
     middle = np.clip(np.zeros(len(moving)), limits[:, 0], limits[:, 1])
@@ -95,8 +127,37 @@ def load_urdf(path: str | Path, *, base: str | None = None, tip: str | None = No
         source=str(file),
     )
     ignored = set(model.ignored)
-    srdf = file.with_suffix(".srdf")
-    ignored |= _named_pairs(srdf, owner) if srdf.is_file() else always_touching(model)
+    srdf, notes = file.with_suffix(".srdf"), []
+    if srdf.is_file():
+        pairs, notes = excluded_pairs(srdf, carried, links)
+    else:
+        pairs = always_touching(model) - ignored
+        said = ", ".join(f"{names[a]} and {names[b]}" for a, b in sorted(pairs))
+        if pairs:
+            notes = [
+                f"{file}: links that touch in nearly all configurations are not checked against each other: {said}"
+            ]
+    ignored |= pairs
+    stood_in = [name for of_link in carried.values() for name in of_link if not links[name].collisions]
+    for what, named in (
+        ("links without collision shapes are taken to be their visual shapes", stood_in),
+        (
+            "nothing is checked against links that have no shapes",
+            [name for number, name in enumerate(names) if not shapes[number]],
+        ),
+        (f"links that are not below {root} are left out", left_out),
+        ("joints that are not between base and tip are taken as fixed at zero", list(beside)),
+        (
+            "continuous joints are planned within 360 degrees to both sides",
+            [joint.name for joint in moving if joint.type == "continuous"],
+        ),
+        ("the gripper is mounted on the end of the longest chain", [] if tip or end in _TIPS else [end]),
+        ("entries that are not used", [text] if (text := unused_text(document)) else []),
+    ):
+        if named:
+            notes.append(f"{file}: {what}: {', '.join(named)}")
+    for note in notes:
+        warnings.warn(note, CellWarning, stacklevel=2)
     return replace(model, ignored=frozenset(ignored))
 
 
@@ -137,7 +198,7 @@ def _parse(file: Path) -> Any:
 
 def _tip(links: dict[str, Any], below: dict[str, Any], root: str) -> str:
     """Return the link for the gripper: a usual name, else the end of the chain with most joints."""
-    for name in ("tool0", "flange"):
+    for name in _TIPS:
         if name in links:
             return name
 
@@ -175,6 +236,13 @@ def _carrier(name: str, below: dict[str, Any], frame_of: dict[str, tuple[int, Ar
     return frame, at @ pose
 
 
+def _off_chain(name: str, below: dict[str, Any], frame_of: dict[str, tuple[int, Array]]) -> Iterable[Any]:
+    """Yield the joints between a link and the chain that carries it."""
+    while name not in frame_of:
+        yield below[name]
+        name = below[name].parent
+
+
 def _origin(joint: Any) -> Array:
     return np.eye(4) if joint.origin is None else np.asarray(joint.origin, float)
 
@@ -191,18 +259,26 @@ def _limits(file: Path, joint: Any) -> tuple[float, float, float]:
     limit = joint.limit
     if joint.type not in ("revolute", "continuous", "prismatic"):
         raise CellError(f"{file}: joint {joint.name} is {joint.type}; only revolute and prismatic joints are supported")
-    if limit is None or limit.velocity is None or not limit.velocity > 0:
+    if limit is None or limit.velocity is None or not 0 < limit.velocity < np.inf:
         raise CellError(f"{file}: joint {joint.name} has no velocity limit; add velocity to its <limit>")
     if joint.type == "continuous":
         return -2 * np.pi, 2 * np.pi, float(limit.velocity)
-    if limit.lower is None or limit.upper is None or not limit.lower < limit.upper:
+    low, high = (-np.inf if end is None else float(end) for end in (limit.lower, limit.upper))
+    if not low < high or not np.isfinite((low, high)).all():
         raise CellError(f"{file}: joint {joint.name} has no range; give lower and upper in its <limit>")
-    return float(limit.lower), float(limit.upper), float(limit.velocity)
+    soft_low, soft_high = soft_range(joint)
+    low, high = max(low, soft_low), min(high, soft_high)
+    if not low < high:
+        raise CellError(f"{file}: the soft limits of joint {joint.name} are outside its limits; correct one of them")
+    return low, high, float(limit.velocity)
 
 
 def _shapes(file: Path, link: Any) -> Iterable[TriangleMesh]:
-    """Yield every collision shape of a link, in the frame of the link; spheres and cylinders as enclosing polytopes."""
-    for collision in link.collisions:
+    """Yield every collision shape of a link in the frame of the link, or without any every visual shape.
+
+    Spheres and cylinders become polytopes around them.
+    """
+    for collision in link.collisions or link.visuals:
         pose = np.eye(4) if collision.origin is None else np.asarray(collision.origin, float)
         shape = collision.geometry
         if shape.box is not None:
@@ -213,10 +289,8 @@ def _shapes(file: Path, link: Any) -> Iterable[TriangleMesh]:
             made = hull_mesh(cylinder(shape.cylinder.radius, -half_length, half_length))
         elif shape.sphere is not None:
             made = hull_mesh(_ball(shape.sphere.radius))
-        elif shape.mesh is not None:
-            made = _read_mesh(file, shape.mesh)
         else:
-            continue
+            made = _read_mesh(file, shape.mesh)
         yield replace(made, name=link.name, vertices=move(pose, made.vertices))
 
 
@@ -241,10 +315,10 @@ def hull_mesh(points: Array) -> TriangleMesh:
 def _read_mesh(file: Path, mesh: Any) -> TriangleMesh:
     import trimesh
 
-    name = str(mesh.filename).removeprefix("file://")
-    if name.startswith("package://"):
-        name = name.removeprefix("package://").split("/", 1)[-1]
-    found = next((p for p in (file.parent / name, *(up / name for up in file.parents)) if p.is_file()), None)
+    found = find_mesh(file, str(mesh.filename))
+    scale = np.ones(3) if mesh.scale is None else np.broadcast_to(np.asarray(mesh.scale, float), 3)
+    if not (np.isfinite(scale) & (scale != 0)).all():
+        raise CellError(f"{file}: mesh {mesh.filename} has scale {scale.tolist()}; give numbers other than zero")
     if found is None:
         raise CellError(f"{file}: mesh {mesh.filename} does not exist; keep it beside the description")
     try:
@@ -254,20 +328,29 @@ def _read_mesh(file: Path, mesh: Any) -> TriangleMesh:
             raise InputError("too few vertices")
     except Exception as error:
         raise CellError(f"{file}: mesh {found.name} cannot be read: {' '.join(str(error).split())}") from error
-    return TriangleMesh.from_arrays(
-        name, points * (1.0 if mesh.scale is None else np.asarray(mesh.scale, float)), faces
-    )
+    # A mirror image has its triangles the other way round.
+    faces = faces[:, ::-1] if np.prod(scale) < 0 else faces
+    return TriangleMesh.from_arrays(found.name, points * scale * _unit(found), np.ascontiguousarray(faces))
 
 
-def _named_pairs(srdf: Path, owner: dict[str, int]) -> set[tuple[int, int]]:
-    """Return pairs of links that an SRDF excludes from collision checking."""
-    try:
-        tree = ElementTree.parse(srdf)
-    except ElementTree.ParseError as error:
-        raise CellError(f"{srdf} cannot be read: {error}") from error
-    found = set()
-    for entry in tree.getroot().iter("disable_collisions"):
-        a, b = owner.get(entry.get("link1", "")), owner.get(entry.get("link2", ""))
-        if a is not None and b is not None and a != b:
-            found.add((min(a, b), max(a, b)))
-    return found
+def find_mesh(file: Path, name: str) -> Path | None:
+    """Return the mesh that a URDF names; None if it does not exist.
+
+    `package://name/path` is looked for below folders around the description, with and without the name of the package,
+    the nearest first; other paths from the folder of the description on.
+    """
+    name = name.removeprefix("file://")
+    tried = [name]
+    if name.startswith("package://"):
+        whole = name.removeprefix("package://")
+        tried = [whole, whole.split("/", 1)[-1]]
+    places = (file.parent, *file.absolute().parents)
+    return next((place / one for place in places for one in tried if (place / one).is_file()), None)
+
+
+def _unit(mesh: Path) -> float:
+    """Return the metres of a unit of a mesh file; of the formats that URDF files name only COLLADA states it."""
+    if mesh.suffix.lower() != ".dae":
+        return 1.0
+    unit = next((entry for entry in ElementTree.parse(mesh).iter() if entry.tag.endswith("unit")), None)
+    return 1.0 if unit is None else float(unit.get("meter", "1"))

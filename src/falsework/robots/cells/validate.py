@@ -29,6 +29,18 @@ def check_cell(cell: Cell, parts: PartShapes | None = None) -> None:
         CellError: a base inside an obstacle, another base or a part; a home below the floor or in collision; a tool
             that collides with its own arm; a part that is too heavy for every robot.
     """
+    check_bases(cell, parts)
+    _check_homes(cell, parts)
+    if parts is not None:
+        _check_payload(cell, parts)
+
+
+def check_bases(cell: Cell, parts: PartShapes | None = None) -> None:
+    """Validate that bases stand clear of obstacles, parts, other bases and the floor.
+
+    Raises:
+        CellError: one does not; the message names both.
+    """
     stands = [(f"obstacle {obstacle.name}", obstacle.pieces) for obstacle in cell.obstacles]
     if parts is not None:
         stands += [(f"part {name}", pieces) for name, pieces in zip(parts.names, parts.pieces, strict=True)]
@@ -38,12 +50,12 @@ def check_cell(cell: Cell, parts: PartShapes | None = None) -> None:
         for name, pieces in (*stands, *others):
             if any(overlap(a, b) for a in base for b in pieces):
                 raise CellError(f"{cell.name}: the base of robot {robot.name} is inside {name}; move one of them")
-        lowest = min((float(piece[:, 2].min()) for piece in base), default=np.inf)
-        if cell.floor is not None and lowest < cell.floor:
-            raise CellError(f"{cell.name}: the base of robot {robot.name} is below the floor; raise it, or lower floor")
-    _check_homes(cell, parts)
-    if parts is not None:
-        _check_payload(cell, parts)
+        lowest = min((float(piece[:, 2].min()) for piece in base), default=np.inf) - BASE_DEPTH
+        if cell.floor is not None and cell.floor - lowest > BASE_DEPTH:
+            raise CellError(
+                f"{cell.name}: the base of robot {robot.name} is {1000 * (cell.floor - lowest):.1f} mm below the "
+                f"floor; raise it by that, or set floor to {lowest:.4g}"
+            )
 
 
 def _check_homes(cell: Cell, parts: PartShapes | None) -> None:

@@ -12,11 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.errors import StateError
+from falsework.geometry.mesh.mesh import triangle_normals
 from falsework.robots.grasping.planar_faces import Face, faces_of
 from falsework.robots.kernels.collision import CLEAR, Bodies, Chain, Rules, make_work
 from falsework.robots.kernels.kernel_arrays import bounds_of, make_obstacles
 from falsework.robots.kernels.rrt_connect import check_many
-from falsework.robots.model.cell import CellRobot, Gripper
+from falsework.robots.model.cell import GRIP_TILT, CellRobot, Gripper
 from falsework.robots.model.part_shapes import PartShapes
 
 Array = NDArray[np.float64]
@@ -27,6 +28,8 @@ JAW_TURNS = 8
 """Directions around the axis of the jaws from which a jaw grasp is tried."""
 CUP_OFFSET_SHARE = 0.8
 """Distance of off-centre cup positions on a face, as a share of the distance at which the cup just fits."""
+PINCHED_SHARE = 0.5
+"""Share of the contact length of jaws, from the tool frame back, on which they close flat on two opposite faces."""
 STANDOFF = 0.0005
 """Distance of the tool frame from the gripped face, metres; a soft cup compensates for it."""
 GRIPPER_MARGIN = 0.001
@@ -139,7 +142,7 @@ def _on_face(gripper: Gripper, face: Face, part: int, center: Array, ways: Array
 
     Off-centre grasps let two arms hold blocks that lie side by side.
     """
-    room = shapely.buffer(face.outline, -gripper.cup * 1.02)
+    room = _room(face, gripper.cup)
     if shapely.is_empty(room):
         return []
     middle = face.flat(center)
@@ -152,6 +155,14 @@ def _on_face(gripper: Gripper, face: Face, part: int, center: Array, ways: Array
         tools = _tools(point, -face.normal, face.frame[0], _SUCTION_TURNS)
         groups.append([Grasp(part, tool, -face.normal, quality) for tool in tools])
     return groups
+
+
+def _room(face: Face, cup: float) -> shapely.Geometry:
+    """Return where the centre of a cup may be, so that all of it is on a face."""
+    # At the short edges of an outline of several triangles, a buffer may leave slivers that lie on the outline itself.
+    pieces = shapely.get_parts(shapely.buffer(face.outline, -cup * 1.02))
+    far = shapely.distance(shapely.point_on_surface(pieces), shapely.boundary(face.outline)) >= cup
+    return shapely.union_all(pieces[far])
 
 
 def _spots(room: shapely.Geometry, middle: Array, cup: float) -> list[Array]:
@@ -183,8 +194,7 @@ def _between_faces(
             )
             if width > gripper.opening:
                 continue
-            flat = shapely.union_all(shapely.buffer(shapely.polygons(other.triangles @ face.frame.T), 1e-9))
-            shared = shapely.intersection(face.outline, flat)
+            shared = shapely.intersection(_level(face, face), _level(other, face))
             if shapely.area(shared) < gripper.depth**2 / 4:
                 continue
             middle = face.flat(center)
@@ -201,12 +211,22 @@ def _between_faces(
                 nearest = float((vertices @ way).min())
                 shift = min(0.0, nearest + gripper.depth - inside @ way)  # the palm stays outside
                 point = inside + shift * way
+                pinched = shapely.LineString([face.flat(point), face.flat(point - gripper.depth * way)])
+                if shapely.length(shapely.intersection(pinched, shared)) < PINCHED_SHARE * gripper.depth:
+                    continue
                 lever = float(np.linalg.norm(face.flat(point) - middle)) / size
                 quality = _quality(lever, 1 - width / gripper.opening, -way, ways)
                 tools = _tools(point, way, face.normal, _JAW_TURNS)
                 group += [Grasp(part, tool, way, quality, width) for tool in tools]
             groups.append(sorted(group, key=lambda grasp: -round(grasp.quality, 6)))
     return groups
+
+
+def _level(face: Face, onto: Face) -> shapely.Geometry:
+    """Return the part of a face on which jaws close flat, projected along the normal of a face."""
+    normals = triangle_normals(face.triangles)
+    level = np.abs(normals @ onto.normal) >= np.cos(np.radians(GRIP_TILT)) * np.linalg.norm(normals, axis=1)
+    return shapely.union_all(shapely.buffer(shapely.polygons(face.triangles[level] @ onto.frame.T), 1e-9))
 
 
 def _quality(lever: float, room: float, pull: Array, ways: Array) -> float:

@@ -9,11 +9,9 @@ import shapely
 from numpy.typing import NDArray
 
 from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
+from falsework.robots.model.cell import FLAT_DEGREES
 
 Array = NDArray[np.float64]
-
-FLAT_DEGREES = 12.0
-"""Largest angle between the triangles of one face, degrees; the lip of a cup compensates for it."""
 
 
 @dataclass(frozen=True, eq=False)

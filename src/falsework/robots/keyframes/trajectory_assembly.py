@@ -14,7 +14,8 @@ from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment, route_
 from falsework.robots.model.cell import Cell, cell_identity
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.motion.timing import time_path
-from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Trajectory, records_of
+from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Trajectory
+from falsework.robots.plans.robot_record import records_of
 from falsework.search.find import plan_of
 from falsework.search.problem.task import Task
 from falsework.stability.oracle import Stability

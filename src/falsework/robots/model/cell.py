@@ -15,7 +15,18 @@ from falsework.robots.model.shapes import Pieces, pose
 Array = NDArray[np.float64]
 
 GRIP_DISTANCE = 0.005
-"""Largest distance of a gripper from a part that it holds, metres."""
+"""Largest distance of a cup, or of closed jaws, from a part that is held, metres."""
+GRIP_DEPTH = 0.001
+"""Largest depth of a tool frame below the surface that it touches, metres."""
+FLAT_DEGREES = 12.0
+"""Largest angle between the triangles of a face that a gripper takes for flat, degrees; the lip of a cup compensates
+for it."""
+GRIP_TILT = FLAT_DEGREES + 3.0
+"""Largest angle between a gripper and the face that it grips, degrees: a face that counts as flat may be curved."""
+LONGEST_APPROACH = 2.0
+"""Largest length of a line on which a gripper may touch a part, in approach margins of the cell."""
+LONGEST_WITHDRAWAL = 5.0
+"""Largest length of the lines on which a part leaves its place or reaches it, in approach margins of the cell."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +57,16 @@ class Gripper:
     """Largest force on a part that it holds in place, in any direction, N."""
     moment: float = np.inf
     """Largest moment about the origin of the tool frame, about any axis, Nm."""
+
+    @property
+    def grip_distance(self) -> float:
+        """Largest distance of its bodies from a part that it holds, metres: those of jaws are where they are open."""
+        return GRIP_DISTANCE + self.opening / 2
+
+    @property
+    def press_depth(self) -> float:
+        """How far its bodies may reach into a part that it touches, metres: a lip yields where a face is tilted."""
+        return GRIP_DEPTH + self.cup * float(np.tan(np.radians(GRIP_TILT)))
 
     @property
     def has_limits(self) -> bool:

@@ -14,7 +14,7 @@ from falsework.robots.grasping.exit_directions import ExitDirections
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.keyframes import CarriedLoad, Node
 from falsework.robots.kinematics.forward import tool_pose
-from falsework.robots.model.cell import GRIP_DISTANCE, Cell
+from falsework.robots.model.cell import Cell
 from falsework.robots.model.shapes import inverse_pose
 from falsework.robots.motion.collision_world import Attached
 from falsework.search.problem.task import STAGE, Task
@@ -114,7 +114,7 @@ def given_keyframe(
 
 def _check_grip(graph: KeyframeGraph, robot: int, part: int, values: Array) -> None:
     far = graph.world.grip_distance(robot, values, part)
-    if far > GRIP_DISTANCE:
+    if far > graph.cell.robots[robot].gripper.grip_distance:
         raise InputError(
             f"the gripper of {graph.cell.robots[robot].name} is {far:.3g} m away from part "
             f"{graph.assembly.names[part]}, which it should hold; give the configuration in which it holds the part"

@@ -1,1 +1,1 @@
-"""Robot plans: files, independent checks, export."""
+"""Robot plans: files, schedules, loads, export."""

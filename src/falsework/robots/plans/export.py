@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.load import AnyStructure, as_assembly
-from falsework.errors import InputError
+from falsework.errors import InputError, PlanError
 from falsework.robots.cells.cell_file import AnyCell, as_cell
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.plans.mcap_bag import PlacedParts, write_bag
+from falsework.robots.plans.motion_limits import first_limit_fault
 from falsework.robots.plans.programs import Grip, events_of, rapid_modules, ur_scripts
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.robot_plan_file import rounded
@@ -60,14 +61,15 @@ def export_plan(
             the times of the schedule).
         rate: positions per second for `csv` and `urscript`; the other formats get the knots.
         structure: structure of the plan; with it and the cell a bag has the shapes of the parts.
-        cell: cell of the plan.
+        cell: cell of the plan; with it nothing is written for other robots than those of the cell, nor motions beyond
+            its limits. Without it the plan is taken as it is.
 
     Returns:
         The files written.
 
     Raises:
         InputError: no such format, a rate that is not above zero, or a folder that cannot be written.
-        PlanError: the plan is for another structure or cell.
+        PlanError: the plan is for another structure or cell, or exceeds the limits of the cell.
     """
     if form not in FORMATS:
         raise InputError(f"no export format {form!r}; choose {', '.join(FORMATS)}")
@@ -81,8 +83,13 @@ def export_plan(
         "urscript": lambda: starmap(Written, ur_scripts(plan, rate)),
     }
     placed = None
+    if cell is not None:
+        cell = as_cell(cell)
+        plan.check_cell(cell)
+        if fault := first_limit_fault(plan, cell):
+            raise PlanError(f"the robot plan cannot be exported for {cell.name}: {fault}; plan again")
     if form == "mcap" and structure is not None and cell is not None:
-        structure, cell = as_assembly(structure), as_cell(cell)
+        structure = as_assembly(structure)
         plan.check_identity(structure, cell)
         placed = PlacedParts(place_parts(structure, cell.placement), cell)
     folder = Path(folder)

@@ -80,8 +80,16 @@ def grip_loads(plan: RobotPlan, assembly: Assembly, cell: Cell) -> list[GripLoad
 
 
 def overloads(loads: list[GripLoad], plan: RobotPlan, cell: Cell) -> list[PlanProblem]:
-    """Return the loads beyond the force or moment that a gripper bears, as far as the cell gives them."""
-    problems = []
+    """Return the loads beyond the force or moment that a gripper bears, as far as the cell gives them.
+
+    A hold without a load, since its state is not stable, is a problem where the gripper has limits.
+    """
+    problems, known = [], {(load.keyframe, load.robot) for load in loads}
+    for number, frame in enumerate(plan.keyframes):
+        for robot, part in enumerate(frame.held):
+            if part is not None and cell.robots[robot].gripper.has_limits and (number, robot) not in known:
+                said = f"what holding {plan.plan.part_names[part]} takes is unknown: the state is not stable"
+                problems.append(PlanProblem(max(number - 1, 0), cell.robots[robot].name, said))
     for load in loads:
         entry, name = cell.robots[load.robot], plan.plan.part_names[load.part]
         for what, value, limit, unit in (

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import perm
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import HELD, States
 from falsework.errors import PlanError
 from falsework.robots.model.cell import Cell, cell_identity
+from falsework.robots.plans.robot_record import RobotRecord, record_fault
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.task import Direction
 
@@ -191,20 +193,6 @@ class Keyframe:
 
 
 @dataclass(frozen=True, eq=False)
-class RobotRecord:
-    """Robot of a plan, described without its cell file."""
-
-    name: str
-    model: str
-    joint_names: tuple[str, ...]
-    base: Array
-    """Pose of the base in the world, shape (4, 4)."""
-    gripper: str
-    tool: Array
-    """Tool frame in the frame of the flange, shape (4, 4)."""
-
-
-@dataclass(frozen=True, eq=False)
 class RobotPlan:
     """Abstract plan, the keyframe of each of its states, and the motions between them."""
 
@@ -356,34 +344,49 @@ class RobotPlan:
         return replace(self, plan=self.plan.reverse(), keyframes=self.keyframes[::-1], steps=steps, schedule=schedule)
 
     def check_identity(self, assembly: Assembly, cell: Cell) -> None:
-        """Raise PlanError unless the plan is for this structure in this cell."""
+        """Raise PlanError unless the plan is for this structure in this cell, and names their parts and robots."""
         if assembly.identity != self.plan.identity:
             raise PlanError(
                 f"the robot plan is for another {self.plan.name} than this {assembly.name}; give the structure that it "
                 "was made for"
             )
+        names = tuple(assembly.names)
+        if tuple(self.plan.part_names) != names:
+            part = next(k for k, pair in enumerate(zip(self.plan.part_names, names, strict=True)) if pair[0] != pair[1])
+            raise PlanError(
+                f"the robot plan calls part {part} {self.plan.part_names[part]!r}, the structure calls it "
+                f"{names[part]!r}; plan again"
+            )
+        if not np.array_equal(self.plan.boundary, assembly.boundary):
+            part = assembly.names[int(np.argmax(self.plan.boundary != assembly.boundary))]
+            raise PlanError(f"part {part} is boundary in either the robot plan or the structure only; plan again")
+        self.check_cell(cell)
+
+    def cell_place(self, file: Path | str) -> str:
+        """Return the cell that the plan names, for `load_cell`: a file, seen from that of the plan, or a built-in cell.
+
+        Args:
+            file: file that the plan was read from.
+
+        Raises:
+            PlanError: it names none.
+        """
+        if self.cell_source is None:
+            raise PlanError(f"{file} does not say where its cell is; name it (--cell, or cell= in Python)")
+        beside = Path(file).resolve().parent / self.cell_source
+        return str(beside) if beside.is_file() else self.cell_source
+
+    def check_cell(self, cell: Cell) -> None:
+        """Raise PlanError unless the plan is for this cell, and the robots that it records are those of the cell."""
         if cell_identity(cell) != self.cell_identity:
             raise PlanError(
                 f"the robot plan is for another cell {self.cell_name} than this {cell.name}: something in it differs; "
                 "give the cell that it was made for, or plan again"
             )
+        if fault := record_fault(self.robots, cell):
+            raise PlanError(f"the robot plan {fault}; plan again")
 
 
 def acts(step: RobotStep) -> bool:
     """Return whether a step has an action of the plan: it is neither half of a hand-over nor a transit."""
     return step.hands_over is None and not step.transit
-
-
-def records_of(cell: Cell) -> tuple[RobotRecord, ...]:
-    """Return the records of the robots of a cell for a plan."""
-    return tuple(
-        RobotRecord(
-            robot.name,
-            robot.model.name,
-            tuple(robot.model.joint_names),
-            np.array(robot.base),
-            robot.gripper.name,
-            np.array(robot.gripper.tool),
-        )
-        for robot in cell.robots
-    )

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from falsework.errors import PlanError
 from falsework.robots.plans.loads import put_down_fault, transit_fault
-from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotRecord, RobotStep, Trajectory
+from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Trajectory
+from falsework.robots.plans.robot_record import RobotRecord
 from falsework.robots.plans.temporal_graph import MotionNode, Precedence, Reason, TemporalPlanGraph
 from falsework.robots.plans.timeline import nodes_of
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
@@ -316,10 +317,12 @@ class _Reader(Reader):
                     self._fail(f"{place}: robot {robot} does not reach keyframe {index + 1}")
 
     def _array(self, value: Any, shape: tuple[int, ...] | None, place: str) -> Array:
+        if not _is_numeric(value):
+            self._fail(f"{place} does not hold numbers", "texts and booleans are none; plan again")
         try:
             found = np.array(value, dtype=np.float64)
-        except (TypeError, ValueError):
-            self._fail(f"{place} does not hold numbers")
+        except (ValueError, OverflowError):
+            self._fail(f"{place} does not hold numbers of one shape that fit into 64 bits")
         if shape is None and found.ndim != 1:
             self._fail(f"{place} is not a list of numbers")
         if shape is not None and found.shape != shape:
@@ -337,3 +340,10 @@ class _Reader(Reader):
         if not isinstance(value, str):
             self._fail(f"{place} is {value!r}", "it must be a text")
         return value
+
+
+def _is_numeric(value: Any, depth: int = 2) -> bool:
+    """Return whether a value is a list of numbers, nested at most this deep: NumPy converts texts and booleans too."""
+    if not isinstance(value, list):
+        return False
+    return all(type(entry) in (int, float) or (depth > 1 and _is_numeric(entry, depth - 1)) for entry in value)

@@ -149,6 +149,12 @@ class TemporalPlanGraph:
         """Duration of the same motions one after the other, seconds."""
         return float(self.durations.sum())
 
+    @property
+    def busiest(self) -> float:
+        """Duration of the motions of the busiest arm, a lower bound on any makespan, seconds."""
+        work = (sum(node.seconds for node in self.nodes if node.robot == robot) for robot in range(self.robots))
+        return float(max(work, default=0.0))
+
     def of_robot(self, robot: int) -> list[int]:
         """Return the nodes of one arm in order."""
         return [index for index, node in enumerate(self.nodes) if node.robot == robot]
@@ -177,5 +183,4 @@ class TemporalPlanGraph:
             Precedence(last - edge.after, self.nodes[edge.after].seconds, last - edge.before, edge.why)
             for edge in reversed(self.edges)
         )
-        work = (sum(node.seconds for node in nodes if node.robot == robot) for robot in range(self.robots))
-        return TemporalPlanGraph(nodes, edges, self.robots, max(work, default=0.0))
+        return TemporalPlanGraph(nodes, edges, self.robots, self.busiest)

@@ -9,28 +9,32 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from shapely import MultiPoint, Point, Polygon
 
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED
-from falsework.errors import InputError
+from falsework.errors import CellError, InputError
 from falsework.robots.cells.cell_file import AnyCell, as_cell
-from falsework.robots.model.cell import GRIP_DISTANCE, Cell
+from falsework.robots.cells.validate import check_bases
+from falsework.robots.checks.delays import DelayReport, check_delays
+from falsework.robots.checks.descriptions import description_fault
+from falsework.robots.checks.grips import GripChecker
+from falsework.robots.checks.handling import HandlingChecker, place_lines
+from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
+from falsework.robots.checks.put_down import put_down_faults
+from falsework.robots.checks.schedule import check_schedule
+from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
-from falsework.robots.model.shapes import inverse_pose, move
-from falsework.robots.plans.check_delays import DelayReport, check_delays
-from falsework.robots.plans.check_schedule import check_schedule
+from falsework.robots.plans.grip_loads import GripLoad, grip_loads, overloads
 from falsework.robots.plans.loads import (
     Load,
     load_of,
     loads_at,
     loads_beside,
-    lying_motions,
     put_down_fault,
     transit_fault,
 )
-from falsework.robots.plans.pinocchio_checker import PinocchioCollisionChecker
+from falsework.robots.plans.motion_limits import check_limits
 from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.search.problem.task import Direction
@@ -42,12 +46,10 @@ Progress = Callable[[int, int], None]
 _OVERLAP = 0.001
 """Allowed overlap of a part with its neighbours as it leaves or reaches its place, metres; where the structure's
 own meshes overlap by more at that place, this is doubled until they do not."""
-_STEADY = 0.05
-"""Least distance of a centre of mass from the edges of the face that a part stands on, in square roots of its area."""
 _SAME_JOINT = 1e-5
 """Joint values that differ by no more are equal, rad or m."""
-_LIMIT_EXCESS = 0.01
-"""Share by which rounded knots may exceed a velocity or acceleration limit."""
+_OUTSIDE = 1e-6
+"""Amount by which a joint may exceed a position limit, rad or m."""
 _MAX_PROBLEMS = 20
 """Number of problems after which the check stops."""
 
@@ -78,6 +80,11 @@ class CheckReport:
     """Number of instants of the schedule at which everything that moves then was checked."""
     delays: DelayReport | None = None
     """Check of the schedule under any delays; None without a schedule, or where the check had stopped before."""
+    loads: tuple[GripLoad, ...] | None = None
+    """Loads on grippers that hold parts in place; None in a cell whose grippers have no limits of force and moment."""
+    lower_bound: float | None = None
+    """Proven lower bound on the makespan, the work of the busiest arm, seconds; None without a schedule. That of the
+    plan itself may be larger, and is not checked."""
 
     @property
     def good(self) -> bool:
@@ -92,6 +99,8 @@ class _Checker:
         self.plan, self.cell, self.resolution = plan, cell, resolution
         parts = place_parts(assembly, cell.placement)
         self.judge = PinocchioCollisionChecker(cell, parts, _OVERLAP)
+        self.grips = GripChecker(cell, self.judge)
+        self.handling = HandlingChecker(plan, cell, self.grips)
         self.boundary = assembly.boundary
         self.problems: list[PlanProblem] = []
         self.samples = self.trajectories = 0
@@ -118,10 +127,30 @@ class _Checker:
         for robot, part in enumerate(frame.held):
             if part is None:
                 continue
-            far = self.judge.grip_distance(robot, frame.configurations[robot], part)
-            if far > GRIP_DISTANCE:
-                name = self.judge.parts.names[part]
-                self.say(step, robot, f"the gripper is {1000 * far:.1f} mm away from {name}, which it should hold")
+            if fault := self.grips.fault(robot, frame.configurations[robot], part):
+                self.say(step, robot, f"{fault}, which it should hold")
+
+    def surroundings(self) -> None:
+        """Check that bases stand free, and that robots are those that their descriptions describe."""
+        try:
+            check_bases(self.cell, self.judge.parts)
+        except CellError as error:
+            self.say(0, 0, str(error))
+        for robot, entry in enumerate(self.cell.robots):
+            if fault := description_fault(entry.model):
+                self.say(0, robot, fault)
+
+    def limits(self) -> bool:
+        """Check limits and durations of all motions by arithmetic; return whether all of them may be sampled."""
+        bounded = True
+        for index, robot, trajectory in self.plan.moves():
+            found = check_limits(trajectory, self.cell.robots[robot].model, self.cell.speed)
+            self.velocity = max(self.velocity, found.velocity_share)
+            self.acceleration = max(self.acceleration, found.acceleration_share)
+            bounded &= found.bounded
+            for fault in found.faults if not self.full() else ():
+                self.say(index, robot, fault)
+        return bounded
 
     def step(self, index: int) -> None:
         """Check one action: contents, continuity, limits, collisions."""
@@ -141,7 +170,10 @@ class _Checker:
         elif step.gripped is not None:
             self._gripped(index, step.gripped)
         elif step.put_down is not None:
-            self._put_down(index, part, step.put_down, present)
+            for fault, pair in put_down_faults(self.plan, index, self.grips, present):
+                self.say(index, robot, fault, pair=pair)
+        for fault in self.handling.faults(index):
+            self.say(index, robot, fault)
         for other, (old, new) in enumerate(zip(before.held, after.held, strict=True)):
             if (old != new) != (other == robot and not step.transit):
                 self.say(index, other, "its held part does not change according to the action")
@@ -152,35 +184,32 @@ class _Checker:
             load = load_of(self.plan, index, order)
             self._content(index, order, trajectory, part, load)
             values = self._joins(index, robot, values, trajectory.positions[0], trajectory.positions[-1])
-            self._limits(index, robot, trajectory)
-            self._collisions(index, robot, trajectory, present, load)
+            self._collisions(index, order, trajectory, present, load)
         self._joins(index, robot, values, after.configurations[robot], values)
         for other, (old, new) in enumerate(zip(before.configurations, after.configurations, strict=True)):
             if other != robot:
                 self._joins(index, other, old, new, new)
 
-    def start(self) -> None:
-        """Check that the initial configurations are free of collisions."""
-        frame, present = self.plan.keyframes[0], self.plan.states[0] != REMOVED
-        loads = loads_at(self.plan, 0)
+    def at_rest(self, index: int, when: str) -> None:
+        """Check that the configurations of the first or the last keyframe are within limits, and free of collisions."""
+        frame, present = self.plan.keyframes[index], self.plan.states[index] != REMOVED
+        loads = loads_at(self.plan, index)
         for robot, values in enumerate(frame.configurations):
+            if not self.cell.robots[robot].model.within_limits(values, _OUTSIDE):
+                self.say(min(index, len(self.plan) - 1), robot, f"at the {when} a joint is outside its limits")
             others = {other: load for other, load in loads.items() if other != robot}
             given = {"touches": frame.held[robot], "load": loads.get(robot), "loads": others}
             move = self.judge.prepare(robot, frame.configurations, present, **given)
             pair = move.hits(values)
             if pair is not None:
-                self.say(0, robot, f"at the start {pair[0]} collides with {pair[1]}", pair=pair)
+                step = min(index, len(self.plan) - 1)
+                self.say(step, robot, f"at the {when} {pair[0]} collides with {pair[1]}", pair=pair)
 
     def _action(self, index: int) -> tuple[int, bool]:
         """Return the part of an action, and whether it leaves or enters the structure in the gripper."""
         parts = len(self.boundary)
         action = int(self.plan.actions[index])
         return -1 if action < 0 else action % parts, action >= parts
-
-    def _grip(self, index: int, robot: int) -> Array:
-        """Return the configuration in which the part of a removal, or an insertion, is gripped in place."""
-        apart = self.plan.direction is Direction.DISASSEMBLY
-        return self.plan.keyframes[index if apart else index + 1].configurations[robot]
 
     def _content(self, index: int, order: int, trajectory: Trajectory, part: int, load: Load | None) -> None:
         """Check that a removal always carries its part, and a hold carries none and touches it only on the line.
@@ -204,37 +233,8 @@ class _Checker:
         """Check that the gripper is at a part that it carries in a transit."""
         robot = self.plan.steps[index].robot
         part = next(leg.part for leg in self.plan.steps[index].trajectories if leg.part is not None)
-        far = self.judge.grip_distance(robot, values, part)
-        if far > GRIP_DISTANCE:
-            name = self.judge.parts.names[part]
-            self.say(index, robot, f"the gripper is {1000 * far:.1f} mm away from {name}, which it should carry")
-
-    def _put_down(self, index: int, part: int, pose: Array, present: NDArray[np.bool_]) -> None:
-        """Check that a part lies free and at rest on the floor, where its robot has it, within reach of the gripper.
-
-        Robots beside it are checked with the motions meanwhile.
-        """
-        step, lying = self.plan.steps[index], lying_motions(self.plan, index)
-        robot, name = step.robot, self.judge.parts.names[part]
-        ends = step.trajectories[lying.start].positions[0], step.trajectories[lying.stop - 1].positions[-1]
-        for values in ends:
-            far = self.judge.grip_distance(robot, values, part, pose)
-            if far > GRIP_DISTANCE:
-                self.say(index, robot, f"the gripper is {1000 * far:.1f} mm away from {name}, which lies on the floor")
-        # In the grip in which the part is in its place, it must come to lie there, or be lifted from there.
-        apart = self.plan.direction is Direction.DISASSEMBLY
-        there = self.judge.flange(robot, ends[0 if apart else 1])
-        carried = there @ inverse_pose(self.judge.flange(robot, self._grip(index, robot)))
-        corners = self.judge.parts.meshes[part].vertices
-        far = float(np.linalg.norm(move(carried, corners) - move(pose, corners), axis=1).max())
-        if far > _OVERLAP:
-            self.say(index, robot, f"{name} lies {1000 * far:.1f} mm away from where its robot has it")
-        other = self.judge.obstructs(Load(part, None, pose), present)
-        if other is not None:
-            self.say(index, robot, f"{name} is put down in {other}", pair=(f"part {name}", other))
-        why = unrest(move(pose, corners), move(pose, self.judge.parts.center[part : part + 1])[0], self.cell.floor)
-        if why:
-            self.say(index, robot, f"{name} does not rest where it is put down: {why}")
+        if fault := self.grips.fault(robot, values, part):
+            self.say(index, robot, f"{fault}, which it should carry")
 
     def _joins(self, index: int, robot: int, here: Array, there: Array, end: Array) -> Array:
         far = float(np.abs(here - there).max())
@@ -243,78 +243,43 @@ class _Checker:
             self.say(index, robot, f"it jumps by {far:.4g} rad between two motions")
         return end
 
-    def _limits(self, index: int, robot: int, trajectory: Trajectory) -> None:
-        model, share = self.cell.robots[robot].model, self.cell.speed
-        speed, acceleration = trajectory.peaks()
-        velocity = speed / (model.velocity * share)
-        push = acceleration / (model.acceleration * share**2)
-        self.velocity = max(self.velocity, float(velocity.max()))
-        self.acceleration = max(self.acceleration, float(push.max()))
-        for what, found in (("speed", velocity), ("acceleration", push)):
-            if found.max() > 1 + _LIMIT_EXCESS:
-                joint = model.joint_names[int(np.argmax(found))]
-                self.say(index, robot, f"the {what} of {joint} is {100 * found.max():.0f} % of its limit")
-        if any(np.abs(trajectory.velocities[end]).max() > 1e-6 for end in (0, -1)):
-            self.say(index, robot, "a motion does not start or end at rest")
-
     def _collisions(
         self,
         index: int,
-        robot: int,
+        order: int,
         trajectory: Trajectory,
         present: NDArray[np.bool_],
         load: Load | None,
     ) -> None:
+        robot, at_place = self.plan.steps[index].robot, order in place_lines(self.plan, index)
         moments, samples = trajectory.dense(self.resolution)
         self.samples += len(samples)
         self.trajectories += 1
         if len(samples) > 1:
             self.largest_step = max(self.largest_step, float(np.abs(np.diff(samples, axis=0)).max()))
         model = self.cell.robots[robot].model
-        outside = ~model.within_limits(samples, 1e-6)
+        outside = ~model.within_limits(samples, _OUTSIDE)
         if outside.any():
             row = int(np.argmax(outside))
             beyond = np.maximum(samples[row] - model.upper, model.lower - samples[row])
             what = f"{model.joint_names[int(np.argmax(beyond))]} is outside its limits"
             self.say(index, robot, what, seconds=float(moments[row]), configuration=tuple(samples[row].tolist()))
-        move = self.judge.prepare(
-            robot,
-            self.plan.keyframes[index].configurations,
-            present,
-            load=load,
-            touches=trajectory.touches,
-            at_place=load is not None and trajectory.kind == "line",
-            loads=loads_beside(self.plan, index),
-        )
-        for moment, values in zip(moments, samples, strict=True):
-            pair = move.hits(values)
+        given = {"load": load, "touches": trajectory.touches, "loads": loads_beside(self.plan, index)}
+        rest = self.plan.keyframes[index].configurations
+        move = self.judge.prepare(robot, rest, present, at_place=at_place, **given)
+        tried = [(move, moment, values) for moment, values in zip(moments, samples, strict=True)]
+        apart = self.plan.direction is Direction.DISASSEMBLY
+        if at_place and order == (len(self.plan.steps[index].trajectories) - 1 if apart else 0):
+            # Beyond its last line a part has its full size; so it has where it leaves the gripper, or waits in it.
+            row = -1 if apart else 0
+            tried.append((self.judge.prepare(robot, rest, present, **given), moments[row], samples[row]))
+        for query, moment, values in tried:
+            pair = query.hits(values)
             if pair is not None:
                 what = f"{pair[0]} collides with {pair[1]}"
                 place = tuple(values.tolist())
                 self.say(index, robot, what, pair=pair, seconds=float(moment), configuration=place)
                 return
-
-
-def unrest(corners: Array, center: Array, floor: float | None) -> str:
-    """Return why a part would not rest on the floor; empty if it stands on a face of some width.
-
-    Args:
-        corners: its vertices, shape (vertices, 3).
-        center: its centre of mass, shape (3,).
-        floor: height of the floor; None: there is none.
-    """
-    if floor is None:
-        return "the cell has no floor"
-    gap = float(corners[:, 2].min()) - floor
-    if abs(gap) > _OVERLAP:
-        return f"it is {1000 * abs(gap):.1f} mm {'above' if gap > 0 else 'below'} the floor"
-    base = MultiPoint(corners[corners[:, 2] < floor + _OVERLAP, :2]).convex_hull
-    if not isinstance(base, Polygon) or base.area <= 0:
-        return "it stands on an edge or a corner"
-    inside = base.contains(Point(center[:2]))
-    if not inside or base.exterior.distance(Point(center[:2])) < _STEADY * np.sqrt(base.area):
-        return "its centre of mass is not well above the face that it stands on"
-    return ""
 
 
 def check_robot_plan(
@@ -338,12 +303,14 @@ def check_robot_plan(
 
     - neighbouring links, and the pairs that the robot description excludes;
     - a gripper and the last two links of its arm, and a part in a gripper and the last link and the gripper;
-    - on an approach or a retreat: the gripper and the part that it grips;
+    - on an approach or a retreat, the gripper may press into the part that it grips, by `Gripper.press_depth`;
     - on the lines on which a part leaves or reaches its place, or the floor where it is put down on the way, the part
       is shrunk by the tolerance, since it touches its neighbours and the floor. Everywhere else it has its full size;
       while it lies on the floor it is not checked against the floor, on which it must stand on a face.
 
-    The stability of the states is not checked here; `validate_plan(plan.plan, ...)` does that.
+    Robots, their tools and places, payloads and limits are those of the cell, which the plan must name as they are; the
+    facts that are checked are listed in `docs/robot-plan-checks.md`. The stability of the states is not checked here;
+    `validate_plan(plan.plan, ...)` does that.
 
     Args:
         plan: the robot plan.
@@ -363,17 +330,28 @@ def check_robot_plan(
     plan.check_identity(assembly, cell)
     began = time.perf_counter()
     checker = _Checker(plan, assembly, cell, step)
-    checker.start()
-    for index in range(len(plan)):
+    checker.surroundings()
+    if not len(plan):
+        checker.say(0, 0, "the plan has no steps, so that nothing is checked")
+    bounded = checker.limits()
+    if bounded:
+        checker.at_rest(0, "start")
+    for index in range(len(plan)) if bounded else ():
         if checker.full():
             break
         checker.keyframe(index)
         checker.step(index)
         if progress is not None:
             progress(index + 1, len(plan))
-    checker.keyframe(len(plan))
+    loads = None
+    if bounded:
+        checker.keyframe(len(plan))
+        checker.at_rest(len(plan), "end")
+        if any(robot.gripper.has_limits for robot in cell.robots):
+            loads = tuple(grip_loads(plan, assembly, cell))
+            checker.problems += overloads(list(loads), plan, cell)
     timed, delays = 0, None
-    if plan.schedule is not None and not checker.full():
+    if plan.schedule is not None and bounded and not checker.full():
         found, timed = check_schedule(plan, cell, checker.judge, step=step)
         delays = check_delays(plan, checker.judge, most=_MAX_PROBLEMS)
         checker.problems += [*found, *delays.problems]
@@ -390,4 +368,6 @@ def check_robot_plan(
         time.perf_counter() - began,
         timed,
         delays,
+        loads,
+        None if plan.schedule is None else plan.schedule.busiest,
     )

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED
-from falsework.robots.plans.pinocchio_checker import PinocchioCollisionChecker
+from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
+from falsework.robots.checks.separation import BodyPath, Meeting, SeparationProver
 from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.reachable_positions import ReachablePositions, Segment
 from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.robots.plans.separation import BodyPath, Meeting, SeparationProver
 
 Array = NDArray[np.float64]
 

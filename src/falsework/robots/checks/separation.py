@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.robots.plans.pinocchio_checker import (
+from falsework.robots.checks.pinocchio_checker import (
     WORLD,
     CollisionBody,
     PinocchioCollisionChecker,

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from falsework.errors import DependencyError
 from falsework.geometry.mesh.collision import shrink
 from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.robots.checks.libraries import import_pinocchio
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.robot_model import RobotModel
@@ -28,22 +28,6 @@ Array = NDArray[np.float64]
 
 WORLD = 0
 """Index of Pinocchio's fixed joint."""
-
-
-def import_pinocchio() -> tuple[Any, Any]:
-    """Return the modules Pinocchio and Coal.
-
-    Raises:
-        DependencyError: not installed; the message names the extra.
-    """
-    try:
-        import coal
-        import pinocchio
-    except ImportError:
-        raise DependencyError(
-            "checking robot plans needs Pinocchio and Coal; install them: pip install 'falsework[robots]'"
-        ) from None
-    return pinocchio, coal
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +123,8 @@ class PinocchioCollisionChecker:
             configurations: joint values of all robots; those of the moving one are ignored.
             present: parts in place, shape (parts,).
             load: part in the gripper, or put down; against fixed bodies `obstructs` checks the latter.
-            touches: part that the gripper may touch.
+            touches: part that the gripper may touch: to it the gripper is checked against the part, shrunk by
+                `Gripper.press_depth`.
             at_place: whether the carried part starts or ends at its place, or on the floor; it is then shrunk by the
                 tolerance, since it touches its neighbours there.
             loads: parts that other robots carry or have put down.
@@ -162,6 +147,10 @@ class PinocchioCollisionChecker:
                     standing.append(
                         ("shrunk part", number, CollisionBody(name, shrunk, WORLD, np.eye(4), slack=body.slack))
                     )
+        if touches is not None and load is not None and lying and load.part == touches:
+            standing.append(("touched part", touches, self._touched(robot, touches, load.pose)))
+        elif touches is not None and present[touches]:
+            standing.append(("touched part", touches, self._touched(robot, touches, np.eye(4))))
         bodies = [body for _, body in moving] + [body for _, _, body in standing]
         geometry = self._pin.GeometryModel()
         for number, body in enumerate(bodies):
@@ -174,6 +163,10 @@ class PinocchioCollisionChecker:
                 if body.against is None and self._against_itself(link, other, joints, ignored):
                     geometry.addCollisionPair(self._pin.CollisionPair(b, a))
             for b, (what, number, other_body) in enumerate(standing, len(moving)):
+                if what == "touched part":
+                    if link == joints + 1:
+                        geometry.addCollisionPair(self._pin.CollisionPair(a, b))
+                    continue
                 if what == "base" and (0, link) in ignored:
                     continue
                 if what == "part" and number in body.spared:
@@ -215,6 +208,20 @@ class PinocchioCollisionChecker:
             found = coal.distance(piece, there, self._parts[part], here, coal.DistanceRequest(), coal.DistanceResult())
             least = min(least, float(found))
         return max(least, 0.0)
+
+    def is_pierced(self, robot: int, configuration: Array, part: int, pose: Array | None = None) -> bool:
+        """Return whether a gripper reaches deeper into a part, in place or displaced, than it may press into it."""
+        flange, body = (
+            self.flange(robot, configuration),
+            self._touched(robot, part, np.eye(4) if pose is None else pose),
+        )
+        here = self._coal.Transform3s(body.placement[:3, :3], body.placement[:3, 3])
+        there = self._coal.Transform3s(flange[:3, :3], flange[:3, 3])
+        request = self._coal.CollisionRequest()
+        return any(
+            self._coal.collide(piece, there, body.shape, here, request, self._coal.CollisionResult())
+            for piece in self._grippers[robot]
+        )
 
     def flange(self, robot: int, configuration: Array) -> Array:
         """Return the pose of a flange in the world, shape (4, 4)."""
@@ -280,6 +287,11 @@ class PinocchioCollisionChecker:
             CollisionBody(name, self._shrunk(part, slack), joint, placement, against=others, slack=slack)
             for slack, others in more
         ]
+
+    def _touched(self, robot: int, part: int, pose: Array) -> CollisionBody:
+        """Return a part that the gripper of a robot touches, shrunk by how far it may press into it."""
+        shape = self._shrunk(part, self.cell.robots[robot].gripper.press_depth)
+        return CollisionBody(f"part {self.parts.names[part]}", shape, WORLD, pose)
 
     def _shrunk(self, part: int, slack: float) -> Any:
         if (part, slack) not in self._shrunken:

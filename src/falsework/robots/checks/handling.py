@@ -1,0 +1,152 @@
+"""Check of where parts change hands: a robot takes or leaves a part at its place in the structure or one of the cell.
+
+Between these places it carries the part. Where parts are put down on the way is checked with the floor.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.robots.checks.grips import GripChecker
+from falsework.robots.model.cell import LONGEST_APPROACH, LONGEST_WITHDRAWAL, Cell
+from falsework.robots.model.shapes import inverse_pose, move
+from falsework.robots.plans.loads import load_of, lying_motions
+from falsework.robots.plans.motion_limits import line_fault
+from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.search.problem.task import Direction
+
+Array = NDArray[np.float64]
+
+_PLACE_DISTANCE = 0.001
+"""Largest distance of a tool frame from a place of the cell, metres."""
+_PLACE_TILT = 0.01
+"""Largest angle between z of both, rad; about it a part may be turned in any way."""
+_AWAY = 0.001
+"""Distance by which a part that has left its place is at least displaced, metres."""
+_HEAVIER = 1e-6
+"""Share by which a rounded mass may exceed a payload."""
+
+
+class HandlingChecker:
+    """Places, payloads and lines of the parts that the robots of a plan move."""
+
+    def __init__(self, plan: RobotPlan, cell: Cell, grips: GripChecker) -> None:
+        """Check `plan` in `cell` with tool poses from `grips`."""
+        self.plan, self.cell, self.grips = plan, cell, grips
+        self.names, self.mass = grips.judge.parts.names, grips.judge.parts.mass
+
+    def faults(self, index: int) -> list[str]:
+        """Return what is wrong with how a step moves its part, where it takes and leaves it, and with its lines."""
+        return [*self._places(index), *self._payload(index), *self._lines(index)]
+
+    def _places(self, index: int) -> list[str]:
+        """Return where a part comes into or leaves the gripper although neither the structure nor the cell has it."""
+        plan, step = self.plan, self.plan.steps[index]
+        robot, legs = step.robot, step.trajectories
+        part, before, after = self._ends(index)
+        if part is None:
+            return []
+        has = [before, *(leg.part is not None for leg in legs), after]
+        where = [leg.positions[0] for leg in legs] + [plan.keyframes[index + 1].configurations[robot]]
+        lying, faults = lying_motions(plan, index), []
+        if int(plan.actions[index]) >= len(plan.plan.boundary) and self._stays(index, part):
+            faults.append(f"{self.names[part]} does not {'leave' if before else 'come to'} its place")
+        for change, (old, new) in enumerate(pairwise(has)):
+            if old == new or (lying and change in (lying.start, lying.stop)):
+                continue
+            fault = self._no_place(robot, where[change])
+            if fault:
+                does = "comes into the gripper" if new else "is let go of"
+                faults.append(f"{self.names[part]} {does} {fault}, which is no place of the cell")
+        return faults
+
+    def _ends(self, index: int) -> tuple[int | None, bool, bool]:
+        """Return the part that a step moves, and whether it is in the gripper before and after the step."""
+        plan, step, parts = self.plan, self.plan.steps[index], len(self.plan.plan.boundary)
+        before, after = (plan.keyframes[k].load(step.robot) for k in (index, index + 1))
+        action = int(plan.actions[index])
+        if action >= parts:  # in place it is in the gripper
+            apart = plan.direction is Direction.DISASSEMBLY
+            return action - parts, apart or before is not None, not apart or after is not None
+        carried = [part for part in (before, *(leg.part for leg in step.trajectories), after) if part is not None]
+        return (carried[0] if carried and step.transit else None), before is not None, after is not None
+
+    def _stays(self, index: int, part: int) -> bool:
+        """Return whether the part of a removal, or an insertion, is at its place before as well as after the step."""
+        plan, robot = self.plan, self.plan.steps[index].robot
+        flanges = [self.grips.judge.flange(robot, plan.keyframes[k].configurations[robot]) for k in (index, index + 1)]
+        corners = self.grips.judge.parts.meshes[part].vertices
+        moved = move(flanges[1] @ inverse_pose(flanges[0]), corners)
+        return float(np.linalg.norm(moved - corners, axis=1).max()) <= _AWAY
+
+    def _no_place(self, robot: int, configuration: Array) -> str:
+        """Return where a tool is if that is not at a place of its robot; empty if it is."""
+        tool, places = self.grips.tool(robot, configuration), self.cell.robots[robot].places
+        far = np.linalg.norm(places[:, :3, 3] - tool[:3, 3], axis=1)
+        tilt = np.arccos(np.clip(places[:, :3, 2] @ tool[:3, 2], -1.0, 1.0))
+        if ((far <= _PLACE_DISTANCE) & (tilt <= _PLACE_TILT)).any():
+            return ""
+        at = ", ".join(f"{value:.3f}" for value in tool[:3, 3])
+        nearest = f" ({1000 * far.min():.0f} mm from the nearest)" if len(far) else ""
+        return f"with the tool at {at}{nearest}"
+
+    def _payload(self, index: int) -> list[str]:
+        part = self._ends(index)[0]
+        robot = self.cell.robots[self.plan.steps[index].robot]
+        if part is None or self.mass[part] <= robot.payload * (1 + _HEAVIER):
+            return []
+        return [f"{self.names[part]} weighs {self.mass[part]:.4g} kg, the payload is {robot.payload:.4g} kg"]
+
+    def _lines(self, index: int) -> list[str]:
+        """Return which motions are called lines and are not, or are where no line may be."""
+        step, margin, faults = self.plan.steps[index], self.cell.margins.approach, []
+        at_place, run = place_lines(self.plan, index), 0.0
+        grip, last = self.plan.grip(index), len(step.trajectories) - 1
+        lying = lying_motions(self.plan, index)
+        for order, leg in enumerate(step.trajectories):
+            if leg.kind != "line":
+                continue
+            _, samples = leg.dense(0.01)
+            tools = np.array([self.grips.tool(step.robot, values) for values in samples])
+            carries = leg.part is not None
+            longest = margin * (LONGEST_WITHDRAWAL if carries else LONGEST_APPROACH)
+            if fault := line_fault(tools, longest if carries or leg.touches is not None else np.inf):
+                faults.append(f"motion {order + 1} {fault}")
+            if leg.part is not None and order not in at_place:
+                name = self.names[leg.part]
+                faults.append(f"motion {order + 1} is a line on which {name} neither leaves a place nor reaches one")
+            if carries and order in at_place and not (lying and order in (lying.start - 1, lying.stop)):
+                run += float(np.linalg.norm(tools[-1, :3, 3] - tools[0, :3, 3]))
+            ends = {lying.start, lying.stop - 1} if lying else {0, last} if step.transit else set()
+            ends |= {"close": {last}, "open": {0}}.get(grip or "", set())
+            if leg.touches is not None and order not in ends:
+                name = self.names[leg.touches]
+                faults.append(f"motion {order + 1} touches {name} and neither ends at it nor begins there")
+        if run > margin * LONGEST_WITHDRAWAL + 0.001:
+            faults.append(
+                f"its part is on lines for {1000 * run:.0f} mm, which is more than its way to or from a place"
+            )
+        return faults
+
+
+def place_lines(plan: RobotPlan, index: int) -> frozenset[int]:
+    """Return the motions of a step on which its part leaves or reaches its place, or the floor where it is put down.
+
+    These are lines: the first ones of a removal up to its first other motion, in an insertion the last ones, and those
+    before and after the part lies on the floor.
+    """
+    step, parts = plan.steps[index], len(plan.plan.boundary)
+    if int(plan.actions[index]) < parts:
+        return frozenset()
+    apart, legs = plan.direction is Direction.DISASSEMBLY, step.trajectories
+    found = set()
+    for order in range(len(legs)) if apart else reversed(range(len(legs))):
+        if legs[order].kind != "line" or legs[order].part is None:
+            break
+        found.add(order)
+    lying = lying_motions(plan, index)
+    found |= {lying.start - 1, lying.stop} if lying else set()
+    return frozenset(order for order in found if load_of(plan, index, order) is not None)
