@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from falsework.assembly import Assembly, load_assembly, load_structure, save_assembly
-from falsework.errors import AssemblyError, InputError
+from falsework.errors import AssemblyError, InputError, ReadWarning
 from falsework.geometry import ContactSettings, TriangleMesh
 from falsework.geometry.mesh.obj import obj_text
 
@@ -201,4 +201,7 @@ def test_structures_by_name(folder: Path, monkeypatch):
     with pytest.raises(InputError, match=r"structure 'arhc'; built in are arch"):
         load_structure("arhc")
     with pytest.raises(InputError, match="its own unit"):
-        load_structure("arch", unit="mm")
+        load_structure("arch:", unit="mm")
+    with pytest.warns(ReadWarning, match="arch is a folder or file here, which is read, and .* which is arch:"):
+        assert load_structure("arch").name == "door", "the user means what is there"
+    assert load_structure("arch:").name == "arch"

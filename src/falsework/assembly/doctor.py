@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -12,19 +13,19 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 
-from falsework.assembly.draft import Block, Draft
+from falsework.assembly.draft import Draft
+from falsework.assembly.fasteners import furnish
 from falsework.assembly.interfaces import InterfaceComparison, compare_interfaces, interface_contacts
 from falsework.assembly.load import LOAD_OPTIONS, check_meshes_path, described_options, read_draft
 from falsework.assembly.model import Assembly
-from falsework.assembly.store import read_description
-from falsework.errors import AssemblyError, InputError, MeshError
-from falsework.geometry.contact.interfaces import ContactSettings, exact_contacts, find_contacts
+from falsework.assembly.store import described_draft, read_description
+from falsework.errors import AssemblyError, InputError, MeshError, ReadWarning
+from falsework.geometry.contact.interfaces import Contacts, ContactSettings, exact_contacts, find_contacts
 from falsework.geometry.contact.joints import depths_beyond, find_joints
 from falsework.geometry.contact.overlap import Overlaps, depth, find_overlaps
 from falsework.geometry.mesh.collision import nearest
 from falsework.geometry.mesh.mesh import TriangleMesh
-from falsework.geometry.mesh.obj import read_obj
-from falsework.geometry.mesh.read import SUFFIXES, UNITS, load_meshes, natural_key, unit_length
+from falsework.geometry.mesh.read import UNITS, unit_length
 from falsework.geometry.mesh.repair import check_mesh, thicken_supports
 
 _TINY = 1e-3
@@ -33,6 +34,16 @@ _SAME = 1e-6
 """Distance of the bounds of duplicates, as a share of a part's size."""
 _SIZES = (0.02, 5.0)
 """Smallest and largest size of a typical part that raises no doubt about the unit, metres."""
+_DENSITIES = (100.0, 10_000.0)
+"""Smallest and largest density that raises no doubt, kg/m3."""
+_FRICTION = 1.5
+"""Largest coefficient of friction that raises no doubt."""
+_LEVEL = 0.01
+"""Difference in height, as a share of that of the structure, up to which parts are level."""
+_BEARING = 0.1
+"""Vertical component from which the normal of a contact bears a part."""
+_HAVE_UNITS = {".3dm", ".step", ".stp", ".glb", ".gltf", ".ldr", ".mpd", ".txt"}
+"""Files that say their unit."""
 
 
 @dataclass(frozen=True)
@@ -106,12 +117,13 @@ class Diagnosis:
         }
 
 
-def diagnose(path: str | Path, unit: str | None = None) -> Diagnosis:
+def diagnose(path: str | Path, unit: str | None = None, **options: Any) -> Diagnosis:
     """Examine a folder or file of parts, and collect all errors instead of stopping at the first.
 
     Args:
         path: folder or file, as for `load_structure`.
         unit: unit of the coordinates; that of `assembly.json` or the file if not given.
+        options: others of `load_structure`, such as boundary, ground, density and friction.
 
     Raises:
         InputError: no such path, or an unknown unit.
@@ -121,44 +133,65 @@ def diagnose(path: str | Path, unit: str | None = None) -> Diagnosis:
         raise InputError(f"there is no {path}; give a folder of meshes or a file with the parts")
     if unit is not None:
         unit_length(unit)
-    try:
-        draft, options = _read(path, unit)
-    except InputError as error:
-        return Diagnosis(str(path), str(error), (), "", (), 0, None, {}, False, None)
-    solids, mended, errors = _solids(draft, options.get("boundary"))
-    size = np.array([np.linalg.norm(np.ptp(block.vertices, axis=0)) * draft.scale for block in draft.blocks])
-    doubts: list[list[str]] = [[error] if error else [] for error in errors]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            draft, described = _read(path, unit)
+        except InputError as error:
+            return Diagnosis(str(path), str(error), (), "", (), 0, None, {}, False, None)
+    options = {**described, **{name: value for name, value in options.items() if value is not None}}
+    solids, mended, errors, notes = _solids(draft, options.get("boundary"))
+    size = np.array(
+        [np.linalg.norm(np.ptp(block.vertices, axis=0)) * draft.scale if len(block.vertices) else 0.0
+         for block in draft.blocks]
+    )  # fmt: skip
+    doubts = [[*([error] if error else []), *more] for error, more in zip(errors, notes, strict=True)]
     _compare_parts(solids, doubts)
     assembly, error, remarks = _load(draft, options)
+    remarks = list(dict.fromkeys([*(str(warning.message) for warning in caught), *remarks]))
     error = error if assembly is None else ""
-    fixed = assembly.boundary if assembly is not None else _boundary(draft, options)
+    fixed = np.zeros(len(draft.blocks), dtype=bool)
+    fixed[draft.supports(options.get("boundary"))] = True
     additions: dict[str, Any] = {}
+    stored = None
     if assembly is not None:
-        count, stored = len(assembly.contacts), None
+        contacts: Contacts | None = assembly.contacts
         if draft.interfaces:
             try:
                 stored = compare_interfaces(interface_contacts(assembly.meshes, draft.interfaces), assembly.contacts)
             except AssemblyError as reason:
                 remarks.append(str(reason))
     else:
-        stored = None
         settings = options.get("contact_settings") or ContactSettings()
-        count = _contacts(solids, settings, fixed, doubts)
+        contacts = _contacts(solids, settings, fixed, doubts)
         fitted = replace(settings, gap=None, overlap=None)
         if settings != fitted and _load(draft, {**options, "contact_settings": fitted})[0] is not None:
             remarks.append("it loads without the lengths gap and overlap of its contacts: joints are then fitted")
-        if not fixed.any():
-            remarks.append("no part is boundary")
-            additions["boundary"] = _lowest(draft)
         if draft.interfaces and _load(draft, {**options, "interfaces": "stored"})[0] is not None:
             remarks.append(f"it loads with its {len(draft.interfaces)} stored interfaces (--interfaces stored)")
-    likely = "" if path.suffix.lower() in (".3dm", ".step", ".stp") else _unit(float(np.median(size)), draft.scale)
+    standing = _standing(solids, contacts)
+    remarks += _material_doubts(draft, options, assembly)
+    if standing:
+        remarks.append(standing)
+    if options.get("ground"):
+        pass
+    elif fixed.any():
+        remarks += _support_doubts(draft, solids, fixed)
+    else:
+        remarks.append("no part is boundary")
+        lowest = _lowest(solids)
+        if len(lowest) < sum(solid is not None for solid in solids) and not standing:
+            additions["boundary"] = lowest
+        else:
+            remarks.append("which parts are fixed cannot be seen: name them (--boundary), or put a --ground under all")
+    likely = [] if path.suffix.lower() in _HAVE_UNITS else _likely_units(float(np.median(size)), draft.scale)
     if likely:
-        remarks.append(f"a typical part is {np.median(size):.3g} m long; the unit may be {likely}")
-        additions = {"unit": likely, **{key: value for key, value in additions.items() if key == "boundary"}}
+        remarks.append(f"a typical part is {np.median(size):.3g} m long; the unit may be {' or '.join(likely)}")
+    if len(likely) == 1:
+        additions = {"unit": likely[0], **additions}
     cured = False
     if additions:
-        scaled = replace(draft, scale=unit_length(likely)) if likely else draft
+        scaled = replace(draft, scale=unit_length(likely[0])) if len(likely) == 1 else draft
         fixing = {"boundary": additions["boundary"]} if "boundary" in additions else {}
         cured = _load(scaled, {**options, **fixing})[0] is not None
     reports = tuple(
@@ -173,57 +206,40 @@ def diagnose(path: str | Path, unit: str | None = None) -> Diagnosis:
         )
         for number, block in enumerate(draft.blocks)
     )
-    return Diagnosis(str(path), error, tuple(remarks), likely, reports, count, stored, additions, cured, draft)
+    return Diagnosis(
+        path=str(path),
+        error=error,
+        remarks=tuple(remarks),
+        unit=likely[0] if len(likely) == 1 else "",
+        parts=reports,
+        contacts=0 if contacts is None else len(contacts),
+        stored=stored,
+        additions=additions,
+        cured=cured,
+        draft=draft,
+    )
 
 
 def _read(path: Path, unit: str | None) -> tuple[Draft, dict[str, Any]]:
     """Return the unchecked parts of a structure, and the options in its description."""
     options = described_options(path) if path.is_file() else {}
-    if unit is not None:
-        options["unit"] = unit
-    chosen = options.pop("unit", None)
+    chosen = options.pop("unit", None) if unit is None else unit
     draft = read_draft(path, chosen)
-    if draft is not None:
-        return draft, {key: value for key, value in options.items() if key not in LOAD_OPTIONS}
-    check_meshes_path(path)
-    described = read_description(path)
-    chosen = unit or described.get("unit", "m")
-    options = {key: described[key] for key in ("density", "friction", "boundary") if key in described}
-    options["contact_settings"] = described["contact"]
-    return Draft.of(path, unit_length(chosen), _mesh_blocks(path)), options
+    if draft is None:
+        check_meshes_path(path)
+        described = read_description(path)
+        draft = described_draft(path, described, unit)
+        names = ("density", "friction", "boundary", *LOAD_OPTIONS)
+        options = {name: described[name] for name in names if name in described}
+        options["contact_settings"] = described["contact"]
+    options.pop("unit", None)
+    return draft, options
 
 
-def _mesh_blocks(path: Path) -> list[Block]:
-    """Return the parts of a folder or file of meshes; of a file other than OBJ only whole solids can be told apart."""
-    if path.is_file():
-        objects = read_obj(path) if path.suffix.lower() == ".obj" else []
-        if len(objects) > 1:
-            return [Block(name, vertices, faces.tolist()) for name, vertices, faces in objects]
-        return [Block(mesh.name, mesh.vertices, mesh.faces.tolist()) for mesh in load_meshes(path)]
-    files = [file for file in path.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file()]
-    if not files:
-        raise InputError(f"no mesh in {path}; put one file per part there ({', '.join(SUFFIXES)})")
-    if len(files) == 1:
-        return _mesh_blocks(files[0])
-    return [_one_block(file) for file in sorted(files, key=lambda file: natural_key(file.stem))]
-
-
-def _one_block(file: Path) -> Block:
-    """Return all objects of a file as one part; a part without faces if it cannot be read."""
-    try:
-        if file.suffix.lower() == ".obj":
-            objects = [(vertices, faces) for _, vertices, faces in read_obj(file)]
-        else:
-            objects = [(mesh.vertices, mesh.faces) for mesh in load_meshes(file)]
-    except MeshError as error:
-        return Block(file.stem, np.zeros((1, 3)), [], attributes={"error": str(error)})
-    starts = np.cumsum([0, *(len(vertices) for vertices, _ in objects)])
-    faces = [face for first, (_, some) in zip(starts, objects, strict=False) for face in (some + first).tolist()]
-    return Block(file.stem, np.concatenate([vertices for vertices, _ in objects]), faces)
-
-
-def _solids(draft: Draft, boundary: Any) -> tuple[list[TriangleMesh | None], list[str], list[str]]:
-    """Return the mesh of each part or None, its repairs, and its errors."""
+def _solids(
+    draft: Draft, boundary: Any
+) -> tuple[list[TriangleMesh | None], list[str], list[str], list[list[str]]]:
+    """Return the mesh of each part or None, its repairs, its error, and other doubts about it."""
     none = np.zeros((0, 3))
     surfaces: list[tuple[str, np.ndarray, np.ndarray]] = []
     errors = []
@@ -231,11 +247,11 @@ def _solids(draft: Draft, boundary: Any) -> tuple[list[TriangleMesh | None], lis
         try:
             surface, error = block.triangles(draft.scale), ""
         except MeshError as reason:
-            surface, error = (block.name, none, none.astype(np.int64)), str(block.attributes.get("error", reason))
+            surface, error = (block.name, none, none.astype(np.int64)), str(reason)
         surfaces.append(surface)
         errors.append(error)
     solids: list[TriangleMesh | None] = []
-    mended = []
+    mended, notes = [], []
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         whole = thicken_supports(surfaces, draft.supports(boundary))
@@ -246,14 +262,17 @@ def _solids(draft: Draft, boundary: Any) -> tuple[list[TriangleMesh | None], lis
             except MeshError as reason:
                 solids.append(None)
                 errors[part] = str(reason)
-            done = [str(warning.message).split(": ", 1)[-1] for warning in caught]
+            read = [warning for warning in caught if issubclass(warning.category, ReadWarning)]
+            done = [str(warning.message).split(": ", 1)[-1] for warning in caught if warning not in read]
             mended.append("; ".join([*(["given a thickness"] if after is not before else []), *done]))
-    names = [block.name for block in draft.blocks]
-    shortened = (
-        error.removeprefix(f"part {name} ").removeprefix(f"part {name}: ")
-        for name, error in zip(names, errors, strict=True)
-    )
-    return solids, mended, list(shortened)
+            notes.append([_of_part(str(warning.message), draft.names[part]) for warning in read])
+    errors = [_of_part(error, name) for error, name in zip(errors, draft.names, strict=True)]
+    return solids, mended, errors, notes
+
+
+def _of_part(text: str, name: str) -> str:
+    """Return a message on a part without the name of the part."""
+    return text.removeprefix(f"part {name} ").removeprefix(f"part {name}: ")
 
 
 def _compare_parts(solids: Sequence[TriangleMesh | None], doubts: list[list[str]]) -> None:
@@ -277,32 +296,27 @@ def _load(draft: Draft, options: dict[str, Any]) -> tuple[Assembly | None, str, 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            assembly, error = draft.assemble(**options), ""
+            acting = {name: options.get(name) for name in LOAD_OPTIONS}
+            given = {name: value for name, value in options.items() if name not in LOAD_OPTIONS}
+            assembly, error = furnish(draft.assemble(**given), **acting), ""
         except InputError as reason:
             assembly, error = None, str(reason)
     texts = dict.fromkeys(str(warning.message) for warning in caught)
-    return assembly, error, [text for text in texts if " was repaired: " not in text]
-
-
-def _boundary(draft: Draft, options: dict[str, Any]) -> np.ndarray:
-    """Return the mask of the parts that the files name as boundary, as far as these exist."""
-    fixed = np.array([block.support for block in draft.blocks])
-    if "boundary" in options:
-        names = {block.name: number for number, block in enumerate(draft.blocks)}
-        ids = [names.get(item, -1) if isinstance(item, str) else item for item in options["boundary"]]
-        fixed[:] = False
-        fixed[[number for number in ids if 0 <= number < len(fixed)]] = True
-    return fixed
+    # Those on the mesh of one part are told of the part.
+    return assembly, error, [text for text in texts if not re.match(r"part .* (was repaired: |consists of )", text)]
 
 
 def _contacts(
     solids: Sequence[TriangleMesh | None], settings: ContactSettings, fixed: np.ndarray, doubts: list[list[str]]
-) -> int:
-    """Note pairs that overlap and parts without a contact; return the number of contacts."""
+) -> Contacts | None:
+    """Note pairs that overlap and parts without a contact; return the contacts, None if no part is a solid.
+
+    Parts of the contacts are numbered as in `solids`.
+    """
     there = [number for number, solid in enumerate(solids) if solid is not None]
     meshes = [solid for solid in solids if solid is not None]
     if not meshes:
-        return 0
+        return None
     gap, overlap = settings.lengths(meshes)
     overlaps = find_overlaps(meshes, overlap, corner=settings.corner)
     depths = _depths(meshes, overlaps, settings, max(gap, overlap))
@@ -321,7 +335,7 @@ def _contacts(
         other, away = nearest(row, meshes)
         where = f"; part {meshes[other].name} is nearest, {1000 * away:.3g} mm away" if other >= 0 else ""
         doubts[there[row]].append(f"touches no other part{where}")
-    return len(contacts)
+    return replace(contacts, parts=np.asarray(there, dtype=np.int32)[contacts.parts])
 
 
 def _depths(
@@ -338,17 +352,81 @@ def _depths(
     return depths_beyond(meshes, overlaps, bound[first, second])
 
 
-def _lowest(draft: Draft) -> list[int]:
+def _material_doubts(draft: Draft, options: dict[str, Any], assembly: Assembly | None) -> list[str]:
+    """Return doubts about densities and friction."""
+    doubts = []
+    if assembly is not None:
+        density = assembly.density[: len(draft.blocks)].tolist()
+        frictions = [assembly.friction]
+        if assembly.joints is not None:
+            frictions += [value for value in assembly.joints.friction.tolist() if np.isfinite(value)]
+    else:
+        density = np.ravel(options.get("density", [])).tolist()
+        density = density or [block.attributes.get("density") for block in draft.blocks]
+        frictions = [options.get("friction")]
+    for part, value in enumerate(density):
+        if isinstance(value, (int, float)) and not _DENSITIES[0] <= value <= _DENSITIES[1]:
+            of = f" of part {draft.names[part]}" if len(set(density)) > 1 and part < len(draft.blocks) else ""
+            doubts.append(f"the density{of} is {value:g} kg/m3, which no building material has; stone has about 2400")
+            break
+    high = max((value for value in frictions if isinstance(value, (int, float))), default=0.0)
+    if high > _FRICTION:
+        doubts.append(f"a coefficient of friction is {high:g}; it is the tangent of an angle, 0.4 to 0.8 for stone")
+    return doubts
+
+
+def _support_doubts(draft: Draft, solids: Sequence[TriangleMesh | None], fixed: np.ndarray) -> list[str]:
+    """Return doubts about the parts that are boundary."""
+    if fixed.all():
+        return ["every part is boundary: nothing can move, so every verdict is stable and every plan is empty"]
+    low, level = _heights(solids)
+    free = np.where(fixed | ~np.isfinite(low), np.inf, low)
+    held = low[fixed & np.isfinite(low)]
+    if len(held) and free.min() < held.min() - level:
+        return [f"part {draft.names[int(np.argmin(free))]} reaches lower than every part that is boundary"]
+    return []
+
+
+def _heights(solids: Sequence[TriangleMesh | None]) -> tuple[np.ndarray, float]:
+    """Return the lowest level of each part, NaN for one that is no solid, and the difference that is none, metres."""
+    low = np.array([np.nan if solid is None else solid.bounds[0, 2] for solid in solids])
+    high = max((solid.bounds[1, 2] for solid in solids if solid is not None), default=0.0)
+    return low, _LEVEL * float(high - np.nanmin(low)) if np.isfinite(low).any() else 0.0
+
+
+def _lowest(solids: Sequence[TriangleMesh | None]) -> list[int]:
     """Return the parts that reach down to the lowest level."""
-    low = np.array([block.vertices[:, 2].min() for block in draft.blocks])
-    high = max(block.vertices[:, 2].max() for block in draft.blocks)
-    return np.flatnonzero(low <= low.min() + 0.01 * (high - low.min())).tolist()
+    low, level = _heights(solids)
+    if not np.isfinite(low).any():
+        return []
+    return np.flatnonzero(low <= np.nanmin(low) + level).tolist()
 
 
-def _unit(size: float, scale: float) -> str:
-    """Return the unit in which a typical part has a likely size; empty if it has one already."""
-    if _SIZES[0] <= size <= _SIZES[1]:
+def _standing(solids: Sequence[TriangleMesh | None], contacts: Contacts | None) -> str:
+    """Return the doubt that the structure does not stand on its lowest parts, such as if it was made with y up."""
+    if contacts is None or sum(solid is not None for solid in solids) < 2:
         return ""
-    lengths = {unit: size / scale * length for unit, length in UNITS.items()}
-    likely = [unit for unit in ("mm", "cm", "m", "in", "ft", "dm") if _SIZES[0] <= lengths[unit] <= _SIZES[1]]
-    return likely[0] if likely else ""
+    pairs, normals = contacts.parts, contacts.frames[:, 0]
+    among = (pairs < len(solids)).all(axis=1)
+    borne, floating = {}, {}
+    for name, axis in (("z", 2), ("y", 1)):
+        up = normals[among, axis]
+        parts = np.concatenate([pairs[among][up > _BEARING, 1], pairs[among][up < -_BEARING, 0]])
+        low = np.array([np.inf if solid is None else solid.bounds[0, axis] for solid in solids])
+        high = max(solid.bounds[1, axis] for solid in solids if solid is not None)
+        above = np.isfinite(low) & (low > low.min() + _LEVEL * (high - low.min()))
+        above[parts] = False
+        borne[name], floating[name] = len(np.unique(parts)), int(above.sum())
+    lies = borne["z"] == 0 and borne["y"] > 0
+    if lies or floating["z"] > floating["y"] == 0:
+        return (
+            "no part rests on another" if lies else f"{floating['z']} parts rest on nothing"
+        ) + ", but they would with y up: export the model with z up"
+    return ""
+
+
+def _likely_units(size: float, scale: float) -> list[str]:
+    """Return the units in which a typical part has a likely size; none where it has one already."""
+    if _SIZES[0] <= size <= _SIZES[1]:
+        return []
+    return [unit for unit in ("mm", "cm", "m", "in") if _SIZES[0] <= size / scale * UNITS[unit] <= _SIZES[1]]

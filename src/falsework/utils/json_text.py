@@ -1,4 +1,4 @@
-"""Parser of untrusted JSON text with limits on nesting and integers."""
+"""Parser of untrusted JSON text with limits on nesting and integers, and without doubled entries."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ def parse_json(text: str) -> Any:
     """Parse JSON text.
 
     Raises:
-        ValueError: it is no JSON, has more than `LEVELS` levels, or an integer that does not fit into 64 bits.
+        ValueError: it is no JSON, has more than `LEVELS` levels, an integer that does not fit into 64 bits, or an
+            object with two entries of the same name.
     """
     try:
-        data = json.loads(text, parse_int=_integer)
+        data = json.loads(text, parse_int=_integer, object_pairs_hook=_object)
     except RecursionError:
         raise ValueError(f"it is nested deeper than {LEVELS} levels") from None
     level = [data]
@@ -30,6 +31,15 @@ def parse_json(text: str) -> Any:
         if not level:
             return data
     raise ValueError(f"it is nested deeper than {LEVELS} levels")
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    entries = dict(pairs)
+    if len(entries) < len(pairs):
+        seen: set[str] = set()
+        twice = next(name for name, _ in pairs if name in seen or seen.add(name))
+        raise ValueError(f"an object in it has the entry {twice[:40]!r} twice")
+    return entries
 
 
 def _integer(digits: str) -> int:

@@ -8,7 +8,8 @@ from collections.abc import Collection, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from falsework.errors import MeshError
+from falsework.errors import MeshError, ReadWarning
+from falsework.geometry.mesh.bodies import merge_equal
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.polygon import triangulate
 from falsework.geometry.mesh.sheets import is_sheet, plane_normal, thickened
@@ -74,7 +75,8 @@ def check_mesh(name: str, vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh
     cannot change the shape are made with a `RepairWarning`: vertices within 1e-6 of the part's diagonal are
     merged, faces without area or given twice are dropped, faces are turned to look outwards, flat holes are
     closed, and closed surfaces that overlap are united, which takes manifold3d. A mesh that is closed and
-    looks outwards, and whose surfaces do not overlap, comes back with its faces as they were.
+    looks outwards, and whose surfaces do not overlap, comes back with its faces as they were. A part of several
+    separate solids is a `ReadWarning`.
 
     Args:
         name: name of the part in messages.
@@ -93,7 +95,7 @@ def check_mesh(name: str, vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh
     if not finite[corners].all():
         vertex = int(corners.ravel()[np.argmin(finite[corners].ravel())])
         raise MeshError(f"part {name}: vertex {vertex} is NaN or infinite; export the mesh again")
-    points, corners = _merge_equal(points, corners)
+    points, corners = merge_equal(points, corners)
     extent = float(np.ptp(points, axis=0).max())
     if not SMALLEST <= extent <= LARGEST:
         raise MeshError(
@@ -111,22 +113,19 @@ def check_mesh(name: str, vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh
     if shells.overlap():
         points, turned, twice = shells.unite(name)
         done.append(f"united surfaces that overlapped, whose {twice:.3g} m3 in common counted twice")
+    elif shells.count > 1:
+        warnings.warn(
+            f"part {name} consists of {shells.count} separate solids, which count as one rigid body; "
+            "make them parts of their own if they are not",
+            ReadWarning,
+            stacklevel=2,
+        )
     mesh = TriangleMesh.from_arrays(name, points, turned)
     if mesh.volume <= 1e-12 * extent**3:
         raise MeshError(f"part {name} has no volume; export it as a solid that encloses space")
     if done:
         warnings.warn(f"part {name} was repaired: {', '.join(done)}", RepairWarning, stacklevel=2)
     return mesh
-
-
-def _merge_equal(points: Array, corners: Faces) -> tuple[Array, Faces]:
-    """Merge vertices with equal coordinates and drop those that no face uses, in order of first use."""
-    used, index = np.unique(corners, return_inverse=True)
-    _, first, inverse = np.unique(points[used] + 0.0, axis=0, return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    rank = np.empty(len(order), dtype=np.int64)
-    rank[order] = np.arange(len(order))
-    return points[used][first[order]], rank[inverse.ravel()][index].reshape(-1, 3)
 
 
 def _drop_copies(corners: Faces, done: list[str]) -> Faces:
@@ -145,7 +144,7 @@ def _mend(name: str, points: Array, corners: Faces, done: list[str]) -> tuple[Ar
     welded = _weld(points)
     if len(np.unique(welded)) < len(points):
         done.append("merged vertices that almost coincide")
-        points, corners = _merge_equal(points[welded], corners)
+        points, corners = merge_equal(points[welded], corners)
     # Slivers whose corners differ stay: dropping them would tear the surface.
     thin = (corners == np.roll(corners, 1, axis=1)).any(axis=1)
     _, first = np.unique(np.sort(corners, axis=1), axis=0, return_index=True)
@@ -159,7 +158,7 @@ def _mend(name: str, points: Array, corners: Faces, done: list[str]) -> tuple[Ar
         corners = corners[~thin]
     if not len(corners):
         raise MeshError(f"part {name} has no face with an area; export it as a solid that encloses space")
-    points, corners = _merge_equal(points, corners)
+    points, corners = merge_equal(points, corners)
     if not is_closed(corners):
         turned = _wind(corners)
         if turned is not None and (turned != corners).any():

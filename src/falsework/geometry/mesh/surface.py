@@ -1,0 +1,149 @@
+"""Surfaces as files have them, unchecked: one for each part, with the name that the file gives it."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.errors import MeshError, ReadWarning
+from falsework.geometry.mesh.bodies import merge_equal, separate_solids
+from falsework.geometry.mesh.shells import is_closed
+
+_NAMED = 5
+"""Names that a warning lists; the rest is counted."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Surface of one part in a file."""
+
+    name: str
+    """Empty if the file gives none."""
+    vertices: NDArray[np.float64]
+    """Shape (vertices, 3), in the unit of the file, z up."""
+    faces: NDArray[np.int64]
+    """Triangles, shape (faces, 3)."""
+    support: bool = False
+    """Whether the file says that it is boundary."""
+    number: int | None = None
+    """Number of the part that the file gives it."""
+    density: float | None = None
+    """kg/m3, if the file gives it."""
+    whole: bool = False
+    """Whether the file says that this is one part, even if it consists of several solids."""
+    error: str = ""
+    """Why the part cannot be read; the arrays are then empty."""
+
+    @staticmethod
+    def of_faces(name: str, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Surface:
+        """Make a surface of some faces of a file, with the vertices that they use."""
+        used, index = np.unique(faces, return_inverse=True)
+        return Surface(name, vertices[used], index.reshape(-1, 3).astype(np.int64))
+
+    @property
+    def closed(self) -> bool:
+        """Whether the surface is closed, apart from degenerate faces."""
+        if not len(self.faces):
+            return False
+        _, corners = merge_equal(self.vertices, self.faces)
+        solid = (corners != np.roll(corners, 1, axis=1)).all(axis=1)
+        return bool(solid.any()) and is_closed(corners[solid])
+
+
+def warn_of(file: Path, what: str) -> None:
+    """Warn in one line of what the structure lacks of a file, or has in another way."""
+    warnings.warn(f"{file}: {what}", ReadWarning, stacklevel=3)
+
+
+def listed(items: Sequence[str]) -> str:
+    """Return some of many names, and the number of the others."""
+    more = len(items) - _NAMED
+    return ", ".join(items[:_NAMED]) + (f" and {more} more" if more > 0 else "")
+
+
+def joined(name: str, surfaces: Sequence[Surface]) -> Surface:
+    """Return surfaces as one."""
+    starts = np.cumsum([0, *(len(surface.vertices) for surface in surfaces)])
+    return Surface(
+        name,
+        np.concatenate([surface.vertices for surface in surfaces]),
+        np.concatenate([surface.faces + first for surface, first in zip(surfaces, starts, strict=False)]),
+        support=any(surface.support for surface in surfaces),
+    )
+
+
+def regrouped(surfaces: Sequence[Surface]) -> list[Surface]:
+    """Join surfaces of the same name that are open each, as exporters write a part of several materials.
+
+    Those that are closed each are parts of their own, whatever their name.
+    """
+    of_name: dict[str, list[Surface]] = {}
+    for surface in surfaces:
+        of_name.setdefault(surface.name, []).append(surface)
+    found: list[Surface] = []
+    for surface in surfaces:
+        group = of_name[surface.name]
+        if len(group) == 1 or all(other.closed for other in group):
+            found.append(surface)
+        elif surface is group[0]:
+            found.append(joined(surface.name, group))
+    return found
+
+
+def separated(file: Path, surfaces: Sequence[Surface]) -> list[Surface]:
+    """Make a part of each separate solid, with a warning if the solids have a name in common.
+
+    Blocks that are one rigid part hold each other, blocks that are several do not: what is not said to be one part
+    is several.
+
+    Raises:
+        MeshError: solids that share edges, so that their surfaces do not show where one ends.
+    """
+    found: list[Surface] = []
+    for surface in surfaces:
+        solids = None if surface.whole or surface.error else separate_solids(surface.vertices, surface.faces)
+        if solids is not None and not len(solids):
+            of = f" of {surface.name}" if surface.name else ""
+            raise MeshError(
+                f"surfaces{of} in {file} share edges and do not show where one part ends; "
+                "give each part an object of its own, or put each part into a file of its own"
+            )
+        if solids is None or len(solids) == 1:
+            found.append(surface)
+            continue
+        names = [f"{surface.name}-{number}" if surface.name else "" for number in range(len(solids))]
+        if surface.name:
+            warn_of(
+                file,
+                f"object {surface.name} has {len(solids)} separate solids, which are the parts {names[0]} to "
+                f"{names[-1]}; if they are one rigid part, put each part into a file of its own in a folder",
+            )
+        for name, faces in zip(names, solids, strict=True):
+            found.append(replace(Surface.of_faces(name, surface.vertices, faces), support=surface.support))
+    return found
+
+
+def distinct_names(file: Path, names: Sequence[str]) -> list[str]:
+    """Return a different name for each part: its own, with a number behind it if others have it too.
+
+    Parts without a name are called by their numbers. Names that several parts have are warned of.
+    """
+    taken = {name for name in names if name}
+    labels: dict[str, list[str]] = {}
+    found: dict[str, None] = {}
+    for number, name in enumerate(names):
+        plain = label = name or str(number)
+        suffix = 2
+        while label in found or (label in taken and label != name):
+            label, suffix = f"{plain}-{suffix}", suffix + 1
+        found[label] = None
+        labels.setdefault(name, []).append(label)
+    for name, some in labels.items():
+        if name and len(some) > 1:
+            warn_of(file, f"{len(some)} objects are called {name}; they are the parts {listed(some)}")
+    return list(found)
