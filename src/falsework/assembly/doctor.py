@@ -180,7 +180,7 @@ def diagnose(path: str | Path, unit: str | None = None, **options: Any) -> Diagn
     else:
         remarks.append("no part is boundary")
         lowest = _lowest(solids)
-        if len(lowest) < sum(solid is not None for solid in solids) and not standing:
+        if 0 < len(lowest) < len(solids) and not standing:
             additions["boundary"] = lowest
         else:
             remarks.append("which parts are fixed cannot be seen: name them (--boundary), or put a --ground under all")

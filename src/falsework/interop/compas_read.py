@@ -7,6 +7,7 @@ The classes that hold blocks are few and plain, so they are read here without CO
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -19,14 +20,32 @@ from falsework.assembly.draft import Block, Draft, InterfaceSource
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
 from falsework.geometry.mesh.read import unit_length
+from falsework.geometry.mesh.surface import listed, warn_of
 from falsework.utils.json_text import parse_json
 
 LARGEST_FILE = 512 * 1024 * 1024
 """Bytes; a file beyond that is refused rather than read into memory."""
 
 _IDENTITY = np.eye(4)
+_CURVED = ("Cylinder", "Cone", "Sphere", "Capsule", "Torus")
+"""Shapes of revolution about the z axis of their frame."""
+_STEPS = 72
+"""Flat faces around a shape of revolution: 5 degrees each."""
 _MESHES = {"compas.datastructures/Mesh", "compas_assembly.datastructures/Block"}
+_SHAPES = {f"compas.geometry/{name}" for name in ("Polyhedron", "Box", *_CURVED)}
 _MODELS = {"compas_model.models/Model", "compas_dem.models/BlockModel"}
+_ELEMENT = "compas_model.elements/Element"
+_GROUP = "compas_model.elements/Group"
+_NO_VOLUME = {
+    f"compas.geometry/{name}"
+    for name in (
+        "Point", "Vector", "Line", "Polyline", "Polygon", "Plane", "Frame", "Pointcloud", "Quaternion", "Circle", "Arc",
+        "Ellipse", "Hyperbola", "Parabola", "Bezier", "Curve", "NurbsCurve", "OCCCurve", "OCCNurbsCurve",
+        "RhinoCurve", "RhinoNurbsCurve", "Surface", "NurbsSurface", "PlanarSurface", "Transformation", "Translation",
+        "Rotation", "Scale", "Shear", "Reflection", "Projection",
+    )
+} | {"compas.datastructures/Graph", "compas.datastructures/Tree", "compas.colors/Color", "compas.tolerance/Tolerance"}  # fmt: skip
+"""Classes of objects that bound no solid."""
 _LOAD_KEYS = (("force", "force"), ("moment", "moment"), ("at", "point"))
 """Entries of a load in `assembly.json`, and of a compas_dem `PointLoad`."""
 _BOX_FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
@@ -91,6 +110,8 @@ class _Reader:
         self._path = path
         self.interfaces: list[dict[str, Any]] = []
         """Interfaces of the blocks that were read, as `Draft.of` takes them."""
+        self._left_out: Counter[str] = Counter()
+        self._curved: list[str] = []
 
     def blocks(self) -> list[Block]:
         if not self._path.is_file():
@@ -110,6 +131,12 @@ class _Reader:
             self._fail("it is nested too deeply")
         if not found:
             self._fail("there is no block in it", "give a list of meshes, an Assembly, a BlockModel or a Problem")
+        if self._left_out:
+            kinds = listed([f"{count} {kind}" for kind, count in self._left_out.items()])
+            warn_of(self._path, f"what bounds no solid was left out: {kinds}")
+        if self._curved:
+            warn_of(self._path, f"curved faces became flat ones, of {360 // _STEPS} degrees, on which a part rests that "
+                    f"may roll in fact: {listed(self._curved)}")  # fmt: skip
         return found
 
     def _find(self, data: Any) -> Iterator[Block]:
@@ -127,7 +154,7 @@ class _Reader:
             return
         kinds = {kind, *data.get("inheritance", [])}
         content: dict[str, Any] = _content(data)
-        if kinds & _MESHES or kind in ("compas.geometry/Polyhedron", "compas.geometry/Box"):
+        if kinds & _MESHES or kind in _SHAPES:
             yield self._block(data, _IDENTITY)
         elif "compas_assembly.datastructures/Assembly" in kinds or _is_assembly(content):
             yield from self._assembly(content)
@@ -135,10 +162,16 @@ class _Reader:
             yield from self._model(content)
         elif kind == "compas_dem.problem/Problem":
             yield from self._problem(content)
-        elif str(kind).startswith(("compas.geometry/", "compas_model.", "compas_dem.")):
-            return  # points, frames and the like have no volume
+        elif _ELEMENT in kinds:
+            yield from self._element(data, _IDENTITY, {})
+        elif kind in _NO_VOLUME:
+            self._left_out[str(kind)] += 1
         else:
-            yield from self._find(content)
+            inner = list(self._find(content))
+            if not inner:
+                self._fail(f"there is a {kind} in it, which is not known", "convert it to a mesh, or leave it out")
+            warn_of(self._path, f"objects of class {kind} are not known; blocks in them were read as they are")
+            yield from inner
 
     def _assembly(self, content: dict[str, Any]) -> Iterator[Block]:
         """Yield blocks of a compas_assembly `Assembly`: the nodes of its graph."""
@@ -148,11 +181,13 @@ class _Reader:
         self._read_edges(graph, "interfaces", {key: (id(graph), key) for key in graph["node"]})
         for key, node in graph["node"].items():
             attributes = {**default, **node}
-            if attributes.get("block"):
+            if not attributes.get("block"):
+                self._left_out["node without a block"] += 1
+            else:
                 block = self._block(attributes["block"], _IDENTITY, fallback=str(key))
                 yield replace(
                     block,
-                    support=block.support or bool(attributes.get("is_support")),
+                    support=block.support or self._flag(attributes.get("is_support"), block.name),
                     attributes={**common, **block.attributes},
                     key=(id(graph), key),
                 )
@@ -168,33 +203,42 @@ class _Reader:
             graph, "contacts", {key: (id(elements), node.get("element")) for key, node in graph["node"].items()}
         )
 
+        placed = set()
+
         def walk(node: dict[str, Any], above: NDArray[np.float64]) -> Iterator[Block]:
             for child in node.get("children") or []:
                 guid = child.get("element")
                 place = above
                 if guid in elements:
-                    element = elements[guid]
-                    inside = _inner(element)
-                    place = above @ _matrix(inside.get("transformation"))
-                    geometry = inside.get("geometry") or inside.get("shape")
-                    if geometry:
-                        name = element.get("name") or inside.get("name")
-                        block = self._block(geometry, place)
-                        support = bool(inside.get("is_support")) or block.support
-                        attributes = dict(block.attributes)
-                        material = inside.get("material")
-                        if isinstance(materials, dict) and material in materials:
-                            attributes.setdefault("density", _inner(materials[material]).get("density"))
-                        yield replace(
-                            block,
-                            name=str(name or block.name),
-                            support=support,
-                            attributes=attributes,
-                            key=(id(elements), guid),
-                        )
+                    placed.add(guid)
+                    place = above @ _matrix(_inner(elements[guid]).get("transformation"))
+                    for block in self._element(elements[guid], above, materials):
+                        yield replace(block, key=(id(elements), guid))
                 yield from walk(child, place)
 
         yield from walk(_inner(content["tree"])["root"], _matrix(content.get("transformation")))
+        if len(placed) < len(elements):
+            self._left_out["element outside the tree of its model"] += len(elements) - len(placed)
+
+    def _element(self, element: dict[str, Any], above: NDArray[np.float64], materials: Any) -> Iterator[Block]:
+        """Yield the block of an element of a model; none for a group."""
+        inside = _inner(element)
+        kinds = {element.get("dtype"), *element.get("inheritance", [])}
+        name = _own_name(element, element.get("name") or inside.get("name"))
+        geometry = inside.get("geometry") or inside.get("shape")
+        if not geometry:
+            if _GROUP not in kinds:
+                self._fail(f"element {name or '?'} is a {element.get('dtype')} without its mesh", "give it a mesh")
+            return
+        if inside.get("features"):
+            self._fail(f"element {name or '?'} has features that change its shape", "apply them and store the mesh")
+        block = self._block(geometry, above @ _matrix(inside.get("transformation")))
+        attributes = dict(block.attributes)
+        material = inside.get("material")
+        if isinstance(materials, dict) and material in materials:
+            attributes.setdefault("density", _inner(materials[material]).get("density"))
+        support = self._flag(inside.get("is_support"), block.name) or block.support
+        yield replace(block, name=str(name or block.name), support=support, attributes=attributes)
 
     def _problem(self, content: dict[str, Any]) -> Iterator[Block]:
         """Yield blocks of a compas_dem `Problem`: those of its model, with its contact law; held ones are supports."""
@@ -273,7 +317,7 @@ class _Reader:
     def _block(self, data: dict[str, Any], place: NDArray[np.float64], fallback: str = "") -> Block:
         """Return one mesh, polyhedron or box."""
         content: dict[str, Any] = _content(data)
-        name = data.get("name") or (content.get("attributes") or {}).get("name") or fallback
+        name = _own_name(data, data.get("name") or (content.get("attributes") or {}).get("name")) or fallback
         attributes = dict(content.get("attributes") or {})
         if "vertex" in content:
             default = {"x": 0.0, "y": 0.0, "z": 0.0, **(content.get("default_vertex_attributes") or {})}
@@ -284,6 +328,9 @@ class _Reader:
             points, faces = content["vertices"], content["faces"]
         elif "xsize" in content:
             points, faces = _box(content), [list(face) for face in _BOX_FACES]
+        elif (shape := str(data.get("dtype")).removeprefix("compas.geometry/")) in _CURVED:
+            points, faces = _revolved(shape, content)
+            self._curved.append(f"{shape} {name}".rstrip())
         else:
             self._fail(f"block {name or '?'} is a {data.get('dtype')}, not a mesh", "convert it to a mesh")
         vertices = np.array(points, dtype=np.float64).reshape(-1, 3)
@@ -292,20 +339,78 @@ class _Reader:
         vertices = vertices @ place[:3, :3].T + place[:3, 3]
         if np.linalg.det(place[:3, :3]) < 0:
             faces = [face[::-1] for face in faces]
-        return Block(str(name), vertices, faces, bool(attributes.get("is_support")), attributes)
+        for entry in ("density", "friction"):
+            value = attributes.get(entry)
+            if value is not None and (isinstance(value, bool) or not isinstance(value, (int, float))):
+                self._fail(f"the {entry} of block {name or '?'} is {value!r}", "give a number")
+        return Block(str(name), vertices, faces, self._flag(attributes.get("is_support"), name), attributes)
+
+    def _flag(self, value: Any, name: Any) -> bool:
+        """Return whether a block is a support."""
+        if value not in (None, False, True):
+            self._fail(f"is_support of block {name or '?'} is {value!r}", "give true or false")
+        return bool(value)
 
     def _fail(self, what: str, remedy: str = "write it again with compas.json_dump") -> NoReturn:
         raise InputError(f"{self._path} cannot be read as COMPAS data: {what}; {remedy}")
 
 
+def _own_name(data: dict[str, Any], name: Any) -> str:
+    """Return the name of an object; empty if it is that of a class, which COMPAS gives to objects without one."""
+    classes = {str(kind).rpartition("/")[2] for kind in (data.get("dtype"), *_MESHES, *_SHAPES)}
+    return "" if not name or name in classes else str(name)
+
+
 def _box(content: dict[str, Any]) -> NDArray[np.float64]:
     """Return corners of a box, shape (8, 3)."""
     size = np.array([content["xsize"], content["ysize"], content["zsize"]], dtype=float) / 2
+    corners = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)]) * size
+    return _in_frame(corners, content)
+
+
+def _in_frame(points: NDArray[np.float64], content: dict[str, Any]) -> NDArray[np.float64]:
+    """Return points of the frame of a shape in space, shape (points, 3)."""
     frame = _inner(content["frame"])
     x, y = (np.array(frame[axis], dtype=float) for axis in ("xaxis", "yaxis"))
-    axes = np.stack([x, y, np.cross(x, y)])
-    corners = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)]) * size
-    return corners @ axes + np.array(frame["point"], dtype=float)
+    return points @ np.stack([x, y, np.cross(x, y)]) + np.array(frame["point"], dtype=float)
+
+
+def _revolved(shape: str, content: dict[str, Any]) -> tuple[NDArray[np.float64], list[list[int]]]:
+    """Return vertices and faces of a shape of revolution; all vertices are on its surface."""
+    around = 2 * np.pi / _STEPS * np.arange(_STEPS)
+    if shape == "Torus":
+        axis, pipe = float(content["radius_axis"]), float(content["radius_pipe"])
+        profile = np.stack([axis + pipe * np.cos(around), pipe * np.sin(around)], axis=1)
+    else:
+        radius = float(content["radius"])
+        half = 0.0 if shape == "Sphere" else float(content["height"]) / 2
+        if shape == "Cylinder":
+            profile = np.array([(0, -half), (radius, -half), (radius, half), (0, half)])
+        elif shape == "Cone":
+            profile = np.array([(0, 0), (radius, 0), (0, 2 * half)])
+        else:
+            up = np.pi / 2 * np.linspace(-1, 1, _STEPS // 2 + 1)
+            up = up if shape == "Sphere" else np.sort(np.append(up, 0.0))
+            rise = np.where(np.arange(len(up)) < len(up) // 2, -half, half)
+            profile = np.stack([radius * np.cos(up), radius * np.sin(up) + (0 if shape == "Sphere" else rise)], axis=1)
+            profile[[0, -1], 0] = 0.0
+    turns = np.stack([np.cos(around), np.sin(around)], axis=1)
+    points = np.concatenate(
+        [profile[:, None, :1] * turns[None], np.broadcast_to(profile[:, None, 1:], (len(profile), _STEPS, 1))], axis=2
+    ).reshape(-1, 3)
+    rings = range(len(profile)) if shape == "Torus" else range(len(profile) - 1)
+    faces = []
+    for ring in rings:
+        for step in range(_STEPS):
+            low, high = ring * _STEPS, (ring + 1) % len(profile) * _STEPS
+            one, two = step, (step + 1) % _STEPS
+            corners = [low + one, low + two, high + two, high + one]
+            if profile[ring, 0] == 0:
+                corners = corners[1:]
+            elif profile[(ring + 1) % len(profile), 0] == 0:
+                corners = corners[:3]
+            faces.append(corners)
+    return _in_frame(points, content), faces
 
 
 def _matrix(transformation: Any) -> NDArray[np.float64]:
