@@ -20,7 +20,7 @@ from falsework.assembly.draft import Block, Draft, InterfaceSource
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
 from falsework.geometry.mesh.read import unit_length
-from falsework.geometry.mesh.surface import listed, warn_of
+from falsework.geometry.mesh.surface import listed, warn_of, warn_of_curves
 from falsework.utils.json_text import parse_json
 
 LARGEST_FILE = 512 * 1024 * 1024
@@ -134,9 +134,7 @@ class _Reader:
         if self._left_out:
             kinds = listed([f"{count} {kind}" for kind, count in self._left_out.items()])
             warn_of(self._path, f"what bounds no solid was left out: {kinds}")
-        if self._curved:
-            warn_of(self._path, f"curved faces became flat ones, of {360 // _STEPS} degrees, on which a part rests that "
-                    f"may roll in fact: {listed(self._curved)}")  # fmt: skip
+        warn_of_curves(self._path, self._curved)
         return found
 
     def _find(self, data: Any) -> Iterator[Block]:

@@ -60,6 +60,16 @@ def warn_of(file: Path, what: str) -> None:
     warnings.warn(f"{file}: {what}", ReadWarning, stacklevel=3)
 
 
+def warn_of_curves(file: Path, names: Sequence[str]) -> None:
+    """Warn of parts with curved faces, which became flat ones."""
+    if names:
+        warnings.warn(
+            f"{file}: curved faces became flat ones, on which a part may rest that rolls in fact: {listed(names)}",
+            ReadWarning,
+            stacklevel=3,
+        )
+
+
 def listed(items: Sequence[str]) -> str:
     """Return some of many names, and the number of the others."""
     more = len(items) - _NAMED
