@@ -109,23 +109,36 @@ class Draft:
         return Draft(path, scale, tuple(blocks), tuple(stored))
 
     @staticmethod
-    def of_meshes(path: Path, unit: str = "m") -> Draft:
+    def of_meshes(path: Path, unit: str | None = None) -> Draft:
         """Read the parts of a folder or file of meshes, unchecked.
 
+        Args:
+            path: the folder or file.
+            unit: unit of the coordinates; that which comments of the files name, or metres if not given.
+
         Raises:
-            InputError: as for `read_surfaces`, or an unknown unit.
+            InputError: as for `read_surfaces`, an unknown unit, or files of different units.
         """
-        scale = unit_length(unit)
+        if unit is not None:
+            unit_length(unit)
+        surfaces = read_surfaces(path)
+        stated = sorted({surface.unit for surface in surfaces if surface.unit})
+        if unit is None and len(stated) > 1:
+            raise InputError(f"comments in {path} name the units {listed(stated)}; give the one of all, such as --unit mm")
+        if stated and stated != [unit or "m"]:
+            read = f"it was read in {unit}" if unit else "it was read so"
+            warn_of(path, f"comments say that the unit is {listed(stated)}; {read}")
+        scale = unit_length(unit or (stated or ["m"])[0])
         blocks = [
             Block(
                 surface.name,
                 surface.vertices,
                 surface.faces,
                 surface.support,
-                {} if surface.density is None else {"density": surface.density},
+                {name: value for name in ("density", "friction") if (value := getattr(surface, name)) is not None},
                 error=surface.error,
             )
-            for surface in read_surfaces(path)
+            for surface in surfaces
         ]
         return Draft(path, scale, tuple(blocks))
 

@@ -157,13 +157,16 @@ def described_options(path: Path) -> dict[str, Any]:
         AssemblyError: it is damaged or of another version.
     """
     from falsework.assembly.store import FILE, read_description
+    from falsework.geometry.contact.interfaces import ContactSettings
 
     if not (path.parent / FILE).is_file():
         return {}
     described = read_description(path)
     if "names" in described:
         raise InputError(f"{path.parent / FILE} has names, but {path} names its parts itself; leave them out")
-    described["contact_settings"] = described.pop("contact")
+    settings = described.pop("contact")
+    if settings != ContactSettings():
+        described["contact_settings"] = settings
     options = ("unit", "density", "friction", "boundary", "contact_settings", *LOAD_OPTIONS)
     return {name: described[name] for name in options if name in described}
 

@@ -117,7 +117,7 @@ def described_draft(source: Path, described: Mapping[str, Any], unit: str | None
         InputError: as for `Draft.of_meshes`.
         AssemblyError: the description is of another number of parts.
     """
-    draft = Draft.of_meshes(source, described.get("unit", "m") if unit is None else unit)
+    draft = Draft.of_meshes(source, described.get("unit") if unit is None else unit)
     count = described.get("parts", len(draft.blocks))
     if count != len(draft.blocks):
         raise AssemblyError(

@@ -10,6 +10,10 @@ from falsework.geometry.mesh.collision import inside
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
+_WELD = 1e-6
+"""Distance, relative to the diagonal of a surface, below which vertices are the same."""
+_SHEET = 1e-3
+"""Thickness, as a share of its size, below which an open surface bounds no solid by itself."""
 _SAME_ANGLE = 1e-4
 """Angle between two faces at an edge below which they coincide, radians."""
 
@@ -24,6 +28,20 @@ def merge_equal(points: Array, corners: Faces) -> tuple[Array, Faces]:
     return points[used][first[order]], rank[inverse.ravel()][index].reshape(-1, 3)
 
 
+def weld(points: Array) -> NDArray[np.int64]:
+    """Return for every vertex the representative of all vertices within the welding distance."""
+    reach = _WELD * float(np.linalg.norm(np.ptp(points, axis=0)))
+    from scipy.sparse import csr_matrix
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import KDTree
+
+    pairs = KDTree(points).query_pairs(reach, output_type="ndarray")
+    graph = csr_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
+    _, label = connected_components(graph, directed=False)
+    _, first = np.unique(label, return_index=True)
+    return first[label]
+
+
 def separate_solids(vertices: Array, faces: Faces) -> list[Faces] | None:
     """Split a surface into its solids, each with the surfaces of the hollows in it.
 
@@ -35,27 +53,66 @@ def separate_solids(vertices: Array, faces: Faces) -> list[Faces] | None:
 
     Returns:
         Faces of each solid, in the order of their first faces. An empty list if solids share edges and cannot be told
-        apart; None if there are no faces, or vertices that do not exist.
+        apart; None if there are no faces with an extent, or vertices that do not exist.
     """
     if not len(faces) or faces.min() < 0 or faces.max() >= len(vertices):
         return None
-    points, corners = merge_equal(vertices, faces)
-    if not np.isfinite(points).all():
+    used = np.unique(faces)
+    if not np.isfinite(vertices[used]).all():
         return None
-    solid = (corners != np.roll(corners, 1, axis=1)).all(axis=1)
-    faces, corners = faces[solid], corners[solid]
-    if not len(faces):
-        return None
-    turned = np.take_along_axis(corners, (np.argmin(corners, axis=1)[:, None] + np.arange(3)) % 3, axis=1)
-    _, first, copy = np.unique(turned, axis=0, return_index=True, return_inverse=True)
-    label = _solids_by_index(faces[first])
-    if label is None:
-        label = surfaces_of(points, corners[first])
+    label = _labels(vertices, faces)
+    if label is None or len(_open(vertices, faces, label)):
+        # As for one part, rounding of vertices is no gap.
+        near = vertices.copy()
+        near[used] = vertices[used][weld(vertices[used])]
+        again = _labels(near, faces)
+        if again is not None and (label is None or len(_open(near, faces, again)) < len(_open(vertices, faces, label))):
+            vertices, label = near, again
     if label is None:
         return []
-    label = _with_hollows(points, corners[first], label)[copy.ravel()]
-    _, start = np.unique(label, return_index=True)
-    return [faces[label == label[row]] for row in np.sort(start).tolist()]
+    if not (label >= 0).any():
+        return None
+    sheets = [surface for surface in _open(vertices, faces, label) if _is_flat(vertices[faces[label == surface]])]
+    label = np.where(np.isin(label, sheets), -2, label)
+    solid = np.unique(label, return_index=True)
+    start = np.sort([first for name, first in zip(*solid, strict=True) if name != -1])
+    return [faces[label == label[row]] for row in start.tolist()]
+
+
+def _labels(vertices: Array, faces: Faces) -> NDArray[np.int64] | None:
+    """Return the solid of each face, -1 for faces without an extent; None if solids cannot be told apart."""
+    points, corners = merge_equal(vertices, faces)
+    label = np.full(len(faces), -1)
+    solid = np.flatnonzero((corners != np.roll(corners, 1, axis=1)).all(axis=1))
+    if not len(solid):
+        return label
+    corners = corners[solid]
+    turned = np.take_along_axis(corners, (np.argmin(corners, axis=1)[:, None] + np.arange(3)) % 3, axis=1)
+    _, first, copy = np.unique(turned, axis=0, return_index=True, return_inverse=True)
+    found = _solids_by_index(faces[solid][first])
+    if found is None:
+        found = surfaces_of(points, corners[first])
+    if found is None:
+        return None
+    label[solid] = _with_hollows(points, corners[first], found)[copy.ravel()]
+    return label
+
+
+def _open(vertices: Array, faces: Faces, label: NDArray[np.int64]) -> list[int]:
+    """Return the labels of surfaces that are not closed."""
+    _, corners = merge_equal(vertices, faces)
+    corners, of = corners[label >= 0], np.repeat(label[label >= 0], 3)
+    if not len(corners):
+        return []
+    tail, head, count = corners.ravel(), corners[:, [1, 2, 0]].ravel(), int(corners.max()) + 1
+    forward, backward = ((of * count + a) * count + b for a, b in ((tail, head), (head, tail)))
+    return np.unique(of[~np.isin(forward, backward)]).tolist()
+
+
+def _is_flat(corners: Array) -> bool:
+    points = corners.reshape(-1, 3)
+    spread = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[1]
+    return bool(spread[-1] <= _SHEET * spread[0])
 
 
 def surfaces_of(points: Array, corners: Faces) -> NDArray[np.int64] | None:

@@ -34,7 +34,7 @@ def read_gltf(file: Path) -> list[Surface]:
 
     A part is a node; the primitives of its mesh, one for each material, are one surface. The entries `part`,
     `boundary` and `density` in the `extras` of a node, which falsework writes, are its number, whether it is fixed,
-    and its density. Hidden nodes, points and lines, other scenes and animations are left out with a warning.
+    and its density; `friction` in those of `asset` is the coefficient of all contacts. Hidden nodes, points and lines, other scenes and animations are left out with a warning.
 
     Raises:
         MeshError: a file that is damaged, or whose shape depends on what is not read: skins, morph targets,
@@ -157,7 +157,8 @@ class _Reader:
             faces,
             support=own and extras.get("boundary") is True,
             number=number if own else None,
-            density=float(density) if own and isinstance(density, (int, float)) else None,
+            density=_number(density) if own else None,
+            friction=_number((self._json["asset"].get("extras") or {}).get("friction")) if own else None,
             whole=own,
         )
 
@@ -246,6 +247,10 @@ class _Reader:
 
     def _fail(self, what: str, remedy: str) -> NoReturn:
         raise MeshError(f"cannot read {self._file}: {what}; {remedy}")
+
+
+def _number(value: Any) -> float | None:
+    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
 
 
 def _transform(node: dict[str, Any]) -> Array:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from falsework.errors import MeshError
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.polygon import triangles_of
-from falsework.geometry.mesh.surface import Surface, joined, listed, regrouped, warn_of
+from falsework.geometry.mesh.surface import Surface, joined, listed, regrouped, stated_unit, warn_of
 
 _APPEARANCE = {"vt", "vn", "s", "usemtl", "mtllib", "usemap", "maplib", "lod", "bevel", "c_interp", "d_interp"}
 """Statements that say nothing about the shape."""
@@ -82,7 +82,9 @@ def read_obj(file: Path) -> list[Surface]:
         kinds = listed([f"{count} of {keyword!r}" for keyword, count in unused.items()])
         warn_of(file, f"lines that make no surface were left out: {kinds}")
     points = np.array(vertices, dtype=np.float64).reshape(-1, 3)
-    return _objects(file, points, [section for section in sections if section.polygons])
+    unit = stated_unit("\n".join(line for line in text.splitlines() if line.startswith("#")))
+    surfaces = _objects(file, points, [section for section in sections if section.polygons])
+    return [replace(surface, unit=unit) for surface in surfaces]
 
 
 def _objects(file: Path, points: NDArray[np.float64], sections: list[_Section]) -> list[Surface]:

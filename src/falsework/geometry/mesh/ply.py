@@ -10,7 +10,7 @@ import numpy as np
 
 from falsework.errors import MeshError
 from falsework.geometry.mesh.polygon import triangles_of
-from falsework.geometry.mesh.surface import Surface, listed, warn_of
+from falsework.geometry.mesh.surface import Surface, listed, stated_unit, warn_of
 
 _TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
@@ -75,7 +75,8 @@ def read_ply(file: Path) -> list[Surface]:
         return []
     if any(len(polygon) < 3 for polygon in corners):
         raise MeshError(f"a face in {file} has fewer than three corners; export it again")
-    return [Surface("", points, triangles_of(str(file), points, corners))]
+    unit = stated_unit(content[:start].decode("ascii", errors="replace"))
+    return [Surface("", points, triangles_of(str(file), points, corners), unit=unit)]
 
 
 def _header(content: bytes) -> tuple[str, list[_Element], int]:

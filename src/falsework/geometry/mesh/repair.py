@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.errors import MeshError, ReadWarning
-from falsework.geometry.mesh.bodies import merge_equal
+from falsework.geometry.mesh.bodies import merge_equal, weld
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.polygon import triangulate
 from falsework.geometry.mesh.sheets import is_sheet, plane_normal, thickened
@@ -21,8 +21,6 @@ Faces = NDArray[np.int64]
 SMALLEST, LARGEST = 1e-4, 1e3
 """Smallest and largest extent of a part, metres: beyond them the unit is wrong."""
 
-_WELD = 1e-6
-"""Distance, relative to the diagonal of a part, below which vertices are the same."""
 _FLAT = 0.02
 """Distance of the rim of a hole from its plane, relative to its size, up to which closing it adds next to no shape."""
 
@@ -141,7 +139,7 @@ def _drop_copies(corners: Faces, done: list[str]) -> Faces:
 
 def _mend(name: str, points: Array, corners: Faces, done: list[str]) -> tuple[Array, Faces]:
     """Repair with increasingly strong methods, and stop as soon as the surface is closed."""
-    welded = _weld(points)
+    welded = weld(points)
     if len(np.unique(welded)) < len(points):
         done.append("merged vertices that almost coincide")
         points, corners = merge_equal(points[welded], corners)
@@ -168,20 +166,6 @@ def _mend(name: str, points: Array, corners: Faces, done: list[str]) -> tuple[Ar
         corners = _close_flat_holes(name, points, corners)
         done.append("closed flat holes")
     return points, corners
-
-
-def _weld(points: Array) -> NDArray[np.int64]:
-    """Return for every vertex the representative of all vertices within the welding distance."""
-    reach = _WELD * float(np.linalg.norm(np.ptp(points, axis=0)))
-    from scipy.sparse import csr_matrix
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import KDTree
-
-    pairs = KDTree(points).query_pairs(reach, output_type="ndarray")
-    graph = csr_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
-    _, label = connected_components(graph, directed=False)
-    _, first = np.unique(label, return_index=True)
-    return first[label]
 
 
 def _wind(corners: Faces) -> Faces | None:

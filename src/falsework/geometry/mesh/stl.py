@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from falsework.errors import MeshError
-from falsework.geometry.mesh.surface import Surface, regrouped
+from falsework.geometry.mesh.surface import Surface, regrouped, stated_unit
 
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _HEADER = 84
@@ -27,7 +28,8 @@ def read_stl(file: Path) -> list[Surface]:
     count = int.from_bytes(content[_HEADER - 4 : _HEADER], "little") if len(content) >= _HEADER else -1
     if len(content) == _HEADER + count * _FACET.itemsize:
         corners = np.frombuffer(content, _FACET, offset=_HEADER)["corners"].astype(np.float64)
-        return [_surface("", corners)] if count else []
+        unit = stated_unit(content[: _HEADER - 4].decode("ascii", errors="replace"))
+        return [replace(_surface("", corners), unit=unit)] if count else []
     if not content.lstrip()[:5].lower() == b"solid":
         raise MeshError(
             f"cannot read {file}: it is neither text that begins with 'solid' nor as long as its number of facets "

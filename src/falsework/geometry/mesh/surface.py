@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,6 +15,14 @@ from falsework.errors import MeshError, ReadWarning
 from falsework.geometry.mesh.bodies import merge_equal, separate_solids
 from falsework.geometry.mesh.shells import is_closed
 
+_UNIT = re.compile(
+    r"\bunits?\b\W{0,3}(?:(?:is|are|in)\W)?\W{0,2}"
+    r"(mm|cm|dm|m|in|ft|(?:milli|centi|deci)?met(?:er|re)s?|inch(?:es)?|feet|foot)\b",
+    re.IGNORECASE,
+)
+"""Statement of a unit in a comment."""
+_SHORT = {"millim": "mm", "centim": "cm", "decime": "dm", "meter": "m", "metre": "m", "inch": "in", "f": "ft"}
+"""Units by the beginnings of their names."""
 _NAMED = 5
 """Names that a warning lists; the rest is counted."""
 
@@ -34,6 +43,10 @@ class Surface:
     """Number of the part that the file gives it."""
     density: float | None = None
     """kg/m3, if the file gives it."""
+    friction: float | None = None
+    """Coefficient of friction of all contacts, if the file gives it."""
+    unit: str = ""
+    """Unit that a comment of the file names; empty for none."""
     whole: bool = False
     """Whether the file says that this is one part, even if it consists of several solids."""
     error: str = ""
@@ -53,6 +66,15 @@ class Surface:
         _, corners = merge_equal(self.vertices, self.faces)
         solid = (corners != np.roll(corners, 1, axis=1)).all(axis=1)
         return bool(solid.any()) and is_closed(corners[solid])
+
+
+def stated_unit(comments: str) -> str:
+    """Return the unit that comments of a file name, such as `# File units = inches`; empty for none."""
+    match = _UNIT.search(comments)
+    if match is None:
+        return ""
+    word = match[1].lower()
+    return next((unit for beginning, unit in _SHORT.items() if word.startswith(beginning)), word)
 
 
 def warn_of(file: Path, what: str) -> None:
@@ -84,6 +106,7 @@ def joined(name: str, surfaces: Sequence[Surface]) -> Surface:
         np.concatenate([surface.vertices for surface in surfaces]),
         np.concatenate([surface.faces + first for surface, first in zip(surfaces, starts, strict=False)]),
         support=any(surface.support for surface in surfaces),
+        unit=next((surface.unit for surface in surfaces if surface.unit), ""),
     )
 
 
@@ -134,7 +157,8 @@ def separated(file: Path, surfaces: Sequence[Surface]) -> list[Surface]:
                 f"{names[-1]}; if they are one rigid part, put each part into a file of its own in a folder",
             )
         for name, faces in zip(names, solids, strict=True):
-            found.append(replace(Surface.of_faces(name, surface.vertices, faces), support=surface.support))
+            part = Surface.of_faces(name, surface.vertices, faces)
+            found.append(replace(surface, name=name, vertices=part.vertices, faces=part.faces))
     return found
 
 
