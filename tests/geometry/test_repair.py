@@ -216,7 +216,7 @@ def test_a_cube_given_twice_counts_once(box, shift):
 @pytest.mark.parametrize("low", [(1, 0, 0), (1, 0.5, 0.25), (1, 1, 0), (1, 1, 1), (1.5, 0, 0), (1 - 1e-8, 0.5, 0.25)])
 def test_surfaces_that_touch_or_are_apart_are_left_alone(shapes, low):
     boxes = shapes.box((0, 0, 0), (1, 1, 1)), shapes.box(low, np.add(low, 1))
-    with pytest.warns(ReadWarning, match="part p consists of 2 separate solids, which count as one rigid body") as caught:
+    with pytest.warns(ReadWarning, match="part p consists of 2 separate solids, which count as") as caught:
         mesh = check_mesh("p", *together(*boxes))
     assert len(caught) == 1
     assert mesh.volume == pytest.approx(2)

@@ -165,6 +165,11 @@ def box(**changes: Any) -> dict[str, Any]:
     return {**mesh, "data": {**mesh["data"], **changes}}
 
 
+def named(name: str, **attributes: Any) -> dict[str, Any]:
+    """A mesh with a name and attributes."""
+    return {**box(attributes=attributes), "name": name}
+
+
 @pytest.mark.parametrize(
     ("content", "kind", "hint"),
     [
@@ -179,7 +184,7 @@ def box(**changes: Any) -> dict[str, Any]:
         (json.dumps([box(face={})]), MeshError, "no faces"),
         (json.dumps([box(face={"0": [0, 1, 2]})]), MeshError, "not closed"),
         ("[" * 100_000, InputError, "nested|not as COMPAS"),
-        (json.dumps([{**box(attributes={"friction": mu}), "name": str(mu)} for mu in (0.1, 0.2)]), AssemblyError, "--friction"),
+        (json.dumps([named(str(mu), friction=mu) for mu in (0.1, 0.2)]), AssemblyError, "--friction"),
         (
             json.dumps({"dtype": "x/Y", "inheritance": ["compas_model.models/Model"], "data": {}}),
             InputError,

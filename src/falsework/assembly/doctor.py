@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 
+from falsework.assembly.doubts import likely_units, lowest, material_doubts, support_doubts, upright_doubt
 from falsework.assembly.draft import Draft
 from falsework.assembly.fasteners import furnish
 from falsework.assembly.interfaces import InterfaceComparison, compare_interfaces, interface_contacts
@@ -25,23 +26,13 @@ from falsework.geometry.contact.joints import depths_beyond, find_joints
 from falsework.geometry.contact.overlap import Overlaps, depth, find_overlaps
 from falsework.geometry.mesh.collision import nearest
 from falsework.geometry.mesh.mesh import TriangleMesh
-from falsework.geometry.mesh.read import UNITS, unit_length
+from falsework.geometry.mesh.read import unit_length
 from falsework.geometry.mesh.repair import check_mesh, thicken_supports
 
 _TINY = 1e-3
 """Volume below which a part is doubtful, as a share of the median."""
 _SAME = 1e-6
 """Distance of the bounds of duplicates, as a share of a part's size."""
-_SIZES = (0.02, 5.0)
-"""Smallest and largest size of a typical part that raises no doubt about the unit, metres."""
-_DENSITIES = (100.0, 10_000.0)
-"""Smallest and largest density that raises no doubt, kg/m3."""
-_FRICTION = 1.5
-"""Largest coefficient of friction that raises no doubt."""
-_LEVEL = 0.01
-"""Difference in height, as a share of that of the structure, up to which parts are level."""
-_BEARING = 0.1
-"""Vertical component from which the normal of a contact bears a part."""
 _HAVE_UNITS = {".3dm", ".step", ".stp", ".glb", ".gltf", ".ldr", ".mpd", ".txt"}
 """Files that say their unit."""
 
@@ -169,22 +160,22 @@ def diagnose(path: str | Path, unit: str | None = None, **options: Any) -> Diagn
             remarks.append("it loads without the lengths gap and overlap of its contacts: joints are then fitted")
         if draft.interfaces and _load(draft, {**options, "interfaces": "stored"})[0] is not None:
             remarks.append(f"it loads with its {len(draft.interfaces)} stored interfaces (--interfaces stored)")
-    standing = _standing(solids, contacts)
-    remarks += _material_doubts(draft, options, assembly)
-    if standing:
-        remarks.append(standing)
+    lying = upright_doubt(solids, contacts)
+    remarks += material_doubts(draft, options, assembly)
+    if lying:
+        remarks.append(lying)
     if options.get("ground"):
         pass
     elif fixed.any():
-        remarks += _support_doubts(draft, solids, fixed)
+        remarks += support_doubts(draft, solids, fixed)
     else:
         remarks.append("no part is boundary")
-        lowest = _lowest(solids)
-        if 0 < len(lowest) < len(solids) and not standing:
-            additions["boundary"] = lowest
+        low = lowest(solids)
+        if 0 < len(low) < len(solids) and not lying:
+            additions["boundary"] = low
         else:
             remarks.append("which parts are fixed cannot be seen: name them (--boundary), or put a --ground under all")
-    likely = [] if path.suffix.lower() in _HAVE_UNITS else _likely_units(float(np.median(size)), draft.scale)
+    likely = [] if path.suffix.lower() in _HAVE_UNITS else likely_units(float(np.median(size)), draft.scale)
     if likely:
         remarks.append(f"a typical part is {np.median(size):.3g} m long; the unit may be {' or '.join(likely)}")
     if len(likely) == 1:
@@ -236,9 +227,7 @@ def _read(path: Path, unit: str | None) -> tuple[Draft, dict[str, Any]]:
     return draft, options
 
 
-def _solids(
-    draft: Draft, boundary: Any
-) -> tuple[list[TriangleMesh | None], list[str], list[str], list[list[str]]]:
+def _solids(draft: Draft, boundary: Any) -> tuple[list[TriangleMesh | None], list[str], list[str], list[list[str]]]:
     """Return the mesh of each part or None, its repairs, its error, and other doubts about it."""
     none = np.zeros((0, 3))
     surfaces: list[tuple[str, np.ndarray, np.ndarray]] = []
@@ -350,83 +339,3 @@ def _depths(
     among[first, second] = True
     bound = find_joints(meshes, among, settings.curvature, 2 * tolerance).bound
     return depths_beyond(meshes, overlaps, bound[first, second])
-
-
-def _material_doubts(draft: Draft, options: dict[str, Any], assembly: Assembly | None) -> list[str]:
-    """Return doubts about densities and friction."""
-    doubts = []
-    if assembly is not None:
-        density = assembly.density[: len(draft.blocks)].tolist()
-        frictions = [assembly.friction]
-        if assembly.joints is not None:
-            frictions += [value for value in assembly.joints.friction.tolist() if np.isfinite(value)]
-    else:
-        density = np.ravel(options.get("density", [])).tolist()
-        density = density or [block.attributes.get("density") for block in draft.blocks]
-        frictions = [options.get("friction")]
-    for part, value in enumerate(density):
-        if isinstance(value, (int, float)) and not _DENSITIES[0] <= value <= _DENSITIES[1]:
-            of = f" of part {draft.names[part]}" if len(set(density)) > 1 and part < len(draft.blocks) else ""
-            doubts.append(f"the density{of} is {value:g} kg/m3, which no building material has; stone has about 2400")
-            break
-    high = max((value for value in frictions if isinstance(value, (int, float))), default=0.0)
-    if high > _FRICTION:
-        doubts.append(f"a coefficient of friction is {high:g}; it is the tangent of an angle, 0.4 to 0.8 for stone")
-    return doubts
-
-
-def _support_doubts(draft: Draft, solids: Sequence[TriangleMesh | None], fixed: np.ndarray) -> list[str]:
-    """Return doubts about the parts that are boundary."""
-    if fixed.all():
-        return ["every part is boundary: nothing can move, so every verdict is stable and every plan is empty"]
-    low, level = _heights(solids)
-    free = np.where(fixed | ~np.isfinite(low), np.inf, low)
-    held = low[fixed & np.isfinite(low)]
-    if len(held) and free.min() < held.min() - level:
-        return [f"part {draft.names[int(np.argmin(free))]} reaches lower than every part that is boundary"]
-    return []
-
-
-def _heights(solids: Sequence[TriangleMesh | None]) -> tuple[np.ndarray, float]:
-    """Return the lowest level of each part, NaN for one that is no solid, and the difference that is none, metres."""
-    low = np.array([np.nan if solid is None else solid.bounds[0, 2] for solid in solids])
-    high = max((solid.bounds[1, 2] for solid in solids if solid is not None), default=0.0)
-    return low, _LEVEL * float(high - np.nanmin(low)) if np.isfinite(low).any() else 0.0
-
-
-def _lowest(solids: Sequence[TriangleMesh | None]) -> list[int]:
-    """Return the parts that reach down to the lowest level."""
-    low, level = _heights(solids)
-    if not np.isfinite(low).any():
-        return []
-    return np.flatnonzero(low <= np.nanmin(low) + level).tolist()
-
-
-def _standing(solids: Sequence[TriangleMesh | None], contacts: Contacts | None) -> str:
-    """Return the doubt that the structure does not stand on its lowest parts, such as if it was made with y up."""
-    if contacts is None or sum(solid is not None for solid in solids) < 2:
-        return ""
-    pairs, normals = contacts.parts, contacts.frames[:, 0]
-    among = (pairs < len(solids)).all(axis=1)
-    borne, floating = {}, {}
-    for name, axis in (("z", 2), ("y", 1)):
-        up = normals[among, axis]
-        parts = np.concatenate([pairs[among][up > _BEARING, 1], pairs[among][up < -_BEARING, 0]])
-        low = np.array([np.inf if solid is None else solid.bounds[0, axis] for solid in solids])
-        high = max(solid.bounds[1, axis] for solid in solids if solid is not None)
-        above = np.isfinite(low) & (low > low.min() + _LEVEL * (high - low.min()))
-        above[parts] = False
-        borne[name], floating[name] = len(np.unique(parts)), int(above.sum())
-    lies = borne["z"] == 0 and borne["y"] > 0
-    if lies or floating["z"] > floating["y"] == 0:
-        return (
-            "no part rests on another" if lies else f"{floating['z']} parts rest on nothing"
-        ) + ", but they would with y up: export the model with z up"
-    return ""
-
-
-def _likely_units(size: float, scale: float) -> list[str]:
-    """Return the units in which a typical part has a likely size; none where it has one already."""
-    if _SIZES[0] <= size <= _SIZES[1]:
-        return []
-    return [unit for unit in ("mm", "cm", "m", "in") if _SIZES[0] <= size / scale * UNITS[unit] <= _SIZES[1]]

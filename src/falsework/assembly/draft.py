@@ -124,7 +124,9 @@ class Draft:
         surfaces = read_surfaces(path)
         stated = sorted({surface.unit for surface in surfaces if surface.unit})
         if unit is None and len(stated) > 1:
-            raise InputError(f"comments in {path} name the units {listed(stated)}; give the one of all, such as --unit mm")
+            raise InputError(
+                f"comments in {path} name the units {listed(stated)}; give the one of all, such as --unit mm"
+            )
         if stated and stated != [unit or "m"]:
             read = f"it was read in {unit}" if unit else "it was read so"
             warn_of(path, f"comments say that the unit is {listed(stated)}; {read}")

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from falsework.assembly.fasteners import furnish
 from falsework.assembly.draft import Draft
+from falsework.assembly.fasteners import furnish
 from falsework.assembly.model import Assembly
 from falsework.errors import AssemblyError, InputError
 from falsework.geometry.contact.interfaces import ContactSettings
@@ -42,8 +42,8 @@ _ENTRIES: dict[str, tuple[type, ...]] = {
     "fasteners": (list,),
 }
 """Entries of `assembly.json` and their types."""
-_NOTES = {"source", "licence", "license", "author", "comment", "comments", "note", "notes", "description", "date", "url"}
-"""Entries that say nothing about the structure. Any other is warned of, or an error if it is nearly one of `_ENTRIES`."""
+_NOTES = set(["source", "licence", "license", "author", "comment", "comments", "note", "notes", "description", "date", "url"])
+"""Entries that say nothing about the structure. Any other is warned of, or refused if nearly one of `_ENTRIES`."""
 _ALIKE = 0.8
 """Similarity from which the name of an entry is taken for a misspelt one."""
 

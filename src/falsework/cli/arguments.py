@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.assembly.state import States
 
+
 def split_parts(text: str, option: str) -> list[str]:
     """Return the items of a list of parts, separated by commas.
 

@@ -21,18 +21,15 @@ from falsework.assembly.model import Assembly
 from falsework.errors import InputError
 from falsework.geometry.mesh.read import unit_length
 from falsework.geometry.mesh.surface import listed, warn_of, warn_of_curves
+from falsework.interop.compas_shapes import CURVED, box, inner, revolved
 from falsework.utils.json_text import parse_json
 
 LARGEST_FILE = 512 * 1024 * 1024
 """Bytes; a file beyond that is refused rather than read into memory."""
 
 _IDENTITY = np.eye(4)
-_CURVED = ("Cylinder", "Cone", "Sphere", "Capsule", "Torus")
-"""Shapes of revolution about the z axis of their frame."""
-_STEPS = 72
-"""Flat faces around a shape of revolution: 5 degrees each."""
 _MESHES = {"compas.datastructures/Mesh", "compas_assembly.datastructures/Block"}
-_SHAPES = {f"compas.geometry/{name}" for name in ("Polyhedron", "Box", *_CURVED)}
+_SHAPES = {f"compas.geometry/{name}" for name in ("Polyhedron", "Box", *CURVED)}
 _MODELS = {"compas_model.models/Model", "compas_dem.models/BlockModel"}
 _ELEMENT = "compas_model.elements/Element"
 _GROUP = "compas_model.elements/Group"
@@ -44,11 +41,12 @@ _NO_VOLUME = {
         "RhinoCurve", "RhinoNurbsCurve", "Surface", "NurbsSurface", "PlanarSurface", "Transformation", "Translation",
         "Rotation", "Scale", "Shear", "Reflection", "Projection",
     )
-} | {"compas.datastructures/Graph", "compas.datastructures/Tree", "compas.colors/Color", "compas.tolerance/Tolerance"}  # fmt: skip
+} | {
+    "compas.datastructures/Graph", "compas.datastructures/Tree", "compas.colors/Color", "compas.tolerance/Tolerance"
+}  # fmt: skip
 """Classes of objects that bound no solid."""
 _LOAD_KEYS = (("force", "force"), ("moment", "moment"), ("at", "point"))
 """Entries of a load in `assembly.json`, and of a compas_dem `PointLoad`."""
-_BOX_FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
 
 
 def is_compas(path: Path | str) -> bool:
@@ -173,7 +171,7 @@ class _Reader:
 
     def _assembly(self, content: dict[str, Any]) -> Iterator[Block]:
         """Yield blocks of a compas_assembly `Assembly`: the nodes of its graph."""
-        graph = _inner(content["graph"])
+        graph = inner(content["graph"])
         default = graph.get("default_node_attributes") or {}
         common = {key: value for key, value in content.get("attributes", {}).items() if key == "friction"}
         self._read_edges(graph, "interfaces", {key: (id(graph), key) for key in graph["node"]})
@@ -196,7 +194,7 @@ class _Reader:
         if isinstance(elements, list):  # before version 0.3 of compas_model
             elements = {element["guid"]: element for element in elements}
         materials = content.get("materials") or {}
-        graph = _inner(content.get("graph") or {"node": {}})
+        graph = inner(content.get("graph") or {"node": {}})
         self._read_edges(
             graph, "contacts", {key: (id(elements), node.get("element")) for key, node in graph["node"].items()}
         )
@@ -209,18 +207,18 @@ class _Reader:
                 place = above
                 if guid in elements:
                     placed.add(guid)
-                    place = above @ _matrix(_inner(elements[guid]).get("transformation"))
+                    place = above @ _matrix(inner(elements[guid]).get("transformation"))
                     for block in self._element(elements[guid], above, materials):
                         yield replace(block, key=(id(elements), guid))
                 yield from walk(child, place)
 
-        yield from walk(_inner(content["tree"])["root"], _matrix(content.get("transformation")))
+        yield from walk(inner(content["tree"])["root"], _matrix(content.get("transformation")))
         if len(placed) < len(elements):
             self._left_out["element outside the tree of its model"] += len(elements) - len(placed)
 
     def _element(self, element: dict[str, Any], above: NDArray[np.float64], materials: Any) -> Iterator[Block]:
         """Yield the block of an element of a model; none for a group."""
-        inside = _inner(element)
+        inside = inner(element)
         kinds = {element.get("dtype"), *element.get("inheritance", [])}
         name = _own_name(element, element.get("name") or inside.get("name"))
         geometry = inside.get("geometry") or inside.get("shape")
@@ -234,7 +232,7 @@ class _Reader:
         attributes = dict(block.attributes)
         material = inside.get("material")
         if isinstance(materials, dict) and material in materials:
-            attributes.setdefault("density", _inner(materials[material]).get("density"))
+            attributes.setdefault("density", inner(materials[material]).get("density"))
         support = self._flag(inside.get("is_support"), block.name) or block.support
         yield replace(block, name=str(name or block.name), support=support, attributes=attributes)
 
@@ -242,12 +240,12 @@ class _Reader:
         """Yield blocks of a compas_dem `Problem`: those of its model, with its contact law; held ones are supports."""
         if not content.get("model"):
             self._fail("its Problem names a model that is not in it", "write the BlockModel instead")
-        properties = _inner(content.get("contact_properties") or {})
-        law = _inner(properties.get("contact_model") or {})
+        properties = inner(content.get("contact_properties") or {})
+        law = inner(properties.get("contact_model") or {})
         friction = math.tan(math.radians(law["phi"])) if law.get("phi") is not None else law.get("mu")
         groups = content.get("boundary_conditions") or []
-        model = _inner(content["model"])
-        nodes = _inner(model.get("graph") or {"node": {}})["node"]
+        model = inner(content["model"])
+        nodes = inner(model.get("graph") or {"node": {}})["node"]
         known = {str(key): node.get("element") for key, node in nodes.items()}
         held, loads, acceleration = self._conditions(groups if isinstance(groups, list) else [groups], known)
         for block in self._find(content["model"]):
@@ -271,10 +269,10 @@ class _Reader:
         held: set[Any] = set()
         loads: dict[Any, list[dict[str, Any]]] = {}
         acceleration = [0.0, 0.0, 0.0]
-        for group in map(_inner, groups):
+        for group in map(inner, groups):
             if group.get("surface_loads"):
                 self._fail("it has a surface load", "give a point load instead")
-            for entry in map(_inner, group.get("displacements") or []):
+            for entry in map(inner, group.get("displacements") or []):
                 given = entry.get("translation") or entry.get("rotation") or []
                 if any(component != 0 for component in given):
                     self._fail(
@@ -282,13 +280,13 @@ class _Reader:
                         "prescribe zero in all directions, or nothing",
                     )
                 held.add(known.get(str(entry["block_index"])))
-            for entry in map(_inner, group.get("point_loads") or []):
+            for entry in map(inner, group.get("point_loads") or []):
                 node = str(entry["block_index"])
                 if node not in known:
                     self._fail(f"a load acts on block {node}, which does not exist", "leave the load out")
                 load = {name: entry[key] for name, key in _LOAD_KEYS if entry.get(key) is not None}
                 loads.setdefault(known[node], []).append(load)
-            for entry in map(_inner, group.get("body_forces") or []):
+            for entry in map(inner, group.get("body_forces") or []):
                 acceleration = [a + float(b) for a, b in zip(acceleration, entry["acceleration"], strict=True)]
         return held - {None}, loads, acceleration
 
@@ -304,9 +302,9 @@ class _Reader:
             for two, attributes in (others or {}).items():
                 found = (attributes or {}).get(name) or []
                 for interface in found if isinstance(found, list) else [found]:
-                    inside = _inner(interface)
-                    points = [_inner(point) if isinstance(point, dict) else point for point in inside["points"]]
-                    frame = _inner(inside.get("frame") or {})
+                    inside = inner(interface)
+                    points = [inner(point) if isinstance(point, dict) else point for point in inside["points"]]
+                    frame = inner(inside.get("frame") or {})
                     axes = frame.get("xaxis"), frame.get("yaxis")
                     normal = np.cross(*np.array(axes, dtype=float)) if None not in axes else np.array([0.0, 0.0, 1.0])
                     entry = {"keys": (keys.get(one), keys.get(two)), "points": points, "normal": normal}
@@ -325,9 +323,9 @@ class _Reader:
         elif "vertices" in content:
             points, faces = content["vertices"], content["faces"]
         elif "xsize" in content:
-            points, faces = _box(content), [list(face) for face in _BOX_FACES]
-        elif (shape := str(data.get("dtype")).removeprefix("compas.geometry/")) in _CURVED:
-            points, faces = _revolved(shape, content)
+            points, faces = box(content)
+        elif (shape := str(data.get("dtype")).removeprefix("compas.geometry/")) in CURVED:
+            points, faces = revolved(shape, content)
             self._curved.append(f"{shape} {name}".rstrip())
         else:
             self._fail(f"block {name or '?'} is a {data.get('dtype')}, not a mesh", "convert it to a mesh")
@@ -359,63 +357,11 @@ def _own_name(data: dict[str, Any], name: Any) -> str:
     return "" if not name or name in classes else str(name)
 
 
-def _box(content: dict[str, Any]) -> NDArray[np.float64]:
-    """Return corners of a box, shape (8, 3)."""
-    size = np.array([content["xsize"], content["ysize"], content["zsize"]], dtype=float) / 2
-    corners = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)]) * size
-    return _in_frame(corners, content)
-
-
-def _in_frame(points: NDArray[np.float64], content: dict[str, Any]) -> NDArray[np.float64]:
-    """Return points of the frame of a shape in space, shape (points, 3)."""
-    frame = _inner(content["frame"])
-    x, y = (np.array(frame[axis], dtype=float) for axis in ("xaxis", "yaxis"))
-    return points @ np.stack([x, y, np.cross(x, y)]) + np.array(frame["point"], dtype=float)
-
-
-def _revolved(shape: str, content: dict[str, Any]) -> tuple[NDArray[np.float64], list[list[int]]]:
-    """Return vertices and faces of a shape of revolution; all vertices are on its surface."""
-    around = 2 * np.pi / _STEPS * np.arange(_STEPS)
-    if shape == "Torus":
-        axis, pipe = float(content["radius_axis"]), float(content["radius_pipe"])
-        profile = np.stack([axis + pipe * np.cos(around), pipe * np.sin(around)], axis=1)
-    else:
-        radius = float(content["radius"])
-        half = 0.0 if shape == "Sphere" else float(content["height"]) / 2
-        if shape == "Cylinder":
-            profile = np.array([(0, -half), (radius, -half), (radius, half), (0, half)])
-        elif shape == "Cone":
-            profile = np.array([(0, 0), (radius, 0), (0, 2 * half)])
-        else:
-            up = np.pi / 2 * np.linspace(-1, 1, _STEPS // 2 + 1)
-            up = up if shape == "Sphere" else np.sort(np.append(up, 0.0))
-            rise = np.where(np.arange(len(up)) < len(up) // 2, -half, half)
-            profile = np.stack([radius * np.cos(up), radius * np.sin(up) + (0 if shape == "Sphere" else rise)], axis=1)
-            profile[[0, -1], 0] = 0.0
-    turns = np.stack([np.cos(around), np.sin(around)], axis=1)
-    points = np.concatenate(
-        [profile[:, None, :1] * turns[None], np.broadcast_to(profile[:, None, 1:], (len(profile), _STEPS, 1))], axis=2
-    ).reshape(-1, 3)
-    rings = range(len(profile)) if shape == "Torus" else range(len(profile) - 1)
-    faces = []
-    for ring in rings:
-        for step in range(_STEPS):
-            low, high = ring * _STEPS, (ring + 1) % len(profile) * _STEPS
-            one, two = step, (step + 1) % _STEPS
-            corners = [low + one, low + two, high + two, high + one]
-            if profile[ring, 0] == 0:
-                corners = corners[1:]
-            elif profile[(ring + 1) % len(profile), 0] == 0:
-                corners = corners[:3]
-            faces.append(corners)
-    return _in_frame(points, content), faces
-
-
 def _matrix(transformation: Any) -> NDArray[np.float64]:
     """Return a COMPAS transformation as a matrix, shape (4, 4); the identity for none."""
     if not transformation:
         return _IDENTITY
-    matrix = np.array(_inner(transformation)["matrix"], dtype=float)
+    matrix = np.array(inner(transformation)["matrix"], dtype=float)
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise ValueError("a transformation is a matrix of shape (4, 4)")
     return matrix
@@ -423,7 +369,7 @@ def _matrix(transformation: Any) -> NDArray[np.float64]:
 
 def _is_assembly(content: Any) -> bool:
     """Return whether an object of any class, such as a `CRA_Assembly`, has blocks at the nodes of a graph."""
-    graph = _inner(content.get("graph") or {}) if isinstance(content, dict) else {}
+    graph = inner(content.get("graph") or {}) if isinstance(content, dict) else {}
     nodes = graph.get("node") if isinstance(graph, dict) else None
     return isinstance(nodes, dict) and any(isinstance(node, dict) and "block" in node for node in nodes.values())
 
@@ -431,8 +377,3 @@ def _is_assembly(content: Any) -> bool:
 def _content(data: dict[str, Any]) -> Any:
     """Return the content of an object; the first version of COMPAS called it `value`."""
     return data["data"] if "data" in data else data["value"]
-
-
-def _inner(data: dict[str, Any]) -> dict[str, Any]:
-    """Return the content of an object that may or may not be wrapped with the name of its class."""
-    return data.get("data", data)

@@ -1,4 +1,6 @@
-"""glTF 2.0 export: a structure, which `geometry.mesh.gltf` reads back, and a plan as an animation with one node per part.
+"""glTF 2.0 export: a structure, and a plan as an animation with one node per part.
+
+`geometry.mesh.gltf` reads structures back.
 
 glTF has metres and y up, as the standard demands; readers convert to their own axes. Each part is a node that
 sits at its centre of mass, so that positions keep their digits however far from the origin the structure is modelled.

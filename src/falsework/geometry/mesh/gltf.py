@@ -20,7 +20,15 @@ Array = NDArray[np.float64]
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC3": 3}
 _STRIP, _FAN, _TRIANGLES = 5, 6, 4
-_HARMLESS = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_", "EXT_lights_", "KHR_xmp_", "KHR_animation_")
+_HARMLESS = (
+    "KHR_materials_",
+    "KHR_texture_",
+    "KHR_lights_",
+    "EXT_texture_",
+    "EXT_lights_",
+    "KHR_xmp_",
+    "KHR_animation_",
+)
 """Beginnings of the names of extensions that say nothing about the shape."""
 _KNOWN = {"KHR_mesh_quantization", "KHR_node_visibility", "MSFT_texture_dds", "ADOBE_materials_clearcoat_specular"}
 _LEVELS = 64
@@ -34,7 +42,8 @@ def read_gltf(file: Path) -> list[Surface]:
 
     A part is a node; the primitives of its mesh, one for each material, are one surface. The entries `part`,
     `boundary` and `density` in the `extras` of a node, which falsework writes, are its number, whether it is fixed,
-    and its density; `friction` in those of `asset` is the coefficient of all contacts. Hidden nodes, points and lines, other scenes and animations are left out with a warning.
+    and its density; `friction` in those of `asset` is the coefficient of all contacts. Hidden nodes, points and lines,
+    other scenes and animations are left out with a warning.
 
     Raises:
         MeshError: a file that is damaged, or whose shape depends on what is not read: skins, morph targets,
@@ -81,8 +90,8 @@ class _Reader:
             self._fail(f"it uses {listed(shaping)}, which may change its shapes", "export it without extensions")
         surfaces = [surface for root in self._roots() for surface in self._parts(root, np.eye(4), 0, False)]
         self._report()
-        numbers = [surface.number for surface in surfaces]
-        if None not in numbers and sorted(numbers) == list(range(len(numbers))):
+        numbers = [-1 if surface.number is None else surface.number for surface in surfaces]
+        if sorted(numbers) == list(range(len(numbers))):
             return sorted(surfaces, key=lambda surface: surface.number or 0)
         return surfaces
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
@@ -92,12 +91,14 @@ def _objects(file: Path, points: NDArray[np.float64], sections: list[_Section]) 
     pieces = [Surface.of_faces("", points, triangles_of(str(file), points, section.polygons)) for section in sections]
     names = list(dict.fromkeys(section.group or "(none)" for section in sections))
     if len({section.place for section in sections}) < 2 and len(names) > 1:
-        groups = regrouped([replace(piece, name=section.group) for piece, section in zip(pieces, sections, strict=True)])
+        groups = regrouped(
+            [replace(piece, name=section.group) for piece, section in zip(pieces, sections, strict=True)]
+        )
         if any(surface.closed for surface in groups):
             return groups
         warn_of(file, f"groups were left out, since their faces enclose no space each: {listed(names)}")
-    of_object: Callable[[tuple[Surface, _Section]], tuple[int, str]] = lambda pair: (pair[1].place, pair[1].owner)
-    objects = groupby(zip(pieces, sections, strict=True), key=of_object)
+    pairs = zip(pieces, sections, strict=True)
+    objects = groupby(pairs, key=lambda pair: (pair[1].place, pair[1].owner))
     return regrouped([joined(owner, [piece for piece, _ in some]) for (_, owner), some in objects])
 
 

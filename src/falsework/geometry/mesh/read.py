@@ -116,7 +116,8 @@ def _files(folder: Path) -> list[Path]:
     others += [
         f"{entry.name}/"
         for entry in entries
-        if entry.is_dir() and any(below.suffix.lower() in _READERS and below.name[0] != "." for below in entry.iterdir())
+        if entry.is_dir()
+        and any(below.suffix.lower() in _READERS and below.name[0] != "." for below in entry.iterdir())
     ]
     if others:
         warn_of(folder, f"files of other formats and folders in it were left out: {listed(others)}")
