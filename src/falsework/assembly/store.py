@@ -42,7 +42,9 @@ _ENTRIES: dict[str, tuple[type, ...]] = {
     "fasteners": (list,),
 }
 """Entries of `assembly.json` and their types."""
-_NOTES = set(["source", "licence", "license", "author", "comment", "comments", "note", "notes", "description", "date", "url"])
+_NOTES = frozenset(
+    ("source", "licence", "license", "author", "comment", "comments", "note", "notes", "description", "date", "url")
+)
 """Entries that say nothing about the structure. Any other is warned of, or refused if nearly one of `_ENTRIES`."""
 _ALIKE = 0.8
 """Similarity from which the name of an entry is taken for a misspelt one."""
