@@ -127,6 +127,9 @@ def surfaces_of(points: Array, corners: Faces) -> NDArray[np.int64] | None:
     Returns:
         Shape (faces,); None if surfaces that share edges are not closed by themselves in this way.
     """
+    local = points[corners] - points.mean(axis=0)
+    if np.einsum("ij,ij->", local[:, 0], np.cross(local[:, 1], local[:, 2])) < 0:
+        corners = corners[:, ::-1]  # inside out as a whole
     tail, head = corners.ravel(), corners[:, [1, 2, 0]].ravel()
     low, high = np.minimum(tail, head), np.maximum(tail, head)
     _, edge, uses = np.unique(np.stack([low, high], axis=1), axis=0, return_inverse=True, return_counts=True)
