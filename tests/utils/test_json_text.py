@@ -16,7 +16,7 @@ def test_plain_values() -> None:
     [
         ('{"a": 1, "a": 1}', "has the entry 'a' twice"),
         ('[{"b": {"long": 1, "x": 2, "long": 3}}]', "has the entry 'long' twice"),
-        ("[" * (LEVELS + 1) + "]" * (LEVELS + 1), f"deeper than {LEVELS} levels"),
+        ("[" * (LEVELS + 3) + "]" * (LEVELS + 3), f"deeper than {LEVELS} levels"),
         ("[" * 100_000, "deeper than"),
         ("[99999999999999999999999]", "does not fit into 64 bits"),
         ("{", "Expecting"),
