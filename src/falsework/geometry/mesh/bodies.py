@@ -76,7 +76,10 @@ def separate_solids(vertices: Array, faces: Faces) -> list[Faces] | None:
     label = np.where(np.isin(label, sheets), -2, label)
     solid = np.unique(label, return_index=True)
     start = np.sort([first for name, first in zip(*solid, strict=True) if name != -1])
-    return [faces[label == label[row]] for row in start.tolist()]
+    order = np.argsort(label, kind="stable")
+    ends = np.searchsorted(label[order], label[start], side="right")
+    begins = np.searchsorted(label[order], label[start], side="left")
+    return [faces[order[begin:end]] for begin, end in zip(begins.tolist(), ends.tolist(), strict=True)]
 
 
 def _labels(vertices: Array, faces: Faces) -> NDArray[np.int64] | None:
@@ -132,7 +135,7 @@ def surfaces_of(points: Array, corners: Faces) -> NDArray[np.int64] | None:
         corners = corners[:, ::-1]  # inside out as a whole
     tail, head = corners.ravel(), corners[:, [1, 2, 0]].ravel()
     low, high = np.minimum(tail, head), np.maximum(tail, head)
-    _, edge, uses = np.unique(np.stack([low, high], axis=1), axis=0, return_inverse=True, return_counts=True)
+    _, edge, uses = np.unique(low * len(points) + high, return_inverse=True, return_counts=True)
     edge = edge.ravel()
     order = np.argsort(edge, kind="stable")
     simple = order[uses[edge[order]] == 2]

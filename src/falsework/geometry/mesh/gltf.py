@@ -137,7 +137,7 @@ class _Reader:
         self._count += 1
         if level > _LEVELS or self._count > _NODES:
             self._fail("its nodes contain themselves, or are too many", "export it again")
-        node = self._json["nodes"][number]
+        node = self._entry("nodes", number)
         name, place = self._name(node, number), above @ _transform(node)
         hidden = hidden or (node.get("extensions") or {}).get("KHR_node_visibility", {}).get("visible") is False
         if "mesh" in node:
@@ -173,7 +173,7 @@ class _Reader:
 
     def _mesh(self, index: int, name: str, node: dict[str, Any]) -> Surface | None:
         """Return the surface of a mesh, all primitives together; None if it has no triangles."""
-        mesh = self._json["meshes"][index]
+        mesh = self._entry("meshes", index)
         if any(node.get("weights") or mesh.get("weights") or ()):
             self._fail(f"node {name} is deformed by morph targets", "apply them and export plain meshes")
         if index not in self._meshes:
@@ -207,12 +207,12 @@ class _Reader:
 
     def _numbers(self, index: int, kind: str) -> Array:
         """Return the values of an accessor, shape (count, width)."""
-        accessor = self._json["accessors"][index]
+        accessor = self._entry("accessors", index)
         if "sparse" in accessor or "bufferView" not in accessor:
             self._fail("it has sparse accessors", "export it again without them")
         if accessor["type"] != kind:
             raise ValueError("values of another type")
-        view = self._json["bufferViews"][accessor["bufferView"]]
+        view = self._entry("bufferViews", accessor["bufferView"])
         dtype = np.dtype(_COMPONENTS[accessor["componentType"]])
         width, count = _WIDTHS[kind], accessor["count"]
         stride = view.get("byteStride") or width * dtype.itemsize
@@ -229,7 +229,7 @@ class _Reader:
     def _buffer(self, index: int) -> bytes:
         """Return a buffer: that in the file, in its text, or in a file beside it."""
         if index not in self._buffers:
-            uri = self._json["buffers"][index].get("uri")
+            uri = self._entry("buffers", index).get("uri")
             if uri is None:
                 self._buffers[index] = self._chunk
             elif uri.startswith("data:"):
@@ -240,6 +240,11 @@ class _Reader:
                     self._fail(f"its data are in {uri[:80]!r}, which is no file beside it", "export it as .glb")
                 self._buffers[index] = beside.read_bytes()
         return self._buffers[index]
+
+    def _entry(self, kind: str, index: int) -> dict[str, Any]:
+        if index < 0:
+            raise IndexError(f"entry {index} of {kind}")
+        return self._json[kind][index]
 
     def _report(self) -> None:
         """Warn of what was left out."""

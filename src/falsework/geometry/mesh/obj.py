@@ -15,7 +15,7 @@ from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.polygon import triangles_of
 from falsework.geometry.mesh.surface import Surface, joined, listed, regrouped, stated_unit, warn_of
 
-_APPEARANCE = {"vt", "vn", "s", "usemtl", "mtllib", "usemap", "maplib", "lod", "bevel", "c_interp", "d_interp"}
+_APPEARANCE = {"vt", "vn", "s", "usemtl", "mtllib", "usemap", "maplib", "bevel", "c_interp", "d_interp"}
 """Statements that say nothing about the shape."""
 _FREE_FORM = {"surf", "curv", "curv2", "cstype", "call", "csh", "vp", "bzp", "bsp", "cdc", "cdp", "res"}
 """Statements of free-form curves and surfaces, or that read other files."""
