@@ -42,7 +42,7 @@ def weld(points: Array) -> NDArray[np.int64]:
     return first[label]
 
 
-def separate_solids(vertices: Array, faces: Faces) -> list[Faces] | None:
+def separate_solids(vertices: Array, faces: Faces) -> list[Faces]:
     """Split a surface into its solids, each with the surfaces of the hollows in it.
 
     Faces without an extent, two of whose corners are at the same place, are left out.
@@ -52,14 +52,14 @@ def separate_solids(vertices: Array, faces: Faces) -> list[Faces] | None:
         faces: shape (faces, 3).
 
     Returns:
-        Faces of each solid, in the order of their first faces. An empty list if solids share edges and cannot be told
-        apart; None if there are no faces with an extent, or vertices that do not exist.
+        Faces of each solid, in the order of their first faces; all of them where there is nothing to split, or a vertex
+        that does not exist. An empty list if solids share edges and cannot be told apart.
     """
     if not len(faces) or faces.min() < 0 or faces.max() >= len(vertices):
-        return None
+        return [faces]
     used = np.unique(faces)
     if not np.isfinite(vertices[used]).all():
-        return None
+        return [faces]
     label = _labels(vertices, faces)
     if label is None or len(_open(vertices, faces, label)):
         # As for one part, rounding of vertices is no gap.
@@ -71,7 +71,7 @@ def separate_solids(vertices: Array, faces: Faces) -> list[Faces] | None:
     if label is None:
         return []
     if not (label >= 0).any():
-        return None
+        return [faces]
     sheets = [surface for surface in _open(vertices, faces, label) if _is_flat(vertices[faces[label == surface]])]
     label = np.where(np.isin(label, sheets), -2, label)
     solid = np.unique(label, return_index=True)

@@ -139,14 +139,15 @@ def separated(file: Path, surfaces: Sequence[Surface]) -> list[Surface]:
     """
     found: list[Surface] = []
     for surface in surfaces:
-        solids = None if surface.whole or surface.error else separate_solids(surface.vertices, surface.faces)
-        if solids is not None and not len(solids):
+        one = surface.whole or surface.error
+        solids = [surface.faces] if one else separate_solids(surface.vertices, surface.faces)
+        if not solids:
             of = f" of {surface.name}" if surface.name else ""
             raise MeshError(
                 f"surfaces{of} in {file} share edges and do not show where one part ends; "
                 "give each part an object of its own, or put each part into a file of its own"
             )
-        if solids is None or len(solids) == 1:
+        if len(solids) == 1:
             found.append(surface)
             continue
         names = [f"{surface.name}-{number}" if surface.name else "" for number in range(len(solids))]
