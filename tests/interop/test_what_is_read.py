@@ -910,15 +910,24 @@ def _(folder: Path) -> Case:
         sheet.Vertices.Add(x, y, 1)
     sheet.Faces.AddFace(0, 1, 2, 3)
     rhino.file.Objects.AddMesh(sheet, rhino.attributes("sheet"))
-    return Case(rhino.write(folder), ("base",), "surfaces that are not solids were left out: 1 on layer Parts")
+    near, far = (rhino.api.LineCurve(rhino.api.Point3d(0, y, 1), rhino.api.Point3d(1, y, 1)) for y in (0, 1))
+    ruled = rhino.api.NurbsSurface.CreateRuledSurface(near, far)
+    rhino.file.Objects.AddSurface(ruled, rhino.attributes("ruled"))
+    return Case(rhino.write(folder), ("base",), "surfaces that are not solids were left out: 2 on layer Parts")
 
 
-@case("Rhino", "objects without a render mesh")
+@case("Rhino", "objects without a render mesh, also closed surfaces such as spheres")
 def _(folder: Path) -> Case:
     rhino = Rhino()
-    box = rhino.api.BoundingBox(rhino.api.Point3d(0, 0, 0), rhino.api.Point3d(1, 1, 1))
-    rhino.file.Objects.AddBrep(rhino.api.Brep.CreateFromBox(rhino.api.Box(box)), rhino.attributes("solid"))
-    return Case(rhino.write(folder), says="Brep solid has no render mesh")
+    point = rhino.api.Point3d
+    box = rhino.api.Box(rhino.api.BoundingBox(point(0, 0, 0), point(1, 1, 1)))
+    rhino.file.Objects.AddBrep(rhino.api.Brep.CreateFromBox(box), rhino.attributes("solid"))
+    with pytest.raises(InputError, match="Brep solid has no render mesh"):
+        load_structure(rhino.write(folder), ground=True)
+    rhino = Rhino()
+    rhino.add(LOW, name="base")
+    rhino.file.Objects.AddSphere(rhino.api.Sphere(point(0.5, 0.5, 1.5), 0.5), rhino.attributes("ball"))
+    return Case(rhino.write(folder), says="NurbsSurface ball has no render mesh")
 
 
 @case("Rhino", "curved faces")

@@ -17,7 +17,7 @@ from falsework.errors import DependencyError, InputError
 from falsework.geometry.mesh.polygon import triangles_of
 from falsework.geometry.mesh.read import unit_length
 from falsework.geometry.mesh.sheets import is_sheet
-from falsework.geometry.mesh.surface import Surface, separated, warn_of, warn_of_curves
+from falsework.geometry.mesh.surface import PartSurface, separated, warn_of, warn_of_curves
 
 _UNITS = {
     "Microns": 1e-6,
@@ -112,7 +112,7 @@ def read_rhino(path: Path | str, *, unit: str | None = None) -> Draft:
                 continue
             if solid.curved:
                 curved.append(solid.name or f"on layer {solid.layer}")
-            for part in separated(path, [Surface(solid.name, solid.vertices, faces)]):
+            for part in separated(path, [PartSurface(solid.name, solid.vertices, faces)]):
                 found.append((set(solid.words), Block(part.name, part.vertices, part.faces, support=support)))
     if any("blocks" in words for words, _ in found):
         others = [words for words, _ in found if not words & {"blocks", *_SUPPORTS}]

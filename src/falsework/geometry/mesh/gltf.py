@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import MeshError
-from falsework.geometry.mesh.surface import Surface, joined, listed, warn_of
+from falsework.geometry.mesh.surface import PartSurface, joined, listed, warn_of
 from falsework.utils.json_text import parse_json
 
 Array = NDArray[np.float64]
@@ -37,7 +37,7 @@ _NODES = 100_000
 """Nodes that a scene may have; one that is used often, within others that are, must not fill the memory."""
 
 
-def read_gltf(file: Path) -> list[Surface]:
+def read_gltf(file: Path) -> list[PartSurface]:
     """Read the nodes with meshes in the scene of a glTF file, in the order of the file, turned to z up.
 
     A part is a node; the primitives of its mesh, one for each material, are one surface. The entries `part`,
@@ -70,13 +70,13 @@ class _Reader:
         self._json: dict[str, Any] = {}
         self._chunk = b""
         self._buffers: dict[int, bytes] = {}
-        self._meshes: dict[int, Surface | None] = {}
+        self._meshes: dict[int, PartSurface | None] = {}
         self._hidden: list[str] = []
         self._flat: list[str] = []
         self._lines = 0
         self._count = 0
 
-    def read(self, content: bytes) -> list[Surface]:
+    def read(self, content: bytes) -> list[PartSurface]:
         if content[:4] == b"glTF":
             content = self._chunks(content)
         self._json = parse_json(content.decode("utf-8-sig"))
@@ -132,7 +132,7 @@ class _Reader:
             warn_of(self._file, f"nodes that are not in scene {chosen} were left out: {names}")
         return roots
 
-    def _parts(self, number: int, above: Array, level: int, hidden: bool) -> Iterator[Surface]:
+    def _parts(self, number: int, above: Array, level: int, hidden: bool) -> Iterator[PartSurface]:
         """Yield the surfaces of a node and those below it."""
         self._count += 1
         if level > _LEVELS or self._count > _NODES:
@@ -153,14 +153,14 @@ class _Reader:
         for child in node.get("children", []):
             yield from self._parts(child, place, level + 1, hidden)
 
-    def _placed(self, surface: Surface, node: dict[str, Any], place: Array) -> Surface:
+    def _placed(self, surface: PartSurface, node: dict[str, Any], place: Array) -> PartSurface:
         points = surface.vertices @ place[:3, :3].T + place[:3, 3]
         faces = surface.faces if np.linalg.det(place[:3, :3]) > 0 else surface.faces[:, ::-1]
         extras = node.get("extras")
         extras = extras if isinstance(extras, dict) else {}
         number, density = extras.get("part"), extras.get("density")
         own = isinstance(number, int) and not isinstance(number, bool)
-        return Surface(
+        return PartSurface(
             node.get("name") or self._json["meshes"][node["mesh"]].get("name") or "",
             points[:, [0, 2, 1]] * (1.0, -1.0, 1.0),
             faces,
@@ -171,7 +171,7 @@ class _Reader:
             whole=own,
         )
 
-    def _mesh(self, index: int, name: str, node: dict[str, Any]) -> Surface | None:
+    def _mesh(self, index: int, name: str, node: dict[str, Any]) -> PartSurface | None:
         """Return the surface of a mesh, all primitives together; None if it has no triangles."""
         mesh = self._entry("meshes", index)
         if any(node.get("weights") or mesh.get("weights") or ()):
@@ -183,7 +183,7 @@ class _Reader:
                     self._lines += 1
                     continue
                 points = self._numbers(primitive["attributes"]["POSITION"], "VEC3")
-                pieces.append(Surface("", points, self._faces(primitive, len(points))))
+                pieces.append(PartSurface("", points, self._faces(primitive, len(points))))
             self._meshes[index] = joined("", pieces) if pieces else None
         return self._meshes[index]
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from falsework.errors import MeshError
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.polygon import triangles_of
-from falsework.geometry.mesh.surface import Surface, joined, listed, regrouped, stated_unit, warn_of
+from falsework.geometry.mesh.surface import PartSurface, joined, listed, regrouped, stated_unit, warn_of
 
 _APPEARANCE = {"vt", "vn", "s", "usemtl", "mtllib", "usemap", "maplib", "bevel", "c_interp", "d_interp"}
 """Statements that say nothing about the shape."""
@@ -32,7 +32,7 @@ class _Section:
     polygons: list[list[int]]
 
 
-def read_obj(file: Path) -> list[Surface]:
+def read_obj(file: Path) -> list[PartSurface]:
     """Read the objects of an OBJ file.
 
     Objects begin at `o` lines, or at `g` lines in a file that has not two objects. Polygons are cut into triangles,
@@ -86,9 +86,11 @@ def read_obj(file: Path) -> list[Surface]:
     return [replace(surface, unit=unit) for surface in surfaces]
 
 
-def _objects(file: Path, points: NDArray[np.float64], sections: list[_Section]) -> list[Surface]:
+def _objects(file: Path, points: NDArray[np.float64], sections: list[_Section]) -> list[PartSurface]:
     """Return the objects that sections make."""
-    pieces = [Surface.of_faces("", points, triangles_of(str(file), points, section.polygons)) for section in sections]
+    pieces = [
+        PartSurface.of_faces("", points, triangles_of(str(file), points, section.polygons)) for section in sections
+    ]
     names = list(dict.fromkeys(section.group or "(none)" for section in sections))
     if len({section.place for section in sections}) < 2 and len(names) > 1:
         groups = regrouped(

@@ -10,7 +10,7 @@ import numpy as np
 
 from falsework.errors import MeshError
 from falsework.geometry.mesh.polygon import triangles_of
-from falsework.geometry.mesh.surface import Surface, listed, stated_unit, warn_of
+from falsework.geometry.mesh.surface import PartSurface, listed, stated_unit, warn_of
 
 _TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
@@ -42,7 +42,7 @@ class _Element:
     properties: list[_Property]
 
 
-def read_ply(file: Path) -> list[Surface]:
+def read_ply(file: Path) -> list[PartSurface]:
     """Read the surface in a PLY file. Colours, normals and textures are ignored.
 
     Raises:
@@ -76,7 +76,7 @@ def read_ply(file: Path) -> list[Surface]:
     if any(len(polygon) < 3 for polygon in corners):
         raise MeshError(f"a face in {file} has fewer than three corners; export it again")
     unit = stated_unit(content[:start].decode("ascii", errors="replace"))
-    return [Surface("", points, triangles_of(str(file), points, corners), unit=unit)]
+    return [PartSurface("", points, triangles_of(str(file), points, corners), unit=unit)]
 
 
 def _header(content: bytes) -> tuple[str, list[_Element], int]:

@@ -16,7 +16,7 @@ from falsework.geometry.mesh.obj import read_obj
 from falsework.geometry.mesh.ply import read_ply
 from falsework.geometry.mesh.repair import check_mesh, thicken_supports
 from falsework.geometry.mesh.stl import read_stl
-from falsework.geometry.mesh.surface import Surface, distinct_names, joined, listed, separated, warn_of
+from falsework.geometry.mesh.surface import PartSurface, distinct_names, joined, listed, separated, warn_of
 
 _READERS = {".obj": read_obj, ".stl": read_stl, ".ply": read_ply, ".glb": read_gltf, ".gltf": read_gltf}
 SUFFIXES = tuple(_READERS)
@@ -62,7 +62,7 @@ def load_meshes(path: str | Path, unit: str = "m", *, supports: Collection[int |
     return tuple(check_mesh(*part) for part in thicken_supports(parts, named))
 
 
-def read_surfaces(path: str | Path) -> list[Surface]:
+def read_surfaces(path: str | Path) -> list[PartSurface]:
     """Read the surfaces of all parts, unchecked, each with a name of its own.
 
     A folder holds one file a part (OBJ, STL, PLY, glTF). Names that are all numbers are the ids of the parts and must
@@ -144,15 +144,15 @@ def _order(names: Sequence[str], where: Path) -> list[int]:
     return sorted(range(len(names)), key=lambda index: natural_key(names[index]))
 
 
-def _one_part(file: Path) -> Surface:
+def _one_part(file: Path) -> PartSurface:
     """Return all objects of a file as one part; one without faces and with the reason if it cannot be read."""
     try:
         return replace(joined(file.stem, _read(file)), whole=True)
     except MeshError as error:
-        return Surface(file.stem, np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64), error=str(error))
+        return PartSurface(file.stem, np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64), error=str(error))
 
 
-def _read(file: Path) -> list[Surface]:
+def _read(file: Path) -> list[PartSurface]:
     """Return the objects of a file, at least one."""
     surfaces = _READERS[file.suffix.lower()](file)
     if not surfaces:

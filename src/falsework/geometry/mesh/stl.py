@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from falsework.errors import MeshError
-from falsework.geometry.mesh.surface import Surface, regrouped, stated_unit
+from falsework.geometry.mesh.surface import PartSurface, regrouped, stated_unit
 
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _HEADER = 84
 """Bytes before the facets of a binary file: a comment and their number."""
 
 
-def read_stl(file: Path) -> list[Surface]:
+def read_stl(file: Path) -> list[PartSurface]:
     """Read the solids of an STL file. Normals and colours are ignored; the order of corners gives the outside.
 
     Raises:
@@ -38,7 +38,7 @@ def read_stl(file: Path) -> list[Surface]:
     return _read_text(file, content.decode("utf-8", errors="replace"))
 
 
-def _read_text(file: Path, text: str) -> list[Surface]:
+def _read_text(file: Path, text: str) -> list[PartSurface]:
     solids: list[tuple[str, list[list[float]]]] = []
     inside = False
     first = 0
@@ -70,5 +70,5 @@ def _read_text(file: Path, text: str) -> list[Surface]:
     return regrouped([_surface(name, np.array(points).reshape(-1, 3, 3)) for name, points in solids if points])
 
 
-def _surface(name: str, corners: np.ndarray) -> Surface:
-    return Surface(name, corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
+def _surface(name: str, corners: np.ndarray) -> PartSurface:
+    return PartSurface(name, corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))

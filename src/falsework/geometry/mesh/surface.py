@@ -28,7 +28,7 @@ _NAMED = 5
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class PartSurface:
     """Surface of one part in a file."""
 
     name: str
@@ -53,10 +53,10 @@ class Surface:
     """Why the part cannot be read; the arrays are then empty."""
 
     @staticmethod
-    def of_faces(name: str, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Surface:
+    def of_faces(name: str, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> PartSurface:
         """Make a surface of some faces of a file, with the vertices that they use."""
         used, index = np.unique(faces, return_inverse=True)
-        return Surface(name, vertices[used], index.reshape(-1, 3).astype(np.int64))
+        return PartSurface(name, vertices[used], index.reshape(-1, 3).astype(np.int64))
 
     @property
     def closed(self) -> bool:
@@ -98,10 +98,10 @@ def listed(items: Sequence[str]) -> str:
     return ", ".join(items[:_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
-def joined(name: str, surfaces: Sequence[Surface]) -> Surface:
+def joined(name: str, surfaces: Sequence[PartSurface]) -> PartSurface:
     """Return surfaces as one."""
     starts = np.cumsum([0, *(len(surface.vertices) for surface in surfaces)])
-    return Surface(
+    return PartSurface(
         name,
         np.concatenate([surface.vertices for surface in surfaces]),
         np.concatenate([surface.faces + first for surface, first in zip(surfaces, starts, strict=False)]),
@@ -110,15 +110,15 @@ def joined(name: str, surfaces: Sequence[Surface]) -> Surface:
     )
 
 
-def regrouped(surfaces: Sequence[Surface]) -> list[Surface]:
+def regrouped(surfaces: Sequence[PartSurface]) -> list[PartSurface]:
     """Join surfaces of the same name that are open each, as exporters write a part of several materials.
 
     Those that are closed each are parts of their own, whatever their name.
     """
-    of_name: dict[str, list[Surface]] = {}
+    of_name: dict[str, list[PartSurface]] = {}
     for surface in surfaces:
         of_name.setdefault(surface.name, []).append(surface)
-    found: list[Surface] = []
+    found: list[PartSurface] = []
     for surface in surfaces:
         group = of_name[surface.name]
         if len(group) == 1 or all(other.closed for other in group):
@@ -128,7 +128,7 @@ def regrouped(surfaces: Sequence[Surface]) -> list[Surface]:
     return found
 
 
-def separated(file: Path, surfaces: Sequence[Surface]) -> list[Surface]:
+def separated(file: Path, surfaces: Sequence[PartSurface]) -> list[PartSurface]:
     """Make a part of each separate solid, with a warning if the solids have a name in common.
 
     Blocks that are one rigid part hold each other, blocks that are several do not: what is not said to be one part
@@ -137,7 +137,7 @@ def separated(file: Path, surfaces: Sequence[Surface]) -> list[Surface]:
     Raises:
         MeshError: solids that share edges, so that their surfaces do not show where one ends.
     """
-    found: list[Surface] = []
+    found: list[PartSurface] = []
     for surface in surfaces:
         one = surface.whole or surface.error
         solids = [surface.faces] if one else separate_solids(surface.vertices, surface.faces)
@@ -158,7 +158,7 @@ def separated(file: Path, surfaces: Sequence[Surface]) -> list[Surface]:
                 f"{names[-1]}; if they are one rigid part, put each part into a file of its own in a folder",
             )
         for name, faces in zip(names, solids, strict=True):
-            part = Surface.of_faces(name, surface.vertices, faces)
+            part = PartSurface.of_faces(name, surface.vertices, faces)
             found.append(replace(surface, name=name, vertices=part.vertices, faces=part.faces))
     return found
 
