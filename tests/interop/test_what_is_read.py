@@ -982,6 +982,14 @@ def _(folder: Path) -> Case:
     return Case(step(folder, box, plane), says="surfaces that bound no solid were left out: 1")
 
 
+@case("STEP", "hidden objects")
+def _(folder: Path) -> Case:
+    path = step(folder, step_box())
+    head, end, tail = path.read_text().rpartition("ENDSEC;")
+    path.write_text(f"{head}#99999 = INVISIBILITY((#1));\n{end}{tail}")
+    return Case(path, says=r"it hides objects \(1 lists\), which were read as well", check=volumes(1))
+
+
 # Bricks and other formats ------------------------------------------------------------------------------------------
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -89,7 +90,7 @@ def read_step(path: Path | str, *, unit: str | None = None) -> Draft:
             explorer.Next()
         if count:
             warn_of(path, f"{what} that bound no solid were left out: {count}")
-    hidden = path.read_bytes().count(b"INVISIBILITY(")
+    hidden = len(re.findall(rb"=\s*INVISIBILITY\s*\(", path.read_bytes()))
     if hidden:
         warn_of(path, f"it hides objects ({hidden} lists), which were read as well; leave them out of the export")
     warn_of_curves(path, curved)
