@@ -1,4 +1,4 @@
-"""Exception hierarchy; every message names the fault, the part where there is one, and the remedy."""
+"""Exceptions and warnings; every message names the fault, the part where there is one, and the remedy."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ __all__ = [
     "InputError",
     "MeshError",
     "PlanError",
+    "ReadWarning",
     "SolverError",
     "StateError",
     "TrainingError",
@@ -46,6 +47,10 @@ class PlanError(InputError):
 
 class DependencyError(InputError, ImportError):
     """Missing optional package; the message names the extra that installs it."""
+
+
+class ReadWarning(UserWarning):
+    """Content of a file that the structure does not have, or has in another way than the file."""
 
 
 class SolverError(FalseworkError):

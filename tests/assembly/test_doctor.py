@@ -162,3 +162,119 @@ def test_the_verdict_is_that_of_loading(public_structure_path: Callable[[str], P
             load_structure(path)
         assert found.doubtful
     assert len(found.parts) == 256
+
+
+BRICKS = [
+    ((c * 2.0 + r % 2, 0, r * 0.5), (c * 2.0 + 2 + r % 2, 0.5, r * 0.5 + 0.5)) for r in range(3) for c in range(5)
+]
+"""A wall of three courses of five bricks, 2 m long each."""
+
+
+def write_wall(path: Path, turn: Callable[[np.ndarray], np.ndarray] = lambda points: points) -> Path:
+    """Write the wall as one OBJ file."""
+    lines = []
+    corners = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
+    for number, (low, high) in enumerate(BRICKS):
+        points = turn(np.where(corners, high, low))
+        lines += [f"o brick-{number}", *(f"v {x} {y} {z}" for x, y, z in points)]
+        lines += [f"f {a + 1 + 8 * number} {b + 1 + 8 * number} {c + 1 + 8 * number}" for a, b, c in BOX]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_one_file_and_a_folder_get_the_same_advice(tmp_path: Path) -> None:
+    folder = tmp_path / "wall"
+    folder.mkdir()
+    for number, (low, high) in enumerate(BRICKS):
+        write_box(folder, f"brick-{number}", low, high)
+    one, many = diagnose(write_wall(tmp_path / "wall.obj")), diagnose(folder)
+    for found in (one, many):
+        assert [report.size for report in found.parts] == pytest.approx([np.sqrt(4 + 0.25 + 0.25)] * 15)
+        assert found.additions == {"boundary": [0, 1, 2, 3, 4]}
+        assert found.cured
+    assert one.remarks == many.remarks
+
+
+def test_an_open_part_is_told_as_it_is(tmp_path: Path) -> None:
+    """Whatever the format; its support is proposed, and it is not."""
+    for suffix in ("obj", "ply", "stl"):
+        folder = tmp_path / suffix
+        folder.mkdir()
+        write_box(folder, "base", (0, 0, 0), (1, 1, 1))
+        write_box(folder, "top", (0, 0, 1), (1, 1, 2), faces=7)
+        if suffix != "obj":
+            trimesh = pytest.importorskip("trimesh")
+            trimesh.load(folder / "top.obj", process=False).export(folder / f"top.{suffix}")
+            (folder / "top.obj").unlink()
+        found = diagnose(folder)
+        assert found.error.startswith("part top is not closed")
+        assert found.parts[1].size == pytest.approx(np.sqrt(3))
+        assert found.additions == {"boundary": [0]}
+        assert not found.cured
+
+
+def test_no_advice_fixes_everything(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for number in range(3):
+        write_box(tmp_path, f"slab-{number}", (number, 0, 0), (number + 1, 2, 0.5))
+    found = diagnose(tmp_path)
+    assert not found.additions
+    assert any("name them (--boundary), or put a --ground" in remark for remark in found.remarks)
+    grounded = diagnose(tmp_path, ground=True)
+    assert grounded.loads
+    assert "no part is boundary" not in grounded.remarks
+    assert main(["doctor", str(tmp_path), "--boundary", "slab-0,slab-1,slab-2"]) == 0
+    assert "every part is boundary: nothing can move" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "doubt"),
+    [
+        ({"density": 2.4}, r"the density is 2\.4 kg/m3"),
+        ({"density": [2400, 2400, 24000]}, "the density of part 2 is 24000 kg/m3"),
+        ({"friction": 35.0}, "a coefficient of friction is 35"),
+        ({"boundary": ["2"]}, "part 0 reaches lower than every part that is boundary"),
+        ({"boundary": ["0-2"]}, "every part is boundary"),
+        ({"density": 2400, "friction": 0.6}, ""),
+    ],
+)
+def test_doubts_about_the_options(options: dict, doubt: str, column: Path) -> None:
+    remarks = " ".join(diagnose(column, **options).remarks)
+    assert re.search(doubt, remarks) if doubt else not remarks
+
+
+def test_doubts_about_entries_of_the_file(column: Path) -> None:
+    add(column, {"joints": [{"friction": 30}], "density": 24})
+    remarks = " ".join(diagnose(column).remarks)
+    assert "friction is 30" in remarks
+    assert "density is 24 kg/m3" in remarks
+
+
+def test_y_up_is_seen(tmp_path: Path) -> None:
+    """Of a wall all bricks lie at the lowest level then; of a table the plate hangs beside its legs."""
+    found = diagnose(write_wall(tmp_path / "wall.obj", lambda points: points[:, [0, 2, 1]] * (1, 1, -1)))
+    assert any("they would with y up" in remark for remark in found.remarks)
+    assert "boundary" not in found.additions
+    assert not any("y up" in remark for remark in diagnose(write_wall(tmp_path / "wall.obj")).remarks)
+    table = tmp_path / "table"
+    table.mkdir()
+    write_box(table, "plate", (0, 1, 0), (3, 1.2, 2))
+    for number, x in enumerate((0, 2.5)):
+        write_box(table, f"leg-{number}", (x, 0, 0.8), (x + 0.5, 1, 1.2))
+    assert any("y up" in remark for remark in diagnose(table).remarks)
+
+
+def test_a_unit_is_proposed_only_where_there_is_one(tmp_path: Path) -> None:
+    for level in range(2):
+        write_box(tmp_path, f"{level}", (0, 0, 50 * level), (50, 50, 50 * level + 50))
+    found = diagnose(tmp_path)
+    assert any("the unit may be mm or cm or in" in remark for remark in found.remarks)
+    assert found.additions == {"boundary": [0]}
+    assert found.unit == ""
+
+
+def test_what_was_read_in_another_way_is_told(tmp_path: Path) -> None:
+    path = write_wall(tmp_path / "wall.obj")
+    path.write_text(re.sub(r"o brick-\d+", "o brick", path.read_text()) + "l 1 2\n")
+    remarks = " ".join(diagnose(path).remarks)
+    assert "15 objects are called brick" in remarks
+    assert "left out: 1 of 'l'" in remarks

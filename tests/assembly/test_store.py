@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from falsework.assembly import Assembly, load_assembly, load_structure, save_assembly
-from falsework.errors import AssemblyError, InputError
+from falsework.errors import AssemblyError, InputError, ReadWarning
 from falsework.geometry import ContactSettings, TriangleMesh
 from falsework.geometry.mesh.obj import obj_text
 
@@ -122,6 +122,8 @@ def test_one_file_with_its_description_beside_it(tmp_path: Path):
         ({"boundary": [0, 0]}, "part 0 twice"),
         ({"boundary": ["roof"]}, "boundary is part 'roof', which does not exist; give an id from 0 to 2 or a name"),
         ({"boundary": [[0]]}, r"boundary is \[\[0\]\]; give ids of parts, 0 to 2, or names"),
+        ({"boundary": [[0, 1], [2]]}, r"boundary is \[\[0, 1\], \[2\]\]; give ids of parts, 0 to 2, or names"),
+        ({"boundary": [[0], "0"]}, "boundary parts are"),
         ({"boundary": []}, "--ground"),
         ({"unit": "furlong"}, "unknown unit 'furlong'"),
         ({"unit": 3}, "unit in"),
@@ -133,7 +135,9 @@ def test_one_file_with_its_description_beside_it(tmp_path: Path):
         ({"names": [1, 2, 3]}, "must be strings"),
         ({"contact": {"slack": 1}}, "'slack'; it may have gap, overlap"),
         ({"contact": {"gap": -1}}, "gap is -1"),
-        ({"contact": {"gap": "wide"}}, "contact"),
+        ({"contact": {"gap": "wide"}}, "contact in .* has the gap 'wide'; give a number"),
+        ({"contact": {"gap": []}}, r"contact in .* has the gap \[\]; give a number"),
+        ({"contact": {"angle": True}}, "has the angle True; give a number"),
         ({"contact": []}, "contact in"),
     ],
 )
@@ -201,4 +205,7 @@ def test_structures_by_name(folder: Path, monkeypatch):
     with pytest.raises(InputError, match=r"structure 'arhc'; built in are arch"):
         load_structure("arhc")
     with pytest.raises(InputError, match="its own unit"):
-        load_structure("arch", unit="mm")
+        load_structure("arch:", unit="mm")
+    with pytest.warns(ReadWarning, match="arch is a folder or file here, which is read, and .* which is arch:"):
+        assert load_structure("arch").name == "door", "the user means what is there"
+    assert load_structure("arch:").name == "arch"

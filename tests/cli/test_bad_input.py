@@ -120,7 +120,7 @@ def test_boundary_out_of_range(refused: Callable[..., None], stack: Path) -> Non
 
 
 def test_boundary_is_no_list_of_parts(refused: Callable[..., None], stack: Path) -> None:
-    refused("--boundary", stack, "--boundary", "none")
+    refused("boundary is part 'none'", stack, "--boundary", "none")
 
 
 def test_no_boundary_offers_the_ground(

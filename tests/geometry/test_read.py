@@ -92,7 +92,7 @@ def test_units(tmp_path, boxes):
 
 def test_millimetres_read_as_metres_are_caught(tmp_path, shapes):
     (tmp_path / "0.obj").write_text(obj_text(shapes.box((0, 0, 0), (2000, 300, 300))))
-    with pytest.raises(MeshError, match=r"part 0 is 2e\+03 m long.*unit"):
+    with pytest.raises(MeshError, match=r"part box is 2e\+03 m long.*unit"):
         load_meshes(tmp_path)
     assert load_meshes(tmp_path, unit="mm")[0].volume == pytest.approx(0.18)
 
@@ -100,9 +100,9 @@ def test_millimetres_read_as_metres_are_caught(tmp_path, shapes):
 def test_obj_survives_writing_to_the_last_bit(tmp_path, shapes):
     mesh = shapes.moved(shapes.box((0, 0, 0), (1 / 3, np.pi, 1e-5)), (1e3, 0, -1e-9), shapes.rotation(9))
     (tmp_path / "0.obj").write_text(obj_text(mesh))
-    [(_, vertices, faces)] = read_obj(tmp_path / "0.obj")
-    assert (vertices == mesh.vertices).all()
-    assert (faces == mesh.faces).all()
+    [read] = read_obj(tmp_path / "0.obj")
+    assert (read.vertices == mesh.vertices).all()
+    assert (read.faces == mesh.faces).all()
 
 
 def test_concave_polygons_and_indices_from_the_end(tmp_path, shapes):

@@ -21,6 +21,9 @@ STICK = [
 ]  # fmt: skip
 """Place along x, layer and length of bricks one stud wide (StableLego, `stick_light`); in reality it stands."""
 
+ON_A_PLATE = pytest.mark.filterwarnings("ignore:.*a baseplate under the lowest layer was added")
+"""Lets the warning pass that `test_the_baseplate_is_told` is about."""
+
 
 def stair(steps: int) -> list[Brick]:
     """Bricks of 4 by 2 studs, each two studs farther out than the one below."""
@@ -77,6 +80,7 @@ def test_plates_weigh_what_walls_and_tubes_leave() -> None:
     assert 0.15e-3 < Brick((0, 0, 0), (1, 1), PLATE).mass < 0.2e-3
 
 
+@ON_A_PLATE
 def test_ldraw_with_plates_and_wide_bricks(tmp_path: Path) -> None:
     """A brick of 4 by 6 studs on two plates, which reach as high as a brick and lie on the baseplate with another."""
     file = tmp_path / "model.ldr"
@@ -90,6 +94,7 @@ def test_ldraw_with_plates_and_wide_bricks(tmp_path: Path) -> None:
     assert Stability(assembly).check(complete_state(assembly.boundary)).stable.all()
 
 
+@ON_A_PLATE
 def test_text_of_brickgpt(tmp_path: Path) -> None:
     file = tmp_path / "table.txt"
     file.write_text("2x4 (0,0,0)\n2x4 (6,0,0)\n\n6x2 (0,1,1)\n4x2 (4,1,1)\n")
@@ -120,6 +125,7 @@ LDRAW = """0 A table
 """
 
 
+@ON_A_PLATE
 def test_ldraw_with_a_model_in_it(tmp_path: Path) -> None:
     file = tmp_path / "model.mpd"
     file.write_text(LDRAW)

@@ -12,7 +12,7 @@ import pytest
 from falsework.assembly import Assembly, load_structure
 from falsework.assembly.model import ContactWarning
 from falsework.cli.main import main
-from falsework.errors import AssemblyError, InputError, MeshError
+from falsework.errors import AssemblyError, InputError, MeshError, ReadWarning
 from falsework.interop.compas_read import is_compas, load_compas
 from falsework.interop.compas_write import compas_of, write_compas
 
@@ -132,7 +132,8 @@ def test_meshes_and_shapes_in_a_dictionary_in_millimetres(compas: Any, tmp_path:
     box = Mesh.from_shape(Box(1000.0))
     content = {"site": {"foot": box, "head": Box(1000.0, frame=Frame([0, 0, 1000], [0, 1, 0], [-1, 0, 0]))}}
     compas.json_dump({**content, "north": Point(0, 1, 0)}, tmp_path / "model.json")
-    model = load_compas(tmp_path / "model.json", unit="mm", boundary=[0])
+    with pytest.warns(ReadWarning, match=r"what bounds no solid was left out: 1 compas\.geometry/Point"):
+        model = load_compas(tmp_path / "model.json", unit="mm", boundary=[0])
     assert model.mass.volume == pytest.approx(1.0)
     assert model.mass.center[:, 2] == pytest.approx([0.0, 1.0])
     assert len(model.contacts) == 1
@@ -164,6 +165,11 @@ def box(**changes: Any) -> dict[str, Any]:
     return {**mesh, "data": {**mesh["data"], **changes}}
 
 
+def named(name: str, **attributes: Any) -> dict[str, Any]:
+    """A mesh with a name and attributes."""
+    return {**box(attributes=attributes), "name": name}
+
+
 @pytest.mark.parametrize(
     ("content", "kind", "hint"),
     [
@@ -178,7 +184,7 @@ def box(**changes: Any) -> dict[str, Any]:
         (json.dumps([box(face={})]), MeshError, "no faces"),
         (json.dumps([box(face={"0": [0, 1, 2]})]), MeshError, "not closed"),
         ("[" * 100_000, InputError, "nested|not as COMPAS"),
-        (json.dumps([box(attributes={"friction": mu}) for mu in (0.1, 0.2)]), AssemblyError, "--friction"),
+        (json.dumps([named(str(mu), friction=mu) for mu in (0.1, 0.2)]), AssemblyError, "--friction"),
         (
             json.dumps({"dtype": "x/Y", "inheritance": ["compas_model.models/Model"], "data": {}}),
             InputError,

@@ -105,15 +105,15 @@ def test_plans_with_wrong_values(data: st.DataObject, plan: Plan, tmp_path: Path
 
 
 @MANY
-@given(edits=EDITS, kind=st.sampled_from(["obj", "stl", "ply", "glb"]))
-def test_damaged_meshes(edits: Any, kind: str, small: Assembly, tmp_path: Path) -> None:
+@given(edits=EDITS, kind=st.sampled_from(["obj", "stl", "ply", "glb", "gltf"]))
+def test_damaged_meshes(edits: Any, kind: Any, small: Assembly, tmp_path: Path) -> None:
     import trimesh
 
     mesh = small.meshes[0]
     if kind == "obj":
         content = "".join(obj_text(one) for one in small.meshes[:1]).encode()
-    elif kind == "glb":
-        content = gltf_of(small)
+    elif kind in ("glb", "gltf"):
+        content = gltf_of(small, kind=kind)
     else:
         written = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(file_type=kind)
         content = written if isinstance(written, bytes) else str(written).encode()
@@ -131,7 +131,7 @@ def test_damaged_compas_data(edits: Any, kind: Any, small: Assembly, tmp_path: P
 
 
 @MANY
-@given(content=st.binary(max_size=300), suffix=st.sampled_from([".obj", ".stl", ".ply", ".glb"]))
+@given(content=st.binary(max_size=300), suffix=st.sampled_from([".obj", ".stl", ".ply", ".glb", ".gltf"]))
 def test_anything_at_all_as_a_mesh(content: bytes, suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"0{suffix}"
     path.write_bytes(content)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -12,27 +13,28 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 
-from falsework.assembly.draft import Block, Draft
+from falsework.assembly.doubts import likely_units, lowest, material_doubts, support_doubts, upright_doubt
+from falsework.assembly.draft import Draft
+from falsework.assembly.fasteners import furnish
 from falsework.assembly.interfaces import InterfaceComparison, compare_interfaces, interface_contacts
 from falsework.assembly.load import LOAD_OPTIONS, check_meshes_path, described_options, read_draft
 from falsework.assembly.model import Assembly
-from falsework.assembly.store import read_description
-from falsework.errors import AssemblyError, InputError, MeshError
-from falsework.geometry.contact.interfaces import ContactSettings, exact_contacts, find_contacts
+from falsework.assembly.store import described_draft, read_description
+from falsework.errors import AssemblyError, InputError, MeshError, ReadWarning
+from falsework.geometry.contact.interfaces import Contacts, ContactSettings, exact_contacts, find_contacts
 from falsework.geometry.contact.joints import depths_beyond, find_joints
 from falsework.geometry.contact.overlap import Overlaps, depth, find_overlaps
 from falsework.geometry.mesh.collision import nearest
 from falsework.geometry.mesh.mesh import TriangleMesh
-from falsework.geometry.mesh.obj import read_obj
-from falsework.geometry.mesh.read import SUFFIXES, UNITS, load_meshes, natural_key, unit_length
+from falsework.geometry.mesh.read import unit_length
 from falsework.geometry.mesh.repair import check_mesh, thicken_supports
 
 _TINY = 1e-3
 """Volume below which a part is doubtful, as a share of the median."""
 _SAME = 1e-6
 """Distance of the bounds of duplicates, as a share of a part's size."""
-_SIZES = (0.02, 5.0)
-"""Smallest and largest size of a typical part that raises no doubt about the unit, metres."""
+_HAVE_UNITS = {".3dm", ".step", ".stp", ".glb", ".gltf", ".ldr", ".mpd", ".txt"}
+"""Files that say their unit."""
 
 
 @dataclass(frozen=True)
@@ -106,12 +108,13 @@ class Diagnosis:
         }
 
 
-def diagnose(path: str | Path, unit: str | None = None) -> Diagnosis:
+def diagnose(path: str | Path, unit: str | None = None, **options: Any) -> Diagnosis:
     """Examine a folder or file of parts, and collect all errors instead of stopping at the first.
 
     Args:
         path: folder or file, as for `load_structure`.
         unit: unit of the coordinates; that of `assembly.json` or the file if not given.
+        options: others of `load_structure`, such as boundary, ground, density and friction.
 
     Raises:
         InputError: no such path, or an unknown unit.
@@ -121,44 +124,65 @@ def diagnose(path: str | Path, unit: str | None = None) -> Diagnosis:
         raise InputError(f"there is no {path}; give a folder of meshes or a file with the parts")
     if unit is not None:
         unit_length(unit)
-    try:
-        draft, options = _read(path, unit)
-    except InputError as error:
-        return Diagnosis(str(path), str(error), (), "", (), 0, None, {}, False, None)
-    solids, mended, errors = _solids(draft, options.get("boundary"))
-    size = np.array([np.linalg.norm(np.ptp(block.vertices, axis=0)) * draft.scale for block in draft.blocks])
-    doubts: list[list[str]] = [[error] if error else [] for error in errors]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            draft, described = _read(path, unit)
+        except InputError as error:
+            return Diagnosis(str(path), str(error), (), "", (), 0, None, {}, False, None)
+    options = {**described, **{name: value for name, value in options.items() if value is not None}}
+    solids, mended, errors, notes = _solids(draft, options.get("boundary"))
+    size = np.array(
+        [np.linalg.norm(np.ptp(block.vertices, axis=0)) * draft.scale if len(block.vertices) else 0.0
+         for block in draft.blocks]
+    )  # fmt: skip
+    doubts = [[*([error] if error else []), *more] for error, more in zip(errors, notes, strict=True)]
     _compare_parts(solids, doubts)
     assembly, error, remarks = _load(draft, options)
+    remarks = list(dict.fromkeys([*(str(warning.message) for warning in caught), *remarks]))
     error = error if assembly is None else ""
-    fixed = assembly.boundary if assembly is not None else _boundary(draft, options)
+    fixed = np.zeros(len(draft.blocks), dtype=bool)
+    fixed[draft.supports(options.get("boundary"))] = True
     additions: dict[str, Any] = {}
+    stored = None
     if assembly is not None:
-        count, stored = len(assembly.contacts), None
+        contacts: Contacts | None = assembly.contacts
         if draft.interfaces:
             try:
                 stored = compare_interfaces(interface_contacts(assembly.meshes, draft.interfaces), assembly.contacts)
             except AssemblyError as reason:
                 remarks.append(str(reason))
     else:
-        stored = None
         settings = options.get("contact_settings") or ContactSettings()
-        count = _contacts(solids, settings, fixed, doubts)
+        contacts = _contacts(solids, settings, fixed, doubts)
         fitted = replace(settings, gap=None, overlap=None)
         if settings != fitted and _load(draft, {**options, "contact_settings": fitted})[0] is not None:
             remarks.append("it loads without the lengths gap and overlap of its contacts: joints are then fitted")
-        if not fixed.any():
-            remarks.append("no part is boundary")
-            additions["boundary"] = _lowest(draft)
         if draft.interfaces and _load(draft, {**options, "interfaces": "stored"})[0] is not None:
             remarks.append(f"it loads with its {len(draft.interfaces)} stored interfaces (--interfaces stored)")
-    likely = "" if path.suffix.lower() in (".3dm", ".step", ".stp") else _unit(float(np.median(size)), draft.scale)
+    lying = upright_doubt(solids, contacts)
+    remarks += material_doubts(draft, options, assembly)
+    if lying:
+        remarks.append(lying)
+    if options.get("ground"):
+        pass
+    elif fixed.any():
+        remarks += support_doubts(draft, solids, fixed)
+    else:
+        remarks.append("no part is boundary")
+        low = lowest(solids)
+        if 0 < len(low) < len(solids) and not lying:
+            additions["boundary"] = low
+        else:
+            remarks.append("which parts are fixed cannot be seen: name them (--boundary), or put a --ground under all")
+    likely = [] if path.suffix.lower() in _HAVE_UNITS else likely_units(float(np.median(size)), draft.scale)
     if likely:
-        remarks.append(f"a typical part is {np.median(size):.3g} m long; the unit may be {likely}")
-        additions = {"unit": likely, **{key: value for key, value in additions.items() if key == "boundary"}}
+        remarks.append(f"a typical part is {np.median(size):.3g} m long; the unit may be {' or '.join(likely)}")
+    if len(likely) == 1:
+        additions = {"unit": likely[0], **additions}
     cured = False
     if additions:
-        scaled = replace(draft, scale=unit_length(likely)) if likely else draft
+        scaled = replace(draft, scale=unit_length(likely[0])) if len(likely) == 1 else draft
         fixing = {"boundary": additions["boundary"]} if "boundary" in additions else {}
         cured = _load(scaled, {**options, **fixing})[0] is not None
     reports = tuple(
@@ -173,57 +197,38 @@ def diagnose(path: str | Path, unit: str | None = None) -> Diagnosis:
         )
         for number, block in enumerate(draft.blocks)
     )
-    return Diagnosis(str(path), error, tuple(remarks), likely, reports, count, stored, additions, cured, draft)
+    return Diagnosis(
+        path=str(path),
+        error=error,
+        remarks=tuple(remarks),
+        unit=likely[0] if len(likely) == 1 else "",
+        parts=reports,
+        contacts=0 if contacts is None else len(contacts),
+        stored=stored,
+        additions=additions,
+        cured=cured,
+        draft=draft,
+    )
 
 
 def _read(path: Path, unit: str | None) -> tuple[Draft, dict[str, Any]]:
     """Return the unchecked parts of a structure, and the options in its description."""
     options = described_options(path) if path.is_file() else {}
-    if unit is not None:
-        options["unit"] = unit
-    chosen = options.pop("unit", None)
+    chosen = options.pop("unit", None) if unit is None else unit
     draft = read_draft(path, chosen)
-    if draft is not None:
-        return draft, {key: value for key, value in options.items() if key not in LOAD_OPTIONS}
-    check_meshes_path(path)
-    described = read_description(path)
-    chosen = unit or described.get("unit", "m")
-    options = {key: described[key] for key in ("density", "friction", "boundary") if key in described}
-    options["contact_settings"] = described["contact"]
-    return Draft.of(path, unit_length(chosen), _mesh_blocks(path)), options
+    if draft is None:
+        check_meshes_path(path)
+        described = read_description(path)
+        draft = described_draft(path, described, unit)
+        names = ("density", "friction", "boundary", *LOAD_OPTIONS)
+        options = {name: described[name] for name in names if name in described}
+        options["contact_settings"] = described["contact"]
+    options.pop("unit", None)
+    return draft, options
 
 
-def _mesh_blocks(path: Path) -> list[Block]:
-    """Return the parts of a folder or file of meshes; of a file other than OBJ only whole solids can be told apart."""
-    if path.is_file():
-        objects = read_obj(path) if path.suffix.lower() == ".obj" else []
-        if len(objects) > 1:
-            return [Block(name, vertices, faces.tolist()) for name, vertices, faces in objects]
-        return [Block(mesh.name, mesh.vertices, mesh.faces.tolist()) for mesh in load_meshes(path)]
-    files = [file for file in path.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file()]
-    if not files:
-        raise InputError(f"no mesh in {path}; put one file per part there ({', '.join(SUFFIXES)})")
-    if len(files) == 1:
-        return _mesh_blocks(files[0])
-    return [_one_block(file) for file in sorted(files, key=lambda file: natural_key(file.stem))]
-
-
-def _one_block(file: Path) -> Block:
-    """Return all objects of a file as one part; a part without faces if it cannot be read."""
-    try:
-        if file.suffix.lower() == ".obj":
-            objects = [(vertices, faces) for _, vertices, faces in read_obj(file)]
-        else:
-            objects = [(mesh.vertices, mesh.faces) for mesh in load_meshes(file)]
-    except MeshError as error:
-        return Block(file.stem, np.zeros((1, 3)), [], attributes={"error": str(error)})
-    starts = np.cumsum([0, *(len(vertices) for vertices, _ in objects)])
-    faces = [face for first, (_, some) in zip(starts, objects, strict=False) for face in (some + first).tolist()]
-    return Block(file.stem, np.concatenate([vertices for vertices, _ in objects]), faces)
-
-
-def _solids(draft: Draft, boundary: Any) -> tuple[list[TriangleMesh | None], list[str], list[str]]:
-    """Return the mesh of each part or None, its repairs, and its errors."""
+def _solids(draft: Draft, boundary: Any) -> tuple[list[TriangleMesh | None], list[str], list[str], list[list[str]]]:
+    """Return the mesh of each part or None, its repairs, its error, and other doubts about it."""
     none = np.zeros((0, 3))
     surfaces: list[tuple[str, np.ndarray, np.ndarray]] = []
     errors = []
@@ -231,11 +236,11 @@ def _solids(draft: Draft, boundary: Any) -> tuple[list[TriangleMesh | None], lis
         try:
             surface, error = block.triangles(draft.scale), ""
         except MeshError as reason:
-            surface, error = (block.name, none, none.astype(np.int64)), str(block.attributes.get("error", reason))
+            surface, error = (block.name, none, none.astype(np.int64)), str(reason)
         surfaces.append(surface)
         errors.append(error)
     solids: list[TriangleMesh | None] = []
-    mended = []
+    mended, notes = [], []
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         whole = thicken_supports(surfaces, draft.supports(boundary))
@@ -246,14 +251,17 @@ def _solids(draft: Draft, boundary: Any) -> tuple[list[TriangleMesh | None], lis
             except MeshError as reason:
                 solids.append(None)
                 errors[part] = str(reason)
-            done = [str(warning.message).split(": ", 1)[-1] for warning in caught]
+            read = [warning for warning in caught if issubclass(warning.category, ReadWarning)]
+            done = [str(warning.message).split(": ", 1)[-1] for warning in caught if warning not in read]
             mended.append("; ".join([*(["given a thickness"] if after is not before else []), *done]))
-    names = [block.name for block in draft.blocks]
-    shortened = (
-        error.removeprefix(f"part {name} ").removeprefix(f"part {name}: ")
-        for name, error in zip(names, errors, strict=True)
-    )
-    return solids, mended, list(shortened)
+            notes.append([_of_part(str(warning.message), draft.names[part]) for warning in read])
+    errors = [_of_part(error, name) for error, name in zip(errors, draft.names, strict=True)]
+    return solids, mended, errors, notes
+
+
+def _of_part(text: str, name: str) -> str:
+    """Return a message on a part without the name of the part."""
+    return text.removeprefix(f"part {name} ").removeprefix(f"part {name}: ")
 
 
 def _compare_parts(solids: Sequence[TriangleMesh | None], doubts: list[list[str]]) -> None:
@@ -277,32 +285,27 @@ def _load(draft: Draft, options: dict[str, Any]) -> tuple[Assembly | None, str, 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            assembly, error = draft.assemble(**options), ""
+            acting = {name: options.get(name) for name in LOAD_OPTIONS}
+            given = {name: value for name, value in options.items() if name not in LOAD_OPTIONS}
+            assembly, error = furnish(draft.assemble(**given), **acting), ""
         except InputError as reason:
             assembly, error = None, str(reason)
     texts = dict.fromkeys(str(warning.message) for warning in caught)
-    return assembly, error, [text for text in texts if " was repaired: " not in text]
-
-
-def _boundary(draft: Draft, options: dict[str, Any]) -> np.ndarray:
-    """Return the mask of the parts that the files name as boundary, as far as these exist."""
-    fixed = np.array([block.support for block in draft.blocks])
-    if "boundary" in options:
-        names = {block.name: number for number, block in enumerate(draft.blocks)}
-        ids = [names.get(item, -1) if isinstance(item, str) else item for item in options["boundary"]]
-        fixed[:] = False
-        fixed[[number for number in ids if 0 <= number < len(fixed)]] = True
-    return fixed
+    # Those on the mesh of one part are told of the part.
+    return assembly, error, [text for text in texts if not re.match(r"part .* (was repaired: |consists of )", text)]
 
 
 def _contacts(
     solids: Sequence[TriangleMesh | None], settings: ContactSettings, fixed: np.ndarray, doubts: list[list[str]]
-) -> int:
-    """Note pairs that overlap and parts without a contact; return the number of contacts."""
+) -> Contacts | None:
+    """Note pairs that overlap and parts without a contact; return the contacts, None if no part is a solid.
+
+    Parts of the contacts are numbered as in `solids`.
+    """
     there = [number for number, solid in enumerate(solids) if solid is not None]
     meshes = [solid for solid in solids if solid is not None]
     if not meshes:
-        return 0
+        return None
     gap, overlap = settings.lengths(meshes)
     overlaps = find_overlaps(meshes, overlap, corner=settings.corner)
     depths = _depths(meshes, overlaps, settings, max(gap, overlap))
@@ -321,7 +324,7 @@ def _contacts(
         other, away = nearest(row, meshes)
         where = f"; part {meshes[other].name} is nearest, {1000 * away:.3g} mm away" if other >= 0 else ""
         doubts[there[row]].append(f"touches no other part{where}")
-    return len(contacts)
+    return replace(contacts, parts=np.asarray(there, dtype=np.int32)[contacts.parts])
 
 
 def _depths(
@@ -336,19 +339,3 @@ def _depths(
     among[first, second] = True
     bound = find_joints(meshes, among, settings.curvature, 2 * tolerance).bound
     return depths_beyond(meshes, overlaps, bound[first, second])
-
-
-def _lowest(draft: Draft) -> list[int]:
-    """Return the parts that reach down to the lowest level."""
-    low = np.array([block.vertices[:, 2].min() for block in draft.blocks])
-    high = max(block.vertices[:, 2].max() for block in draft.blocks)
-    return np.flatnonzero(low <= low.min() + 0.01 * (high - low.min())).tolist()
-
-
-def _unit(size: float, scale: float) -> str:
-    """Return the unit in which a typical part has a likely size; empty if it has one already."""
-    if _SIZES[0] <= size <= _SIZES[1]:
-        return ""
-    lengths = {unit: size / scale * length for unit, length in UNITS.items()}
-    likely = [unit for unit in ("mm", "cm", "m", "in", "ft", "dm") if _SIZES[0] <= lengths[unit] <= _SIZES[1]]
-    return likely[0] if likely else ""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, TypeGuard, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,11 +14,13 @@ from falsework.assembly.interfaces import StoredInterface, compare_interfaces, i
 from falsework.assembly.joints import Joints
 from falsework.assembly.loads import GRAVITY, Loads
 from falsework.assembly.model import DENSITY, FRICTION, Assembly
-from falsework.assembly.store import support_names
+from falsework.assembly.part_numbers import boundary_ids
 from falsework.errors import AssemblyError, InputError, MeshError
 from falsework.geometry.contact.interfaces import ContactSettings
-from falsework.geometry.mesh.polygon import triangulate
+from falsework.geometry.mesh.polygon import triangles_of
+from falsework.geometry.mesh.read import read_surfaces, unit_length
 from falsework.geometry.mesh.repair import check_mesh, thicken_supports
+from falsework.geometry.mesh.surface import distinct_names, listed, warn_of
 
 InterfaceSource = Literal["found", "stored", "compare"]
 """Contacts of an assembly: found from its meshes, those that its file stores, or the former, compared with the
@@ -32,8 +34,8 @@ class Block:
     name: str
     vertices: NDArray[np.float64]
     """Shape (vertices, 3), in the unit of the file."""
-    faces: Sequence[Sequence[int]]
-    """Polygons, counter-clockwise seen from outside."""
+    faces: Sequence[Sequence[int]] | NDArray[np.int64]
+    """Polygons, counter-clockwise seen from outside; triangles if it is an array."""
     support: bool = False
     attributes: Mapping[str, Any] = field(default_factory=dict)
     """Attributes of the part; `density` (kg/m3), `friction`, the `cohesion` and `tension` (Pa) of all contacts, `loads`
@@ -41,6 +43,8 @@ class Block:
     (m/s2) are used."""
     key: Hashable = None
     """Name of the part by which interfaces of the file refer to it."""
+    error: str = ""
+    """Why the part cannot be read."""
 
     def triangles(self, scale: float) -> tuple[str, NDArray[np.float64], NDArray[np.int64]]:
         """Return the name, the vertices in metres, shape (vertices, 3), and triangles, shape (triangles, 3).
@@ -49,17 +53,17 @@ class Block:
             scale: length of the file's unit in metres.
 
         Raises:
-            MeshError: no faces, or a face without its vertices.
+            MeshError: it cannot be read, has no faces, or a face without its vertices.
         """
-        faces: list[list[int]] = []
-        for face in self.faces:
-            if len(face) < 3 or min(face) < 0 or max(face) >= len(self.vertices):
-                raise MeshError(f"part {self.name}: a face uses a vertex that does not exist; write the model again")
-            corners = [[0, 1, 2]] if len(face) == 3 else triangulate(self.vertices[list(face)])
-            faces.extend([face[corner] for corner in triangle] for triangle in corners)
-        if not faces:
-            raise MeshError(f"part {self.name} has no faces; leave it out of the model")
-        return self.name, self.vertices * scale, np.array(faces, dtype=np.int64)
+        if self.error:
+            raise MeshError(self.error)
+        if isinstance(self.faces, np.ndarray):
+            return self.name, self.vertices * scale, self.faces
+        if not self.faces:
+            raise MeshError(f"part {self.name} has no faces; make a mesh that encloses space of it")
+        if min(map(len, self.faces)) < 3:
+            raise MeshError(f"part {self.name}: a face has fewer than three corners; write the model again")
+        return self.name, self.vertices * scale, triangles_of(f"part {self.name}", self.vertices, self.faces)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,20 +85,74 @@ class Draft:
         Args:
             path: the file.
             scale: length of its unit in metres.
-            blocks: parts; where names are not unique, numbers replace them.
+            blocks: parts; names that several have are told apart by numbers behind them, see `distinct_names`.
             interfaces: each with `keys` of its two blocks, `points`, shape (corners, 3), in the unit of the file, and
                 `normal`, shape (3,).
+
+        Raises:
+            AssemblyError: an interface whose corners are not points in space.
         """
-        names = [block.name for block in blocks]
-        if not all(names) or len(set(names)) < len(names):
-            blocks = [replace(block, name=str(number)) for number, block in enumerate(blocks)]
+        names = distinct_names(path, [block.name for block in blocks])
+        blocks = [replace(block, name=name) for block, name in zip(blocks, names, strict=True)]
         number_of = {block.key: number for number, block in enumerate(blocks) if block.key is not None}
         stored = []
         for interface in interfaces:
             one, two = (number_of.get(key, -1) for key in interface["keys"])
-            points = np.array(interface["points"], dtype=float).reshape(-1, 3) * scale
+            try:
+                points = np.array(interface["points"], dtype=float).reshape(-1, 3) * scale
+            except (TypeError, ValueError):
+                raise AssemblyError(
+                    f"{path}: corners of the interface between {interface['keys'][0]} and {interface['keys'][1]} are "
+                    "not points with three coordinates; write the model again"
+                ) from None
             stored.append(StoredInterface((one, two), points, np.asarray(interface["normal"])))
         return Draft(path, scale, tuple(blocks), tuple(stored))
+
+    @staticmethod
+    def of_meshes(path: Path, unit: str | None = None) -> Draft:
+        """Read the parts of a folder or file of meshes, unchecked.
+
+        Args:
+            path: the folder or file.
+            unit: unit of the coordinates; that which comments of the files name, or metres if not given.
+
+        Raises:
+            InputError: as for `read_surfaces`, an unknown unit, or files of different units.
+        """
+        if unit is not None:
+            unit_length(unit)
+        surfaces = read_surfaces(path)
+        stated = sorted({surface.unit for surface in surfaces if surface.unit})
+        if unit is None and len(stated) > 1:
+            raise InputError(
+                f"comments in {path} name the units {listed(stated)}; give the one of all, such as --unit mm"
+            )
+        if stated and stated != [unit or "m"]:
+            read = f"it was read in {unit}" if unit else "it was read so"
+            warn_of(path, f"comments say that the unit is {listed(stated)}; {read}")
+        scale = unit_length(unit or (stated or ["m"])[0])
+        blocks = [
+            Block(
+                surface.name,
+                surface.vertices,
+                surface.faces,
+                surface.support,
+                {name: value for name in ("density", "friction") if (value := getattr(surface, name)) is not None},
+                error=surface.error,
+            )
+            for surface in surfaces
+        ]
+        return Draft(path, scale, tuple(blocks))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parts."""
+        return tuple(block.name for block in self.blocks)
+
+    def renamed(self, names: Sequence[str]) -> Draft:
+        """Return the same parts with other names, one for each."""
+        blocks = (replace(block, name=name) for block, name in zip(self.blocks, names, strict=True))
+        return replace(self, blocks=tuple(blocks))
 
     def supports(self, boundary: ArrayLike | None) -> list[int]:
         """Return the fixed parts, as far as these exist.
@@ -104,8 +162,7 @@ class Draft:
         """
         if boundary is None:
             return [number for number, block in enumerate(self.blocks) if block.support]
-        named = support_names(boundary)
-        return [number for number, block in enumerate(self.blocks) if number in named or block.name in named]
+        return sorted(set(boundary_ids(boundary, self.names)))
 
     def assemble(
         self,
@@ -116,16 +173,18 @@ class Draft:
         ground: bool = False,
         contact_settings: ContactSettings | None = None,
         interfaces: InterfaceSource = "found",
+        name: str | None = None,
     ) -> Assembly:
         """Check the parts and make an assembly of them.
 
         Args:
-            density: kg/m3; that of the parts if all have one and none is given.
+            density: kg/m3; that of the parts if none is given.
             friction: coefficient of friction of every contact; that of the parts if none is given.
             boundary: ids or names of the fixed parts; the supports if not given.
             ground: add a fixed slab under the lowest point, as the last part.
             contact_settings: tolerances.
             interfaces: source of the contacts; `compare` finds them and warns where the stored ones differ.
+            name: name of the structure; that of the file if not given.
 
         Raises:
             InputError: stored interfaces are requested and there are none.
@@ -139,7 +198,6 @@ class Draft:
         fixed = self.supports(boundary)
         solids = [block.triangles(self.scale) for block in self.blocks]
         meshes = tuple(check_mesh(*solid) for solid in thicken_supports(solids, fixed))
-        numbers = [float(value) for value in self._values("density")]
         frictions = set(self._values("friction"))
         if friction is None and len(frictions) > 1:
             raise AssemblyError(f"{self.path} has blocks of different friction; give one for all with --friction")
@@ -148,9 +206,9 @@ class Draft:
         assembly = Assembly.from_meshes(
             meshes,
             boundary=boundary,
-            density=density if density is not None else numbers if len(numbers) == len(meshes) else DENSITY,
+            density=self._density() if density is None else density,
             friction=next(iter(frictions), FRICTION) if friction is None else friction,
-            name=self.path.stem,
+            name=self.path.stem if name is None else name,
             ground=ground,
             contact_settings=contact_settings or ContactSettings(),
             contacts=interface_contacts(meshes, self.interfaces) if interfaces == "stored" else None,
@@ -162,6 +220,14 @@ class Draft:
         if interfaces == "compare":
             compare_interfaces(interface_contacts(meshes, self.interfaces), assembly.contacts).warn(assembly.names)
         return assembly
+
+    def _density(self) -> list[float]:
+        """Return the density of each part, the default where the file has none."""
+        lacking = [block.name for block in self.blocks if not _is_number(block.attributes.get("density"))]
+        if 0 < len(lacking) < len(self.blocks):
+            warn_of(self.path, f"parts without a density were given {DENSITY:g} kg/m3: {listed(lacking)}")
+        given = [block.attributes.get("density") for block in self.blocks]
+        return [float(value) if _is_number(value) else DENSITY for value in given]
 
     def _loads(self, assembly: Assembly) -> Loads | None:
         """Return the loads of the blocks; None if they have none."""
@@ -180,4 +246,8 @@ class Draft:
     def _values(self, name: str) -> list[float]:
         """Return an attribute of the blocks that have it as a number."""
         values = [block.attributes.get(name) for block in self.blocks]
-        return [value for value in values if isinstance(value, (int, float)) and not isinstance(value, bool)]
+        return [value for value in values if _is_number(value)]
+
+
+def _is_number(value: Any) -> TypeGuard[float]:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)

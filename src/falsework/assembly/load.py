@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from falsework.errors import InputError
+from falsework.errors import InputError, ReadWarning
 
 if TYPE_CHECKING:
     from falsework.assembly.draft import Draft
@@ -54,8 +55,9 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
     """Load a structure by the name of a built-in one, such as `arch:blocks=15`, or by its path.
 
     A path is a folder or file of meshes, with or without `assembly.json`, or a file of another format: COMPAS data,
-    Rhino, STEP, bricks; `assembly.json` beside it is read too, and stands for its folder. A bare name that is both
-    means the built-in structure; `./arch` is the folder.
+    Rhino, STEP, bricks; `assembly.json` beside it is read too, and stands for its folder. A name that is both a path
+    and a built-in structure means the path, with a warning; with a colon, such as `arch:`, it is the built-in one.
+    What a file has and the structure has not, or in another way, is a `ReadWarning`.
 
     Args:
         structure: name of a built-in structure with its parameters, or a folder or file.
@@ -75,8 +77,15 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
     if not text.strip():
         raise InputError("the structure has no name; give that of a built-in one, or a path")
     given = {key: value for key, value in options.items() if value is not None}
-    if isinstance(structure, Path) or not library.is_built_in(text):
+    if not means_built_in(structure):
         path = Path(text)
+        if isinstance(structure, str) and library.is_built_in(text):
+            warnings.warn(
+                f"{text} is a folder or file here, which is read, and the name of a built-in structure, "
+                f"which is {library.built_in(text)}",
+                ReadWarning,
+                stacklevel=2,
+            )
         if path.name == FILE and path.is_file():
             path = path.parent
         if not path.exists() and path.name == text:
@@ -86,11 +95,11 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
             if _resolve(probe)(path):
                 options = {**described_options(path), **given}
                 acting = {name: options.pop(name, None) for name in LOAD_OPTIONS}
-                return furnish(_resolve(reader)(path, **options), **acting)
+                return _not_all_fixed(furnish(_resolve(reader)(path, **options), **acting))
         if given.pop("interfaces", "found") != "found":
             raise InputError(f"{text} is made of meshes and stores no interfaces; leave out --interfaces")
         check_meshes_path(path)
-        return load_assembly(path, **given)
+        return _not_all_fixed(load_assembly(path, **given))
     if given.pop("interfaces", "found") != "found":
         raise InputError(f"{text} is a built-in structure and stores no interfaces; leave out --interfaces")
     for option in ("unit", "contact_settings"):
@@ -100,7 +109,25 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
     assembly = library.build(text, density=given.pop("density", None), friction=given.pop("friction", None))
     if given:
         assembly = assembly.replace(**given)
-    return furnish(assembly.with_ground() if ground else assembly, **acting)
+    return _not_all_fixed(furnish(assembly.with_ground() if ground else assembly, **acting))
+
+
+def means_built_in(structure: str | Path) -> bool:
+    """Return whether a text names a built-in structure and no folder or file that exists."""
+    from falsework.assembly.library import is_built_in
+
+    return isinstance(structure, str) and is_built_in(structure) and not Path(structure).exists()
+
+
+def _not_all_fixed(assembly: Assembly) -> Assembly:
+    if assembly.boundary.all():
+        warnings.warn(
+            f"every part of {assembly.name} is boundary: nothing can move, so every verdict is stable and every plan "
+            "is empty",
+            ReadWarning,
+            stacklevel=3,
+        )
+    return assembly
 
 
 def as_assembly(structure: AnyStructure, **options: Any) -> Assembly:
@@ -126,14 +153,20 @@ def described_options(path: Path) -> dict[str, Any]:
     """Return the entries of `assembly.json` beside a file of a registered format, as options of its reader.
 
     Raises:
+        InputError: it has names of parts, which the file has itself.
         AssemblyError: it is damaged or of another version.
     """
     from falsework.assembly.store import FILE, read_description
+    from falsework.geometry.contact.interfaces import ContactSettings
 
     if not (path.parent / FILE).is_file():
         return {}
     described = read_description(path)
-    described["contact_settings"] = described.pop("contact")
+    if "names" in described:
+        raise InputError(f"{path.parent / FILE} has names, but {path} names its parts itself; leave them out")
+    settings = described.pop("contact")
+    if settings != ContactSettings():
+        described["contact_settings"] = settings
     options = ("unit", "density", "friction", "boundary", "contact_settings", *LOAD_OPTIONS)
     return {name: described[name] for name in options if name in described}
 

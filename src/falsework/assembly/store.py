@@ -6,7 +6,7 @@ import json
 import shutil
 import tempfile
 from collections.abc import Mapping
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, fields
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -14,12 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from falsework.assembly.draft import Draft
 from falsework.assembly.fasteners import furnish
-from falsework.assembly.model import DENSITY, FRICTION, Assembly
+from falsework.assembly.model import Assembly
 from falsework.errors import AssemblyError, InputError
 from falsework.geometry.contact.interfaces import ContactSettings
 from falsework.geometry.mesh.obj import obj_text
-from falsework.geometry.mesh.read import load_meshes, unit_length
+from falsework.geometry.mesh.surface import listed, warn_of
 from falsework.utils.json_text import parse_json
 
 FORMAT = "falsework.assembly/1"
@@ -40,7 +41,11 @@ _ENTRIES: dict[str, tuple[type, ...]] = {
     "joints": (list,),
     "fasteners": (list,),
 }
-"""Entries of `assembly.json` and their types. Others are notes, unless their names are nearly one of these."""
+"""Entries of `assembly.json` and their types."""
+_NOTES = frozenset(
+    ("source", "licence", "license", "author", "comment", "comments", "note", "notes", "description", "date", "url")
+)
+"""Entries that say nothing about the structure. Any other is warned of, or refused if nearly one of `_ENTRIES`."""
 _ALIKE = 0.8
 """Similarity from which the name of an entry is taken for a misspelt one."""
 
@@ -88,35 +93,44 @@ def load_assembly(
     """
     source = Path(path)
     described = read_description(source)
-    chosen = unit if unit is not None else described.get("unit", "m")
-    unit_length(chosen)
-    meshes = load_meshes(
-        source, chosen, supports=support_names(described.get("boundary", []) if boundary is None else boundary)
-    )
-    count = described.get("parts", len(meshes))
-    if count != len(meshes):
-        raise AssemblyError(
-            f"{source} has {len(meshes)} meshes, but {FILE} says {count} parts; ids are missing or extra"
-        )
-    names = described.get("names")
-    if names is not None:
-        if len(names) != len(meshes) or len(set(names)) != len(names):
-            raise AssemblyError(f"names in {FILE} must be {len(meshes)} different ones, one a part; mend {source}")
-        meshes = tuple(replace(mesh, name=name) for mesh, name in zip(meshes, names, strict=True))
-    if boundary is None:
-        boundary = described.get("boundary", [])
-    assembly = Assembly.from_meshes(
-        meshes,
-        boundary=boundary,
-        density=described.get("density", DENSITY) if density is None else density,
-        friction=described.get("friction", FRICTION) if friction is None else friction,
-        name=described.get("name", source.stem if source.is_file() else source.resolve().name),
-        contact_settings=described["contact"] if contact_settings is None else contact_settings,
+    draft = described_draft(source, described, unit)
+    assembly = draft.assemble(
+        density=described.get("density") if density is None else density,
+        friction=described.get("friction") if friction is None else friction,
+        boundary=described.get("boundary") if boundary is None else boundary,
         ground=ground,
+        contact_settings=described["contact"] if contact_settings is None else contact_settings,
+        name=described.get("name", source.stem if source.is_file() else source.resolve().name),
     )
     given = {"loads": loads, "earthquake": earthquake, "materials": materials, "joints": joints, "fasteners": fasteners}
     acting = {name: described.get(name) if value is None else value for name, value in given.items()}
     return furnish(assembly, **acting)
+
+
+def described_draft(source: Path, described: Mapping[str, Any], unit: str | None = None) -> Draft:
+    """Read the parts of a folder or file of meshes, unchecked, with the unit and names of its description.
+
+    Args:
+        source: folder or file.
+        described: what `read_description` returns.
+        unit: in place of the unit of the description.
+
+    Raises:
+        InputError: as for `Draft.of_meshes`.
+        AssemblyError: the description is of another number of parts.
+    """
+    draft = Draft.of_meshes(source, described.get("unit") if unit is None else unit)
+    count = described.get("parts", len(draft.blocks))
+    if count != len(draft.blocks):
+        raise AssemblyError(
+            f"{source} has {len(draft.blocks)} meshes, but {FILE} says {count} parts; ids are missing or extra"
+        )
+    names = described.get("names")
+    if names is None:
+        return draft
+    if len(names) != len(draft.blocks) or len(set(names)) != len(names):
+        raise AssemblyError(f"names in {FILE} must be {len(draft.blocks)} different ones, one a part; mend {source}")
+    return draft.renamed(names)
 
 
 def save_assembly(assembly: Assembly, folder: str | Path) -> Path:
@@ -190,9 +204,12 @@ def read_description(source: Path) -> dict[str, Any]:
         version = described.get("format", FORMAT)
         if version != FORMAT:
             raise AssemblyError(f"{file} is of format {version!r}; this version reads {FORMAT!r}")
-        for key in set(described) - set(_ENTRIES):
+        unknown = sorted(set(described) - set(_ENTRIES) - _NOTES)
+        for key in unknown:
             if near := get_close_matches(key, _ENTRIES, n=1, cutoff=_ALIKE):
                 raise AssemblyError(f"{file} has the entry {key!r}, which is unknown; write {near[0]!r}")
+        if unknown:
+            warn_of(file, f"entries that are not known have no effect: {listed(unknown)}")
         for key, kinds in _ENTRIES.items():
             if key in described and (not isinstance(described[key], kinds) or isinstance(described[key], bool)):
                 raise AssemblyError(
@@ -209,15 +226,6 @@ def _contact_settings(given: Mapping[str, Any], file: Path) -> ContactSettings:
     for key in given:
         if key not in known:
             raise AssemblyError(f"contact in {file} has {key!r}; it may have {', '.join(known)}")
-    try:
-        return ContactSettings(**given)
-    except TypeError as error:
-        raise AssemblyError(f"contact in {file} cannot be used: {error}") from error
-
-
-def support_names(boundary: ArrayLike) -> list[int | str]:
-    """Return the boundary as ids or names, as given; errors are reported later."""
-    given = np.asarray(boundary, dtype=object)
-    if given.ndim == 1 and len(given) and all(isinstance(item, bool | np.bool_) for item in given):
-        return [int(part) for part in np.flatnonzero(given)]
-    return [item for item in given.ravel().tolist() if isinstance(item, int | str)]
+        if given[key] is not None and (isinstance(given[key], bool) or not isinstance(given[key], (int, float))):
+            raise AssemblyError(f"contact in {file} has the {key} {given[key]!r}; give a number")
+    return ContactSettings(**given)

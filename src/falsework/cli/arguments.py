@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-import re
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from falsework.assembly.part_numbers import part_id, part_range
 from falsework.errors import InputError, StateError
 from falsework.utils.json_text import parse_json
 
@@ -17,30 +17,39 @@ if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.assembly.state import States
 
-_RANGE = re.compile(r"(\d+)-(\d+)")
-LARGEST_LIST = 100_000
-"""Parts that one list may name; a typing error such as 0-99999999 must not fill the memory."""
+
+def split_parts(text: str, option: str) -> list[str]:
+    """Return the items of a list of parts, separated by commas.
+
+    Raises:
+        InputError: an item is empty.
+    """
+    items = [piece.strip() for piece in text.split(",")]
+    if not all(items):
+        raise InputError(f"{option} {text}: an item is empty; give numbers such as 3,4 or 0-16, or names")
+    return items
 
 
-def parse_parts(text: str, option: str, names: Sequence[str] = ()) -> tuple[int, ...]:
+def parse_parts(text: str, option: str, names: Sequence[str]) -> tuple[int, ...]:
     """Read a list of parts such as `3,4`, `0-16` or `keystone,7`.
 
     Args:
         text: numbers, ranges or names, separated by commas.
         option: option that the text belongs to, for the message.
-        names: names of the parts, in order; without them only numbers are understood.
+        names: names of the parts, in order.
 
     Raises:
-        InputError: an item is neither a number, a range nor a name.
+        InputError: an item is neither a number, a range nor a name, or both a name and the number of another part.
     """
     parts: list[int] = []
-    for item in (piece.strip() for piece in text.split(",")):
-        if item.isdecimal():
-            parts.append(int(item))
+    for item in split_parts(text, option):
+        span = part_range(item, names)
+        if span is not None:
+            parts.extend(span)
         elif item in names:
-            parts.append(list(names).index(item))
-        elif (match := _RANGE.fullmatch(item)) and int(match[1]) <= int(match[2]) <= int(match[1]) + LARGEST_LIST:
-            parts.extend(range(int(match[1]), int(match[2]) + 1))
+            parts.append(part_id(item, names, f"{option} is part"))
+        elif item.isdecimal() and len(item) < 10:
+            parts.append(int(item))
         else:
             raise InputError(f"{option} {text}: {item!r} is not a part; give numbers such as 3,4 or 0-16, or names")
     return tuple(parts)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from falsework.cli.arguments import parse_load, parse_numbers, parse_parts
+from falsework.cli.arguments import parse_load, parse_numbers, split_parts
 from falsework.cli.exit_code import Exit
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ class LoadOptions:
     friction: Annotated[float | None, arg(metavar="MU", help_behavior_hint=UNSET)] = None
     """Coefficient of friction of every contact."""
     boundary: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
-    """Parts that are permanently fixed, such as 0,3 or 0-16."""
+    """Parts that are permanently fixed, such as 0,3 or 0-16 or abutment."""
     ground: bool = False
     """Put a fixed ground under the lowest point."""
     interfaces: Annotated[Literal["found", "stored", "compare"] | None, arg(help_behavior_hint="(default: found)")] = (
@@ -81,7 +81,7 @@ class LoadOptions:
             InputError: boundary is no list of parts, or a load or earthquake that cannot be read.
         """
         options: dict[str, Any] = {"unit": self.unit, "density": self.density, "friction": self.friction}
-        options["boundary"] = None if self.boundary is None else list(parse_parts(self.boundary, "--boundary"))
+        options["boundary"] = None if self.boundary is None else split_parts(self.boundary, "--boundary")
         options["ground"] = self.ground or None
         options["interfaces"] = self.interfaces
         options["loads"] = [parse_load(text) for text in self.loads] or None

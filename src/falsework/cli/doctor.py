@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from tyro.conf import Positional, arg
 
-from falsework.cli.command import UNSET, Command
+from falsework.cli.command import UNSET, Command, LoadOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.output import counted
 
@@ -24,7 +24,7 @@ _DOUBTFUL = "#b2182b"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Doctor(Command):
+class Doctor(Command, LoadOptions):
     """Report the contents of the files of a structure, repairs, and doubts about each part.
 
     Works on structures that do not load, too: open, tiny, overlapping, duplicate and isolated parts are listed. Ends
@@ -39,8 +39,6 @@ class Doctor(Command):
 
     path: Annotated[Positional[Path], arg(metavar="PATH")]
     """Folder or file of meshes, COMPAS data, a Rhino or a STEP file."""
-    unit: Annotated[str | None, arg(metavar="UNIT", help_behavior_hint=UNSET)] = None
-    """Unit of the coordinates, such as mm."""
     picture: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=UNSET)] = None
     """Draw the parts as PNG: doubtful ones red, repaired ones orange."""
 
@@ -54,7 +52,7 @@ class Doctor(Command):
 
             writable(self.picture)
             check_suffix(self.picture, ".png")
-        found = diagnose(self.path, self.unit)
+        found = diagnose(self.path, **self.given())
         output.record(found.to_dict())
         for line in _lines(found):
             output.say(line)

@@ -23,6 +23,7 @@ from falsework.assembly.model import Assembly
 from falsework.errors import AssemblyError, InputError
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.geometry.mesh.surface import listed, warn_of
 
 Array = NDArray[np.float64]
 
@@ -237,8 +238,10 @@ def load_bricks(path: Path | str, **options: Any) -> Assembly:
     for key in given:
         if key not in ("density", "boundary"):
             raise InputError(f"{path} has bricks, which have their own {key}; leave it out")
-    bricks = _read(path)
-    return assemble_bricks(bricks, name=path.stem, **given)
+    assembly = assemble_bricks(_read(path), name=path.stem, **given)
+    if "boundary" not in given:
+        warn_of(path, "no brick is fixed; a baseplate under the lowest layer was added as the last part")
+    return assembly
 
 
 def read_bricks(path: Path | str, *, unit: str | None = None) -> Draft:
@@ -290,17 +293,34 @@ def _read_text(path: Path) -> list[Brick]:
 
 def _read_ldraw(path: Path) -> list[Brick]:
     models: dict[str, list[tuple[int, list[str]]]] = {}
-    name = ""
+    name: str | None = ""
+    drawn = hidden = 0
     for number, line in enumerate(_text(path).splitlines(), 1):
         words = line.split()
         if words[:2] == ["0", "FILE"]:
             name = " ".join(words[2:]).lower()
-        elif words[:1] == ["1"]:
+            if name in models:
+                raise InputError(f"{path}, line {number}: there are two models {name}; give each a name of its own")
+        elif words[:2] == ["0", "NOFILE"]:
+            name = None
+        elif words[:3] == ["0", "MLCAD", "HIDE"] or words[:2] == ["0", "GHOST"]:
+            hidden += 1
+        elif words[:1] == ["1"] and name is not None:
             models.setdefault(name, []).append((number, words))
+        elif words and words[0] != "0":
+            drawn += 1
     if not models:
         raise InputError(f"{path} has no parts; export the model as LDraw again")
     main = "" if "" in models else next(iter(models))
-    return list(_bricks_of(path, models, main, np.eye(4), ()))
+    used: set[str] = set()
+    bricks = list(_bricks_of(path, models, main, np.eye(4), (), used))
+    if drawn:
+        warn_of(path, f"lines and faces that are drawn beside bricks were left out: {drawn}")
+    if hidden:
+        warn_of(path, f"hidden bricks were left out: {hidden}")
+    if lost := [model for model in models if model not in (used | {main})]:
+        warn_of(path, f"models that the first one does not contain were left out: {listed(lost)}")
+    return bricks
 
 
 def _bricks_of(
@@ -309,8 +329,9 @@ def _bricks_of(
     name: str,
     place: Array,
     within: tuple[str, ...],
+    used: set[str],
 ) -> Iterator[Brick]:
-    """Yield the bricks of a model at a place, which is a matrix in LDU and the axes of LDraw."""
+    """Yield the bricks of a model at a place, which is a matrix in LDU and the axes of LDraw; note models in it."""
     for number, words in models[name]:
         try:
             x, y, z, *turn = (float(word) for word in words[2:14])
@@ -323,7 +344,8 @@ def _bricks_of(
         if part in models:
             if part in within:
                 raise InputError(f"{path}, line {number}: model {part} contains itself; mend the file")
-            yield from _bricks_of(path, models, part, here, (*within, part))
+            used.add(part)
+            yield from _bricks_of(path, models, part, here, (*within, part), used)
             continue
         known = _PARTS.get(part.removesuffix(".dat"))
         if known is None:

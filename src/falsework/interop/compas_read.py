@@ -7,6 +7,7 @@ The classes that hold blocks are few and plain, so they are read here without CO
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +20,8 @@ from falsework.assembly.draft import Block, Draft, InterfaceSource
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
 from falsework.geometry.mesh.read import unit_length
+from falsework.geometry.mesh.surface import listed, warn_of, warn_of_curves
+from falsework.interop.compas_shapes import CURVED, box, inner, revolved
 from falsework.utils.json_text import parse_json
 
 LARGEST_FILE = 512 * 1024 * 1024
@@ -26,10 +29,24 @@ LARGEST_FILE = 512 * 1024 * 1024
 
 _IDENTITY = np.eye(4)
 _MESHES = {"compas.datastructures/Mesh", "compas_assembly.datastructures/Block"}
+_SHAPES = {f"compas.geometry/{name}" for name in ("Polyhedron", "Box", *CURVED)}
 _MODELS = {"compas_model.models/Model", "compas_dem.models/BlockModel"}
+_ELEMENT = "compas_model.elements/Element"
+_GROUP = "compas_model.elements/Group"
+_NO_VOLUME = {
+    f"compas.geometry/{name}"
+    for name in (
+        "Point", "Vector", "Line", "Polyline", "Polygon", "Plane", "Frame", "Pointcloud", "Quaternion", "Circle", "Arc",
+        "Ellipse", "Hyperbola", "Parabola", "Bezier", "Curve", "NurbsCurve", "OCCCurve", "OCCNurbsCurve",
+        "RhinoCurve", "RhinoNurbsCurve", "Surface", "NurbsSurface", "PlanarSurface", "Transformation", "Translation",
+        "Rotation", "Scale", "Shear", "Reflection", "Projection",
+    )
+} | {
+    "compas.datastructures/Graph", "compas.datastructures/Tree", "compas.colors/Color", "compas.tolerance/Tolerance"
+}  # fmt: skip
+"""Classes of objects that bound no solid."""
 _LOAD_KEYS = (("force", "force"), ("moment", "moment"), ("at", "point"))
 """Entries of a load in `assembly.json`, and of a compas_dem `PointLoad`."""
-_BOX_FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
 
 
 def is_compas(path: Path | str) -> bool:
@@ -91,6 +108,8 @@ class _Reader:
         self._path = path
         self.interfaces: list[dict[str, Any]] = []
         """Interfaces of the blocks that were read, as `Draft.of` takes them."""
+        self._left_out: Counter[str] = Counter()
+        self._curved: list[str] = []
 
     def blocks(self) -> list[Block]:
         if not self._path.is_file():
@@ -110,6 +129,10 @@ class _Reader:
             self._fail("it is nested too deeply")
         if not found:
             self._fail("there is no block in it", "give a list of meshes, an Assembly, a BlockModel or a Problem")
+        if self._left_out:
+            kinds = listed([f"{count} {kind}" for kind, count in self._left_out.items()])
+            warn_of(self._path, f"what bounds no solid was left out: {kinds}")
+        warn_of_curves(self._path, self._curved)
         return found
 
     def _find(self, data: Any) -> Iterator[Block]:
@@ -127,7 +150,7 @@ class _Reader:
             return
         kinds = {kind, *data.get("inheritance", [])}
         content: dict[str, Any] = _content(data)
-        if kinds & _MESHES or kind in ("compas.geometry/Polyhedron", "compas.geometry/Box"):
+        if kinds & _MESHES or kind in _SHAPES:
             yield self._block(data, _IDENTITY)
         elif "compas_assembly.datastructures/Assembly" in kinds or _is_assembly(content):
             yield from self._assembly(content)
@@ -135,24 +158,32 @@ class _Reader:
             yield from self._model(content)
         elif kind == "compas_dem.problem/Problem":
             yield from self._problem(content)
-        elif str(kind).startswith(("compas.geometry/", "compas_model.", "compas_dem.")):
-            return  # points, frames and the like have no volume
+        elif _ELEMENT in kinds:
+            yield from self._element(data, _IDENTITY, {})
+        elif kind in _NO_VOLUME:
+            self._left_out[str(kind)] += 1
         else:
-            yield from self._find(content)
+            inner = list(self._find(content))
+            if not inner:
+                self._fail(f"there is a {kind} in it, which is not known", "convert it to a mesh, or leave it out")
+            warn_of(self._path, f"objects of class {kind} are not known; blocks in them were read as they are")
+            yield from inner
 
     def _assembly(self, content: dict[str, Any]) -> Iterator[Block]:
         """Yield blocks of a compas_assembly `Assembly`: the nodes of its graph."""
-        graph = _inner(content["graph"])
+        graph = inner(content["graph"])
         default = graph.get("default_node_attributes") or {}
         common = {key: value for key, value in content.get("attributes", {}).items() if key == "friction"}
         self._read_edges(graph, "interfaces", {key: (id(graph), key) for key in graph["node"]})
         for key, node in graph["node"].items():
             attributes = {**default, **node}
-            if attributes.get("block"):
+            if not attributes.get("block"):
+                self._left_out["node without a block"] += 1
+            else:
                 block = self._block(attributes["block"], _IDENTITY, fallback=str(key))
                 yield replace(
                     block,
-                    support=block.support or bool(attributes.get("is_support")),
+                    support=block.support or self._flag(attributes.get("is_support"), block.name),
                     attributes={**common, **block.attributes},
                     key=(id(graph), key),
                 )
@@ -163,49 +194,58 @@ class _Reader:
         if isinstance(elements, list):  # before version 0.3 of compas_model
             elements = {element["guid"]: element for element in elements}
         materials = content.get("materials") or {}
-        graph = _inner(content.get("graph") or {"node": {}})
+        graph = inner(content.get("graph") or {"node": {}})
         self._read_edges(
             graph, "contacts", {key: (id(elements), node.get("element")) for key, node in graph["node"].items()}
         )
+
+        placed = set()
 
         def walk(node: dict[str, Any], above: NDArray[np.float64]) -> Iterator[Block]:
             for child in node.get("children") or []:
                 guid = child.get("element")
                 place = above
                 if guid in elements:
-                    element = elements[guid]
-                    inside = _inner(element)
-                    place = above @ _matrix(inside.get("transformation"))
-                    geometry = inside.get("geometry") or inside.get("shape")
-                    if geometry:
-                        name = element.get("name") or inside.get("name")
-                        block = self._block(geometry, place)
-                        support = bool(inside.get("is_support")) or block.support
-                        attributes = dict(block.attributes)
-                        material = inside.get("material")
-                        if isinstance(materials, dict) and material in materials:
-                            attributes.setdefault("density", _inner(materials[material]).get("density"))
-                        yield replace(
-                            block,
-                            name=str(name or block.name),
-                            support=support,
-                            attributes=attributes,
-                            key=(id(elements), guid),
-                        )
+                    placed.add(guid)
+                    place = above @ _matrix(inner(elements[guid]).get("transformation"))
+                    for block in self._element(elements[guid], above, materials):
+                        yield replace(block, key=(id(elements), guid))
                 yield from walk(child, place)
 
-        yield from walk(_inner(content["tree"])["root"], _matrix(content.get("transformation")))
+        yield from walk(inner(content["tree"])["root"], _matrix(content.get("transformation")))
+        if len(placed) < len(elements):
+            self._left_out["element outside the tree of its model"] += len(elements) - len(placed)
+
+    def _element(self, element: dict[str, Any], above: NDArray[np.float64], materials: Any) -> Iterator[Block]:
+        """Yield the block of an element of a model; none for a group."""
+        inside = inner(element)
+        kinds = {element.get("dtype"), *element.get("inheritance", [])}
+        name = _own_name(element, element.get("name") or inside.get("name"))
+        geometry = inside.get("geometry") or inside.get("shape")
+        if not geometry:
+            if _GROUP not in kinds:
+                self._fail(f"element {name or '?'} is a {element.get('dtype')} without its mesh", "give it a mesh")
+            return
+        if inside.get("features"):
+            self._fail(f"element {name or '?'} has features that change its shape", "apply them and store the mesh")
+        block = self._block(geometry, above @ _matrix(inside.get("transformation")))
+        attributes = dict(block.attributes)
+        material = inside.get("material")
+        if isinstance(materials, dict) and material in materials:
+            attributes.setdefault("density", inner(materials[material]).get("density"))
+        support = self._flag(inside.get("is_support"), block.name) or block.support
+        yield replace(block, name=str(name or block.name), support=support, attributes=attributes)
 
     def _problem(self, content: dict[str, Any]) -> Iterator[Block]:
         """Yield blocks of a compas_dem `Problem`: those of its model, with its contact law; held ones are supports."""
         if not content.get("model"):
             self._fail("its Problem names a model that is not in it", "write the BlockModel instead")
-        properties = _inner(content.get("contact_properties") or {})
-        law = _inner(properties.get("contact_model") or {})
+        properties = inner(content.get("contact_properties") or {})
+        law = inner(properties.get("contact_model") or {})
         friction = math.tan(math.radians(law["phi"])) if law.get("phi") is not None else law.get("mu")
         groups = content.get("boundary_conditions") or []
-        model = _inner(content["model"])
-        nodes = _inner(model.get("graph") or {"node": {}})["node"]
+        model = inner(content["model"])
+        nodes = inner(model.get("graph") or {"node": {}})["node"]
         known = {str(key): node.get("element") for key, node in nodes.items()}
         held, loads, acceleration = self._conditions(groups if isinstance(groups, list) else [groups], known)
         for block in self._find(content["model"]):
@@ -229,10 +269,10 @@ class _Reader:
         held: set[Any] = set()
         loads: dict[Any, list[dict[str, Any]]] = {}
         acceleration = [0.0, 0.0, 0.0]
-        for group in map(_inner, groups):
+        for group in map(inner, groups):
             if group.get("surface_loads"):
                 self._fail("it has a surface load", "give a point load instead")
-            for entry in map(_inner, group.get("displacements") or []):
+            for entry in map(inner, group.get("displacements") or []):
                 given = entry.get("translation") or entry.get("rotation") or []
                 if any(component != 0 for component in given):
                     self._fail(
@@ -240,13 +280,13 @@ class _Reader:
                         "prescribe zero in all directions, or nothing",
                     )
                 held.add(known.get(str(entry["block_index"])))
-            for entry in map(_inner, group.get("point_loads") or []):
+            for entry in map(inner, group.get("point_loads") or []):
                 node = str(entry["block_index"])
                 if node not in known:
                     self._fail(f"a load acts on block {node}, which does not exist", "leave the load out")
                 load = {name: entry[key] for name, key in _LOAD_KEYS if entry.get(key) is not None}
                 loads.setdefault(known[node], []).append(load)
-            for entry in map(_inner, group.get("body_forces") or []):
+            for entry in map(inner, group.get("body_forces") or []):
                 acceleration = [a + float(b) for a, b in zip(acceleration, entry["acceleration"], strict=True)]
         return held - {None}, loads, acceleration
 
@@ -262,9 +302,9 @@ class _Reader:
             for two, attributes in (others or {}).items():
                 found = (attributes or {}).get(name) or []
                 for interface in found if isinstance(found, list) else [found]:
-                    inside = _inner(interface)
-                    points = [_inner(point) if isinstance(point, dict) else point for point in inside["points"]]
-                    frame = _inner(inside.get("frame") or {})
+                    inside = inner(interface)
+                    points = [inner(point) if isinstance(point, dict) else point for point in inside["points"]]
+                    frame = inner(inside.get("frame") or {})
                     axes = frame.get("xaxis"), frame.get("yaxis")
                     normal = np.cross(*np.array(axes, dtype=float)) if None not in axes else np.array([0.0, 0.0, 1.0])
                     entry = {"keys": (keys.get(one), keys.get(two)), "points": points, "normal": normal}
@@ -273,7 +313,7 @@ class _Reader:
     def _block(self, data: dict[str, Any], place: NDArray[np.float64], fallback: str = "") -> Block:
         """Return one mesh, polyhedron or box."""
         content: dict[str, Any] = _content(data)
-        name = data.get("name") or (content.get("attributes") or {}).get("name") or fallback
+        name = _own_name(data, data.get("name") or (content.get("attributes") or {}).get("name")) or fallback
         attributes = dict(content.get("attributes") or {})
         if "vertex" in content:
             default = {"x": 0.0, "y": 0.0, "z": 0.0, **(content.get("default_vertex_attributes") or {})}
@@ -283,7 +323,10 @@ class _Reader:
         elif "vertices" in content:
             points, faces = content["vertices"], content["faces"]
         elif "xsize" in content:
-            points, faces = _box(content), [list(face) for face in _BOX_FACES]
+            points, faces = box(content)
+        elif (shape := str(data.get("dtype")).removeprefix("compas.geometry/")) in CURVED:
+            points, faces = revolved(shape, content)
+            self._curved.append(f"{shape} {name}".rstrip())
         else:
             self._fail(f"block {name or '?'} is a {data.get('dtype')}, not a mesh", "convert it to a mesh")
         vertices = np.array(points, dtype=np.float64).reshape(-1, 3)
@@ -292,27 +335,33 @@ class _Reader:
         vertices = vertices @ place[:3, :3].T + place[:3, 3]
         if np.linalg.det(place[:3, :3]) < 0:
             faces = [face[::-1] for face in faces]
-        return Block(str(name), vertices, faces, bool(attributes.get("is_support")), attributes)
+        for entry in ("density", "friction"):
+            value = attributes.get(entry)
+            if value is not None and (isinstance(value, bool) or not isinstance(value, (int, float))):
+                self._fail(f"the {entry} of block {name or '?'} is {value!r}", "give a number")
+        return Block(str(name), vertices, faces, self._flag(attributes.get("is_support"), name), attributes)
+
+    def _flag(self, value: Any, name: Any) -> bool:
+        """Return whether a block is a support."""
+        if value not in (None, False, True):
+            self._fail(f"is_support of block {name or '?'} is {value!r}", "give true or false")
+        return bool(value)
 
     def _fail(self, what: str, remedy: str = "write it again with compas.json_dump") -> NoReturn:
         raise InputError(f"{self._path} cannot be read as COMPAS data: {what}; {remedy}")
 
 
-def _box(content: dict[str, Any]) -> NDArray[np.float64]:
-    """Return corners of a box, shape (8, 3)."""
-    size = np.array([content["xsize"], content["ysize"], content["zsize"]], dtype=float) / 2
-    frame = _inner(content["frame"])
-    x, y = (np.array(frame[axis], dtype=float) for axis in ("xaxis", "yaxis"))
-    axes = np.stack([x, y, np.cross(x, y)])
-    corners = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)]) * size
-    return corners @ axes + np.array(frame["point"], dtype=float)
+def _own_name(data: dict[str, Any], name: Any) -> str:
+    """Return the name of an object; empty if it is that of a class, which COMPAS gives to objects without one."""
+    classes = {str(kind).rpartition("/")[2] for kind in (data.get("dtype"), *_MESHES, *_SHAPES)}
+    return "" if not name or name in classes else str(name)
 
 
 def _matrix(transformation: Any) -> NDArray[np.float64]:
     """Return a COMPAS transformation as a matrix, shape (4, 4); the identity for none."""
     if not transformation:
         return _IDENTITY
-    matrix = np.array(_inner(transformation)["matrix"], dtype=float)
+    matrix = np.array(inner(transformation)["matrix"], dtype=float)
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise ValueError("a transformation is a matrix of shape (4, 4)")
     return matrix
@@ -320,7 +369,7 @@ def _matrix(transformation: Any) -> NDArray[np.float64]:
 
 def _is_assembly(content: Any) -> bool:
     """Return whether an object of any class, such as a `CRA_Assembly`, has blocks at the nodes of a graph."""
-    graph = _inner(content.get("graph") or {}) if isinstance(content, dict) else {}
+    graph = inner(content.get("graph") or {}) if isinstance(content, dict) else {}
     nodes = graph.get("node") if isinstance(graph, dict) else None
     return isinstance(nodes, dict) and any(isinstance(node, dict) and "block" in node for node in nodes.values())
 
@@ -328,8 +377,3 @@ def _is_assembly(content: Any) -> bool:
 def _content(data: dict[str, Any]) -> Any:
     """Return the content of an object; the first version of COMPAS called it `value`."""
     return data["data"] if "data" in data else data["value"]
-
-
-def _inner(data: dict[str, Any]) -> dict[str, Any]:
-    """Return the content of an object that may or may not be wrapped with the name of its class."""
-    return data.get("data", data)

@@ -33,8 +33,6 @@ _BY_SUFFIX: dict[str, Format] = {
 }
 _MOVING = ("glb", "gltf", "usd")
 """Formats that can show a plan."""
-_SHOWN_ONLY = ("glb", "gltf", "folder")
-"""Formats from which no other program computes stability, and the folder, whose writer knows what it can hold."""
 
 
 class ExportWarning(UserWarning):
@@ -94,7 +92,7 @@ def export(
 ) -> None:
     """Write a structure, a plan in motion, or the motions of a robot plan for other programs.
 
-    Formats that others compute stability from hold no joints and loads; what is left out is an `ExportWarning`.
+    Files of other programs hold no joints and loads; what is left out is an `ExportWarning`.
 
     Args:
         subject: a structure, plan or robot plan, or what `load_structure`, `load_plan` or `load_robot_plan` read.
@@ -133,7 +131,8 @@ def export(
     seconds = 1.0 if step_seconds is None else step_seconds
     held = (("joints", assembly.joints), ("loads", assembly.loads))
     left_out = " and ".join(name for name, given in held if given is not None)
-    if left_out and chosen not in _SHOWN_ONLY:
+    # The writer of a folder knows what it can hold; a plan in motion is looked at only.
+    if left_out and chosen != "folder" and plan is None:
         warnings.warn(
             f"{chosen} files have no {left_out}: those of {assembly.name} are left out, without which "
             "its stability differs",

@@ -1,5 +1,7 @@
 """glTF 2.0 export: a structure, and a plan as an animation with one node per part.
 
+`geometry.mesh.gltf` reads structures back.
+
 glTF has metres and y up, as the standard demands; readers convert to their own axes. Each part is a node that
 sits at its centre of mass, so that positions keep their digits however far from the origin the structure is modelled.
 """
@@ -94,7 +96,11 @@ class _Document:
             "asset": {
                 "version": "2.0",
                 "generator": f"falsework {__version__}",
-                "extras": {"structure": assembly.name, "identity": assembly.identity},
+                "extras": {
+                    "structure": assembly.name,
+                    "identity": assembly.identity,
+                    "friction": assembly.friction,
+                },
             },
             "scene": 0,
             "scenes": [{"name": assembly.name, "nodes": []}],
@@ -158,6 +164,7 @@ class _Document:
                     "part": part,
                     "boundary": bool(assembly.boundary[part]),
                     "mass": round(float(assembly.mass.mass[part]), 6),
+                    "density": float(assembly.density[part]),
                 },
             },
         )

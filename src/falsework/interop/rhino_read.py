@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from falsework.assembly.draft import Block, Draft
 from falsework.assembly.model import Assembly
 from falsework.errors import DependencyError, InputError
+from falsework.geometry.mesh.polygon import triangles_of
 from falsework.geometry.mesh.read import unit_length
-from falsework.geometry.mesh.repair import RepairWarning
 from falsework.geometry.mesh.sheets import is_sheet
+from falsework.geometry.mesh.surface import PartSurface, separated, warn_of, warn_of_curves
 
 _UNITS = {
     "Microns": 1e-6,
@@ -33,6 +34,8 @@ _UNITS = {
 """Lengths of Rhino's units in metres."""
 _FLAT = 1e-6
 """Thickness, as a share of its size, below which an object is a sheet and no part."""
+_SUPPORTS = frozenset({"supports", "boundary"})
+"""Layers whose parts are boundary, in small letters."""
 
 
 def is_rhino(path: Path | str) -> bool:
@@ -44,11 +47,12 @@ def is_rhino(path: Path | str) -> bool:
 def load_rhino(path: Path | str, *, unit: str | None = None, **options: Any) -> Assembly:
     """Read an assembly from a Rhino file.
 
-    Parts are meshes, and Breps, extrusions and SubDs with the meshes that Rhino stored for display; instances of blocks
-    are resolved. Those on a layer `Supports` are boundary. If a layer `Blocks` holds any, the parts are those on
-    `Blocks` and `Supports`; otherwise those on all layers. Sublayers count as their layers. Surfaces on
-    `Supports` are given a thickness; other surfaces, and what is on a layer `Interfaces`, are left out; both with a
-    warning.
+    Parts are meshes, and Breps and extrusions with the meshes that Rhino stored for display; instances of blocks are
+    resolved. Separate solids of one object are parts of their own. Those on a layer `Supports` or `Boundary` are
+    boundary. If a layer `Blocks` holds any, the parts are those on `Blocks` and the layers of supports; otherwise
+    those on all layers. Sublayers count as their layers. Surfaces among supports are given a thickness. What is hidden,
+    on a layer that is hidden, in a layout or on a layer `Interfaces`, other surfaces, curves and points are left out.
+    Each is told by a warning.
 
     Args:
         path: the file.
@@ -87,58 +91,138 @@ def read_rhino(path: Path | str, *, unit: str | None = None) -> Draft:
     if unit is None and system not in _UNITS:
         raise InputError(f"{path} has the unit {system}, whose length is not known; name it, such as --unit mm")
     scale = _UNITS[system] if unit is None else unit_length(unit)
-    table: Any = model.Layers  # the stubs of rhino3dm lag behind it
-    layers = {layer.Index: layer.FullPath.split("::") for layer in table}
+    layers = _Layers(model)
+    objects = [entry for entry in cast("Any", model.Objects) if not entry.Attributes.IsInstanceDefinitionObject]
     found: list[tuple[set[str], Block]] = []
-    left_out: Counter[str] = Counter()
-    objects: Any = model.Objects
+    left_out: dict[str, Counter[str]] = {}
+    curved: list[str] = []
+    if objects and all(_is_hidden(entry.Attributes, layers) for entry in objects):
+        warn_of(path, "all objects are hidden; they were read as if they were visible")
+        layers.hide_nothing = True
     for entry in objects:
-        if entry.Attributes.IsInstanceDefinitionObject:
-            continue
-        folders = layers.get(entry.Attributes.LayerIndex, ["?"])
-        for name, vertices, faces in _solids(path, model, entry, np.eye(4)):
-            words = {folder.lower() for folder in folders}
-            block = Block(name, vertices, faces, support="supports" in words)
-            sheet = block.support and bool(faces) and is_sheet(*block.triangles(1.0)[1:])
-            surface = (len(faces) < 4 or _is_flat(vertices)) and not sheet
-            if surface or "interfaces" in words:
-                left_out["::".join(folders)] += 1
-            else:
-                found.append((words, block))
+        for solid in _solids(path, model, layers, entry, np.eye(4), frozenset()):
+            if solid.why:
+                left_out.setdefault(solid.why, Counter())[solid.layer] += 1
+                continue
+            faces = triangles_of(f"object {solid.name or '?'} of {path}", solid.vertices, solid.faces)
+            support = bool(solid.words & _SUPPORTS)
+            sheet = support and len(faces) > 0 and is_sheet(solid.vertices, faces)
+            if (len(faces) < 4 or _is_flat(solid.vertices)) and not sheet:
+                left_out.setdefault("surfaces that are not solids", Counter())[solid.layer] += 1
+                continue
+            if solid.curved:
+                curved.append(solid.name or f"on layer {solid.layer}")
+            for part in separated(path, [PartSurface(solid.name, solid.vertices, faces)]):
+                found.append((set(solid.words), Block(part.name, part.vertices, part.faces, support=support)))
     if any("blocks" in words for words, _ in found):
-        found = [(words, block) for words, block in found if words & {"blocks", "supports"}]
+        others = [words for words, _ in found if not words & {"blocks", *_SUPPORTS}]
+        if others:
+            left_out["parts beside the layer Blocks"] = Counter("other layers" for _ in others)
+        found = [(words, block) for words, block in found if words & {"blocks", *_SUPPORTS}]
     if not found:
         raise InputError(f"{path} has no mesh or solid; make meshes of the parts in Rhino (Mesh) and save it again")
-    if left_out:
-        where = ", ".join(f"{count} on layer {layer}" for layer, count in left_out.items())
-        warnings.warn(f"{path}: surfaces that are not solids were left out: {where}", RepairWarning, stacklevel=2)
+    for why, where in left_out.items():
+        warn_of(path, f"{why} were left out: {', '.join(f'{count} on {layer}' for layer, count in where.items())}")
+    warn_of_curves(path, curved)
     return Draft.of(path, scale, [block for _, block in found])
 
 
-_Geometry = tuple[str, NDArray[np.float64], list[list[int]]]
+class _Layers:
+    """Names and visibility of the layers of a model."""
+
+    def __init__(self, model: Any) -> None:
+        self._by_index = {layer.Index: layer for layer in model.Layers}
+        self._by_id = {str(layer.Id): layer for layer in model.Layers}
+        self.hide_nothing = False
+
+    def path(self, index: int) -> str:
+        """Return the name of a layer with those that it is in."""
+        layer = self._by_index.get(index)
+        return "?" if layer is None else layer.FullPath
+
+    def visible(self, index: int) -> bool:
+        """Return whether a layer and all that it is in are visible."""
+        layer = self._by_index.get(index)
+        for _ in range(len(self._by_id)):
+            if layer is None:
+                return True
+            if not layer.Visible:
+                return False
+            layer = self._by_id.get(str(layer.ParentLayerId))
+        return True
 
 
-def _solids(path: Path, model: Any, entry: Any, place: NDArray[np.float64]) -> Iterator[_Geometry]:
-    """Yield name, vertices and faces of an object, or of all objects of an instance; none for curves and points."""
-    geometry, name = entry.Geometry, entry.Attributes.Name or ""
-    kind = type(geometry).__name__
-    if kind == "InstanceReference":
+@dataclass(frozen=True, eq=False)
+class _Solid:
+    """Object of a model, in place."""
+
+    name: str
+    layer: str
+    words: frozenset[str]
+    """Names of its layers and of those of the instances that it is in, in small letters."""
+    vertices: NDArray[np.float64]
+    faces: list[list[int]]
+    curved: bool = False
+    why: str = ""
+    """What is left out, if it is; the arrays are then empty."""
+
+
+def _solids(
+    path: Path, model: Any, layers: _Layers, entry: Any, place: NDArray[np.float64], within: frozenset[str]
+) -> Iterator[_Solid]:
+    """Yield an object, or all objects of an instance."""
+    geometry, attributes = entry.Geometry, entry.Attributes
+    name, layer, kind = attributes.Name or "", layers.path(attributes.LayerIndex), type(geometry).__name__
+    words = within | {word.lower() for word in layer.split("::")}
+    where = f"layer {layer}"
+
+    def omitted(why: str) -> _Solid:
+        return _Solid(name, where, words, np.zeros((0, 3)), [], why=why)
+
+    if _is_hidden(attributes, layers):
+        yield omitted("hidden objects")
+    elif attributes.ActiveSpace.name == "PageSpace":
+        yield omitted("objects in layouts")
+    elif "interfaces" in words:
+        yield omitted("surfaces that are not solids")
+    elif kind == "InstanceReference":
         inner = place @ np.array(geometry.Xform.ToFloatArray(True), dtype=float).reshape(4, 4)
         definition = model.InstanceDefinitions.FindId(geometry.ParentIdefId)
-        members = [model.Objects.FindId(str(member)) for member in definition.GetObjectIds()]
-        solids = [solid for member in members for solid in _solids(path, model, member, inner)]
-        for number, (own, vertices, faces) in enumerate(solids):
-            label = name if len(solids) == 1 else f"{name}-{own or number}" if name else ""
-            yield label, vertices, faces
-        return
-    if kind not in ("Mesh", "Brep", "Extrusion", "SubD"):
-        return
-    meshes = _meshes(geometry, kind)
-    if any(mesh is None for mesh in meshes) or not meshes:
-        raise InputError(
-            f"{path}: {kind} {name or entry.Attributes.Id} has no render mesh; "
-            "show it shaded in Rhino (or make a mesh of it) and save the file again"
-        )
+        ids = [] if definition is None else definition.GetObjectIds()
+        members = [member for id in ids if (member := model.Objects.FindId(str(id))) is not None]
+        if not members:
+            raise InputError(f"{path}: instance {name or attributes.Id} is of a block without objects; embed the block")
+        solids = [solid for member in members for solid in _solids(path, model, layers, member, inner, words)]
+        count = sum(not solid.why for solid in solids)
+        for number, solid in enumerate(solids):
+            label = name if count == 1 else f"{name}-{solid.name or number}" if name else ""
+            yield replace(solid, name=label)
+    elif kind in ("Mesh", "Brep", "Extrusion", "SubD"):
+        meshes = _meshes(geometry, kind)
+        if any(mesh is None for mesh in meshes) or not meshes:
+            raise InputError(
+                f"{path}: {kind} {name or attributes.Id} has no render mesh; "
+                "show it shaded in Rhino (or make a mesh of it) and save the file again"
+            )
+        yield _Solid(name, where, words, *_polygons(meshes, place), curved=_curved(geometry, kind))
+    elif "Surface" in kind:
+        if geometry.IsClosed(0) or geometry.IsClosed(1):
+            raise InputError(f"{path}: {kind} {name or attributes.Id} has no render mesh; make a mesh of it in Rhino")
+        yield omitted("surfaces that are not solids")
+    else:
+        yield omitted("curves, points, texts and the like")
+
+
+def _is_hidden(attributes: Any, layers: _Layers) -> bool:
+    """Return whether an object, or a layer that it is on, is hidden."""
+    if layers.hide_nothing:
+        return False
+    shown = attributes.Visible and layers.visible(attributes.LayerIndex)
+    return attributes.Mode.name == "Hidden" or not shown
+
+
+def _polygons(meshes: list[Any], place: NDArray[np.float64]) -> tuple[NDArray[np.float64], list[list[int]]]:
+    """Return vertices and faces of meshes as one, in place."""
     vertices, faces = [], []
     for mesh in meshes:
         first = len(vertices)
@@ -150,7 +234,16 @@ def _solids(path: Path, model: Any, entry: Any, place: NDArray[np.float64]) -> I
     points = np.array(vertices, dtype=float).reshape(-1, 3) @ place[:3, :3].T + place[:3, 3]
     if np.linalg.det(place[:3, :3]) < 0:
         faces = [face[::-1] for face in faces]
-    yield name, points, faces
+    return points, faces
+
+
+def _curved(geometry: Any, kind: str) -> bool:
+    """Return whether an object has faces of which its mesh makes flat ones."""
+    if kind == "Brep":
+        return any(not geometry.Faces[row].IsPlanar(_FLAT) for row in range(len(geometry.Faces)))
+    return kind == "Extrusion" and any(
+        not geometry.Profile3d(row, 0.0).IsPolyline() for row in range(geometry.ProfileCount)
+    )
 
 
 def _meshes(geometry: Any, kind: str) -> list[Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 from falsework.assembly.draft import Block, Draft
 from falsework.assembly.model import Assembly
 from falsework.errors import DependencyError, InputError
+from falsework.geometry.mesh.surface import warn_of, warn_of_curves
 
 _MILLIMETRE = 1e-3
 """Unit to which Open CASCADE converts coordinates, in metres."""
@@ -57,7 +59,7 @@ def read_step(path: Path | str, *, unit: str | None = None) -> Draft:
         from OCP.BRepMesh import BRepMesh_IncrementalMesh
         from OCP.IFSelect import IFSelect_RetDone
         from OCP.STEPControl import STEPControl_Reader
-        from OCP.TopAbs import TopAbs_SOLID
+        from OCP.TopAbs import TopAbs_EDGE, TopAbs_FACE, TopAbs_SOLID
         from OCP.TopExp import TopExp_Explorer
     except ImportError:
         raise DependencyError("STEP files need cadquery-ocp; pip install 'falsework[step]'") from None
@@ -69,31 +71,48 @@ def read_step(path: Path | str, *, unit: str | None = None) -> Draft:
         raise InputError(f"{path} is not a STEP file, or is damaged; export it again")
     reader.TransferRoots()
     shape = reader.OneShape()
-    blocks = []
+    blocks: list[Block] = []
+    curved: list[str] = []
     if not shape.IsNull():
         BRepMesh_IncrementalMesh(shape, _DEFLECTION, True, float(_ANGLE), False)
         explorer = TopExp_Explorer(shape, TopAbs_SOLID)
         while explorer.More():
-            blocks.append(_block(reader, explorer.Current()))
+            block, bent = _block(reader, explorer.Current())
+            curved += [block.name or str(len(blocks))] if bent else []
+            blocks.append(block)
             explorer.Next()
     if not blocks:
         raise InputError(f"{path} has no solid; export the parts as solids, not as surfaces")
+    for kind, within, what in ((TopAbs_FACE, TopAbs_SOLID, "surfaces"), (TopAbs_EDGE, TopAbs_FACE, "curves")):
+        explorer, count = TopExp_Explorer(shape, kind, within), 0
+        while explorer.More():
+            count += 1
+            explorer.Next()
+        if count:
+            warn_of(path, f"{what} that bound no solid were left out: {count}")
+    hidden = len(re.findall(rb"=\s*INVISIBILITY\s*\(", path.read_bytes()))
+    if hidden:
+        warn_of(path, f"it hides objects ({hidden} lists), which were read as well; leave them out of the export")
+    warn_of_curves(path, curved)
     return Draft.of(path, _MILLIMETRE, blocks)
 
 
-def _block(reader: Any, solid: Any) -> Block:
-    """Return the triangles of a solid."""
+def _block(reader: Any, solid: Any) -> tuple[Block, bool]:
+    """Return the triangles of a solid, and whether it has curved faces."""
     from OCP.BRep import BRep_Tool
+    from OCP.BRepAdaptor import BRepAdaptor_Surface
+    from OCP.GeomAbs import GeomAbs_Plane
     from OCP.StepRepr import StepRepr_RepresentationItem
     from OCP.TopAbs import TopAbs_FACE, TopAbs_REVERSED
     from OCP.TopExp import TopExp_Explorer
     from OCP.TopLoc import TopLoc_Location
     from OCP.TopoDS import TopoDS
 
-    vertices, faces = [], []
+    vertices, faces, bent = [], [], False
     explorer = TopExp_Explorer(solid, TopAbs_FACE)
     while explorer.More():
         face = TopoDS.Face(explorer.Current())
+        bent = bent or BRepAdaptor_Surface(face).GetType() != GeomAbs_Plane
         location = TopLoc_Location()
         triangles = BRep_Tool.Triangulation_s(face, location)
         if triangles is not None:
@@ -106,4 +125,4 @@ def _block(reader: Any, solid: Any) -> Block:
         explorer.Next()
     item = reader.WS().TransferReader().EntityFromShapeResult(solid, 1)
     name = item.Name().ToCString() if isinstance(item, StepRepr_RepresentationItem) else ""
-    return Block(name, np.array(vertices, dtype=float).reshape(-1, 3), faces)
+    return Block(name, np.array(vertices, dtype=float).reshape(-1, 3), faces), bent

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +29,12 @@ class WholeMemory(OrderedDict[bytes, NDArray[np.floating]]):
     def __init__(self, size: int) -> None:
         """Begin empty, for arrays of so many bytes."""
         super().__init__()
+        self._size = size
         self._most = _WHOLE // max(size, 1)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return what makes a copy; a dictionary would be made without the size."""
+        return WholeMemory, (self._size,), None, None, iter(self.items())
 
     def __setitem__(self, key: bytes, array: NDArray[np.floating]) -> None:
         super().__setitem__(key, array)

@@ -33,17 +33,16 @@ def parse_json(text: str) -> Any:
     raise ValueError(f"it is nested deeper than {LEVELS} levels")
 
 
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    entries = dict(pairs)
+    if len(entries) < len(pairs):
+        seen: set[str] = set()
+        twice = next(name for name, _ in pairs if name in seen or seen.add(name))
+        raise ValueError(f"an object in it has the entry {twice[:40]!r} twice")
+    return entries
+
+
 def _integer(digits: str) -> int:
     if len(digits) > 20 or not -(2**63) <= int(digits) < 2**63:
         raise ValueError(f"the integer {digits[:12]}... in it does not fit into 64 bits")
     return int(digits)
-
-
-def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Return an object, unless an entry occurs twice: programs differ in which of the two they read."""
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        seen: set[str] = set()
-        twice = next(key for key, _ in pairs if key in seen or seen.add(key))
-        raise ValueError(f"an object in it has two entries {twice[:40]!r}")
-    return found

@@ -224,12 +224,12 @@ def _graph(
     direction: Direction | None,
     options: dict[str, Any],
 ) -> Viewable:
-    from falsework.assembly.library import is_built_in
+    from falsework.assembly.library import built_in, is_built_in
 
     if structure is None:
         if not is_built_in(graph.name):
             raise InputError(f"{name} does not say where {graph.name or 'its structure'} is; name it (--structure)")
-        structure = graph.name
+        structure = built_in(graph.name)
     assembly = as_assembly(structure, **options)
     if assembly.identity != graph.task.identity:
         raise InputError(f"{name} is of another structure than {assembly.name}; name the right one (--structure)")

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import subprocess
 import sys
 import warnings
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -170,3 +173,31 @@ def test_without_gymnasium_the_extra_is_named() -> None:
     program = "import sys; sys.modules['gymnasium'] = None; import falsework.learn.env.gymnasium_env"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert "DependencyError: the Gymnasium environment needs gymnasium; pip install" in done.stderr
+
+
+@pytest.mark.parametrize(
+    "twin_of", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["copy", "pickle"]
+)
+@pytest.mark.parametrize("criterion", ["contact", "equilibrium"])
+def test_a_copy_goes_its_own_way(
+    arch: Assembly, criterion: str, twin_of: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Tree searches copy environments, and vector environments send them to processes; threads cannot be copied."""
+    monkeypatch.setattr("falsework.stability.cpu.solver.core_count", lambda: 2)
+    oracle = Stability(arch, StabilitySettings(criterion=criterion))  # type: ignore[arg-type]
+    env = DisassemblyEnv(arch, robots=2, oracle=oracle)
+    _, info = env.reset(seed=0)
+    env.step(int(np.flatnonzero(info["action_mask"])[0]))
+    twin = twin_of(env)
+    start = np.flatnonzero(env.action_masks())
+    for action in start[:2].tolist():
+        assert np.array_equal(env.action_masks(), twin.action_masks())
+        ours, theirs = env.step(action), twin.step(action)
+        assert np.array_equal(ours[0], theirs[0])
+        assert ours[1:4] == theirs[1:4]
+        if ours[2]:
+            break
+    before = env.action_masks().copy()
+    twin.reset(seed=0)
+    assert np.array_equal(env.action_masks(), before)
+    assert not np.array_equal(twin.action_masks(), before)

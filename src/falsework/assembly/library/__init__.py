@@ -13,7 +13,7 @@ from falsework.assembly.library.domes import dome
 from falsework.assembly.library.plates import house, shelf
 from falsework.assembly.library.polycubes import polycube
 from falsework.assembly.library.polyominoes import bottle
-from falsework.assembly.library.specification import build, is_built_in, structures
+from falsework.assembly.library.specification import build, built_in, is_built_in, structures
 from falsework.assembly.library.stacks import stack
 from falsework.assembly.library.vaults import vault
 from falsework.assembly.library.walls import wall
@@ -25,6 +25,7 @@ __all__ = [
     "arch",
     "bottle",
     "build",
+    "built_in",
     "catenary",
     "corbel",
     "dome",

@@ -44,6 +44,11 @@ def is_built_in(spec: str) -> bool:
     return any(entry.name == spec.partition(":")[0].strip() for entry in _STRUCTURES)
 
 
+def built_in(spec: str) -> str:
+    """Return the text of a built-in structure in the form that stands for no folder or file: `arch:` for `arch`."""
+    return spec if ":" in spec else f"{spec}:"
+
+
 def build(spec: str, *, density: float | None = None, friction: float | None = None) -> Assembly:
     """Make a built-in structure from a text such as `vault` or `arch:blocks=15,thickness=0.2`.
 
@@ -56,14 +61,14 @@ def build(spec: str, *, density: float | None = None, friction: float | None = N
     Raises:
         InputError: no such structure or parameter, a value of the wrong type or out of range.
     """
-    name, colon, text = (piece.strip() for piece in spec.partition(":"))
+    name, _, text = (piece.strip() for piece in spec.partition(":"))
     entry = next((entry for entry in _STRUCTURES if entry.name == name), None)
     if entry is None:
         names = [known.name for known in _STRUCTURES]
         close = get_close_matches(name, names, 1)
         hint = f"did you mean {close[0]}?" if close else f"choose {', '.join(names)}"
         raise InputError(f"no built-in structure {name!r}; {hint}")
-    values = _values(entry, text) if colon else {}
+    values = _values(entry, text) if text else {}
     material = {key: _material(name, key, values.pop(key)) for key in _MATERIAL if key in values}
     density = material.get("density") if density is None else density
     friction = material.get("friction") if friction is None else friction

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.errors import MeshError
+
 Array = NDArray[np.float64]
 
 
@@ -60,3 +62,26 @@ def triangulate(points: Array) -> list[tuple[int, int, int]]:
         del ring[at]
     triangles.append((ring[0], ring[1], ring[2]))
     return triangles
+
+
+def triangles_of(file: str, points: Array, polygons: Sequence[Sequence[int]]) -> NDArray[np.int64]:
+    """Return triangles of polygons in their order, shape (triangles, 3).
+
+    Args:
+        file: where they are from, for the message.
+        points: shape (vertices, 3).
+        polygons: indices into `points`, three or more each.
+
+    Raises:
+        MeshError: a polygon with a vertex that does not exist.
+    """
+    if not polygons:
+        return np.zeros((0, 3), dtype=np.int64)
+    if max(map(max, polygons)) >= len(points) or min(map(min, polygons)) < 0:
+        raise MeshError(f"a face in {file} uses a vertex that does not exist; there are {len(points)}; export it again")
+    if all(len(polygon) == 3 for polygon in polygons):
+        return np.array(polygons, dtype=np.int64)
+    faces: list[list[int]] = []
+    for polygon in polygons:
+        faces.extend([polygon[corner] for corner in triangle] for triangle in triangulate(points[list(polygon)]))
+    return np.array(faces, dtype=np.int64)

@@ -8,7 +8,8 @@ from collections.abc import Collection, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from falsework.errors import MeshError
+from falsework.errors import MeshError, ReadWarning
+from falsework.geometry.mesh.bodies import merge_equal, weld
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.polygon import triangulate
 from falsework.geometry.mesh.sheets import is_sheet, plane_normal, thickened
@@ -20,8 +21,6 @@ Faces = NDArray[np.int64]
 SMALLEST, LARGEST = 1e-4, 1e3
 """Smallest and largest extent of a part, metres: beyond them the unit is wrong."""
 
-_WELD = 1e-6
-"""Distance, relative to the diagonal of a part, below which vertices are the same."""
 _FLAT = 0.02
 """Distance of the rim of a hole from its plane, relative to its size, up to which closing it adds next to no shape."""
 
@@ -74,7 +73,8 @@ def check_mesh(name: str, vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh
     cannot change the shape are made with a `RepairWarning`: vertices within 1e-6 of the part's diagonal are
     merged, faces without area or given twice are dropped, faces are turned to look outwards, flat holes are
     closed, and closed surfaces that overlap are united, which takes manifold3d. A mesh that is closed and
-    looks outwards, and whose surfaces do not overlap, comes back with its faces as they were.
+    looks outwards, and whose surfaces do not overlap, comes back with its faces as they were. A part of several
+    separate solids is a `ReadWarning`.
 
     Args:
         name: name of the part in messages.
@@ -93,7 +93,7 @@ def check_mesh(name: str, vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh
     if not finite[corners].all():
         vertex = int(corners.ravel()[np.argmin(finite[corners].ravel())])
         raise MeshError(f"part {name}: vertex {vertex} is NaN or infinite; export the mesh again")
-    points, corners = _merge_equal(points, corners)
+    points, corners = merge_equal(points, corners)
     extent = float(np.ptp(points, axis=0).max())
     if not SMALLEST <= extent <= LARGEST:
         raise MeshError(
@@ -111,22 +111,19 @@ def check_mesh(name: str, vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh
     if shells.overlap():
         points, turned, twice = shells.unite(name)
         done.append(f"united surfaces that overlapped, whose {twice:.3g} m3 in common counted twice")
+    elif shells.count > 1:
+        warnings.warn(
+            f"part {name} consists of {shells.count} separate solids, which count as one rigid body; "
+            "make them parts of their own if they are not",
+            ReadWarning,
+            stacklevel=2,
+        )
     mesh = TriangleMesh.from_arrays(name, points, turned)
     if mesh.volume <= 1e-12 * extent**3:
         raise MeshError(f"part {name} has no volume; export it as a solid that encloses space")
     if done:
         warnings.warn(f"part {name} was repaired: {', '.join(done)}", RepairWarning, stacklevel=2)
     return mesh
-
-
-def _merge_equal(points: Array, corners: Faces) -> tuple[Array, Faces]:
-    """Merge vertices with equal coordinates and drop those that no face uses, in order of first use."""
-    used, index = np.unique(corners, return_inverse=True)
-    _, first, inverse = np.unique(points[used] + 0.0, axis=0, return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    rank = np.empty(len(order), dtype=np.int64)
-    rank[order] = np.arange(len(order))
-    return points[used][first[order]], rank[inverse.ravel()][index].reshape(-1, 3)
 
 
 def _drop_copies(corners: Faces, done: list[str]) -> Faces:
@@ -142,10 +139,10 @@ def _drop_copies(corners: Faces, done: list[str]) -> Faces:
 
 def _mend(name: str, points: Array, corners: Faces, done: list[str]) -> tuple[Array, Faces]:
     """Repair with increasingly strong methods, and stop as soon as the surface is closed."""
-    welded = _weld(points)
+    welded = weld(points)
     if len(np.unique(welded)) < len(points):
         done.append("merged vertices that almost coincide")
-        points, corners = _merge_equal(points[welded], corners)
+        points, corners = merge_equal(points[welded], corners)
     # Slivers whose corners differ stay: dropping them would tear the surface.
     thin = (corners == np.roll(corners, 1, axis=1)).any(axis=1)
     _, first = np.unique(np.sort(corners, axis=1), axis=0, return_index=True)
@@ -159,7 +156,7 @@ def _mend(name: str, points: Array, corners: Faces, done: list[str]) -> tuple[Ar
         corners = corners[~thin]
     if not len(corners):
         raise MeshError(f"part {name} has no face with an area; export it as a solid that encloses space")
-    points, corners = _merge_equal(points, corners)
+    points, corners = merge_equal(points, corners)
     if not is_closed(corners):
         turned = _wind(corners)
         if turned is not None and (turned != corners).any():
@@ -169,20 +166,6 @@ def _mend(name: str, points: Array, corners: Faces, done: list[str]) -> tuple[Ar
         corners = _close_flat_holes(name, points, corners)
         done.append("closed flat holes")
     return points, corners
-
-
-def _weld(points: Array) -> NDArray[np.int64]:
-    """Return for every vertex the representative of all vertices within the welding distance."""
-    reach = _WELD * float(np.linalg.norm(np.ptp(points, axis=0)))
-    from scipy.sparse import csr_matrix
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import KDTree
-
-    pairs = KDTree(points).query_pairs(reach, output_type="ndarray")
-    graph = csr_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
-    _, label = connected_components(graph, directed=False)
-    _, first = np.unique(label, return_index=True)
-    return first[label]
 
 
 def _wind(corners: Faces) -> Faces | None:

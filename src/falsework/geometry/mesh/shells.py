@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import MeshError
+from falsework.geometry.mesh.bodies import surfaces_of
 from falsework.geometry.mesh.collision import Body, inside, interpenetrate, shrink
 from falsework.geometry.mesh.mesh import TriangleMesh
 
@@ -25,7 +26,7 @@ _SHALLOW = 1e-6
 class Shells:
     """The closed surfaces of a part, each as a solid of its own that faces outwards."""
 
-    surface: NDArray[np.int32]
+    surface: NDArray[np.int64]
     """Shell that each face belongs to, shape (faces,)."""
     outward: NDArray[np.bool_]
     """Whether the shell faced outwards as it was given, shape (shells,)."""
@@ -34,7 +35,7 @@ class Shells:
     @staticmethod
     def of(points: Array, corners: Faces) -> Shells:
         """Split a closed mesh, shapes (vertices, 3) and (faces, 3)."""
-        surface = _surfaces(corners)
+        surface = _surfaces(points, corners)
         local = points[corners] - points.mean(axis=0)
         six_volumes = np.einsum("ij,ij->i", local[:, 0], np.cross(local[:, 1], local[:, 2]))
         outward = np.bincount(surface, six_volumes) > 0
@@ -44,6 +45,12 @@ class Shells:
             faces = faces.reshape(-1, 3)
             solids.append(TriangleMesh.from_arrays("", points[used], faces if outward[shell] else faces[:, ::-1]))
         return Shells(surface, outward, tuple(solids))
+
+    @property
+    def count(self) -> int:
+        """Number of separate solids, if none overlap: shells that bound no hollow and have a volume worth the name."""
+        volume = np.array([solid.volume for solid in self.solids])
+        return int((~self._hollow & (volume > _SHALLOW * volume.max())).sum())
 
     def outward_faces(self, corners: Faces) -> Faces:
         """Return faces turned away from the material: outwards, or inwards where a shell bounds a hollow."""
@@ -142,20 +149,14 @@ def edge_mates(corners: Faces) -> tuple[Faces, Faces, bool]:
     return order[:-1][same], order[1:][same], bool((same[1:] & same[:-1]).any())
 
 
-def _surfaces(corners: Faces) -> NDArray[np.int32]:
-    """Return the shell of each face: faces connected by edges of two faces, or by any edges if that leaves holes."""
-    tail, head = directed_edges(corners)
-    low, high = np.minimum(tail, head), np.maximum(tail, head)
-    edge = low * (int(corners.max()) + 1) + high
+def _surfaces(points: Array, corners: Faces) -> NDArray[np.int64]:
+    """Return the shell of each face: a surface that is closed by itself, or faces connected by edges otherwise."""
+    surface = surfaces_of(points, corners)
+    if surface is not None and all(is_closed(corners[surface == shell]) for shell in range(int(surface.max()) + 1)):
+        return surface
     one, two, _ = edge_mates(corners)
-    _, which, uses = np.unique(edge, return_inverse=True, return_counts=True)
-    for keep in (uses[which[one]] == 2, np.ones(len(one), dtype=bool)):
-        links = (one[keep] // 3, two[keep] // 3)
-        from scipy.sparse import csr_matrix
-        from scipy.sparse.csgraph import connected_components
+    from scipy.sparse import csr_matrix
+    from scipy.sparse.csgraph import connected_components
 
-        graph = csr_matrix((np.ones(len(links[0])), links), shape=(len(corners), len(corners)))
-        count, surface = connected_components(graph, directed=False)
-        if all(is_closed(corners[surface == shell]) for shell in range(count)):
-            break
-    return surface
+    graph = csr_matrix((np.ones(len(one)), (one // 3, two // 3)), shape=(len(corners), len(corners)))
+    return connected_components(graph, directed=False)[1].astype(np.int64)

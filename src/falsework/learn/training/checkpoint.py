@@ -151,7 +151,7 @@ def load_structure_of(folder: Path, metadata: Mapping[str, Any]) -> Assembly:
     Raises:
         InputError: it is not there any more, or is another one by now.
     """
-    from falsework.assembly import load_structure
+    from falsework.assembly import library, load_structure
 
     structure = metadata["structure"]
     source = dict(structure["source"])
@@ -163,6 +163,8 @@ def load_structure_of(folder: Path, metadata: Mapping[str, Any]) -> Assembly:
             raise InputError(
                 f"the structure {structure['name']} of the run {folder} is not at {spec} any more; put it back"
             )
+    else:
+        spec = library.built_in(spec)
     assembly = load_structure(spec, **source)
     check_structure(folder, metadata, assembly)
     return assembly

@@ -13,8 +13,7 @@ from typing import Any
 
 import torch
 
-from falsework.assembly.library import is_built_in
-from falsework.assembly.load import AnyStructure, as_assembly
+from falsework.assembly.load import AnyStructure, as_assembly, means_built_in
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
 from falsework.learn.config.train import TrainSettings
@@ -58,7 +57,7 @@ def train(
         DependencyError: a package is missing that the device or a log needs.
         InputError: no such device, a folder that holds another run, nothing to resume, or no room to write.
     """
-    if source is None and (isinstance(assembly, Path) or (isinstance(assembly, str) and not is_built_in(assembly))):
+    if source is None and isinstance(assembly, (str, Path)) and not means_built_in(assembly):
         source = {"path": str(Path(assembly).resolve())}
     assembly = as_assembly(assembly)
     check_logs(logs)

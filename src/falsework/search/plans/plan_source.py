@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from falsework.assembly.library import is_built_in
+from falsework.assembly.library import built_in, is_built_in
 from falsework.assembly.load import as_assembly, load_structure
 from falsework.assembly.model import Assembly
 from falsework.assembly.props import with_props
@@ -48,16 +48,17 @@ def structure_of_plan(
         return given if given.props else with_props(given, plan.props)
     source = dict(plan.source or {})
     if "built_in" in source:
-        spec = source.pop("built_in")
-        if not is_built_in(spec):
-            raise PlanError(f"{file or 'the plan'} names a built-in structure {spec!r}, which there is not; plan again")
+        name = source.pop("built_in")
+        if not is_built_in(name):
+            raise PlanError(f"{file or 'the plan'} names a built-in structure {name!r}, which there is not; plan again")
+        spec = built_in(name)
     elif "path" in source:
         folder = Path() if file is None else Path(file).resolve().parent
         spec = folder / source.pop("path")
         if not spec.exists():
             raise PlanError(f"the structure of the plan, {spec}, is gone; name another place (--structure)")
     else:  # saved from Python; a structure that is not built in may have the same name
-        spec = plan.name
+        spec = built_in(plan.name)
         if not is_built_in(spec) or with_props(load_structure(spec), plan.props).identity != plan.identity:
             raise PlanError(f"{file or 'the plan'} does not say where its structure is; name it (--structure)")
     return with_props(load_structure(spec, **{**source, **options}), plan.props)

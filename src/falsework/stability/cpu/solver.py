@@ -67,6 +67,13 @@ class Workers:
         self._threads = threads or core_count()
         self._pool = ThreadPoolExecutor(self._threads) if self._threads > 1 else None
 
+    def __getstate__(self) -> int:
+        """Return the number of threads, which is all that a copy needs: threads cannot be copied."""
+        return self._threads
+
+    def __setstate__(self, threads: int) -> None:
+        self.__init__(threads)
+
     def run(self, work: Callable[[slice], None], batch: int) -> None:
         """Call `work` on ranges of rows that cover a batch."""
         task = batch if self._pool is None else min(_TASK, -(-batch // self._threads))

@@ -1,0 +1,105 @@
+"""Doubts about a structure as a whole: its unit, materials, supports, and which way is up."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from falsework.assembly.draft import Draft
+from falsework.assembly.model import Assembly
+from falsework.geometry.contact.interfaces import Contacts
+from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.geometry.mesh.read import UNITS
+
+_SIZES = (0.02, 5.0)
+"""Smallest and largest size of a typical part that raises no doubt about the unit, metres."""
+_DENSITIES = (100.0, 10_000.0)
+"""Smallest and largest density that raises no doubt, kg/m3."""
+_FRICTION = 1.5
+"""Largest coefficient of friction that raises no doubt."""
+_LEVEL = 0.01
+"""Difference in height, as a share of that of the structure, up to which parts are level."""
+_BEARING = 0.1
+"""Vertical component from which the normal of a contact bears a part."""
+
+
+def material_doubts(draft: Draft, options: dict[str, Any], assembly: Assembly | None) -> list[str]:
+    """Return doubts about densities and friction."""
+    doubts = []
+    if assembly is not None:
+        density = assembly.density[: len(draft.blocks)].tolist()
+        frictions = [assembly.friction]
+        if assembly.joints is not None:
+            frictions += [value for value in assembly.joints.friction.tolist() if np.isfinite(value)]
+    else:
+        density = np.ravel(options.get("density", [])).tolist()
+        density = density or [block.attributes.get("density") for block in draft.blocks]
+        frictions = [options.get("friction")]
+    for part, value in enumerate(density):
+        if isinstance(value, (int, float)) and not _DENSITIES[0] <= value <= _DENSITIES[1]:
+            of = f" of part {draft.names[part]}" if len(set(density)) > 1 and part < len(draft.blocks) else ""
+            doubts.append(f"the density{of} is {value:g} kg/m3, which no building material has; stone has about 2400")
+            break
+    high = max((value for value in frictions if isinstance(value, (int, float))), default=0.0)
+    if high > _FRICTION:
+        doubts.append(f"a coefficient of friction is {high:g}; it is the tangent of an angle, 0.4 to 0.8 for stone")
+    return doubts
+
+
+def support_doubts(draft: Draft, solids: Sequence[TriangleMesh | None], fixed: np.ndarray) -> list[str]:
+    """Return doubts about the parts that are boundary."""
+    if fixed.all():
+        return ["every part is boundary: nothing can move, so every verdict is stable and every plan is empty"]
+    low, level = _heights(solids)
+    free = np.where(fixed | ~np.isfinite(low), np.inf, low)
+    held = low[fixed & np.isfinite(low)]
+    if len(held) and free.min() < held.min() - level:
+        return [f"part {draft.names[int(np.argmin(free))]} reaches lower than every part that is boundary"]
+    return []
+
+
+def _heights(solids: Sequence[TriangleMesh | None]) -> tuple[np.ndarray, float]:
+    """Return the lowest level of each part, NaN for one that is no solid, and the difference that is none, metres."""
+    low = np.array([np.nan if solid is None else solid.bounds[0, 2] for solid in solids])
+    high = max((solid.bounds[1, 2] for solid in solids if solid is not None), default=0.0)
+    return low, _LEVEL * float(high - np.nanmin(low)) if np.isfinite(low).any() else 0.0
+
+
+def lowest(solids: Sequence[TriangleMesh | None]) -> list[int]:
+    """Return the parts that reach down to the lowest level."""
+    low, level = _heights(solids)
+    if not np.isfinite(low).any():
+        return []
+    return np.flatnonzero(low <= np.nanmin(low) + level).tolist()
+
+
+def upright_doubt(solids: Sequence[TriangleMesh | None], contacts: Contacts | None) -> str:
+    """Return the doubt that the structure does not stand on its lowest parts, such as if it was made with y up."""
+    if contacts is None or sum(solid is not None for solid in solids) < 2:
+        return ""
+    pairs, normals = contacts.parts, contacts.frames[:, 0]
+    among = (pairs < len(solids)).all(axis=1)
+    borne, floating = {}, {}
+    for name, axis in (("z", 2), ("y", 1)):
+        up = normals[among, axis]
+        parts = np.concatenate([pairs[among][up > _BEARING, 1], pairs[among][up < -_BEARING, 0]])
+        low = np.array([np.inf if solid is None else solid.bounds[0, axis] for solid in solids])
+        high = max(solid.bounds[1, axis] for solid in solids if solid is not None)
+        above = np.isfinite(low) & (low > low.min() + _LEVEL * (high - low.min()))
+        above[parts] = False
+        borne[name], floating[name] = len(np.unique(parts)), int(above.sum())
+    lies = borne["z"] == 0 and borne["y"] > 0
+    if lies or floating["z"] > floating["y"] == 0:
+        return (
+            "no part rests on another" if lies else f"{floating['z']} parts rest on nothing"
+        ) + ", but they would with y up: export the model with z up"
+    return ""
+
+
+def likely_units(size: float, scale: float) -> list[str]:
+    """Return the units in which a typical part has a likely size; none where it has one already."""
+    if _SIZES[0] <= size <= _SIZES[1]:
+        return []
+    return [unit for unit in ("mm", "cm", "m", "in") if _SIZES[0] <= size / scale * UNITS[unit] <= _SIZES[1]]
