@@ -33,6 +33,8 @@ from falsework.robots.kernels import collision, coordination, numeric_ik, rrt_co
 from falsework.robots.kinematics import forward
 from falsework.stability import Stability, StabilitySettings
 from falsework.stability.contact.kernel import rest_range
+from falsework.stability.contact.press import PressPlanner
+from falsework.stability.contact.press_kernel import press_responses
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.replay_kernel import replay_range
 from falsework.stability.contact.solver import ContactSolver
@@ -49,7 +51,7 @@ from falsework.viewer.pictures import raster
 from falsework.viewer.pictures.render import Camera, ColoredSolid, render
 
 GROUPS = {
-    "contact": (rest_range, replay_range),
+    "contact": (rest_range, replay_range, press_responses),
     "equilibrium": (fall_range, repair_range, solve_range),
     "margins": (rest_under,),
     "motion": (
@@ -123,6 +125,10 @@ def record() -> dict[str, tuple[Any, ...]]:
         solver.check(states, certificates=False, parents=states)  # looks for parts that fall nearby first
         CpuSolver(problem).check(states, parents=states, guess=np.ones((2, problem.points, 3)))  # repairs forces
         Replayer(assembly).replay(states)
+        held = np.where(np.arange(states.shape[1]) < 2, 2, states[0]).astype(np.uint8)
+        released = np.where(np.arange(states.shape[1]) < 1, 1, held).astype(np.uint8)
+        history = np.zeros((problem.points, 3)), np.zeros(problem.points, bool), np.zeros(0)
+        next(PressPlanner(solver).proposals(held, released, *history), None)
         prober = Stability(assembly).prober
         prober.ask(states[0], prober.own())
         words = bits.pack(states > 0)

@@ -23,7 +23,7 @@ from falsework.errors import InputError
 from falsework.stability.contact.kernel import ContactOptions
 from falsework.stability.contact.newton import FIRST_STEP, OPEN, RESTS
 from falsework.stability.contact.press import PressPlanner
-from falsework.stability.contact.replay_kernel import hold_wrench, replay_range
+from falsework.stability.contact.replay_kernel import replay_range
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.cpu.layout import COMPILED_LAYOUT
 from falsework.stability.history import StepCertificate
@@ -222,15 +222,6 @@ class Replayer:
         given = None if presses is None else [(), tuple(presses)]
         replay = self.replay(np.stack([before, after]), history, given)
         return bool(replay.stands[1] == RESTS), replay.histories[-1]
-
-    def hold_wrenches(self, history: History, state: States) -> Array:
-        """Return the wrench that a robot bears on each held part, N and N m about its centre, shape (parts, 6)."""
-        wrench, out = np.zeros((self.problem.parts, 6)), np.empty(6)
-        shares = self._set_shares(history.age[None])[0]
-        for part in np.flatnonzero((state == HELD) & ~self.problem.boundary).tolist():
-            hold_wrench(self._structure, state, part, history.springs, history.torn, shares, out)
-            wrench[part] = self.problem.momentum[part] @ out
-        return wrench
 
     def certificates(self, states: ArrayLike, presses: Presses) -> Iterator[StepCertificate]:
         """Yield the certificate of the step to each state, up to the first that does not come to rest.
