@@ -7,7 +7,8 @@ Forces and virtual velocities bound the same number, the smallest residual that 
 Admissible forces lie in the friction cones, and their normal components sum to at most the force bound. The residual
 is the largest acceleration of a part as a share of gravity; an angular acceleration is multiplied by the part's largest
 radius of gyration, so the residual is dimensionless and independent of size, density and gravity. Forces bound it from
-above, a virtual velocity from below, so a state cannot pass both tests. Joints with tensile strength or cohesion
+above, a virtual velocity from below, so a state cannot pass both tests, unless the verdict itself says that it depends
+on the tolerance: then a velocity proves that some residual is left, though less than the tolerance. Joints with tensile strength or cohesion
 enlarge the set of admissible forces (`Strength`).
 """
 
@@ -36,6 +37,10 @@ _TEARS = 1.0 + 1e-6
 """A contact point breaks at this multiple of its tensile strength; the excess over 1 covers rounding of the solvers."""
 _MANY_POINTS = 4096
 """Contact points from which states one after the other are evaluated only where they change."""
+_RESOLUTION = 1e-3
+"""Residual at which verdicts are decided, as a share of the tolerance."""
+_WELL_BELOW = 0.1
+"""Residual of a stable state, as a share of the tolerance, above which the verdict depends on the tolerance."""
 _CHUNK_POINTS = 1 << 18
 """Contact points of all states that are checked at once: small enough for the processor's cache."""
 
@@ -56,6 +61,21 @@ class StabilityCriterion:
     """Definition of stability."""
     stiffness_ratio: float = TANGENTIAL_RATIO
     """Ratio of tangential to normal contact stiffness, under the criterion `contact`."""
+
+    @property
+    def resolution(self) -> float:
+        """Residual at which verdicts are decided, a share of gravity."""
+        return _RESOLUTION * self.tolerance
+
+    @property
+    def well_below(self) -> float:
+        """Residual up to which a stable state does not depend on the tolerance, a share of gravity."""
+        return _WELL_BELOW * self.tolerance
+
+    def on_tolerance(self, verdicts: Verdicts) -> NDArray[np.bool_]:
+        """Return which verdicts depend on the tolerance, shape (batch,); see `Verdicts.on_tolerance`."""
+        residual = verdicts.residual
+        return (verdicts.stable & (residual > self.well_below)) | (verdicts.unstable & (residual <= self.tolerance))
 
 
 CONTACT = StabilityCriterion(cone="quadratic", criterion="contact")
@@ -115,7 +135,7 @@ def verify_certificates(
     accepted[balanced] = residuals_in_order(assembly, states[balanced], forces, claim) <= claim.tolerance
     for rows in chunks(unstable, points):
         bound = residual_bound_of_velocity(assembly, states[rows], verdicts.velocity[rows], claim)
-        accepted[rows] = bound > claim.tolerance
+        accepted[rows] = bound > np.where(verdicts.on_tolerance[rows], claim.resolution, claim.tolerance)
     return accepted
 
 

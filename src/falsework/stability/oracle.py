@@ -103,7 +103,11 @@ class Stability:
             verdicts = self.exact.check(unique)
         else:
             verdicts = solver.check(unique, certificates=True)
+            # A GPU may stop at residuals above the resolution; they are proofs where no solver finds better ones.
             accepted = self._accept(unique, verdicts)
+            rough = np.flatnonzero(accepted & verdicts.stable & (verdicts.residual > self.settings.resolution))
+            kept = verdicts[rough]
+            accepted[rough] = False
             rest = np.flatnonzero(~accepted)
             if len(rest) and solver is self._gpu and self._cpu is not None:
                 again = self._cpu.check(unique[rest], certificates=True)
@@ -111,6 +115,9 @@ class Stability:
                 rest = rest[~self._accept(unique[rest], again)]
             if len(rest):
                 verdicts.put(rest, self._decide_exactly(unique[rest], verdicts[rest]))
+            lost = verdicts.undecided[rough]
+            verdicts.put(rough[lost], kept[lost])
+        verdicts.on_tolerance[:] = self.settings.claim.on_tolerance(verdicts)
         self._count(verdicts)
         self._cache.store(unique, verdicts.verdict, verdicts.residual)
         self.counters.cached += len(batch) - len(unique)
@@ -205,6 +212,7 @@ class Stability:
             self.counters.cached += len(rest) - len(rows)
             verdicts.put(rest, solved[back])
         verdicts.proof[:] = proof_of(verdicts.verdict, self.settings.criterion)
+        verdicts.on_tolerance[:] = self.settings.claim.on_tolerance(verdicts)
         return verdicts
 
     def margins(

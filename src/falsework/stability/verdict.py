@@ -63,11 +63,15 @@ class Verdicts:
     residual: NDArray[np.float64]
     """Largest acceleration of a part as a share of gravity, angular acceleration times the part's largest radius
     of gyration: shape (batch,). Stable: left by the forces, at most the tolerance; unstable: a lower bound for all
-    admissible forces, above the tolerance."""
+    admissible forces, above the tolerance unless `on_tolerance`."""
     iterations: NDArray[np.int32]
     """Iterations of the solver that decided, shape (batch,)."""
     decided_by: NDArray[np.int8]
     """`Solver` of each state, shape (batch,)."""
+    on_tolerance: NDArray[np.bool_]
+    """Whether the verdict depends on the tolerance, shape (batch,). Unstable: all admissible forces leave a residual,
+    but the proven bound is not above the tolerance. Stable: no forces were found whose residual is well below it, and
+    no proof that there are none."""
     forces: NDArray[np.float64] | None = None
     """Contact forces `(n, t1, t2)` in N, shape (batch, points, 3); only meaningful where stable or sliding."""
     velocity: NDArray[np.float64] | None = None
@@ -96,6 +100,7 @@ class Verdicts:
             residual=np.full(batch, np.nan),
             iterations=np.zeros(batch, np.int32),
             decided_by=np.zeros(batch, np.int8),
+            on_tolerance=np.zeros(batch, bool),
             forces=None if points is None else np.zeros((batch, points, 3)),
             velocity=None if parts is None else np.zeros((batch, parts, 6)),
             displacement=np.zeros((batch, parts, 6)) if displaced and parts is not None else None,
@@ -139,6 +144,7 @@ class Verdicts:
             self.residual[index],
             self.iterations[index],
             self.decided_by[index],
+            self.on_tolerance[index],
             None if self.forces is None else self.forces[index],
             None if self.velocity is None else self.velocity[index],
             None if self.displacement is None else self.displacement[index],
@@ -161,6 +167,7 @@ class Verdicts:
             self.residual,
             self.iterations,
             self.decided_by,
+            self.on_tolerance,
             self.forces,
             self.velocity,
             self.displacement,

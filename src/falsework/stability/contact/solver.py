@@ -47,7 +47,7 @@ class ContactSolver:
         self.contact_structure = build_contact_structure(assembly, problem, settings.gravity, settings.stiffness_ratio)
         self._options = kernel_options(settings)
         self.contact_options = ContactOptions(
-            settings.tolerance, settings.cpu.contact_steps, _WARM_STEPS, _NEAR_STEPS, FIRST_STEP, WARM_FIRST_STEP
+            settings.resolution, settings.cpu.contact_steps, _WARM_STEPS, _NEAR_STEPS, FIRST_STEP, WARM_FIRST_STEP
         )
         self._quick = self.contact_options._replace(steps=0, warm_steps=0)
         self._pulls = bool(problem.strength.pull.any())

@@ -54,6 +54,7 @@ def kernel_options(settings: StabilitySettings) -> Options:
         check_every=cpu.check_every,
         interior_steps=cpu.interior_steps,
         tolerance=settings.tolerance,
+        resolution=settings.resolution,
         force_bound=settings.force_bound,
         scaled=False,
     )

@@ -63,7 +63,10 @@ class KernelOptions(ctypes.Structure):
     """Struct `Options` of the kernel."""
 
     _fields_ = [
-        *((name, ctypes.c_double) for name in ("rho", "relaxation", "tolerance", "force_bound", "first_step")),
+        *(
+            (name, ctypes.c_double)
+            for name in ("rho", "relaxation", "tolerance", "resolution", "force_bound", "first_step")
+        ),
         *(
             (name, ctypes.c_int)
             for name in ("iterations", "first_check", "check_every", "interior_steps", "contact_steps")
@@ -203,6 +206,7 @@ def kernel_options(settings: StabilitySettings) -> KernelOptions:
         rho=gpu.rho,
         relaxation=gpu.relaxation,
         tolerance=settings.tolerance,
+        resolution=settings.claim.well_below,
         force_bound=settings.force_bound,
         first_step=FIRST_STEP,
         iterations=gpu.iterations,
