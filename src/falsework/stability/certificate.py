@@ -15,6 +15,7 @@ enlarge the set of admissible forces (`Strength`).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,8 @@ _ROUNDING = 1e-9
 is moved into the cone before the residual is computed."""
 _TEARS = 1.0 + 1e-6
 """A contact point breaks at this multiple of its tensile strength; the excess over 1 covers rounding of the solvers."""
+_ALONG = 0.01
+"""Largest deviation of the unbalanced forces from the direction of a motion that they make grow, as a share of them."""
 _MANY_POINTS = 4096
 """Contact points from which states one after the other are evaluated only where they change."""
 _RESOLUTION = 1e-3
@@ -168,16 +171,139 @@ def residual_of_displacement(
 
 def forces_of_displacement(assembly: Assembly, states: States, displacement: Array, claim: StabilityCriterion) -> Array:
     """Return the contact forces `(n, t1, t2)` in N that the law gives at a displacement, shape (batch, points, 3)."""
+    return springs_of_displacement(assembly, states, displacement, claim).forces
+
+
+class Springs(NamedTuple):
+    """Contact points as springs at a displacement: how they answer small further motions."""
+
+    forces: Array
+    """Contact forces `(n, t1, t2)` in N, shape (batch, points, 3)."""
+    normal: Array
+    """Normal stiffness of each point where it is closed, N/m, shape (points,)."""
+    tangential: Array
+    """Tangential stiffness of each point where it sticks, N/m, shape (points,)."""
+    closed: NDArray[np.bool_]
+    """Whether each point bears a force, shape (batch, points)."""
+    open: NDArray[np.bool_]
+    """Whether it bears none and would if it closed, shape (batch, points)."""
+    gap: Array
+    """How far it is open, m, shape (batch, points)."""
+    pull: Array
+    """Unit vector along the force of friction at its limit, zero where the point sticks, shape (batch, points, 2)."""
+    across: Array
+    """Share of the tangential stiffness across `pull`: 1 where the point sticks, shape (batch, points)."""
+
+    @property
+    def slips(self) -> NDArray[np.bool_]:
+        """Whether friction is at its limit, shape (batch, points, 1)."""
+        return (self.across < 1.0)[..., None]
+
+
+def springs_of_displacement(
+    assembly: Assembly, states: States, displacement: Array, claim: StabilityCriterion
+) -> Springs:
+    """Return the contact forces that the law gives at a displacement, and the stiffness of the contact points there.
+
+    Arguments as for `residual_of_displacement`.
+    """
     geometry = geometry_of(assembly.contacts, assembly.mass)
     relative = geometry.relative(displacement)
     stiffness = normal_stiffness(assembly, claim.gravity)
     strength = strength_of(assembly, claim.gravity)
     normal = -stiffness * relative[..., 0]
     whole = ~strength.tears | (normal >= -_TEARS * strength.pull)
-    tangent = -(claim.stiffness_ratio * stiffness)[:, None] * relative[..., 1:]
+    tangential = claim.stiffness_ratio * stiffness
+    tangent = -tangential[:, None] * relative[..., 1:]
     springs = np.concatenate([normal[..., None], tangent], axis=2)
-    forces = np.where(whole[..., None], _into_cone(springs, strength, claim.cone)[0], 0.0)
-    return np.where(geometry.acts(states)[:, :, None], forces, 0.0)
+    forces, outside = _into_cone(springs, strength, claim.cone)
+    acts = geometry.acts(states)
+    forces = np.where((acts & whole)[:, :, None], forces, 0.0)
+    closed = acts & whole & (normal + strength.pull > _ROUNDING * _weight(assembly, claim))
+    slips = closed & (outside >= 0.0)
+    size, trial = np.linalg.norm(forces[..., 1:], axis=2), np.linalg.norm(tangent, axis=2)
+    pull = np.divide(forces[..., 1:], size[..., None], out=np.zeros_like(tangent), where=(slips & (size > 0))[..., None])
+    across = np.where(slips, np.divide(size, trial, out=np.zeros_like(size), where=trial > 0), 1.0)
+    return Springs(forces, stiffness, tangential, closed, acts & ~closed, relative[..., 0], pull, across)
+
+
+def growth_of_motion(
+    assembly: Assembly, states: States, displacement: Array, motion: Array, claim: StabilityCriterion
+) -> Array:
+    """Return how fast a small motion from rest grows: positive where it proves that the equilibrium is unstable.
+
+    After the motion contact forces have changed, by the law of springs and friction and because their points, and
+    without friction their normals too, turn with the parts (docs/decisions/0151). Where the unbalanced forces
+    accelerate every part along the motion, it grows exponentially.
+
+    Args:
+        assembly: the structure.
+        states: shape (batch, parts).
+        displacement: of the parts at rest, shape (batch, parts, 6).
+        motion: `(linear, angular)` about the centres of mass, of any size, shape (batch, parts, 6).
+        claim: cone, gravity and stiffness ratio.
+
+    Returns:
+        Accelerations over those of parts that move along `motion` with gravity over their largest radius of gyration as
+        acceleration, shape (batch,): 0.43 for a cube on its edge. Zero where they are not along the motion.
+    """
+    free = (states == 1)[:, :, None]
+    springs = springs_of_displacement(assembly, states, np.where(free, displacement, 0.0), claim)
+    motion = np.where(free, motion, 0.0)
+    geometry, mass, contacts = geometry_of(assembly.contacts, assembly.mass), assembly.mass, assembly.contacts
+    axes = contacts.frames[contacts.contact_of_point]
+    relative = geometry.relative(motion)
+    normal = np.where(springs.closed, relative[..., 0], 0.0)
+    normal += np.where(closing_points(assembly, springs, motion, relative), relative[..., 0], 0.0)
+    tangent = relative[..., 1:]
+    along = (springs.pull * tangent).sum(axis=2, keepdims=True)
+    friction = strength_of(assembly, claim.gravity).friction[:, None]
+    stuck = -springs.tangential[:, None] * tangent
+    dragged = springs.across[..., None] * (stuck + (springs.tangential[:, None] * along) * springs.pull)
+    dragged -= (springs.normal * normal)[..., None] * friction * springs.pull
+    change = np.empty_like(relative)
+    change[..., 0] = -springs.normal * normal
+    change[..., 1:] = np.where(springs.closed[..., None], np.where(springs.slips & (along <= 0.0), dragged, stuck), 0.0)
+    force, shift = np.einsum("bpi,pij->bpj", springs.forces, axes), np.einsum("bpi,pij->bpj", relative, axes)
+    press = np.where(springs.closed & (friction[:, 0] == 0.0), springs.forces[..., 0], 0.0)[..., None] * axes[:, 0]
+    turned, leaning = geometry.wrenches(change), []
+    for part, sign in ((geometry.part_a, -1.0), (geometry.part_b, 1.0)):
+        turn, arm = motion[:, part, 3:], contacts.points - mass.center[part]
+        moment = sign * np.cross(np.cross(turn, arm), force)
+        np.add.at(turned[..., 3:], (slice(None), part), moment)
+        lean = np.einsum("bpj,pij->bpi", np.cross(turn, press), axes)
+        leans = geometry.wrenches(lean)
+        np.add.at(leans[..., 3:], (slice(None), part), -np.cross(shift, press))
+        leaning.append(leans)
+    growth = np.zeros(len(states))
+    for leans in leaning:
+        wrench = np.where(free, turned + leans, 0.0)
+        own = np.concatenate([mass.mass[:, None] * motion[..., :3], np.einsum("pij,bpj->bpi", mass.inertia, motion[..., 3:])], 2)
+        own *= (claim.gravity / geometry.gyration)[:, None]
+        size = (motion * own).sum(axis=(1, 2))
+        found = np.divide((motion * wrench).sum(axis=(1, 2)), size, out=np.zeros_like(size), where=size > 0.0)
+        left = wrench - found[:, None, None] * own
+        lengths = np.repeat(np.stack([np.ones_like(geometry.gyration), geometry.gyration], axis=1), 3, axis=1)
+        error, scale = np.abs(left / lengths).max(axis=(1, 2)), np.abs(own / lengths).max(axis=(1, 2))
+        growth = np.maximum(growth, np.where(error <= _ALONG * found * scale, found, 0.0))
+    return growth
+
+
+def closing_points(assembly: Assembly, springs: Springs, motion: Array, relative: Array) -> NDArray[np.bool_]:
+    """Return the open points that a motion closes before a part moves by more than the displacement limit.
+
+    Args:
+        assembly: the structure.
+        springs: at rest.
+        motion: shape (batch, parts, 6).
+        relative: the motion at every contact point in its frame, shape (batch, points, 3).
+    """
+    turn = np.linalg.norm(motion[..., 3:], axis=2) * assembly.mass.gyration
+    moved = np.maximum(np.linalg.norm(motion[..., :3], axis=2), turn).max(axis=1, initial=0.0)
+    limit = MOVEMENT * structure_size(assembly)
+    return springs.open & (relative[..., 0] < -_ROUNDING * moved[:, None]) & (
+        springs.gap * moved[:, None] <= -relative[..., 0] * limit
+    )
 
 
 def residual_of_forces(
