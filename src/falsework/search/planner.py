@@ -236,7 +236,7 @@ class Planner:
             if self._falls < _MOST_FALLS:
                 beam.search.forbid(self._forbidden)
             else:
-                limit = f"{self._falls} plans were found whose states are stable, and the replay of each fails"
+                limit = f"{self._falls} plans were found, and in each a state tips or the replay fails"
                 self._failed(replace(result, outcome=Outcome.NOT_FOUND, routes=(), limit=limit))
         elif result.found:
             begin = not self.routes
@@ -250,7 +250,7 @@ class Planner:
         """Return whether the replay of a route comes to rest in every state; record the first state that fails.
 
         A beam in the order of assembly has replayed its route already. An oracle that requires margins first checks
-        every state in full.
+        every state in full; under `contact` every state is looked at more closely.
         """
         if self._keeps is not None:
             weak = np.flatnonzero(~self._keeps(route.states[1:-1])) + 1

@@ -8,8 +8,10 @@ Admissible forces lie in the friction cones, and their normal components sum to 
 is the largest acceleration of a part as a share of gravity; an angular acceleration is multiplied by the part's largest
 radius of gyration, so the residual is dimensionless and independent of size, density and gravity. Forces bound it from
 above, a virtual velocity from below, so a state cannot pass both tests, unless the verdict itself says that it depends
-on the tolerance: then a velocity proves that some residual is left, though less than the tolerance. Joints with tensile strength or cohesion
-enlarge the set of admissible forces (`Strength`).
+on the tolerance: then a velocity proves that some residual is left, though less than the tolerance. Joints with tensile
+strength or cohesion enlarge the set of admissible forces (`Strength`).
+
+A motion proves that a rest position is an unstable equilibrium, where the forces after it make it grow.
 """
 
 from __future__ import annotations
@@ -36,6 +38,8 @@ _ROUNDING = 1e-9
 is moved into the cone before the residual is computed."""
 _TEARS = 1.0 + 1e-6
 """A contact point breaks at this multiple of its tensile strength; the excess over 1 covers rounding of the solvers."""
+NEUTRAL = 1e-3
+"""Growth of a motion, as `growth_of_motion` measures it, up to which an equilibrium counts as neutral, not unstable."""
 _ALONG = 0.01
 """Largest deviation of the unbalanced forces from the direction of a motion that they make grow, as a share of them."""
 _MANY_POINTS = 4096
@@ -99,7 +103,7 @@ def verify_certificates(
 
     Returns:
         Shape (batch,); an undecided verdict is never accepted. Of a sliding state, only the proof that forces in
-        equilibrium exist is checked.
+        equilibrium exist is checked; of a stable one, not that no motion from rest grows.
 
     Raises:
         InputError: verdicts without certificates, or with shapes that do not fit the states.
@@ -134,6 +138,10 @@ def verify_certificates(
         for rows in chunks(stable, points):
             residual = residual_of_displacement(assembly, states[rows], verdicts.displacement[rows], claim)
             accepted[rows] = residual <= claim.tolerance
+        for rows in chunks(np.flatnonzero(verdicts.tips), points):
+            known = states[rows], verdicts.displacement[rows]
+            growth = growth_of_motion(assembly, *known, verdicts.velocity[rows], claim)
+            accepted[rows] = (residual_of_displacement(assembly, *known, claim) <= claim.tolerance) & (growth > NEUTRAL)
     forces = [verdicts.forces[row] for row in balanced]
     accepted[balanced] = residuals_in_order(assembly, states[balanced], forces, claim) <= claim.tolerance
     for rows in chunks(unstable, points):
@@ -222,7 +230,9 @@ def springs_of_displacement(
     closed = acts & whole & (normal + strength.pull > _ROUNDING * _weight(assembly, claim))
     slips = closed & (outside >= 0.0)
     size, trial = np.linalg.norm(forces[..., 1:], axis=2), np.linalg.norm(tangent, axis=2)
-    pull = np.divide(forces[..., 1:], size[..., None], out=np.zeros_like(tangent), where=(slips & (size > 0))[..., None])
+    pull = np.divide(
+        forces[..., 1:], size[..., None], out=np.zeros_like(tangent), where=(slips & (size > 0))[..., None]
+    )
     across = np.where(slips, np.divide(size, trial, out=np.zeros_like(size), where=trial > 0), 1.0)
     return Springs(forces, stiffness, tangential, closed, acts & ~closed, relative[..., 0], pull, across)
 
@@ -278,7 +288,9 @@ def growth_of_motion(
     growth = np.zeros(len(states))
     for leans in leaning:
         wrench = np.where(free, turned + leans, 0.0)
-        own = np.concatenate([mass.mass[:, None] * motion[..., :3], np.einsum("pij,bpj->bpi", mass.inertia, motion[..., 3:])], 2)
+        own = np.concatenate(
+            [mass.mass[:, None] * motion[..., :3], np.einsum("pij,bpj->bpi", mass.inertia, motion[..., 3:])], 2
+        )
         own *= (claim.gravity / geometry.gyration)[:, None]
         size = (motion * own).sum(axis=(1, 2))
         found = np.divide((motion * wrench).sum(axis=(1, 2)), size, out=np.zeros_like(size), where=size > 0.0)
@@ -301,8 +313,10 @@ def closing_points(assembly: Assembly, springs: Springs, motion: Array, relative
     turn = np.linalg.norm(motion[..., 3:], axis=2) * assembly.mass.gyration
     moved = np.maximum(np.linalg.norm(motion[..., :3], axis=2), turn).max(axis=1, initial=0.0)
     limit = MOVEMENT * structure_size(assembly)
-    return springs.open & (relative[..., 0] < -_ROUNDING * moved[:, None]) & (
-        springs.gap * moved[:, None] <= -relative[..., 0] * limit
+    return (
+        springs.open
+        & (relative[..., 0] < -_ROUNDING * moved[:, None])
+        & (springs.gap * moved[:, None] <= -relative[..., 0] * limit)
     )
 
 

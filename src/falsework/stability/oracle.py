@@ -24,9 +24,10 @@ from falsework.stability.margins.margins import QUICK, MarginFinder
 from falsework.stability.margins.prober import Prober
 from falsework.stability.margins.state_margins import StateMargins
 from falsework.stability.problem import build_problem
+from falsework.stability.second_order import SecondOrder
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.state_memory import WholeMemory, remembered_forces
-from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
+from falsework.stability.verdict import Proof, Solver, Verdict, Verdicts, proof_of
 
 if TYPE_CHECKING:
     from falsework.stability.reference.clarabel import ExactSolver
@@ -36,6 +37,10 @@ _BATCH = 32 * 1024 * 1024
 """Memory for contact forces or displacements of one batch, bytes."""
 _WORTH_A_GPU = 8
 """States from which `auto` uses the GPU: a launch costs as much as a few states on the CPU."""
+_LOOKED_AT = 64
+"""States whose proofs are in memory at the same time while they are looked at more closely."""
+_FIRM = 200_000
+"""Such states that are remembered."""
 _UNHELD = 3
 """Held parts of which a guess is looked up for the state before they were held."""
 
@@ -58,6 +63,8 @@ class Stability:
         self.counters = Counters()
         self._cpu, self._gpu = self._make_cpu(), self._make_gpu()
         self._cache = VerdictCache(holds_keep_stable=not self._contact)
+        self._firm: set[bytes] = set()
+        """States whose rest positions are stable to second order."""
         self._guess_shape = (self.problem.parts, 6) if self._contact else (self.problem.points, 3)
         points = self.problem.points
         self._guesses = WholeMemory(self._guess_bytes) if self._contact else remembered_forces(points)
@@ -117,6 +124,7 @@ class Stability:
                 verdicts.put(rest, self._decide_exactly(unique[rest], verdicts[rest]))
             lost = verdicts.undecided[rough]
             verdicts.put(rough[lost], kept[lost])
+            self._look_closer(unique, verdicts)
         verdicts.on_tolerance[:] = self.settings.claim.on_tolerance(verdicts)
         self._count(verdicts)
         self._cache.store(unique, verdicts.verdict, verdicts.residual)
@@ -146,7 +154,8 @@ class Stability:
         """Check states `(batch, parts)` from the displacements or forces by which `judge` found them stable.
 
         Returns:
-            Stable verdicts with certificates; undecided where none are stored or they no longer prove the state.
+            Stable verdicts with certificates; undecided where none are stored or they no longer prove the state. A state
+            that tips is found here, too.
         """
         found = Verdicts.blank(
             len(states), points=self.problem.points, parts=self.problem.parts, displaced=self._contact
@@ -157,8 +166,9 @@ class Stability:
         rows, guess = np.array(list(stored)), np.array(list(stored.values()), dtype=np.float64)
         again = self._cpu.check(states[rows], parents=states[rows], guess=guess)
         good = again.stable & self._accept(states[rows], again)
-        self._put(states[rows[good]], again[good])
-        found.put(rows[good], again[good])
+        self._look_closer(states[rows[good]], proven := again[good])
+        self._put(states[rows[good]], proven)
+        found.put(rows[good], proven)
         return found
 
     def check_next(self, states: States, before: States, known: Verdicts) -> Verdicts:
@@ -169,15 +179,37 @@ class Stability:
         guess = np.where(known.stable[:, None, None], proof, np.nan if self._contact else 0.0)
         found = self._cpu.check(states, parents=before, guess=guess)
         good = found.stable & self._accept(states, found)
+        self._look_closer(states, found)
+        good &= found.stable
         self._put(states[good], found[good])
         if not good.all():
             found.put(np.flatnonzero(~good), self.check(states[~good]))
         return found
 
+    def keeps(self, states: States) -> NDArray[np.bool_]:
+        """Return which states that `judge` found stable stay so on a closer look: whether they do not tip.
+
+        Args:
+            states: shape (batch, parts).
+        """
+        if self._second_order is None:
+            return np.ones(len(states), dtype=bool)
+        tips = np.zeros(len(states), dtype=bool)
+        rows = np.array([row for row, state in enumerate(states) if state.tobytes() not in self._firm], dtype=np.int64)
+        for first in range(0, len(rows), _LOOKED_AT):
+            some = rows[first : first + _LOOKED_AT]
+            found = self.check_again(states[some])
+            open_ = np.flatnonzero(found.undecided)
+            if len(open_):
+                found.put(open_, self.check(states[some[open_]]))
+            tips[some] = found.tips
+        return ~tips
+
     def judge(self, states: ArrayLike, *, parents: ArrayLike | None = None) -> Verdicts:
         """Check states without certificates, from the cache if possible.
 
-        Every verdict is based on a proof found in float64; the cache keeps the verdict, not the proof.
+        Every verdict is based on a proof found in float64; the cache keeps the verdict, not the proof. Whether a state
+        tips is not asked here, see `keeps`; one that is known to tip is not stable.
 
         Args:
             states: shape (batch, parts).
@@ -235,6 +267,10 @@ class Stability:
         return self._margins.of(states, QUICK if kinds is None else kinds, deadline=deadline)
 
     @cached_property
+    def _second_order(self) -> SecondOrder | None:
+        return SecondOrder(self.assembly, self.settings.claim) if self._contact else None
+
+    @cached_property
     def prober(self) -> Prober:
         """Solver of single states under modified friction and additional loads."""
         return Prober(self.assembly, self.problem, self.settings, self._cpu)
@@ -270,6 +306,23 @@ class Stability:
         if len(rest):
             verdicts.put(rest, self._decide_exactly(states[rest], verdicts[rest]))
         return verdicts.without_certificates()
+
+    def _look_closer(self, states: States, verdicts: Verdicts) -> None:
+        """Change the verdict on stable states whose rest position a small motion leaves; `check` all their proofs."""
+        if self._second_order is None or verdicts.displacement is None or verdicts.velocity is None:
+            return
+        for row in np.flatnonzero(verdicts.stable):
+            key = states[row].tobytes()
+            if key in self._firm:
+                continue
+            motion = self._second_order.growing_motion(states[row], verdicts.displacement[row])
+            if motion is None:
+                if len(self._firm) >= _FIRM:
+                    self._firm.clear()
+                self._firm.add(key)
+            else:
+                verdicts.velocity[row] = motion
+                verdicts.verdict[row], verdicts.proof[row] = Verdict.TIPS, Proof.MOTION
 
     def _accept(self, states: States, verdicts: Verdicts) -> NDArray[np.bool_]:
         """Return whether the checker accepts each verdict; count the rejected ones."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.stability.certificate import (
+    NEUTRAL,
     Springs,
     StabilityCriterion,
     closing_points,
@@ -25,8 +26,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-NEUTRAL = 1e-3
-"""Growth of a motion, as `growth_of_motion` measures it, up to which an equilibrium counts as neutral, not unstable."""
 _NEAREST = 4
 """Eigenvalues that are found of an unsymmetric stiffness: negative ones are those near zero."""
 _TRIALS = 24

@@ -18,12 +18,26 @@ compliant contacts without prestress."""
 class Verdict(IntEnum):
     """Stability of a partial structure."""
 
+    TIPS = -3
+    """Rest position that a small motion leaves, such as a cube on its edge: an unstable equilibrium. Only under the
+    criterion `contact`; it counts as not stable."""
     SLIDES = -2
     """Forces in equilibrium exist, but no displacement was found that produces them: the iterations follow parts
     that move away. Only under the criterion `contact`; it counts as not stable."""
     UNSTABLE = -1
     UNDECIDED = 0
     STABLE = 1
+
+    @property
+    def words(self) -> str:
+        """What a structure with this verdict does."""
+        return {
+            Verdict.TIPS: "tips, as its equilibrium is unstable",
+            Verdict.SLIDES: "slides",
+            Verdict.UNSTABLE: "is unstable",
+            Verdict.UNDECIDED: "could be proved neither stable nor unstable",
+            Verdict.STABLE: "is stable",
+        }[self]
 
 
 class Proof(IntEnum):
@@ -36,6 +50,8 @@ class Proof(IntEnum):
     """A virtual velocity that no admissible forces can stop (unstable)."""
     DISPLACEMENT = 3
     """A displacement whose contact forces balance every part (stable under the criterion `contact`)."""
+    MOTION = 4
+    """Such a displacement, and a motion from there that grows (`certificate.growth_of_motion`)."""
 
 
 class Solver(IntEnum):
@@ -76,10 +92,10 @@ class Verdicts:
     """Contact forces `(n, t1, t2)` in N, shape (batch, points, 3); only meaningful where stable or sliding."""
     velocity: NDArray[np.float64] | None = None
     """Virtual velocity `(linear, angular)` about the centres of mass, shape (batch, parts, 6); only meaningful
-    where unstable."""
+    where unstable. Where a state tips, the motion that grows."""
     displacement: NDArray[np.float64] | None = None
     """Displacement `(translation, rotation)` of the parts about their centres of mass in m and rad, shape
-    (batch, parts, 6); only under the criterion `contact`. Stable: rest position; sliding: position at which parts
+    (batch, parts, 6); only under the criterion `contact`. Stable, or tips: rest position; sliding: position at which parts
     were seen to move away, which shows the moving parts and their directions; otherwise meaningless."""
 
     @classmethod
@@ -120,6 +136,11 @@ class Verdicts:
     def slides(self) -> NDArray[np.bool_]:
         """Whether each state slides, shape (batch,)."""
         return self.verdict == Verdict.SLIDES
+
+    @property
+    def tips(self) -> NDArray[np.bool_]:
+        """Whether each state tips, shape (batch,)."""
+        return self.verdict == Verdict.TIPS
 
     @property
     def undecided(self) -> NDArray[np.bool_]:
@@ -176,12 +197,17 @@ class Verdicts:
 
 def proof_of(verdict: NDArray[np.int8], criterion: Criterion = "equilibrium") -> NDArray[np.int8]:
     """Return the kind of proof that belongs to each verdict; for `SLIDES` the forces that prove equilibrium."""
-    return _proofs(criterion)[verdict.astype(np.intp) - Verdict.SLIDES]
+    return _proofs(criterion)[verdict.astype(np.intp) - min(Verdict)]
 
 
 @cache
 def _proofs(criterion: Criterion) -> NDArray[np.int8]:
     """Return the kind of proof by verdict, starting from the least verdict."""
     stable = Proof.DISPLACEMENT if criterion == "contact" else Proof.FORCES
-    by_verdict = {Verdict.SLIDES: Proof.FORCES, Verdict.UNSTABLE: Proof.VELOCITY, Verdict.STABLE: stable}
+    by_verdict = {
+        Verdict.TIPS: Proof.MOTION,
+        Verdict.SLIDES: Proof.FORCES,
+        Verdict.UNSTABLE: Proof.VELOCITY,
+        Verdict.STABLE: stable,
+    }
     return np.array([by_verdict.get(kind, Proof.NONE) for kind in sorted(Verdict)], dtype=np.int8)

@@ -195,7 +195,7 @@ class DemandingStability(Stability):
         batch = as_states(states, self.assembly.boundary)
         found = self._ask(batch, None, everywhere=True)
         self._known |= {state.tobytes(): value for state, value in zip(batch, found.tolist(), strict=True)}
-        return found == Verdict.STABLE
+        return (found == Verdict.STABLE) & super().keeps(batch)
 
     def broken(self, state: States) -> str:
         """Return the first margin that a state does not keep, with the load that violates it; empty if it keeps all."""

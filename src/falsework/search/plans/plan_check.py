@@ -28,7 +28,7 @@ from falsework.stability.certificate import (
 from falsework.stability.oracle import Stability
 from falsework.stability.reference.clarabel import ExactSolver
 from falsework.stability.settings import StabilitySettings
-from falsework.stability.verdict import Verdicts
+from falsework.stability.verdict import Verdict, Verdicts
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,11 +256,8 @@ def _end(
 
 
 def _unstable(plan: Plan, row: int, verdict: Verdicts) -> str:
-    if verdict.unstable[0]:
-        return f"the structure is unstable {_place(plan, row)}"
-    if verdict.slides[0]:
-        return f"the structure slides {_place(plan, row)}"
-    return f"the structure could be proved neither stable nor unstable {_place(plan, row)}"
+    hangs = ", which depends on the tolerance" if verdict.on_tolerance[0] else ""
+    return f"the structure {Verdict(verdict.verdict[0]).words} {_place(plan, row)}{hangs}"
 
 
 def _place(plan: Plan, row: int) -> str:

@@ -55,7 +55,7 @@ class CountingOracle:
             rows = slice(begin, begin + self._batch)
             verdicts = self.oracle.judge(states[rows], parents=parents[rows])
             stable[rows] = verdicts.stable
-            self.sliding += int(verdicts.slides.sum())
+            self.sliding += int((verdicts.slides | verdicts.tips).sum())
             if self.forbidden:
                 fallen = np.array([state.tobytes() in self.forbidden for state in states[rows]], dtype=bool)
                 self.sliding += int((stable[rows] & fallen).sum())

@@ -136,9 +136,18 @@ class SupportPlanner:
         return [*beams, lambda: SupportEverywhere(task, oracle, state_limit=STATE_LIMIT)]
 
     def _take(self, route: Route) -> None:
-        """Accept a route whose replay succeeds; else exclude the state in which it fails."""
+        """Accept a route whose states stay stable on a closer look, and its replay; else exclude states that do not."""
         if isinstance(self._running, Planner):
             self.replays.update(self._running.replays)
+        keeps = getattr(self._oracle, "keeps", None)
+        weak = [] if keeps is None else route.states[1:-1][~keeps(route.states[1:-1])]
+        if len(weak):
+            self._falls += 1
+            self._forbidden.extend(weak)
+            if isinstance(self._running, SupportBeam | SupportEverywhere):
+                for state in weak:
+                    self._running.forbid(state)
+            return
         if self._replayer is not None and route.states.tobytes() not in self.replays:
             found = self._replayer.replay(route.states[::-1])
             if not found.good:
@@ -157,7 +166,7 @@ class SupportPlanner:
     def _failed(self, result: SearchResult) -> None:
         """Give up a search and continue with the next; a proof ends all of them."""
         if result.found:
-            limit = f"{self._falls} plans were found whose states are stable, and the replay of each fails"
+            limit = f"{self._falls} plans were found, and in each a state tips or the replay fails"
             result = replace(result, outcome=Outcome.NOT_FOUND, routes=(), limit=limit)
         if isinstance(self._running, Planner):  # which proves nothing about plans with repeated holds
             result = replace(result, outcome=Outcome.NOT_FOUND)

@@ -109,7 +109,13 @@ class ContactSolver:
         def stay(rows: slice) -> bool:
             """Find the states that tensile joints keep in place, in one or two iterations; return whether all are."""
             start, verdict, residual = displacement[rows].copy(), verdicts.verdict[rows], verdicts.residual[rows]
-            kernel = self.structure, self.contact_structure, states[rows], states[rows], rest._replace(steps=0, warm_steps=0)
+            kernel = (
+                self.structure,
+                self.contact_structure,
+                states[rows],
+                states[rows],
+                rest._replace(steps=0, warm_steps=0),
+            )
             cold_start = np.zeros(len(start), bool)
             left = rest_range(*kernel, start, forces[rows], cold_start, verdict, residual, steps[rows], found[rows])
             displacement[rows] = np.where((verdict == STABLE)[:, None, None], start, displacement[rows])
