@@ -154,8 +154,8 @@ class Stability:
         """Check states `(batch, parts)` from the displacements or forces by which `judge` found them stable.
 
         Returns:
-            Stable verdicts with certificates; undecided where none are stored or they no longer prove the state. A state
-            that tips is found here, too.
+            Stable verdicts with certificates, or that a state tips; undecided where none are stored or they no longer
+            prove the state.
         """
         found = Verdicts.blank(
             len(states), points=self.problem.points, parts=self.problem.parts, displaced=self._contact

@@ -178,7 +178,7 @@ class SecondOrder:
         return found
 
     def _matrix(self, free: Mask, pairs: Array, parts: Array) -> csc_array:
-        """Return the sparse matrix of the free parts from blocks of pairs, (pairs, 12, 12), and parts, (parts, 6, 6)."""
+        """Return the matrix of the free parts from blocks of pairs, (pairs, 12, 12), and of parts, (parts, 6, 6)."""
         from scipy.sparse import bsr_array, csc_array
 
         quarters = pairs.reshape(-1, 2, 6, 2, 6).transpose(0, 1, 3, 2, 4).reshape(-1, 6, 6)

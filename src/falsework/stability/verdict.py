@@ -95,8 +95,8 @@ class Verdicts:
     where unstable. Where a state tips, the motion that grows."""
     displacement: NDArray[np.float64] | None = None
     """Displacement `(translation, rotation)` of the parts about their centres of mass in m and rad, shape
-    (batch, parts, 6); only under the criterion `contact`. Stable, or tips: rest position; sliding: position at which parts
-    were seen to move away, which shows the moving parts and their directions; otherwise meaningless."""
+    (batch, parts, 6); only under the criterion `contact`. Stable, or tips: rest position; sliding: position at which
+    parts were seen to move away, which shows the moving parts and their directions; otherwise meaningless."""
 
     @classmethod
     def blank(

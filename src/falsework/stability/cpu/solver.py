@@ -121,7 +121,8 @@ class CpuSolver:
 
         Args:
             states: checked states, shape (batch, parts).
-            certificates: return forces and velocity too; without parents, forces down to the resolution of the settings.
+            certificates: return forces and velocity too; without parents, with residuals down to the resolution of
+                the settings.
             parents: for each state a stable one that differs in few parts, shape (batch, parts); a mechanism is
                 sought near the difference first, unless certificates are requested and there is a guess.
             guess: contact forces in N to start from, shape (batch, points, 3), zero where not known; overwritten with
