@@ -192,9 +192,9 @@ class Springs(NamedTuple):
     tangential: Array
     """Tangential stiffness of each point where it sticks, N/m, shape (points,)."""
     closed: NDArray[np.bool_]
-    """Whether each point bears a force, shape (batch, points)."""
+    """Whether each point bears more than the tolerance times the weight of the lighter part, shape (batch, points)."""
     open: NDArray[np.bool_]
-    """Whether it bears none and would if it closed, shape (batch, points)."""
+    """Whether it bears none but would if a motion closed it, shape (batch, points)."""
     gap: Array
     """How far it is open, m, shape (batch, points)."""
     pull: Array
@@ -227,7 +227,8 @@ def springs_of_displacement(
     forces, outside = _into_cone(springs, strength, claim.cone)
     acts = geometry.acts(states)
     forces = np.where((acts & whole)[:, :, None], forces, 0.0)
-    closed = acts & whole & (normal + strength.pull > _ROUNDING * _weight(assembly, claim))
+    lighter = np.minimum(assembly.mass.mass[geometry.part_a], assembly.mass.mass[geometry.part_b])
+    closed = acts & whole & (normal + strength.pull > claim.tolerance * claim.gravity * lighter)
     slips = closed & (outside >= 0.0)
     size, trial = np.linalg.norm(forces[..., 1:], axis=2), np.linalg.norm(tangent, axis=2)
     pull = np.divide(

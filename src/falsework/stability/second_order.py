@@ -1,4 +1,4 @@
-"""Stability of rest positions to second order: motions that release potential energy (docs/decisions/0151)."""
+"""Stability of rest positions to second order: small motions that grow (docs/decisions/0151)."""
 
 from __future__ import annotations
 
@@ -125,10 +125,9 @@ class SecondOrder:
         law = np.zeros((len(bears), 3, 3))
         law[:, 0, 0] = np.where(bears | closed, springs.normal, 0.0)
         along = pull[:, :, None] * pull[:, None, :]
-        across = springs.across[0, :, None, None] * (np.eye(2) - along)
-        law[:, 1:, 1:] = np.where(bears, springs.tangential, 0.0)[:, None, None] * (
-            across + np.where(gripped, 1.0, 0.0)[:, None, None] * along
-        )
+        across = np.where(gripped, 1.0, springs.across[0])[:, None, None] * (np.eye(2) - along)
+        lateral = across + np.where(gripped, 1.0, 0.0)[:, None, None] * along
+        law[:, 1:, 1:] = np.where(bears, springs.tangential, 0.0)[:, None, None] * lateral
         each = self._motion.transpose(0, 2, 1) @ (law @ self._motion) + lean
         return np.add.reduceat(each, self._first, axis=0)
 
@@ -137,11 +136,11 @@ class SecondOrder:
 
         Unsymmetric, shape (pairs, 12, 12).
         """
-        slips = springs.closed[0] & springs.slips[0, :, 0] & ~gripped
+        friction = strength_of(self.assembly, self.claim.gravity).friction
+        slips = springs.closed[0] & springs.slips[0, :, 0] & ~gripped & (friction > 0.0)
         if not slips.any():
             return None
         law = np.zeros((len(slips), 3, 3))
-        friction = strength_of(self.assembly, self.claim.gravity).friction
         law[slips, 1:, 0] = (friction * springs.normal)[slips, None] * springs.pull[0, slips]
         each = self._motion.transpose(0, 2, 1) @ (law @ self._motion)
         return np.add.reduceat(each, self._first, axis=0)
