@@ -12,7 +12,7 @@ from falsework.assembly import library
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.geometry import TriangleMesh
-from falsework.search import Outcome, find_plans, validate_plan
+from falsework.search import Outcome, PlannerSettings, find_plans, validate_plan
 from falsework.stability import Proof, Stability, StabilitySettings, Verdict, Verdicts, verify_certificates
 from falsework.stability.certificate import NEUTRAL, growth_of_motion
 from falsework.stability.motion import motion_of
@@ -226,10 +226,11 @@ def test_judgement_is_revised_by_a_closer_look(scenes: Any) -> None:
 def test_plans_leave_out_states_that_tip() -> None:
     """In a wall in running bond the last brick of a course may balance on half a brick."""
     assembly = library.build("wall:bricks=3,courses=4")
-    planning = find_plans(assembly, robots=2)
-    (plan,) = planning.plans
-    assert Stability(assembly).check(plan.states).stable.all()
-    assert validate_plan(plan, assembly).good
+    planning = find_plans(assembly, robots=2, settings=PlannerSettings(alternatives=3))
+    assert len(planning.plans) == 3
+    for plan in planning.plans:
+        assert Stability(assembly).check(plan.states).stable.all()
+        assert validate_plan(plan, assembly).good
 
 
 def test_a_structure_that_tips_has_no_plan(scenes: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -113,7 +114,7 @@ def test_a_plan_with_a_close_state_is_refused_with_the_reason(simplex: Any) -> N
     good = arch(0.12)
     plan = find_plans(good, robots=3, oracle=Stability(good, EQUILIBRIUM)).plans[0]
     thin = arch(critical_thickness(simplex) - 1e-5)
-    forged = type(plan)(**{**vars(plan), "identity": thin.identity, "boundary": thin.boundary})
+    forged = replace(plan, identity=thin.identity, boundary=thin.boundary)
     report = validate_plan(forged, thin, EQUILIBRIUM)
     assert not report.good
     assert report.reason == "the structure is unstable at the beginning, which depends on the tolerance"

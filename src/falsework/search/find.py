@@ -165,7 +165,7 @@ def find_plans(
         return Planning(result, (), Alternatives.of([]), fallen, result.interrupted and clock.passed)
     late = result.interrupted and clock.passed
     choice = Deadline(max(clock.left, _CHOICE_SECONDS))
-    chosen = _choose(planner, settings, assembly.name, lambda: choice.passed)
+    chosen = _choose(planner, settings, assembly, oracle, lambda: choice.passed)
     plans = tuple(
         plan_of(route, assembly, task, oracle, forces=forces, replay=planner.replays.get(route.states.tobytes()))
         for route in chosen.routes
@@ -268,15 +268,28 @@ def plan_of(
     return replace(plan, replay=replay or PlanReplay.of(oracle.replayer.replay(plan.assembly_states)))
 
 
-def _choose(planner: Planner | SupportPlanner, settings: PlannerSettings, name: str, stop: Stop) -> Alternatives:
-    """Choose the requested number of plans, as different as possible, from all that a planner has found."""
+def _choose(
+    planner: Planner | SupportPlanner, settings: PlannerSettings, assembly: Assembly, oracle: Stability, stop: Stop
+) -> Alternatives:
+    """Choose the requested number of plans, as different as possible, from all that a planner has found.
+
+    Plans through a state that turns out to tip are replaced.
+    """
     if settings.alternatives == 1 or isinstance(planner, SupportPlanner):
         return Alternatives.of(planner.routes)
     task = planner.task.postpone(planner.postponed)
-    graph = StateGraph.build(
-        task, np.concatenate([planner.states, *(route.states for route in planner.routes)]), name=name
-    )
-    return choose_alternatives(graph, settings.alternatives, given=planner.routes, seed=settings.seed, stop=stop)
+    states = np.concatenate([planner.states, *(route.states for route in planner.routes)])
+    while True:
+        graph = StateGraph.build(task, states, name=assembly.name)
+        found = choose_alternatives(graph, settings.alternatives, given=planner.routes, seed=settings.seed, stop=stop)
+        chosen = np.concatenate([route.states for route in found.routes])
+        weak = {state.tobytes() for state in chosen[~oracle.keeps(chosen)]}
+        if not weak:
+            return found
+        if stop():
+            firm = [not any(state.tobytes() in weak for state in route.states) for route in found.routes]
+            return found.keep(np.flatnonzero(firm).tolist())
+        states = states[[state.tobytes() not in weak for state in states]]
 
 
 def _run(

@@ -281,10 +281,10 @@ def growth_of_motion(
     for part, sign in ((geometry.part_a, -1.0), (geometry.part_b, 1.0)):
         turn, arm = motion[:, part, 3:], contacts.points - mass.center[part]
         moment = sign * np.cross(np.cross(turn, arm), force)
-        np.add.at(turned[..., 3:], (slice(None), part), moment)
+        turned[..., 3:] += _sum_by_part(moment, part, states.shape[1])
         lean = np.einsum("bpj,pij->bpi", np.cross(turn, press), axes)
         leans = geometry.wrenches(lean)
-        np.add.at(leans[..., 3:], (slice(None), part), -np.cross(shift, press))
+        leans[..., 3:] -= _sum_by_part(np.cross(shift, press), part, states.shape[1])
         leaning.append(leans)
     growth = np.zeros(len(states))
     for leans in leaning:
@@ -300,6 +300,14 @@ def growth_of_motion(
         error, scale = np.abs(left / lengths).max(axis=(1, 2)), np.abs(own / lengths).max(axis=(1, 2))
         growth = np.maximum(growth, np.where(error <= _ALONG * found * scale, found, 0.0))
     return growth
+
+
+def _sum_by_part(values: Array, part: NDArray[np.int32], parts: int) -> Array:
+    """Return the sums over the contact points of each part, shapes (batch, points, 3) and (batch, parts, 3)."""
+    total = np.zeros((len(values), parts, 3))
+    for row, value in enumerate(values):
+        np.add.at(total[row], part, value)
+    return total
 
 
 def closing_points(assembly: Assembly, springs: Springs, motion: Array, relative: Array) -> NDArray[np.bool_]:
