@@ -273,17 +273,18 @@ def _choose(
 ) -> Alternatives:
     """Choose the requested number of plans, as different as possible, from all that a planner has found.
 
-    Plans through a state that turns out to tip are replaced.
+    Other plans than those of the planner are proved first, and replaced where a state tips or has no proof.
     """
     if settings.alternatives == 1 or isinstance(planner, SupportPlanner):
         return Alternatives.of(planner.routes)
     task = planner.task.postpone(planner.postponed)
     states = np.concatenate([planner.states, *(route.states for route in planner.routes)])
+    known = {route.states.tobytes() for route in planner.routes}
     while True:
         graph = StateGraph.build(task, states, name=assembly.name)
         found = choose_alternatives(graph, settings.alternatives, given=planner.routes, seed=settings.seed, stop=stop)
-        chosen = np.concatenate([route.states for route in found.routes])
-        weak = {state.tobytes() for state in chosen[~oracle.keeps(chosen)]}
+        others = [route.states for route in found.routes if route.states.tobytes() not in known]
+        weak = {state.tobytes() for route in others for state in route[~prove(route, oracle, forces=False)[0].stable]}
         if not weak:
             return found
         if stop():
