@@ -14,7 +14,7 @@ from falsework.assembly.state import complete_state
 from falsework.geometry import TriangleMesh
 from falsework.search import Outcome, PlannerSettings, find_plans, validate_plan
 from falsework.stability import Proof, Stability, StabilitySettings, Verdict, Verdicts, verify_certificates
-from falsework.stability.certificate import NEUTRAL, growth_of_motion
+from falsework.stability.growth import NEUTRAL, growth_of_motion
 from falsework.stability.motion import motion_of
 from falsework.stability.stiffness import SETTLEMENT
 

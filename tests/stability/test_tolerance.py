@@ -12,8 +12,15 @@ from falsework.assembly import library
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.search import find_plans, validate_plan
-from falsework.stability import Solver, Stability, StabilitySettings, Verdict, Verdicts, verify_certificates
-from falsework.stability import oracle as oracle_module
+from falsework.stability import (
+    Solver,
+    Stability,
+    StabilitySettings,
+    Verdict,
+    Verdicts,
+    optional_solvers,
+    verify_certificates,
+)
 from falsework.stability.certificate import residual_of_forces
 from falsework.stability.gpu.solver import GpuSolver
 from falsework.stability.settings import EQUILIBRIUM
@@ -92,7 +99,7 @@ def test_a_gpu_is_no_exception(on_host: Any, simplex: Any, monkeypatch: pytest.M
     def driven(assembly: Assembly, problem: Any, settings: StabilitySettings) -> GpuSolver:
         return on_host(assembly, settings)
 
-    monkeypatch.setattr(oracle_module, "GpuSolver", driven)
+    monkeypatch.setattr(optional_solvers, "GpuSolver", driven)
     critical = critical_thickness(simplex)
     for thickness, verdict in ((critical - 2e-5, Verdict.UNSTABLE), (critical + 1e-3, Verdict.STABLE)):
         verdicts = checked(arch(thickness), criterion, solver="gpu")

@@ -16,9 +16,6 @@ A motion proves that a rest position is an unstable equilibrium, where the force
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,67 +23,20 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.stability.contact_geometry import geometry_of
+from falsework.stability.criterion import CONTACT, StabilityCriterion
+from falsework.stability.growth import NEUTRAL, growth_of_motion
+from falsework.stability.springs import ROUNDING, into_cone, springs_of_displacement
 from falsework.stability.state_arrays import StateArrays
-from falsework.stability.stiffness import MOVEMENT, TANGENTIAL_RATIO, normal_stiffness, structure_size
+from falsework.stability.stiffness import MOVEMENT, structure_size
 from falsework.stability.strength import Strength, strength_of
-from falsework.stability.verdict import Criterion, Verdict, Verdicts
+from falsework.stability.verdict import Verdict, Verdicts
 
 Array = NDArray[np.float64]
 
-_ROUNDING = 1e-9
-"""Largest distance of a force from its cone, as a share of the force and of the structure's weight; such a force
-is moved into the cone before the residual is computed."""
-_TEARS = 1.0 + 1e-6
-"""A contact point breaks at this multiple of its tensile strength; the excess over 1 covers rounding of the solvers."""
-NEUTRAL = 1e-3
-"""Growth of a motion, as `growth_of_motion` measures it, up to which an equilibrium counts as neutral, not unstable."""
-_ALONG = 0.01
-"""Largest deviation of the unbalanced forces from the direction of a motion that they make grow, as a share of them."""
 _MANY_POINTS = 4096
 """Contact points from which states one after the other are evaluated only where they change."""
-_RESOLUTION = 1e-3
-"""Residual at which verdicts are decided, as a share of the tolerance."""
-_WELL_BELOW = 0.1
-"""Residual of a stable state, as a share of the tolerance, above which the verdict depends on the tolerance."""
 _CHUNK_POINTS = 1 << 18
 """Contact points of all states that are checked at once: small enough for the processor's cache."""
-
-
-@dataclass(frozen=True)
-class StabilityCriterion:
-    """Criterion, cone, gravity, tolerance and bounds that a verdict refers to."""
-
-    cone: str = "octagon"
-    """Friction cone, `octagon` or `quadratic`."""
-    gravity: float = 9.81
-    """m/s2 along -z."""
-    tolerance: float = 1e-4
-    """Largest residual of a stable state, as a share of gravity."""
-    force_bound: float = 1e3
-    """Bound on the sum of all normal forces, in weights of the structure."""
-    criterion: Criterion = "equilibrium"
-    """Definition of stability."""
-    stiffness_ratio: float = TANGENTIAL_RATIO
-    """Ratio of tangential to normal contact stiffness, under the criterion `contact`."""
-
-    @property
-    def resolution(self) -> float:
-        """Residual at which verdicts are decided, a share of gravity."""
-        return _RESOLUTION * self.tolerance
-
-    @property
-    def well_below(self) -> float:
-        """Residual up to which a stable state does not depend on the tolerance, a share of gravity."""
-        return _WELL_BELOW * self.tolerance
-
-    def on_tolerance(self, verdicts: Verdicts) -> NDArray[np.bool_]:
-        """Return which verdicts depend on the tolerance, shape (batch,); see `Verdicts.on_tolerance`."""
-        residual = verdicts.residual
-        return (verdicts.stable & (residual > self.well_below)) | (verdicts.unstable & (residual <= self.tolerance))
-
-
-CONTACT = StabilityCriterion(cone="quadratic", criterion="contact")
-"""The default criterion of verdicts, plans and replays."""
 
 
 def verify_certificates(
@@ -182,153 +132,6 @@ def forces_of_displacement(assembly: Assembly, states: States, displacement: Arr
     return springs_of_displacement(assembly, states, displacement, claim).forces
 
 
-class Springs(NamedTuple):
-    """Contact points as springs at a displacement: how they answer small further motions."""
-
-    forces: Array
-    """Contact forces `(n, t1, t2)` in N, shape (batch, points, 3)."""
-    normal: Array
-    """Normal stiffness of each point where it is closed, N/m, shape (points,)."""
-    tangential: Array
-    """Tangential stiffness of each point where it sticks, N/m, shape (points,)."""
-    closed: NDArray[np.bool_]
-    """Whether each point bears more than the tolerance times the weight of the lighter part, shape (batch, points)."""
-    open: NDArray[np.bool_]
-    """Whether it bears none but would if a motion closed it, shape (batch, points)."""
-    gap: Array
-    """How far it is open, m, shape (batch, points)."""
-    pull: Array
-    """Unit vector along the force of friction at its limit, zero where the point sticks, shape (batch, points, 2)."""
-    across: Array
-    """Share of the tangential stiffness across `pull`: 1 where the point sticks, shape (batch, points)."""
-
-    @property
-    def slips(self) -> NDArray[np.bool_]:
-        """Whether friction is at its limit, shape (batch, points, 1)."""
-        return (self.across < 1.0)[..., None]
-
-
-def springs_of_displacement(
-    assembly: Assembly, states: States, displacement: Array, claim: StabilityCriterion
-) -> Springs:
-    """Return the contact forces that the law gives at a displacement, and the stiffness of the contact points there.
-
-    Arguments as for `residual_of_displacement`.
-    """
-    geometry = geometry_of(assembly.contacts, assembly.mass)
-    relative = geometry.relative(displacement)
-    stiffness = normal_stiffness(assembly, claim.gravity)
-    strength = strength_of(assembly, claim.gravity)
-    normal = -stiffness * relative[..., 0]
-    whole = ~strength.tears | (normal >= -_TEARS * strength.pull)
-    tangential = claim.stiffness_ratio * stiffness
-    tangent = -tangential[:, None] * relative[..., 1:]
-    springs = np.concatenate([normal[..., None], tangent], axis=2)
-    forces, outside = _into_cone(springs, strength, claim.cone)
-    acts = geometry.acts(states)
-    forces = np.where((acts & whole)[:, :, None], forces, 0.0)
-    lighter = np.minimum(assembly.mass.mass[geometry.part_a], assembly.mass.mass[geometry.part_b])
-    closed = acts & whole & (normal + strength.pull > claim.tolerance * claim.gravity * lighter)
-    slips = closed & (outside >= 0.0)
-    size, trial = np.linalg.norm(forces[..., 1:], axis=2), np.linalg.norm(tangent, axis=2)
-    pull = np.divide(
-        forces[..., 1:], size[..., None], out=np.zeros_like(tangent), where=(slips & (size > 0))[..., None]
-    )
-    across = np.where(slips, np.divide(size, trial, out=np.zeros_like(size), where=trial > 0), 1.0)
-    return Springs(forces, stiffness, tangential, closed, acts & ~closed, relative[..., 0], pull, across)
-
-
-def growth_of_motion(
-    assembly: Assembly, states: States, displacement: Array, motion: Array, claim: StabilityCriterion
-) -> Array:
-    """Return how fast a small motion from rest grows: positive where it proves that the equilibrium is unstable.
-
-    After the motion contact forces have changed, by the law of springs and friction and because their points, and
-    without friction their normals too, turn with the parts (docs/decisions/0151). Where the unbalanced forces
-    accelerate every part along the motion, it grows exponentially.
-
-    Args:
-        assembly: the structure.
-        states: shape (batch, parts).
-        displacement: of the parts at rest, shape (batch, parts, 6).
-        motion: `(linear, angular)` about the centres of mass, of any size, shape (batch, parts, 6).
-        claim: cone, gravity and stiffness ratio.
-
-    Returns:
-        Accelerations over those of parts that move along `motion` with gravity over their largest radius of gyration as
-        acceleration, shape (batch,): 0.43 for a cube on its edge. Zero where they are not along the motion.
-    """
-    free = (states == 1)[:, :, None]
-    springs = springs_of_displacement(assembly, states, np.where(free, displacement, 0.0), claim)
-    motion = np.where(free, motion, 0.0)
-    geometry, mass, contacts = geometry_of(assembly.contacts, assembly.mass), assembly.mass, assembly.contacts
-    axes = contacts.frames[contacts.contact_of_point]
-    relative = geometry.relative(motion)
-    normal = np.where(springs.closed, relative[..., 0], 0.0)
-    normal += np.where(closing_points(assembly, springs, motion, relative), relative[..., 0], 0.0)
-    tangent = relative[..., 1:]
-    along = (springs.pull * tangent).sum(axis=2, keepdims=True)
-    friction = strength_of(assembly, claim.gravity).friction[:, None]
-    stuck = -springs.tangential[:, None] * tangent
-    dragged = springs.across[..., None] * (stuck + (springs.tangential[:, None] * along) * springs.pull)
-    dragged -= (springs.normal * normal)[..., None] * friction * springs.pull
-    change = np.empty_like(relative)
-    change[..., 0] = -springs.normal * normal
-    change[..., 1:] = np.where(springs.closed[..., None], np.where(springs.slips & (along <= 0.0), dragged, stuck), 0.0)
-    force, shift = np.einsum("bpi,pij->bpj", springs.forces, axes), np.einsum("bpi,pij->bpj", relative, axes)
-    press = np.where(springs.closed & (friction[:, 0] == 0.0), springs.forces[..., 0], 0.0)[..., None] * axes[:, 0]
-    turned, leaning = geometry.wrenches(change), []
-    for part, sign in ((geometry.part_a, -1.0), (geometry.part_b, 1.0)):
-        turn, arm = motion[:, part, 3:], contacts.points - mass.center[part]
-        moment = sign * np.cross(np.cross(turn, arm), force)
-        turned[..., 3:] += _sum_by_part(moment, part, states.shape[1])
-        lean = np.einsum("bpj,pij->bpi", np.cross(turn, press), axes)
-        leans = geometry.wrenches(lean)
-        leans[..., 3:] -= _sum_by_part(np.cross(shift, press), part, states.shape[1])
-        leaning.append(leans)
-    growth = np.zeros(len(states))
-    for leans in leaning:
-        wrench = np.where(free, turned + leans, 0.0)
-        own = np.concatenate(
-            [mass.mass[:, None] * motion[..., :3], np.einsum("pij,bpj->bpi", mass.inertia, motion[..., 3:])], 2
-        )
-        own *= (claim.gravity / geometry.gyration)[:, None]
-        size = (motion * own).sum(axis=(1, 2))
-        found = np.divide((motion * wrench).sum(axis=(1, 2)), size, out=np.zeros_like(size), where=size > 0.0)
-        left = wrench - found[:, None, None] * own
-        lengths = np.repeat(np.stack([np.ones_like(geometry.gyration), geometry.gyration], axis=1), 3, axis=1)
-        error, scale = np.abs(left / lengths).max(axis=(1, 2)), np.abs(own / lengths).max(axis=(1, 2))
-        growth = np.maximum(growth, np.where(error <= _ALONG * found * scale, found, 0.0))
-    return growth
-
-
-def _sum_by_part(values: Array, part: NDArray[np.int32], parts: int) -> Array:
-    """Return the sums over the contact points of each part, shapes (batch, points, 3) and (batch, parts, 3)."""
-    total = np.zeros((len(values), parts, 3))
-    for row, value in enumerate(values):
-        np.add.at(total[row], part, value)
-    return total
-
-
-def closing_points(assembly: Assembly, springs: Springs, motion: Array, relative: Array) -> NDArray[np.bool_]:
-    """Return the open points that a motion closes before a part moves by more than the displacement limit.
-
-    Args:
-        assembly: the structure.
-        springs: at rest.
-        motion: shape (batch, parts, 6).
-        relative: the motion at every contact point in its frame, shape (batch, points, 3).
-    """
-    turn = np.linalg.norm(motion[..., 3:], axis=2) * assembly.mass.gyration
-    moved = np.maximum(np.linalg.norm(motion[..., :3], axis=2), turn).max(axis=1, initial=0.0)
-    limit = MOVEMENT * structure_size(assembly)
-    return (
-        springs.open
-        & (relative[..., 0] < -_ROUNDING * moved[:, None])
-        & (springs.gap * moved[:, None] <= -relative[..., 0] * limit)
-    )
-
-
 def residual_of_forces(
     assembly: Assembly, states: States, forces: Array, claim: StabilityCriterion = StabilityCriterion()
 ) -> Array:
@@ -412,7 +215,7 @@ def _weight(assembly: Assembly, claim: StabilityCriterion) -> float:
 
 def _most(assembly: Assembly, claim: StabilityCriterion) -> float:
     """Return the largest sum of normal forces that is admissible, N."""
-    return claim.force_bound * _weight(assembly, claim) * (1 + _ROUNDING)
+    return claim.force_bound * _weight(assembly, claim) * (1 + ROUNDING)
 
 
 def _admit(
@@ -425,8 +228,8 @@ def _admit(
     forces = np.where(acts[:, :, None], forces, 0.0)
     size = np.linalg.norm(forces, axis=2)
     finite = np.isfinite(size)
-    inside, outside = _into_cone(np.where(finite[:, :, None], forces, 0.0), strength, cone)
-    refused = acts & ~(finite & (outside <= _ROUNDING * (size + weight)))
+    inside, outside = into_cone(np.where(finite[:, :, None], forces, 0.0), strength, cone)
+    refused = acts & ~(finite & (outside <= ROUNDING * (size + weight)))
     return np.where(acts[:, :, None], inside, 0.0), refused
 
 
@@ -493,27 +296,6 @@ def resistance_to_velocity(
     momentum = np.abs(mass.mass[None, :, None] * velocity[:, :, :3]).sum(axis=(1, 2))
     turning = np.abs(np.einsum("pij,bpj->bpi", mass.inertia, velocity[:, :, 3:])).sum(axis=2)
     return most * taken + joined, claim.gravity * (momentum + (turning / geometry.gyration).sum(axis=1))
-
-
-def _into_cone(forces: Array, strength: Strength, cone: str) -> tuple[Array, Array]:
-    """Return forces with tangents shrunk until they are admissible, and how far outside the cone they were, in N.
-
-    Shapes (batch, points, 3) and (batch, points).
-    """
-    normal, tangent = forces[..., 0], forces[..., 1:]
-    radius = strength.friction * np.maximum(normal + strength.pull, 0.0) + strength.stick
-    if cone == "quadratic":
-        reach, limit = np.hypot(tangent[..., 0], tangent[..., 1]), radius
-    else:
-        # The octagon has its corners at multiples of 45 degrees, so the normals of its sides are half way between; the
-        # nearest normal is 22.5 degrees from the axis along which the tangent is larger.
-        x, y = np.abs(tangent[..., 0]), np.abs(tangent[..., 1])
-        reach = np.cos(np.pi / 8) * np.maximum(x, y) + np.sin(np.pi / 8) * np.minimum(x, y)
-        limit = np.cos(np.pi / 8) * radius
-    inside = forces.copy()
-    inside[..., 0] = np.maximum(normal, -strength.pull)
-    inside[..., 1:] *= np.divide(limit, reach, out=np.ones_like(reach), where=reach > limit)[..., None]
-    return inside, np.maximum(reach - limit, -normal - strength.pull)
 
 
 def _slip(relative: Array, cone: str) -> Array:

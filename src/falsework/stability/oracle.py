@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.load import AnyStructure, as_assembly
-from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states
+from falsework.assembly.state import States, as_states
 from falsework.errors import InputError
 from falsework.stability.cache import VerdictCache, unique_rows, unique_states
 from falsework.stability.certificate import verify_certificates
@@ -20,18 +19,19 @@ from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.counters import Counters
 from falsework.stability.cpu.solver import LEFT_OPEN, CpuSolver
 from falsework.stability.gpu.solver import GpuSolver
+from falsework.stability.guesses import Guesses
 from falsework.stability.margins.margins import QUICK, MarginFinder
 from falsework.stability.margins.prober import Prober
 from falsework.stability.margins.state_margins import StateMargins
+from falsework.stability.optional_solvers import gpu_solver, gurobi_solver
 from falsework.stability.problem import build_problem
 from falsework.stability.second_order import SecondOrder
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.state_memory import WholeMemory, remembered_forces
-from falsework.stability.verdict import Proof, Solver, Verdict, Verdicts, proof_of
+from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 
 if TYPE_CHECKING:
     from falsework.stability.reference.clarabel import ExactSolver
-    from falsework.stability.reference.gurobi import GurobiSolver
 
 _BATCH = 32 * 1024 * 1024
 """Memory for contact forces or displacements of one batch, bytes."""
@@ -39,10 +39,6 @@ _WORTH_A_GPU = 8
 """States from which `auto` uses the GPU: a launch costs as much as a few states on the CPU."""
 _LOOKED_AT = 64
 """States whose proofs are in memory at the same time while they are looked at more closely."""
-_FIRM = 200_000
-"""Such states that are remembered."""
-_UNHELD = 3
-"""Held parts of which a guess is looked up for the state before they were held."""
 
 
 class Stability:
@@ -59,15 +55,14 @@ class Stability:
         self.assembly, self.settings = assembly, settings
         self._contact = settings.criterion == "contact"
         self.problem = build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity)
-        self._gurobi = self._make_gurobi()
+        self._gurobi = gurobi_solver(assembly, settings, self.problem)
         self.counters = Counters()
-        self._cpu, self._gpu = self._make_cpu(), self._make_gpu()
+        self._cpu, self._gpu = self._make_cpu(), gpu_solver(assembly, settings, self.problem)
         self._cache = VerdictCache(holds_keep_stable=not self._contact)
-        self._firm: set[bytes] = set()
-        """States whose rest positions are stable to second order."""
         self._guess_shape = (self.problem.parts, 6) if self._contact else (self.problem.points, 3)
         points = self.problem.points
-        self._guesses = WholeMemory(self._guess_bytes) if self._contact else remembered_forces(points)
+        memory = WholeMemory(self._guess_bytes) if self._contact else remembered_forces(points)
+        self._guesses = Guesses(memory, assembly.boundary, holds_keep_stable=not self._contact)
 
     @cached_property
     def exact(self) -> ExactSolver:
@@ -160,7 +155,7 @@ class Stability:
         found = Verdicts.blank(
             len(states), points=self.problem.points, parts=self.problem.parts, displaced=self._contact
         )
-        stored = {row: guess for row, state in enumerate(states) if (guess := self._guess_of(state)) is not None}
+        stored = {row: guess for row, state in enumerate(states) if (guess := self._guesses.of(state)) is not None}
         if self._cpu is None or not stored or self._choose(len(stored)) is not self._cpu:
             return found
         rows, guess = np.array(list(stored)), np.array(list(stored.values()), dtype=np.float64)
@@ -195,7 +190,9 @@ class Stability:
         if self._second_order is None:
             return np.ones(len(states), dtype=bool)
         tips = np.zeros(len(states), dtype=bool)
-        rows = np.array([row for row, state in enumerate(states) if state.tobytes() not in self._firm], dtype=np.int64)
+        rows = np.array(
+            [row for row, state in enumerate(states) if state.tobytes() not in self._second_order.firm], dtype=np.int64
+        )
         for first in range(0, len(rows), _LOOKED_AT):
             some = rows[first : first + _LOOKED_AT]
             found = self.check_again(states[some])
@@ -233,7 +230,7 @@ class Stability:
         self.counters.cached += int(((verdict != 0) & ~by_monotonicity).sum())
         origins = None if parents is None else as_states(parents, self.assembly.boundary)
         if origins is not None:
-            self._pass_on(batch[verdict == Verdict.STABLE], origins[verdict == Verdict.STABLE])
+            self._guesses.pass_on(batch[verdict == Verdict.STABLE], origins[verdict == Verdict.STABLE])
         rest = np.flatnonzero(verdict == 0)
         if len(rest):
             first, back = unique_rows(batch[rest])
@@ -308,21 +305,8 @@ class Stability:
         return verdicts.without_certificates()
 
     def _look_closer(self, states: States, verdicts: Verdicts) -> None:
-        """Change the verdict on stable states whose rest position a small motion leaves; `check` all their proofs."""
-        if self._second_order is None or verdicts.displacement is None or verdicts.velocity is None:
-            return
-        for row in np.flatnonzero(verdicts.stable):
-            key = states[row].tobytes()
-            if key in self._firm:
-                continue
-            motion = self._second_order.growing_motion(states[row], verdicts.displacement[row])
-            if motion is None:
-                if len(self._firm) >= _FIRM:
-                    self._firm.clear()
-                self._firm.add(key)
-            else:
-                verdicts.velocity[row] = motion
-                verdicts.verdict[row], verdicts.proof[row] = Verdict.TIPS, Proof.MOTION
+        if self._second_order is not None:
+            self._second_order.revise(states, verdicts)
 
     def _accept(self, states: States, verdicts: Verdicts) -> NDArray[np.bool_]:
         """Return whether the checker accepts each verdict; count the rejected ones."""
@@ -356,28 +340,9 @@ class Stability:
             exact.verdict[slides] = Verdict.SLIDES
             exact.proof[:] = proof_of(exact.verdict, self.settings.criterion)
         elif exact.forces is not None:  # the next states start from them
-            self._remember(states[rows[exact.stable]], exact.forces[exact.stable])
+            self._guesses.remember(states[rows[exact.stable]], exact.forces[exact.stable])
         decided.put(rows, exact)
         return decided
-
-    def _make_gurobi(self) -> GurobiSolver | None:
-        """Return the Gurobi solver if the settings ask for it."""
-        if self.settings.solver != "gurobi":
-            return None
-        from falsework.stability.reference.gurobi import GurobiSolver
-
-        return GurobiSolver(self.assembly, self.settings, self.problem)
-
-    def _make_gpu(self) -> GpuSolver | None:
-        """Return the GPU solver if the settings ask for it; with `auto`, only where there is a GPU."""
-        if self.settings.solver not in ("auto", "gpu"):
-            return None
-        try:
-            return GpuSolver(self.assembly, self.problem, self.settings)
-        except InputError:  # no torch, no bindings or no device
-            if self.settings.solver == "gpu":
-                raise
-            return None
 
     @property
     def _guess_bytes(self) -> int:
@@ -396,7 +361,7 @@ class Stability:
             return self.exact.check(states).without_certificates()
         verdicts = Verdicts.blank(len(states))
         # Look up the parents first: storing the results of their children may evict them.
-        known = [None] * len(states) if parents is None else [self._guess_of(parent) for parent in parents]
+        known = [None] * len(states) if parents is None else [self._guesses.of(parent) for parent in parents]
         size, guess = max(_BATCH // max(self._guess_bytes, 1), 16), None
         for first in range(0, len(states), size):
             rows = np.arange(first, min(first + size, len(states)))
@@ -412,7 +377,7 @@ class Stability:
             else:
                 solved = solver.check(states[rows], certificates=False, guess=guess)
             if guess is not None:
-                self._remember(states[rows][solved.stable], guess[solved.stable])
+                self._guesses.remember(states[rows][solved.stable], guess[solved.stable])
             verdicts.put(rows, solved)
         rest = np.flatnonzero(verdicts.verdict == Verdict.UNDECIDED)
         if len(rest) and solver is self._gpu:
@@ -420,29 +385,6 @@ class Stability:
         elif len(rest) and (parents is None or self.problem.parts < LEFT_OPEN):
             verdicts.put(rest, self._decide_exactly(states[rest], verdicts[rest]))
         return verdicts
-
-    def _guess_of(self, state: States) -> NDArray[np.floating] | None:
-        """Return the guess stored for a state; where holds keep states stable, also for it with parts not yet held."""
-        found = self._guesses.get(state.tobytes())
-        if found is not None or not self.holds_keep_stable:
-            return found
-        held, before = np.flatnonzero((state == HELD) & ~self.assembly.boundary)[:_UNHELD], state.copy()
-        for values in product((REMOVED, INSTALLED, HELD), repeat=len(held)):
-            before[held] = values
-            if (found := self._guesses.get(before.tobytes())) is not None:
-                break
-        return found
-
-    def _pass_on(self, states: States, origins: States) -> None:
-        """Let states that were cached as stable share the guess of their parents."""
-        for state, origin in zip(states, origins, strict=True):
-            key = state.tobytes()
-            if key not in self._guesses and (known := self._guess_of(origin)) is not None:
-                self._guesses[key] = known
-
-    def _remember(self, states: States, found: NDArray[np.float64]) -> None:
-        for state, guess in zip(states, found, strict=True):
-            self._guesses[state.tobytes()] = guess.astype(np.float32 if self._contact else np.float64)
 
     def _put(self, states: States, verdicts: Verdicts) -> None:
         """Count checked verdicts and store them in the cache."""

@@ -9,16 +9,12 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
-from falsework.stability.certificate import (
-    NEUTRAL,
-    Springs,
-    StabilityCriterion,
-    closing_points,
-    growth_of_motion,
-    springs_of_displacement,
-)
 from falsework.stability.contact_geometry import geometry_of
+from falsework.stability.criterion import StabilityCriterion
+from falsework.stability.growth import NEUTRAL, growth_of_motion
+from falsework.stability.springs import Springs, closing_points, springs_of_displacement
 from falsework.stability.strength import strength_of
+from falsework.stability.verdict import Proof, Verdict, Verdicts
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
@@ -28,6 +24,8 @@ Mask = NDArray[np.bool_]
 
 _NEAREST = 4
 """Eigenvalues that are found of an unsymmetric stiffness: negative ones are those near zero."""
+_REMEMBERED = 200_000
+"""States that are remembered to be firm."""
 _TRIALS = 24
 """Stiffness matrices that are tried for one state."""
 
@@ -51,6 +49,8 @@ class SecondOrder:
             claim: cone, gravity and stiffness ratio.
         """
         self.assembly, self.claim = assembly, claim
+        self.firm: set[bytes] = set()
+        """States with a rest position from which no motion was found to grow."""
         geometry = self._geometry = geometry_of(assembly.contacts, assembly.mass)
         self._axes = assembly.contacts.frames[assembly.contacts.contact_of_point]
         points, parts = len(self._axes), assembly.part_count
@@ -67,6 +67,28 @@ class SecondOrder:
         self._own[:, :3, :3] = assembly.mass.mass[:, None, None] * np.eye(3)
         self._own[:, 3:, 3:] = assembly.mass.inertia
         self._own *= (claim.gravity / geometry.gyration)[:, None, None]
+
+    def revise(self, states: States, verdicts: Verdicts) -> None:
+        """Change the verdict on stable states whose rest position a small motion leaves.
+
+        Args:
+            states: shape (batch, parts).
+            verdicts: in and out, with certificates.
+        """
+        if verdicts.displacement is None or verdicts.velocity is None:
+            return
+        for row in np.flatnonzero(verdicts.stable):
+            key = states[row].tobytes()
+            if key in self.firm:
+                continue
+            motion = self.growing_motion(states[row], verdicts.displacement[row])
+            if motion is None:
+                if len(self.firm) >= _REMEMBERED:
+                    self.firm.clear()
+                self.firm.add(key)
+            else:
+                verdicts.velocity[row] = motion
+                verdicts.verdict[row], verdicts.proof[row] = Verdict.TIPS, Proof.MOTION
 
     def growing_motion(self, state: States, displacement: Array) -> Array | None:
         """Return a small motion from a rest position that grows; None if none is found.

@@ -8,7 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from falsework.errors import InputError
-from falsework.stability.certificate import StabilityCriterion
+from falsework.stability.criterion import StabilityCriterion
 from falsework.stability.problem import TOLERANCE, Cone
 from falsework.stability.stiffness import TANGENTIAL_RATIO
 from falsework.stability.strength import FORCE_BOUND
