@@ -14,8 +14,8 @@ from falsework.assembly.state import complete_state
 from falsework.geometry import TriangleMesh
 from falsework.search import Outcome, PlannerSettings, find_plans, validate_plan
 from falsework.stability import Proof, Stability, StabilitySettings, Verdict, Verdicts, verify_certificates
-from falsework.stability.growth import NEUTRAL, growth_of_motion
 from falsework.stability.motion import motion_of
+from falsework.stability.second_order.growth import NEUTRAL, growth_of_motion
 from falsework.stability.stiffness import SETTLEMENT
 
 pytestmark = pytest.mark.filterwarnings("ignore::falsework.assembly.model.ContactWarning")

@@ -24,8 +24,8 @@ from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.stability.contact_geometry import geometry_of
 from falsework.stability.criterion import CONTACT, StabilityCriterion
-from falsework.stability.growth import NEUTRAL, growth_of_motion
-from falsework.stability.springs import ROUNDING, into_cone, springs_of_displacement
+from falsework.stability.second_order.growth import NEUTRAL, growth_of_motion
+from falsework.stability.second_order.springs import ROUNDING, into_cone, springs_of_displacement
 from falsework.stability.state_arrays import StateArrays
 from falsework.stability.stiffness import MOVEMENT, structure_size
 from falsework.stability.strength import Strength, strength_of

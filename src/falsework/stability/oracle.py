@@ -19,15 +19,14 @@ from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.counters import Counters
 from falsework.stability.cpu.solver import LEFT_OPEN, CpuSolver
 from falsework.stability.gpu.solver import GpuSolver
-from falsework.stability.guesses import Guesses
 from falsework.stability.margins.margins import QUICK, MarginFinder
 from falsework.stability.margins.prober import Prober
 from falsework.stability.margins.state_margins import StateMargins
 from falsework.stability.optional_solvers import gpu_solver, gurobi_solver
 from falsework.stability.problem import build_problem
-from falsework.stability.second_order import SecondOrder
+from falsework.stability.second_order.growing_motion import SecondOrder
 from falsework.stability.settings import StabilitySettings
-from falsework.stability.state_memory import WholeMemory, remembered_forces
+from falsework.stability.state_memory import Guesses, WholeMemory, remembered_forces
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 
 if TYPE_CHECKING:

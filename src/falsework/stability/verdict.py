@@ -51,7 +51,7 @@ class Proof(IntEnum):
     DISPLACEMENT = 3
     """A displacement whose contact forces balance every part (stable under the criterion `contact`)."""
     MOTION = 4
-    """Such a displacement, and a motion from there that grows (`growth.growth_of_motion`)."""
+    """Such a displacement, and a motion from there that grows (`growth_of_motion`)."""
 
 
 class Solver(IntEnum):

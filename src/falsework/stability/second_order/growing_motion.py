@@ -11,8 +11,8 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.stability.contact_geometry import geometry_of
 from falsework.stability.criterion import StabilityCriterion
-from falsework.stability.growth import NEUTRAL, growth_of_motion
-from falsework.stability.springs import Springs, closing_points, springs_of_displacement
+from falsework.stability.second_order.growth import NEUTRAL, growth_of_motion
+from falsework.stability.second_order.springs import Springs, closing_points, springs_of_displacement
 from falsework.stability.strength import strength_of
 from falsework.stability.verdict import Proof, Verdict, Verdicts
 

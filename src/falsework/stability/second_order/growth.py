@@ -9,7 +9,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.stability.contact_geometry import geometry_of
 from falsework.stability.criterion import StabilityCriterion
-from falsework.stability.springs import closing_points, springs_of_displacement
+from falsework.stability.second_order.springs import closing_points, springs_of_displacement
 from falsework.stability.strength import strength_of
 
 Array = NDArray[np.float64]
