@@ -205,6 +205,8 @@ class Assembly:
         if self.contacts_given:
             for array in (self.contacts.parts, self.contacts.frames, self.contacts.points, self.contacts.start):
                 digest.update((array + 0.0).astype("<f8").tobytes())
+            if self.contacts.curved is not None:
+                digest.update(b"curved" + (self.contacts.curved + 0.0).astype("<f8").tobytes())
         if self.loads is not None:
             for array in (self.loads.wrench, self.loads.acceleration):
                 digest.update(b"loads" + (array + 0.0).astype("<f8").tobytes())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,9 @@ from falsework.geometry.mesh.mesh import TriangleMesh
 
 Array = NDArray[np.float64]
 
+FLAT = 1e-5
+"""Largest angle between the normals of surfaces and that of a contact which has one normal for all its points, radians:
+a tenth of the residual that a stable state may have, as a share of gravity."""
 _MORE = 1.02
 """Area of a joint, relative to that found within the tolerances, above which the latter is incomplete."""
 
@@ -37,7 +41,8 @@ class Contacts:
     parts: NDArray[np.int32]
     """Shape (contacts, 2): part `a` and part `b`, `a < b`, sorted."""
     frames: NDArray[np.float64]
-    """Shape (contacts, 3, 3): rows are normal (from `a` to `b`), first and second tangent; right-handed."""
+    """Shape (contacts, 3, 3): rows are normal (from `a` to `b`), first and second tangent; right-handed. Of a curved
+    interface the frame of its mean normal."""
     points: NDArray[np.float64]
     """Contact points, shape (points, 3), metres: per contact the corners of its convex hull, at least three; the two
     ends of a line; or one point."""
@@ -48,6 +53,9 @@ class Contacts:
     the square of the tolerance."""
     report: JointReport = field(default_factory=JointReport.none)
     """Joints whose overlap or gap was beyond the tolerance, and was divided between the two parts."""
+    curved: NDArray[np.float64] | None = None
+    """Frame of every contact point, shape (points, 3, 3), if some lie on curved interfaces; None: that of the contact.
+    Read `point_frames` instead."""
 
     def __len__(self) -> int:
         return len(self.parts)
@@ -60,6 +68,11 @@ class Contacts:
         """Contact that each contact point belongs to, shape (points,)."""
         return np.repeat(np.arange(len(self.parts), dtype=np.int32), np.diff(self.start))
 
+    @cached_property
+    def point_frames(self) -> NDArray[np.float64]:
+        """Frame of every contact point, with the normal of the surface at that point, shape (points, 3, 3)."""
+        return self.frames[self.contact_of_point] if self.curved is None else self.curved
+
     @property
     def dimension(self) -> NDArray[np.int8]:
         """2 for contacts with an area, 1 for lines, 0 for points; shape (contacts,)."""
@@ -69,6 +82,54 @@ class Contacts:
     def normals(self) -> NDArray[np.float64]:
         """Unit normals from part `a` to part `b`, shape (contacts, 3)."""
         return self.frames[:, 0]
+
+    def points_of(self, chosen: NDArray[np.integer]) -> NDArray[np.int64]:
+        """Return the indices of the points of contacts, one contact after another."""
+        return expand(self.start[chosen], self.start[np.asarray(chosen) + 1])[1]
+
+    def take(self, chosen: NDArray[np.integer]) -> Contacts:
+        """Return those contacts alone, in that order."""
+        points = self.points_of(chosen)
+        return _frozen(
+            self.parts[chosen],
+            self.frames[chosen],
+            self.points[points],
+            np.concatenate([[0], np.cumsum(np.diff(self.start)[chosen])]).astype(np.int32),
+            self.areas[chosen],
+            report=self.report,
+            curved=None if self.curved is None else self.curved[points],
+        )
+
+    def join(self, other: Contacts) -> Contacts:
+        """Return these contacts and then the other ones, unsorted, with the report of these."""
+        flat = self.curved is None and other.curved is None
+        return _frozen(
+            np.concatenate([self.parts, other.parts]),
+            np.concatenate([self.frames, other.frames]),
+            np.concatenate([self.points, other.points]),
+            np.concatenate([self.start, self.start[-1] + other.start[1:]]).astype(np.int32),
+            np.concatenate([self.areas, other.areas]),
+            report=self.report,
+            curved=None if flat else np.concatenate([self.point_frames, other.point_frames]),
+        )
+
+    def flat(self) -> Contacts:
+        """Return the same points in contacts that have one frame each: those of curved interfaces become one a point.
+
+        The areas are shared out among the points.
+        """
+        if self.curved is None:
+            return self
+        owner, count = self.contact_of_point, np.diff(self.start)
+        bent = np.zeros(len(self), dtype=bool)
+        bent[owner[(self.curved != self.frames[owner]).any(axis=(1, 2))]] = True
+        first = bent[owner]
+        first[self.start[:-1]] = True
+        rows = np.flatnonzero(first)
+        contact = owner[rows]
+        areas = self.areas / np.where(bent, count, 1)
+        start = np.append(rows, len(owner)).astype(np.int32)
+        return _frozen(self.parts[contact], self.curved[rows], self.points, start, areas[contact], report=self.report)
 
     def pushes(self, part_count: int) -> NDArray[np.float64]:
         """Return the area times normal into part `i` of all its contacts with part `j`, m2, shape (parts, parts, 3)."""
@@ -135,7 +196,9 @@ def find_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings | No
 
     The interface of a pair with more than `grouping.CURVED_FROM` planes is taken as curved: neighbouring
     patches whose normals differ by at most `settings.curvature` from that of the largest among them become
-    one contact, with the mean normal and the true positions of its points.
+    one contact, whose points are corners of patches with the normals of these patches. So all its forces are forces
+    that the patches can transmit, but not the other way round: forces inside the contact are replaced by several at its
+    rim. On a cylinder or a sphere that loses nothing but the width of facets.
 
     Where parts touch by a convex edge or corner alone, the contact is a line or a point: see `narrow_places`. One
     that lies in the hull of a planar contact of the same pair is an edge of that contact, and is left out; so is
@@ -187,8 +250,8 @@ def exact_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings) ->
     places = narrow_places(meshes, ContactTolerances(gap, overlap, settings.angle), slivers)
     if not len(places.parts):
         return contacts
-    places = merged(places, COPLANAR, tolerance)
-    return _with_narrow(contacts, places, settings.angle, tolerance)
+    places, normals = merged(places, COPLANAR, tolerance)
+    return _with_narrow(contacts, places, normals, settings.angle, tolerance)
 
 
 def _with_joints(
@@ -211,28 +274,8 @@ def _with_joints(
     chosen[first, second] = joints.bound[first, second] > 0
     joints = joints.take(chosen[tuple(joints.patches.parts.T)])
     fitted, _ = _contacts(joints.patches, joints.group, tolerance)
-    kept = np.flatnonzero(~chosen[tuple(contacts.parts.T)])
-    return replace(_joined(contacts, kept, fitted), report=JointReport.of(joints.patches))
-
-
-def _joined(contacts: Contacts, kept: NDArray[np.int64], joints: Contacts) -> Contacts:
-    """Return the kept contacts and the joints, sorted by their parts."""
-    both = (contacts, joints)
-    parts = np.concatenate([contacts.parts[kept], joints.parts])
-    frames = np.concatenate([contacts.frames[kept], joints.frames])
-    areas = np.concatenate([contacts.areas[kept], joints.areas])
-    rows = np.concatenate([kept, len(contacts) + np.arange(len(joints))])
-    order = np.lexsort(parts.T[::-1])
-    starts = np.concatenate([contacts.start[:-1], joints.start[:-1] + len(contacts.points)])[rows[order]]
-    sizes = np.concatenate([np.diff(one.start) for one in both])[rows[order]]
-    _, index = expand(starts, starts + sizes)
-    return _frozen(
-        parts[order],
-        frames[order],
-        np.concatenate([one.points for one in both])[index],
-        np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32),
-        areas[order],
-    )
+    both = contacts.take(np.flatnonzero(~chosen[tuple(contacts.parts.T)])).join(fitted)
+    return replace(both.take(np.lexsort(both.parts.T[::-1])), report=JointReport.of(joints.patches))
 
 
 def _contacts(patches: Patches, group: NDArray[np.int64], tolerance: float) -> tuple[Contacts, Narrow]:
@@ -279,11 +322,50 @@ def _contacts(patches: Patches, group: NDArray[np.int64], tolerance: float) -> t
         np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32),
         areas[index],
     )
+    curved = _own_frames(patches, group, frames, np.repeat(index, sizes), arrays[2], tolerance / 100)
     slivers = _slivers(hulls[~keep], tolerance)
     rows = np.flatnonzero(~keep)
     ends = origin[rows, None] + np.einsum("pji,pkj->pki", frames[rows], slivers)
     extent = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    return _frozen(*arrays), Narrow(parts[rows], normals[rows], ends, extent)
+    return _frozen(*arrays, curved=curved), Narrow(parts[rows], normals[rows], ends, extent)
+
+
+def _own_frames(
+    patches: Patches, group: NDArray[np.int64], frames: Array, owner: NDArray[np.int64], points: Array, near: float
+) -> Array | None:
+    """Return the frame of each point with the normal of its own patch, shape (points, 3, 3); None if all are flat.
+
+    A force at a point has to be one that the surface there can bear; the mean normal of the contact would let it lean
+    by half the angle that the contact spans. Where patches of a contact meet in a point, the one that is inclined most
+    counts: together with the other points its normal spans those of the others.
+
+    Args:
+        patches: patches of all contacts.
+        group: contact of each patch, shape (patches,).
+        frames: of the contacts, shape (contacts, 3, 3).
+        owner: contact of each point, shape (points,).
+        points: corners of patches, shape (points, 3), metres.
+        near: distance up to which a corner of a patch is the same point, metres.
+    """
+    leans = np.linalg.norm(patches.normals - frames[group, 0], axis=1)
+    bent = np.zeros(len(frames), dtype=bool)
+    bent[group[leans > FLAT]] = True
+    rows = np.flatnonzero(bent[owner])
+    if not len(rows):
+        return None
+    from scipy.spatial import KDTree
+
+    corners = np.flatnonzero(bent[group[patches.owner]])
+    beside = KDTree(patches.points[corners]).query_ball_point(points[rows], near)
+    # Equal inclinations come in all triangulations in the same order: by direction, not by rounding.
+    rank = np.empty(len(leans), dtype=np.int64)
+    rank[np.lexsort((*np.round(patches.normals, 6).T, np.round(leans, 6)))] = np.arange(len(leans))
+    normals = frames[owner, 0].copy()
+    for row, found in zip(rows.tolist(), beside, strict=True):
+        mine = patches.owner[corners[found]]
+        mine = mine[group[mine] == owner[row]]
+        normals[row] = patches.normals[mine[rank[mine].argmax()]]
+    return frames_of(normals)
 
 
 def _slivers(hulls: NDArray, tolerance: float) -> Array:
@@ -297,29 +379,29 @@ def _slivers(hulls: NDArray, tolerance: float) -> Array:
     return ends
 
 
-def _with_narrow(contacts: Contacts, places: Narrow, angle: float, tolerance: float) -> Contacts:
-    """Add lines and points, but for those inside a contact with an area."""
+def _with_narrow(contacts: Contacts, places: Narrow, normals: Array, angle: float, tolerance: float) -> Contacts:
+    """Add lines and points, with normals at their ends of shape (places, 2, 3), but for those inside an area."""
     if len(contacts):
-        places = places.take(~_adds_nothing(contacts, places, angle, tolerance))
+        adds = ~_adds_nothing(contacts, places, angle, tolerance)
+        places, normals = places.take(adds), normals[adds]
     if not len(places.parts):
         return contacts
     lines = places.extent > 0
-    points = np.split(contacts.points, contacts.start[1:-1]) if len(contacts) else []
-    points += [ends if line else ends[:1] for ends, line in zip(places.ends, lines.tolist(), strict=True)]
-    parts = np.concatenate([contacts.parts, places.parts])
-    frames = np.concatenate([contacts.frames, frames_of(places.normals)])
-    areas = np.concatenate([contacts.areas, np.where(lines, places.extent * tolerance, tolerance**2)])
+    counts = np.where(lines, 2, 1)
+    each = np.stack([np.ones(len(lines), dtype=bool), lines], axis=1)
+    bent = (np.linalg.norm(normals - places.normals[:, None], axis=2) > FLAT) & each
+    narrow = _frozen(
+        places.parts,
+        frames_of(places.normals),
+        places.ends[each],
+        np.concatenate([[0], np.cumsum(counts)]).astype(np.int32),
+        np.where(lines, places.extent * tolerance, tolerance**2),
+        curved=frames_of(normals[each]) if bent.any() else None,
+    )
+    both = contacts.join(narrow)
     kind = np.concatenate([np.zeros(len(contacts)), np.where(lines, 1, 2)])
     middle = np.round(np.concatenate([np.zeros((len(contacts), 3)), places.ends.mean(axis=1)]) / tolerance)
-    order = np.lexsort((*middle.T[::-1], kind, *parts.T[::-1]))
-    sizes = [len(points[index]) for index in order]
-    return _frozen(
-        parts[order],
-        np.ascontiguousarray(frames[order]),
-        np.concatenate([np.zeros((0, 3)), *(points[index] for index in order)]),
-        np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32),
-        areas[order],
-    )
+    return both.take(np.lexsort((*middle.T[::-1], kind, *both.parts.T[::-1])))
 
 
 def _adds_nothing(contacts: Contacts, places: Narrow, angle: float, tolerance: float) -> NDArray[np.bool_]:
@@ -360,7 +442,7 @@ def _adds_nothing(contacts: Contacts, places: Narrow, angle: float, tolerance: f
     return known
 
 
-def _frozen(*arrays: Any) -> Contacts:
-    for array in arrays:
+def _frozen(*arrays: Any, report: JointReport | None = None, curved: Array | None = None) -> Contacts:
+    for array in (*arrays, *(() if curved is None else (curved,))):
         array.setflags(write=False)
-    return Contacts(*arrays)
+    return Contacts(*arrays, report=report or JointReport.none(), curved=curved)

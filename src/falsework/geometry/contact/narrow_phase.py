@@ -136,19 +136,22 @@ def _ordered(first: NDArray[np.int32], second: NDArray[np.int32], normals: Array
     return parts, normals * np.where(first < second, 1.0, -1.0)[:, None]
 
 
-def merged(found: Narrow, coplanar: float, tolerance: float) -> Narrow:
+def merged(found: Narrow, coplanar: float, tolerance: float) -> tuple[Narrow, Array]:
     """Join pieces of one line, and points at one place, that have the same normal; leave out what is too short.
 
     The longest piece that is left of a pair of parts collects those within `coplanar` degrees and `tolerance` metres.
     A point between two pieces of a line is a convex combination of points that touch, so that their outer ends stand
     for all of it.
+
+    Returns:
+        The places with the mean normal of their pieces, and the normals at both ends, shape (places, 2, 3).
     """
     middle = np.round(found.ends.mean(axis=1) / tolerance)
     size = np.round(found.extent / tolerance)
     found = found.take(np.lexsort((*middle.T[::-1], -size, found.extent == 0, *found.parts.T[::-1])))
     limit = np.cos(np.radians(coplanar))
     pairs = np.flatnonzero(np.append(True, (found.parts[1:] != found.parts[:-1]).any(axis=1)))
-    out = [found.take(np.zeros(0, np.int64))]
+    out, outer = [found.take(np.zeros(0, np.int64))], [np.zeros((0, 2, 3))]
     for rest in np.split(np.arange(len(found.parts)), pairs[1:]) if len(found.parts) else []:
         while len(rest):
             start, along = found.ends[rest[0], 0], found.ends[rest[0], 1] - found.ends[rest[0], 0]
@@ -160,16 +163,18 @@ def merged(found: Narrow, coplanar: float, tolerance: float) -> Narrow:
             near &= (found.extent[rest] > 0) == (found.extent[rest[0]] > 0)
             near[0] = True
             one, times = rest[near], times[near]
-            ends = found.ends[one].reshape(-1, 3)[[times.argmin(), times.argmax()]]
+            far = np.array([times.argmin(), times.argmax()])
+            ends, normals = found.ends[one].reshape(-1, 3)[far], found.normals[one[far // 2]]
             extent = min(float(found.extent[one].sum()), float(np.ptp(times)))
             normal = np.average(found.normals[one], axis=0, weights=np.maximum(found.extent[one], 1e-300))
             normal /= np.linalg.norm(normal)
             # From the lower end in x, then y, then z, whichever way the edge ran.
-            ends = ends[np.lexsort(np.round(ends / tolerance).T[::-1])]
+            order = np.lexsort(np.round(ends / tolerance).T[::-1])
             if extent >= tolerance or found.extent[one[0]] == 0:
-                out.append(Narrow(found.parts[one[:1]], normal[None], ends[None], np.array([extent])))
+                out.append(Narrow(found.parts[one[:1]], normal[None], ends[None, order], np.array([extent])))
+                outer.append(normals[None, order])
             rest = rest[~near]
-    return Narrow.join(out)
+    return Narrow.join(out), np.concatenate(outer)
 
 
 def _edges_on_faces(
