@@ -19,7 +19,7 @@ from falsework.assembly.part_numbers import part_ids
 from falsework.assembly.prop import Prop
 from falsework.errors import AssemblyError
 from falsework.geometry.clearance.table import ClearanceTable, clearance_table
-from falsework.geometry.contact.interfaces import Contacts, ContactSettings, find_contacts
+from falsework.geometry.contact.interfaces import Contacts, ContactSettings, default_gap, find_contacts
 from falsework.geometry.contact.joints import JointReport
 from falsework.geometry.mesh.collision import nearest
 from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh, mass_properties
@@ -121,7 +121,7 @@ class Assembly:
         settings = contact_settings or ContactSettings()
         given = contacts is not None
         contacts = find_contacts(parts, settings) if contacts is None else contacts
-        _check_touching(parts, fixed, contacts)
+        _check_touching(parts, fixed, contacts, settings)
         fixed.setflags(write=False)
         densities.setflags(write=False)
         assembly = Assembly(name, parts, fixed, densities, friction, contacts, mass, settings, given)
@@ -131,7 +131,9 @@ class Assembly:
         if len(found) > _WARNED:
             more = len(found) - _WARNED
             warnings.warn(
-                f"{more} more pairs of parts touch along lines or at points only", ContactWarning, stacklevel=2
+                f"{more} more pairs of parts touch along lines, on strips or at points only",
+                ContactWarning,
+                stacklevel=2,
             )
         return assembly
 
@@ -144,17 +146,25 @@ class Assembly:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """One line for all joints that were resolved, and one for each pair that touches along lines or at points only.
+        """One line for all joints that were resolved, and one for each pair that touches on less than a face.
 
-        Real edges and corners have a width, which the meshes do not say, and may be chipped off. Pairs of boundary
-        parts are omitted: no verdict depends on them.
+        That is along lines, at points, or on strips narrower than the default gap. Real edges and corners have a width,
+        which the meshes do not say, and may be chipped off. Pairs of boundary parts are omitted: no verdict depends on
+        them.
         """
         pairs, pair = np.unique(self.contacts.parts, axis=0, return_inverse=True)
         widest = np.zeros(len(pairs), dtype=np.int8)
         np.maximum.at(widest, pair.ravel(), self.contacts.dimension)
+        width, least = np.zeros(len(pairs)), default_gap(self.meshes)
+        np.maximum.at(width, pair.ravel(), self.contacts.width)
         lines = [self.report.line(self.names)] if len(self.report) else []
-        for number in np.flatnonzero((widest < 2) & ~self.boundary[pairs].all(axis=1)).tolist():
+        for number in np.flatnonzero((width < least) & ~self.boundary[pairs].all(axis=1)).tolist():
             a, b = (self.names[part] for part in pairs[number].tolist())
+            if widest[number] == 2:
+                lines.append(
+                    f"parts {a} and {b} touch on a strip {1000 * width[number]:.2g} mm wide: verdicts may depend on it"
+                )
+                continue
             count = int(np.sum(pair.ravel() == number))
             where = ("at a point", "along a line")[widest[number]]
             if count > 1:
@@ -252,7 +262,7 @@ class Assembly:
         fixed = self.boundary if boundary is None else _boundary(boundary, self.meshes)
         if not fixed.any():
             raise AssemblyError("no part is boundary, so nothing carries the structure; keep at least one fixed part")
-        _check_touching(self.meshes, fixed, self.contacts)
+        _check_touching(self.meshes, fixed, self.contacts, self.contact_settings)
         densities = self.density if density is None else _density(density, self.part_count)
         changed = _replace(
             self,
@@ -386,15 +396,33 @@ def _boundary(value: ArrayLike, meshes: Sequence[TriangleMesh]) -> NDArray[np.bo
     return mask
 
 
-def _check_touching(meshes: Sequence[TriangleMesh], boundary: NDArray[np.bool_], contacts: Contacts) -> None:
+def _check_touching(
+    meshes: Sequence[TriangleMesh], boundary: NDArray[np.bool_], contacts: Contacts, settings: ContactSettings
+) -> None:
     """Raise for a part without contacts; boundary parts may stand alone, as obstacles do."""
     alone = ~boundary
     alone[contacts.parts.ravel()] = False
     if alone.any():
         part = int(np.argmax(alone))
         other, gap = nearest(part, meshes)
-        where = f"; part {meshes[other].name} is nearest, {1000 * gap:.3g} mm away" if other >= 0 else ""
+        touches = f"part {meshes[part].name} touches no other part"
+        if other < 0:
+            raise AssemblyError(f"{touches}, and there is none; add the parts that carry it")
+        where = f"{touches}; part {meshes[other].name} is nearest, {1000 * gap:.3g} mm away"
+        allowed = settings.lengths(meshes)[0]
+        if gap <= allowed:
+            raise AssemblyError(
+                f"{where}, within the gap of {1000 * allowed:.3g} mm that is allowed, but no faces look at each other "
+                f"there to within {settings.angle:g} degrees; move it into place, or raise that angle "
+                '("contact": {"angle": degrees} in assembly.json)'
+            )
         raise AssemblyError(
-            f"part {meshes[part].name} touches no other part{where}; move it into place, "
-            'or raise the tolerance if it is modelled with gaps ("contact": {"gap": metres} in assembly.json)'
+            f"{where}, and {1000 * allowed:.3g} mm is allowed; move it into place, or allow the gap if it is meant to "
+            f'be filled ("contact": {{"gap": {_above(gap)}}} in assembly.json)'
         )
+
+
+def _above(length: float) -> str:
+    """Return a length with two digits, rounded up by 2 to 12 percent."""
+    digits = int(np.floor(np.log10(length))) - 1
+    return f"{(np.ceil(1.02 * length / 10.0**digits)) * 10.0**digits:.2g}"

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from falsework.errors import InputError
 from falsework.geometry.contact.creases import expand
 from falsework.geometry.contact.grouping import COPLANAR, curved_groups, planes, segment_mean, segment_sum
-from falsework.geometry.contact.joints import JointReport, check_joints, find_joints
-from falsework.geometry.contact.narrow_phase import ContactTolerances, Narrow, merged, narrow_places
+from falsework.geometry.contact.joints import JointReport, check_joints, find_joints, refuse_deep
+from falsework.geometry.contact.narrow_phase import NARROW, ContactTolerances, Narrow, merged, narrow_places
 from falsework.geometry.contact.overlap import Overlaps, find_overlaps
 from falsework.geometry.contact.patches import Patches, face_patches, frames_of
 from falsework.geometry.mesh.mesh import TriangleMesh
@@ -34,8 +34,8 @@ class Contacts:
     """Contacts between pairs of parts: planar ones, of which a curved interface is several, and lines and points.
 
     Lines and points arise where parts touch by an edge or a corner. Real ones have some width, which the meshes do not
-    contain; `areas` assumes the contact tolerance, so that they have a small, nonzero weight wherever contacts are
-    weighted by area.
+    contain; `areas` assumes the default gap, so that they have a small, nonzero weight wherever contacts are weighted
+    by area.
     """
 
     parts: NDArray[np.int32]
@@ -49,8 +49,8 @@ class Contacts:
     start: NDArray[np.int32]
     """Shape (contacts + 1,): contact `k` owns `points[start[k]:start[k + 1]]`."""
     areas: NDArray[np.float64]
-    """Shape (contacts,), m2, above zero. Nominal for a line, its length times the contact tolerance, and for a point,
-    the square of the tolerance."""
+    """Shape (contacts,), m2, above zero. Nominal for a line, its length times the default gap, and for a point, the
+    square of that."""
     report: JointReport = field(default_factory=JointReport.none)
     """Joints whose overlap or gap was beyond the tolerance, and was divided between the two parts."""
     curved: NDArray[np.float64] | None = None
@@ -77,6 +77,15 @@ class Contacts:
     def dimension(self) -> NDArray[np.int8]:
         """2 for contacts with an area, 1 for lines, 0 for points; shape (contacts,)."""
         return np.minimum(np.diff(self.start) - 1, 2).astype(np.int8)
+
+    @property
+    def width(self) -> NDArray[np.float64]:
+        """Twice the area over the perimeter of each contact, zero for lines and points; shape (contacts,), metres."""
+        ahead = np.arange(1, len(self.points) + 1)
+        ahead[self.start[1:] - 1] = self.start[:-1]
+        sides = np.linalg.norm(self.points[ahead] - self.points, axis=1)
+        perimeter = np.bincount(self.contact_of_point, sides, len(self))
+        return np.where(self.dimension == 2, 2 * self.areas / np.maximum(perimeter, 1e-300), 0.0)
 
     @property
     def normals(self) -> NDArray[np.float64]:
@@ -176,12 +185,14 @@ class ContactSettings:
 
     def lengths(self, meshes: Sequence[TriangleMesh]) -> tuple[float, float]:
         """Return the gap and overlap in metres for these parts."""
-        if self.gap is None:
-            diagonal = np.median([np.linalg.norm(np.ptp(mesh.bounds, axis=0)) for mesh in meshes])
-            gap = min(float(diagonal) / 2000, min(mesh.thickness for mesh in meshes) / 20)
-        else:
-            gap = self.gap
+        gap = default_gap(meshes) if self.gap is None else self.gap
         return gap, gap if self.overlap is None else self.overlap
+
+
+def default_gap(meshes: Sequence[TriangleMesh]) -> float:
+    """Return the gap that is bridged by default, metres: see `ContactSettings.gap`."""
+    diagonal = np.median([np.linalg.norm(np.ptp(mesh.bounds, axis=0)) for mesh in meshes])
+    return min(float(diagonal) / 2000, min(mesh.thickness for mesh in meshes) / 20)
 
 
 def find_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings | None = None) -> Contacts:
@@ -202,12 +213,13 @@ def find_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings | No
 
     Where parts touch by a convex edge or corner alone, the contact is a line or a point: see `narrow_places`. One
     that lies in the hull of a planar contact of the same pair is an edge of that contact, and is left out; so is
-    one where other parts lie against both sides of the edge.
+    one where other parts lie against both sides of the edge. The same goes for planar contacts that are narrower than
+    the default gap; others keep their width, down to `narrow_phase.NARROW` of it, where they become lines.
 
     Parts that overlap by more than the tolerance, and parts that touch nothing, are typical of models whose faces are
     warped, or triangulated differently on both sides. With default lengths, pairs of such parts are given a joint where
-    `find_joints` finds faces that these rules refuse or leave out; its patches are grouped by `settings.curvature`.
-    Given lengths are taken literally.
+    `find_joints` finds faces that these rules refuse or leave out, and the parts meet or are as near as
+    `JointSurfaces.near` says; its patches are grouped by `settings.curvature`. Given lengths are taken literally.
 
     Args:
         meshes: closed meshes that face outwards.
@@ -215,8 +227,8 @@ def find_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings | No
 
     Returns:
         Contacts sorted by their parts, of one pair planar ones first, then lines, then points; their order and
-        points depend on the geometry alone, not on how faces are cut into triangles. Of strips narrower than the
-        tolerance, those along the rims of both faces are left out; others are lines.
+        points depend on the geometry alone, not on how faces are cut into triangles. A larger gap or overlap finds
+        contacts of the same pairs of parts at least, as long as the lengths are given.
 
     Raises:
         AssemblyError: two parts pass through each other; names them and how deep.
@@ -225,8 +237,9 @@ def find_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings | No
     _, overlap = settings.lengths(meshes)
     overlaps = find_overlaps(meshes, overlap, corner=settings.corner)
     if not (settings.gap is None and settings.overlap is None):
-        overlaps.raise_deepest(meshes, range(len(overlaps.parts)))
+        overlaps.raise_first(meshes, range(len(overlaps.parts)))
         return exact_contacts(meshes, settings)
+    refuse_deep(meshes, overlaps)
     contacts = exact_contacts(meshes, settings)
     inexact = np.ones(len(meshes), dtype=bool)
     inexact[contacts.parts.ravel()] = False
@@ -242,16 +255,18 @@ def find_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings | No
 def exact_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings) -> Contacts:
     """Find the contacts of `find_contacts` within the tolerances, without joints and without a check of overlaps."""
     gap, overlap = settings.lengths(meshes)
-    tolerance = max(gap, overlap)
-    patches = face_patches(meshes, gap=gap, overlap=overlap, angle=settings.angle)
-    group = planes(patches, COPLANAR, tolerance)
-    group = curved_groups(patches, group, settings.curvature, tolerance)
-    contacts, slivers = _contacts(patches, group, tolerance)
-    places = narrow_places(meshes, ContactTolerances(gap, overlap, settings.angle), slivers)
+    # What counts as one place depends on the parts alone, so that a larger tolerance never finds less.
+    near = default_gap(meshes)
+    patches = face_patches(meshes, gap=gap, overlap=overlap, angle=settings.angle, least=near / 1000)
+    group = planes(patches, COPLANAR, near)
+    group = curved_groups(patches, group, settings.curvature, near)
+    found, thin, slivers = _contacts(patches, group, near)
+    contacts = _with_thin(found, thin, settings.angle, near)
+    places = narrow_places(meshes, ContactTolerances(gap, overlap, settings.angle, near), slivers)
     if not len(places.parts):
         return contacts
-    places, normals = merged(places, COPLANAR, tolerance)
-    return _with_narrow(contacts, places, normals, settings.angle, tolerance)
+    places, normals = merged(places, COPLANAR, near)
+    return _with_narrow(contacts, places, normals, settings.angle, near)
 
 
 def _with_joints(
@@ -269,17 +284,22 @@ def _with_joints(
     area = np.zeros((2, len(meshes), len(meshes)))
     np.add.at(area[0], tuple(joints.patches.parts.T), joints.patches.areas)
     np.add.at(area[1], tuple(contacts.parts.T), np.where(contacts.dimension == 2, contacts.areas, 0.0))
-    touching = np.concatenate([contacts.parts, overlaps.parts])
-    chosen = (area[0] > _MORE * area[1]) & joints.near(touching, tolerance)
+    chosen = (area[0] > _MORE * area[1]) & joints.near(tolerance)
     chosen[first, second] = joints.bound[first, second] > 0
     joints = joints.take(chosen[tuple(joints.patches.parts.T)])
-    fitted, _ = _contacts(joints.patches, joints.group, tolerance)
+    fitted, thin, _ = _contacts(joints.patches, joints.group, tolerance)
+    fitted = _with_thin(fitted, thin, settings.angle, tolerance)
     both = contacts.take(np.flatnonzero(~chosen[tuple(contacts.parts.T)])).join(fitted)
     return replace(both.take(np.lexsort(both.parts.T[::-1])), report=JointReport.of(joints.patches))
 
 
-def _contacts(patches: Patches, group: NDArray[np.int64], tolerance: float) -> tuple[Contacts, Narrow]:
-    """Return one contact a group of patches: mean frame, hull corners counter-clockwise; and the slivers left out."""
+def _contacts(
+    patches: Patches, group: NDArray[np.int64], tolerance: float
+) -> tuple[Contacts, NDArray[np.bool_], Narrow]:
+    """Return one contact a group of patches: mean frame, hull corners counter-clockwise.
+
+    Also whether each is narrower than the tolerance, shape (contacts,), and the groups without a width.
+    """
     count = int(group.max()) + 1 if len(group) else 0
     normals = segment_sum(patches.normals * patches.areas[:, None], group, count)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -297,7 +317,7 @@ def _contacts(patches: Patches, group: NDArray[np.int64], tolerance: float) -> t
     hulls: Any = shapely.simplify(shapely.convex_hull(clouds), tolerance / 100, preserve_topology=True)
 
     width = 2 * shapely.area(hulls) / np.maximum(shapely.length(hulls), 1e-300)
-    keep = width >= tolerance
+    keep = width >= NARROW * tolerance
     corners, hull = shapely.get_coordinates(hulls[keep], include_z=True, return_index=True)
     index = np.flatnonzero(keep)
     ring_end = np.append(hull[1:] != hull[:-1], True) if len(hull) else np.zeros(0, bool)
@@ -323,11 +343,12 @@ def _contacts(patches: Patches, group: NDArray[np.int64], tolerance: float) -> t
         areas[index],
     )
     curved = _own_frames(patches, group, frames, np.repeat(index, sizes), arrays[2], tolerance / 100)
-    slivers = _slivers(hulls[~keep], tolerance)
+    slivers = _slivers(hulls[~keep], NARROW * tolerance)
     rows = np.flatnonzero(~keep)
     ends = origin[rows, None] + np.einsum("pji,pkj->pki", frames[rows], slivers)
     extent = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    return _frozen(*arrays, curved=curved), Narrow(parts[rows], normals[rows], ends, extent)
+    narrow = Narrow(parts[rows], normals[rows], ends, extent)
+    return _frozen(*arrays, curved=curved), width[index] < tolerance, narrow
 
 
 def _own_frames(
@@ -368,15 +389,34 @@ def _own_frames(
     return frames_of(normals)
 
 
+def _with_thin(contacts: Contacts, thin: NDArray[np.bool_], angle: float, tolerance: float) -> Contacts:
+    """Leave out the contacts narrower than the tolerance that others cover; see `_adds_nothing`."""
+    wide, rows = contacts.take(np.flatnonzero(~thin)), np.flatnonzero(thin)
+    if not len(wide) or not len(rows):
+        return contacts
+    ends = np.empty((len(rows), 2, 3))
+    for place, row in enumerate(rows.tolist()):
+        ends[place] = _farthest(contacts.points[contacts.start[row] : contacts.start[row + 1]])
+    extent = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    places = Narrow(contacts.parts[rows], contacts.normals[rows], ends, extent)
+    covered = np.zeros(len(contacts), dtype=bool)
+    covered[rows[_adds_nothing(wide, places, angle, tolerance)]] = True
+    return contacts.take(np.flatnonzero(~covered))
+
+
 def _slivers(hulls: NDArray, tolerance: float) -> Array:
     """Return the two points of each hull farthest apart, or twice its middle if it is a dot; shape (hulls, 2, 3)."""
     ends = np.zeros((len(hulls), 2, 3))
     for row, hull in enumerate(hulls):
-        corners = shapely.get_coordinates(hull, include_z=True)[:, [2, 0, 1]]
-        apart = np.linalg.norm(corners[:, None] - corners, axis=2)
-        far = np.unravel_index(apart.argmax(), apart.shape)
-        ends[row] = corners[list(far)] if apart.max() > tolerance else corners[list(far)].mean(axis=0)
+        far = _farthest(shapely.get_coordinates(hull, include_z=True)[:, [2, 0, 1]])
+        ends[row] = far if np.linalg.norm(far[1] - far[0]) > tolerance else far.mean(axis=0)
     return ends
+
+
+def _farthest(points: Array) -> Array:
+    """Return the two points farthest apart, shape (2, 3)."""
+    apart = np.linalg.norm(points[:, None] - points, axis=2)
+    return points[list(np.unravel_index(apart.argmax(), apart.shape))]
 
 
 def _with_narrow(contacts: Contacts, places: Narrow, normals: Array, angle: float, tolerance: float) -> Contacts:
