@@ -39,7 +39,7 @@ class Options:
 
 def questions(pair: CurvedPair, rng: np.random.Generator) -> list[tuple[float, bool]]:
     """Return coefficients of friction, and whether there is equilibrium within the tolerance."""
-    needed = critical_friction(pair, TOLERANCE)
+    needed = critical_friction(pair, TOLERANCE, steps=8)
     frictions = [0.0]
     if 0.0 < needed < np.inf:
         margin = 10 ** rng.uniform(-3, -1)
