@@ -147,3 +147,36 @@ def test_no_pair_is_stable_that_has_no_equilibrium_on_all_facets(pairs: Any, sur
         if needed < np.inf:
             assert verdict_of(body.replace(friction=needed + 0.05), "equilibrium") == Verdict.STABLE
     assert near >= 2
+
+
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_planes_that_differ_by_less_than_a_tenth_of_a_degree_keep_their_normals(pairs: Any, criterion: str) -> None:
+    """A block in a flat groove without friction stands if its centre of mass is over the middle, and else slides."""
+    angle = np.radians(0.02)
+    x = np.array([-1.0, 0.0, 1.0, 1.0])
+    edge = np.stack([x, 0 * x, np.abs(x) * np.tan(angle)], axis=1)[:3]
+    points = np.stack([edge, edge + [0, 1, 0]], axis=1).reshape(-1, 3)
+    centred = pairs.pair_on("groove", points, grid(2, 1), np.array([0, 0, 0.5])).assembly(0.0)
+    beside = pairs.pair_on("groove", points, grid(2, 1), np.array([0.4, 0, 0.5])).assembly(0.0)
+    assert len(centred.contacts) == 1
+    assert verdict_of(centred, criterion) == Verdict.STABLE
+    assert verdict_of(beside, criterion) == Verdict.UNSTABLE
+
+
+def test_points_of_curved_contacts_are_corners_of_facets_with_their_normals(pairs: Any) -> None:
+    rng = np.random.default_rng(3)
+    pair = pairs.random_pair(rng, "quadric")
+    contacts = pair.assembly(0.0).contacts
+    edges = pair.corners[:, 1:] - pair.corners[:, :1]
+    normals = np.cross(edges[:, 0], edges[:, 1])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    for point, frame in zip(contacts.points, contacts.point_frames, strict=True):
+        here = np.linalg.norm(pair.corners - point, axis=2).min(axis=1) < 1e-9
+        assert (normals[here] @ -frame[0]).max() == pytest.approx(1.0, abs=1e-9)
+    assert contacts.curved is not None
+    apart = contacts.flat()
+    assert (apart.points == contacts.points).all()
+    assert apart.point_frames == pytest.approx(contacts.point_frames)
+    assert apart.areas.sum() == pytest.approx(contacts.areas.sum())
+    back = contacts.take(np.arange(len(contacts))[::-1]).take(np.arange(len(contacts))[::-1])
+    assert (back.point_frames == contacts.point_frames).all()
