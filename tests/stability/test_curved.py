@@ -26,7 +26,7 @@ def pairs(monkeypatch: pytest.MonkeyPatch) -> Any:
     return import_module("curved_pairs")
 
 
-def verdict_of(assembly: Assembly, criterion: str) -> Verdict:
+def verdict_of(assembly: Assembly, criterion: Any) -> Verdict:
     """Verdict with a circular cone of friction; its certificate is accepted."""
     settings = StabilitySettings(criterion=criterion, cone="quadratic")
     verdicts = Stability(assembly, settings).check(STATE)
