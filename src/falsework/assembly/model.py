@@ -17,11 +17,11 @@ from falsework.assembly.joints import Joints
 from falsework.assembly.loads import Loads
 from falsework.assembly.part_numbers import part_ids
 from falsework.assembly.prop import Prop
+from falsework.assembly.touching import check_touching, contact_warnings
 from falsework.errors import AssemblyError
 from falsework.geometry.clearance.table import ClearanceTable, clearance_table
-from falsework.geometry.contact.interfaces import Contacts, ContactSettings, default_gap, find_contacts
+from falsework.geometry.contact.interfaces import Contacts, ContactSettings, find_contacts
 from falsework.geometry.contact.joints import JointReport
-from falsework.geometry.mesh.collision import nearest
 from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh, mass_properties
 
 DENSITY = 2400.0
@@ -121,7 +121,7 @@ class Assembly:
         settings = contact_settings or ContactSettings()
         given = contacts is not None
         contacts = find_contacts(parts, settings) if contacts is None else contacts
-        _check_touching(parts, fixed, contacts, settings)
+        check_touching(parts, fixed, contacts, settings)
         fixed.setflags(write=False)
         densities.setflags(write=False)
         assembly = Assembly(name, parts, fixed, densities, friction, contacts, mass, settings, given)
@@ -152,25 +152,7 @@ class Assembly:
         which the meshes do not say, and may be chipped off. Pairs of boundary parts are omitted: no verdict depends on
         them.
         """
-        pairs, pair = np.unique(self.contacts.parts, axis=0, return_inverse=True)
-        widest = np.zeros(len(pairs), dtype=np.int8)
-        np.maximum.at(widest, pair.ravel(), self.contacts.dimension)
-        width, least = np.zeros(len(pairs)), default_gap(self.meshes)
-        np.maximum.at(width, pair.ravel(), self.contacts.width)
-        lines = [self.report.line(self.names)] if len(self.report) else []
-        for number in np.flatnonzero((width < least) & ~self.boundary[pairs].all(axis=1)).tolist():
-            a, b = (self.names[part] for part in pairs[number].tolist())
-            if widest[number] == 2:
-                lines.append(
-                    f"parts {a} and {b} touch on a strip {1000 * width[number]:.2g} mm wide: verdicts may depend on it"
-                )
-                continue
-            count = int(np.sum(pair.ravel() == number))
-            where = ("at a point", "along a line")[widest[number]]
-            if count > 1:
-                where = ("at points", "along lines")[widest[number]]
-            lines.append(f"parts {a} and {b} touch {where} only: verdicts may depend on it")
-        return tuple(lines)
+        return contact_warnings(self.meshes, self.boundary, self.contacts)
 
     @property
     def report(self) -> JointReport:
@@ -262,7 +244,7 @@ class Assembly:
         fixed = self.boundary if boundary is None else _boundary(boundary, self.meshes)
         if not fixed.any():
             raise AssemblyError("no part is boundary, so nothing carries the structure; keep at least one fixed part")
-        _check_touching(self.meshes, fixed, self.contacts, self.contact_settings)
+        check_touching(self.meshes, fixed, self.contacts, self.contact_settings)
         densities = self.density if density is None else _density(density, self.part_count)
         changed = _replace(
             self,
@@ -394,35 +376,3 @@ def _boundary(value: ArrayLike, meshes: Sequence[TriangleMesh]) -> NDArray[np.bo
             raise AssemblyError(f"boundary names part {part} twice; give every id once")
         mask[part] = True
     return mask
-
-
-def _check_touching(
-    meshes: Sequence[TriangleMesh], boundary: NDArray[np.bool_], contacts: Contacts, settings: ContactSettings
-) -> None:
-    """Raise for a part without contacts; boundary parts may stand alone, as obstacles do."""
-    alone = ~boundary
-    alone[contacts.parts.ravel()] = False
-    if alone.any():
-        part = int(np.argmax(alone))
-        other, gap = nearest(part, meshes)
-        touches = f"part {meshes[part].name} touches no other part"
-        if other < 0:
-            raise AssemblyError(f"{touches}, and there is none; add the parts that carry it")
-        where = f"{touches}; part {meshes[other].name} is nearest, {1000 * gap:.3g} mm away"
-        allowed = settings.lengths(meshes)[0]
-        if gap <= allowed:
-            raise AssemblyError(
-                f"{where}, within the gap of {1000 * allowed:.3g} mm that is allowed, but no faces look at each other "
-                f"there to within {settings.angle:g} degrees; move it into place, or raise that angle "
-                '("contact": {"angle": degrees} in assembly.json)'
-            )
-        raise AssemblyError(
-            f"{where}, and {1000 * allowed:.3g} mm is allowed; move it into place, or allow the gap if it is meant to "
-            f'be filled ("contact": {{"gap": {_above(gap)}}} in assembly.json)'
-        )
-
-
-def _above(length: float) -> str:
-    """Return a length with two digits, rounded up by 2 to 12 percent."""
-    digits = int(np.floor(np.log10(length))) - 1
-    return f"{(np.ceil(1.02 * length / 10.0**digits)) * 10.0**digits:.2g}"
