@@ -37,7 +37,7 @@ class Overlaps:
         """Return whether a pair is deeper than allowed, as measured."""
         pairs = zip(self.parts.tolist(), self.limit.tolist(), strict=True)
         return any(
-            coarse_depth(meshes[a], meshes[b], limit) > limit or depth(meshes[a], meshes[b]) > limit
+            vertex_depth(meshes[a], meshes[b], limit) > limit or depth(meshes[a], meshes[b]) > limit
             for (a, b), limit in pairs
         )
 
@@ -147,14 +147,15 @@ def depth(a: TriangleMesh, b: TriangleMesh) -> float:
 
 
 def coarse_depth(a: TriangleMesh, b: TriangleMesh, least: float = 0.0) -> float:
-    """Return the depth from few points: vertices, and a grid over what the parts may share, metres.
+    """Return the depth at vertices, or if it is not more than `least`, on a grid over what the parts may share, metres.
 
     It is fast, and no larger than `depth`, but for `least`, which is returned where it is smaller than that.
     """
     low, high = np.maximum(a.bounds[0], b.bounds[0]), np.minimum(a.bounds[1], b.bounds[1])
     if (low >= high).any():
         return least
-    return _deepest(_grid(low, high), (a, b), vertex_depth(a, b, least))
+    found = vertex_depth(a, b, least)
+    return found if found > least else _deepest(_grid(low, high), (a, b), least)
 
 
 def _grid(low: Array, high: Array) -> Array:
@@ -169,9 +170,7 @@ def vertex_depth(a: TriangleMesh, b: TriangleMesh, least: float = 0.0) -> float:
     It is fast, and no larger than `depth`, but for `least`, which is returned where it is smaller than that.
     """
     for one, other in ((a, b), (b, a)):
-        low, high = other.bounds
-        points = one.vertices[((one.vertices >= low) & (one.vertices <= high)).all(axis=1)]
-        least = _deepest(points, (other,), least)
+        least = _deepest(one.vertices, (other,), least)
     return least
 
 
@@ -181,6 +180,10 @@ def _deepest(points: Array, parts: Sequence[TriangleMesh], least: float) -> floa
     Distances take much less time than the question whether a point is inside: that is asked of the farthest points
     first, in groups that grow, and the first one inside is the deepest.
     """
+    # A ball around the point, as large as it is deep, lies in all parts and so in their boxes.
+    low = np.max([part.bounds[0] for part in parts], axis=0) + least
+    high = np.min([part.bounds[1] for part in parts], axis=0) - least
+    points = points[((points > low) & (points < high)).all(axis=1)]
     if not len(points):
         return least
     away = np.min([Body(part.vertices, part.faces).distances(points) for part in parts], axis=0)
