@@ -22,8 +22,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Union, cast, get_args, get_ori
 
 from falsework import __version__
 from falsework.cli.exit_code import Exit
-from falsework.cli.output import Output
+from falsework.cli.output import Output, write_line
 from falsework.errors import FalseworkError
+from falsework.utils.output_file import is_standard_output
 
 if TYPE_CHECKING:
     from falsework.cli.command import Command
@@ -80,7 +81,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             command = _parse(arguments)
             if command is None:
                 return Exit.DONE
-            code = command.run(Output(machine=command.json))
+            aside = is_standard_output(getattr(command, "out", None) or "-")
+            code = command.run(Output(machine=command.json, aside=aside))
             sys.stdout.flush()
             return code
     except _UsageError as error:
@@ -94,7 +96,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return Exit.DONE
     except Exception as error:  # the last handler: one line and an exit code
         if debug:
-            traceback.print_exc()
+            for line in traceback.format_exc().splitlines():
+                write_line(line, sys.stderr)
         return _fail(_explain(error), Exit.WRONG_INPUT)
 
 
@@ -257,7 +260,7 @@ def _explain(error: Exception) -> str:
 
 
 def _fail(text: str, code: Exit) -> Exit:
-    sys.stderr.write(f"falsework: {text}\n")
+    write_line(f"falsework: {text}", sys.stderr)
     return code
 
 
@@ -267,7 +270,7 @@ def _warn_in_one_line() -> None:
     def show(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
         if not issubclass(category, UserWarning):  # warnings of packages for programmers are not for users
             return
-        sys.stderr.write(f"falsework: warning: {' '.join(str(message).split())}\n")
+        write_line(f"falsework: warning: {' '.join(str(message).split())}", sys.stderr)
 
     warnings.simplefilter("default")
     warnings.showwarning = show

@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 import sys
 import time
+import unicodedata
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -23,30 +24,61 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
+_UNSEEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
+"""Categories of Unicode that control a terminal, the direction of text or the line, or are no characters at all."""
+
+
+def printable(text: str) -> str:
+    """Return a text with its control characters, line breaks included, as escapes such as `\\x1b`.
+
+    Names come from files: on a terminal they could move the cursor, hide a line or write one of their own.
+    """
+    if text.isprintable():
+        return text
+    return "".join(c.encode("unicode_escape").decode() if unicodedata.category(c) in _UNSEEN else c for c in text)
+
+
+def write_line(text: str, stream: TextIO) -> None:
+    """Write one line of text to a stream; what it must not or cannot show is escaped."""
+    encoding = getattr(stream, "encoding", None) or "utf-8"
+    stream.write(printable(text).encode(encoding, "backslashreplace").decode(encoding) + "\n")
+
+
 class Output:
     """Printer of text or, with `--json`, of JSON."""
 
-    def __init__(self, *, machine: bool) -> None:
+    def __init__(self, *, machine: bool, aside: bool = False) -> None:
+        """Choose the format.
+
+        Args:
+            machine: print JSON.
+            aside: print to the error stream, since a file is written to standard output.
+        """
         self.machine = machine
+        self._aside = aside
+
+    @property
+    def _stream(self) -> TextIO:
+        return sys.stderr if self._aside else sys.stdout
 
     def record(self, fields: Mapping[str, Any]) -> None:
         """Print one JSON object on a line of its own, for machines only."""
         if self.machine:
-            sys.stdout.write(json.dumps(fields, allow_nan=False, default=_plain) + "\n")
-            sys.stdout.flush()
+            write_line(json.dumps(fields, allow_nan=False, default=_plain), self._stream)
+            self._stream.flush()
 
     def say(self, text: RenderableType) -> None:
-        """Print a result as text, unless it is printed as a JSON record already."""
+        """Print a result as one line of text or as a table, unless it is printed as a JSON record already."""
         if self.machine:
             return
         if isinstance(text, str):
-            sys.stdout.write(text + "\n")
+            write_line(text, self._stream)
         else:
-            self._console(error=False).print(text, markup=False, highlight=False)
+            self._console(error=self._aside).print(text, markup=False, highlight=False)
 
     def note(self, text: str) -> None:
-        """Print a remark beside the result, such as why there is none, to the error stream."""
-        sys.stderr.write(text + "\n")
+        """Print a remark of one line beside the result, such as why there is none, to the error stream."""
+        write_line(text, sys.stderr)
 
     @contextmanager
     def bar(self, title: str) -> Iterator[Callable[[int, int, str], None]]:
@@ -90,9 +122,18 @@ class Output:
 
     @staticmethod
     def _console(*, error: bool) -> Console:
-        from rich.console import Console
+        from rich.console import Console, ConsoleOptions
+        from rich.segment import Segment
 
-        return Console(stderr=error)  # made anew, since tests and shells exchange the streams
+        class PlainConsole(Console):
+            """Console on which texts cannot control the terminal."""
+
+            def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
+                for segment in super().render(renderable, options):
+                    lines = "\n".join(map(printable, segment.text.split("\n")))
+                    yield segment if segment.control else segment._replace(text=lines)
+
+        return PlainConsole(stderr=error)  # made anew, since tests and shells exchange the streams
 
 
 def _plain(value: Any) -> Any:

@@ -3,40 +3,18 @@
 from __future__ import annotations
 
 import json
-import os
-import secrets
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
 from falsework.utils.json_text import parse_json
+from falsework.utils.output_file import write_whole
 
 _HEADER = "header"
-
-
-def write_whole(path: Path | str, write: Callable[[IO[bytes]], object]) -> None:
-    """Write a file under a temporary name beside it, then rename it, so that an interruption leaves no partial file.
-
-    Raises:
-        InputError: the folder does not exist or cannot be written to.
-    """
-    path = Path(path)
-    draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-    try:
-        file = draft.open("xb")
-    except OSError as error:
-        raise InputError(f"cannot write {path}: {error.strerror}; choose another place") from None
-    try:
-        with file:
-            write(file)
-        os.replace(draft, path)
-    except BaseException:
-        draft.unlink(missing_ok=True)
-        raise
 
 
 def write_archive(path: Path | str, form: str, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:

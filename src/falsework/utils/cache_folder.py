@@ -1,11 +1,21 @@
-"""User folder that caches compiled code."""
+"""User folder that caches compiled code.
+
+Code that runs is checked first: a damaged file would end the process without a message.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import os
 import warnings
 from functools import cache
 from pathlib import Path
+
+from falsework.errors import InputError
+from falsework.utils.output_file import write_whole
+
+_DIGEST = hashlib.sha256().digest_size
+"""Bytes of the digest with which a file begins."""
 
 
 def cache_folder() -> Path:
@@ -17,27 +27,31 @@ def cache_folder() -> Path:
 
 
 def read_cache(name: str) -> bytes | None:
-    """Return the content cached under a name, or None."""
+    """Return the content cached under a name; None if there is none, or with a warning if it is damaged."""
+    kept = cache_folder() / name
     try:
-        return (cache_folder() / name).read_bytes()
+        found = kept.read_bytes()
     except OSError:
         return None
+    digest, content = found[:_DIGEST], found[_DIGEST:]
+    if hashlib.sha256(content).digest() == digest:
+        return content
+    warnings.warn(f"{kept} is damaged; what it cached is compiled again", CacheWarning, stacklevel=2)
+    return None
 
 
 def write_cache(name: str, content: bytes) -> None:
-    """Cache content under a name; warn once if the folder cannot be written."""
+    """Cache content under a name, with its digest; warn once if the folder cannot be written."""
     kept = cache_folder() / name
-    fresh = kept.with_suffix(f".{os.getpid()}.tmp")
     try:
         kept.parent.mkdir(parents=True, exist_ok=True)
-        fresh.write_bytes(content)
-        fresh.replace(kept)
-    except OSError:
+        write_whole(kept, lambda file: file.write(hashlib.sha256(content).digest() + content))
+    except (OSError, InputError):
         warn_of_no_cache(str(kept.parent))
 
 
 class CacheWarning(UserWarning):
-    """Compiled code cannot be kept."""
+    """Compiled code cannot be kept, or is damaged."""
 
 
 @cache

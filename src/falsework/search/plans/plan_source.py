@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.props import with_props
 from falsework.errors import PlanError
 from falsework.search.plans.plan import Plan
+from falsework.utils.output_file import path_beside
 
 
 def structure_of_plan(
@@ -61,9 +61,4 @@ def moved_source(plan: Plan, file: Path, beside: Path) -> Mapping[str, Any] | No
     """
     if plan.source is None or "path" not in plan.source:
         return plan.source
-    place = file.resolve().parent / plan.source["path"]
-    try:
-        path = os.path.relpath(place.resolve(), beside.resolve().parent)
-    except ValueError:  # on another drive there is no relative path
-        path = str(place.resolve())
-    return {**plan.source, "path": Path(path).as_posix()}
+    return {**plan.source, "path": path_beside(file.resolve().parent / plan.source["path"], beside)}
