@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import sys
 import time
-import unicodedata
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TextIO
+
+from falsework.utils.printable import printable
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -22,20 +23,6 @@ LOG_EVERY = 30.0
 def counted(number: int, noun: str) -> str:
     """Return a number and what it counts, such as `1 step` or `2 steps`."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
-
-
-_UNSEEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
-"""Categories of Unicode that control a terminal, the direction of text or the line, or are no characters at all."""
-
-
-def printable(text: str) -> str:
-    """Return a text with its control characters, line breaks included, as escapes such as `\\x1b`.
-
-    Names come from files: on a terminal they could move the cursor, hide a line or write one of their own.
-    """
-    if text.isprintable():
-        return text
-    return "".join(c.encode("unicode_escape").decode() if unicodedata.category(c) in _UNSEEN else c for c in text)
 
 
 def write_line(text: str, stream: TextIO) -> None:

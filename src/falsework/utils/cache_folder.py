@@ -28,26 +28,39 @@ def cache_folder() -> Path:
 
 def read_cache(name: str) -> bytes | None:
     """Return the content cached under a name; None if there is none, or with a warning if it is damaged."""
+    return read_sealed(cache_folder() / name)
+
+
+def write_cache(name: str, content: bytes) -> None:
+    """Cache content under a name; warn once if the folder cannot be written."""
     kept = cache_folder() / name
     try:
-        found = kept.read_bytes()
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        write_sealed(kept, content)
+    except (OSError, InputError):
+        warn_of_no_cache(str(kept.parent))
+
+
+def read_sealed(path: Path) -> bytes | None:
+    """Return what `write_sealed` wrote; None if there is no such file, or with a warning if it is damaged."""
+    try:
+        found = path.read_bytes()
     except OSError:
         return None
     digest, content = found[:_DIGEST], found[_DIGEST:]
     if hashlib.sha256(content).digest() == digest:
         return content
-    warnings.warn(f"{kept} is damaged; what it cached is compiled again", CacheWarning, stacklevel=2)
+    warnings.warn(f"{path} is damaged; what it cached is compiled again", CacheWarning, stacklevel=2)
     return None
 
 
-def write_cache(name: str, content: bytes) -> None:
-    """Cache content under a name, with its digest; warn once if the folder cannot be written."""
-    kept = cache_folder() / name
-    try:
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(kept, lambda file: file.write(hashlib.sha256(content).digest() + content))
-    except (OSError, InputError):
-        warn_of_no_cache(str(kept.parent))
+def write_sealed(path: Path, content: bytes) -> None:
+    """Write content after its digest, whole or not at all.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    write_whole(path, lambda file: file.write(hashlib.sha256(content).digest() + content))
 
 
 class CacheWarning(UserWarning):

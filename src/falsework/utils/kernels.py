@@ -55,9 +55,13 @@ class Kernel:
         """The function as numba compiles it."""
         import numba
 
+        from falsework.utils.numba_cache import SealedCacheFile
+
         compiler: Any = numba.njit
         try:
-            return compiler(**self.options)(self.py_func)
+            compiled = compiler(**self.options)(self.py_func)
+            SealedCacheFile.replace_in(compiled)
+            return compiled
         except RuntimeError:  # numba has found no folder that it can write
             warn_of_no_cache(str(Path(self.py_func.__code__.co_filename).parent))
             return compiler(**{**self.options, "cache": False})(self.py_func)

@@ -16,7 +16,7 @@ from typing import IO
 
 from falsework.errors import InputError
 
-_STREAM = re.compile(r"/dev/(?:fd|std)(\d+|out|err)|/proc/(?:self|\d+)/fd/(\d+)")
+_STREAM = re.compile(r"/dev/std(out|err)|(?:/dev/fd|/proc/self/fd)/(\d+)")
 """Paths that name an open stream of this process."""
 _ABANDONED = 3600.0
 """Age from which a draft beside a file counts as left by a killed process, seconds."""
@@ -110,11 +110,18 @@ def _target(path: Path) -> Path | int:
 
 
 def _descriptor(path: Path) -> int | None:
-    found = _STREAM.fullmatch(os.path.abspath(path))
-    if found is None or os.name != "posix":
+    """Return the number of the open stream that a path names, itself or by a link; None if it names none."""
+    if os.name != "posix":
         return None
-    number = found[1] or found[2]
-    return {"out": 1, "err": 2}.get(number) or int(number)
+    found = _STREAM.fullmatch(os.path.abspath(path))
+    if found is not None:
+        return int(found[2]) if found[2] else {"out": 1, "err": 2}[found[1]]
+    for number in (1, 2):
+        with contextlib.suppress(OSError):
+            entry = path.stat()
+            if not stat.S_ISREG(entry.st_mode) and os.path.samestat(entry, os.fstat(number)):
+                return number
+    return None
 
 
 def _is(path: Path, kind: Callable[[int], bool]) -> bool:
