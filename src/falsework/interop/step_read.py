@@ -10,6 +10,7 @@ import numpy as np
 from falsework.assembly.draft import Block, Draft
 from falsework.assembly.model import Assembly
 from falsework.errors import DependencyError, InputError
+from falsework.utils.child_process import ChildDiedError, run_in_child
 
 _MILLIMETRE = 1e-3
 """Unit to which Open CASCADE converts coordinates, in metres."""
@@ -17,6 +18,8 @@ _DEFLECTION = 1e-3
 """Largest distance of triangles from a curved face, as a share of the face's edges."""
 _ANGLE = np.radians(5)
 """Largest angle between neighbouring triangles of a curved face."""
+_MEMORY, _MEMORY_PER_BYTE = 4 << 30, 2000
+"""Address space of the process that reads: for the libraries, and for each byte of the file."""
 
 
 def is_step(path: Path | str) -> bool:
@@ -53,6 +56,23 @@ def read_step(path: Path | str, *, unit: str | None = None) -> Draft:
         DependencyError: cadquery-ocp is not installed.
         InputError: no STEP file, no solid in it, or a unit.
     """
+    path = Path(path)
+    if unit is not None:
+        raise InputError(f"{path} is a STEP file and says its unit; leave out --unit")
+    if not path.is_file():
+        raise InputError(f"there is no file {path}; name a STEP file")
+    memory = _MEMORY + _MEMORY_PER_BYTE * path.stat().st_size
+    try:
+        return run_in_child(_read, path, memory=memory)
+    except (ChildDiedError, MemoryError) as error:
+        how = (
+            "takes more memory than a file of its size may" if isinstance(error, MemoryError) else f"stopped ({error})"
+        )
+        raise InputError(f"{path} cannot be read: Open CASCADE {how}; the file is damaged, export it again") from None
+
+
+def _read(path: Path) -> Draft:
+    """Read the solids of a STEP file in this process, which Open CASCADE may end when the file is damaged."""
     try:
         from OCP.BRepMesh import BRepMesh_IncrementalMesh
         from OCP.IFSelect import IFSelect_RetDone
@@ -61,9 +81,6 @@ def read_step(path: Path | str, *, unit: str | None = None) -> Draft:
         from OCP.TopExp import TopExp_Explorer
     except ImportError:
         raise DependencyError("STEP files need cadquery-ocp; pip install 'falsework[step]'") from None
-    path = Path(path)
-    if unit is not None:
-        raise InputError(f"{path} is a STEP file and says its unit; leave out --unit")
     reader = STEPControl_Reader()
     if reader.ReadFile(str(path)) != IFSelect_RetDone:
         raise InputError(f"{path} is not a STEP file, or is damaged; export it again")
