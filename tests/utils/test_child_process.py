@@ -36,4 +36,4 @@ def test_warnings_come_back() -> None:
     from falsework.utils.cache_folder import CacheWarning, warn_of_no_cache
 
     with pytest.warns(CacheWarning, match="cannot be kept in here"):
-        run_in_child(warn_of_no_cache.__wrapped__, "here")
+        run_in_child(warn_of_no_cache, "here")
