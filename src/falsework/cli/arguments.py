@@ -87,7 +87,8 @@ def read_states(path: Path) -> Any:
         raise StateError(f"no file {path}; give a JSON list of states or a .npy array")
     try:
         if path.suffix.lower() == ".npy":
-            return np.load(path, allow_pickle=False)
+            # Mapped first: a file that is shorter than it claims is refused before memory is taken for it.
+            return np.array(np.load(path, allow_pickle=False, mmap_mode="r"))
         content = parse_json(path.read_text(encoding="utf-8"))
     except Exception as error:  # NumPy fails in many ways on a damaged file
         raise StateError(f"{path} cannot be read; give a JSON list of states or a .npy array") from error

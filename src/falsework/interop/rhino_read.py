@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from falsework.assembly.draft import Block, Draft
 from falsework.assembly.model import Assembly
 from falsework.errors import DependencyError, InputError
+from falsework.geometry.mesh.bounds import check_growth
 from falsework.geometry.mesh.read import unit_length
 from falsework.geometry.mesh.repair import RepairWarning
 from falsework.geometry.mesh.sheets import is_sheet
@@ -33,6 +34,8 @@ _UNITS = {
 """Lengths of Rhino's units in metres."""
 _FLAT = 1e-6
 """Thickness, as a share of its size, below which an object is a sheet and no part."""
+_DEEPEST = 32
+"""Levels of blocks in blocks."""
 
 
 def is_rhino(path: Path | str) -> bool:
@@ -83,6 +86,7 @@ def read_rhino(path: Path | str, *, unit: str | None = None) -> Draft:
     model = rhino3dm.File3dm.Read(str(path))
     if model is None:
         raise InputError(f"{path} is not a Rhino file, or is damaged; save it again in Rhino")
+    _check_instances(path, model)
     system = model.Settings.ModelUnitSystem.name
     if unit is None and system not in _UNITS:
         raise InputError(f"{path} has the unit {system}, whose length is not known; name it, such as --unit mm")
@@ -113,6 +117,31 @@ def read_rhino(path: Path | str, *, unit: str | None = None) -> Draft:
         where = ", ".join(f"{count} on layer {layer}" for layer, count in left_out.items())
         warnings.warn(f"{path}: surfaces that are not solids were left out: {where}", RepairWarning, stacklevel=2)
     return Draft.of(path, scale, [block for _, block in found])
+
+
+def _check_instances(path: Path, model: Any) -> None:
+    """Count what the instances of blocks grow to before any is read, since blocks in blocks double and double again.
+
+    Raises:
+        MeshError: more than a file of its size may grow to.
+        InputError: a block that contains itself.
+    """
+    sizes: dict[str, int] = {}
+
+    def size(entry: Any, within: tuple[str, ...]) -> int:
+        geometry = entry.Geometry
+        if type(geometry).__name__ != "InstanceReference":
+            return 1 + (len(geometry.Vertices) + len(geometry.Faces) if type(geometry).__name__ == "Mesh" else 0)
+        block = str(geometry.ParentIdefId)
+        if block in within or len(within) == _DEEPEST:
+            raise InputError(f"{path} has blocks that contain themselves or nest too deeply; explode them in Rhino")
+        if block not in sizes:
+            members = model.InstanceDefinitions.FindId(geometry.ParentIdefId).GetObjectIds()
+            sizes[block] = 1 + sum(size(model.Objects.FindId(str(member)), (*within, block)) for member in members)
+        return sizes[block]
+
+    objects: Any = model.Objects
+    check_growth(path, sum(size(entry, ()) for entry in objects if not entry.Attributes.IsInstanceDefinitionObject))
 
 
 _Geometry = tuple[str, NDArray[np.float64], list[list[int]]]

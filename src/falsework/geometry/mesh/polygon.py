@@ -7,6 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.errors import MeshError
+from falsework.geometry.mesh.bounds import LARGEST_POLYGON
+
 Array = NDArray[np.float64]
 
 
@@ -26,8 +29,13 @@ def triangulate(points: Array) -> list[tuple[int, int, int]]:
 
     Returns:
         Triples of indices into `points`; one fewer than two less than the corners where corners coincide.
+
+    Raises:
+        MeshError: there are more corners than `LARGEST_POLYGON`.
     """
     count = len(points)
+    if count > LARGEST_POLYGON:
+        raise MeshError(f"a face has {count} corners, at most {LARGEST_POLYGON} are read; cut it into triangles")
     if count == 3:
         return [(0, 1, 2)]
     normal = newell_normal(points)
@@ -47,10 +55,12 @@ def triangulate(points: Array) -> list[tuple[int, int, int]]:
         return not any(
             turn(i, j, p) >= 0 and turn(j, k, p) >= 0 and turn(k, i, p) >= 0
             for p in ring
-            if p not in (i, j, k) and (x[p], y[p]) not in ((x[i], y[i]), (x[j], y[j]), (x[k], y[k]))
+            if inward[p] and p not in (i, j, k) and (x[p], y[p]) not in ((x[i], y[i]), (x[j], y[j]), (x[k], y[k]))
         )
 
     ring = list(range(count))
+    # A cut never turns a corner inwards, and only such corners can lie in an ear.
+    inward = [turn(at - 1, at, (at + 1) % count) <= 0 for at in ring]
     triangles: list[tuple[int, int, int]] = []
     while len(ring) > 3:
         at = next((at for at in range(len(ring)) if is_ear(ring, at)), None)

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import InputError, MeshError
+from falsework.geometry.mesh.bounds import check_glb
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.obj import read_obj
 from falsework.geometry.mesh.repair import check_mesh, thicken_supports
@@ -140,8 +143,13 @@ def _read_solids(file: Path) -> list[_Solid]:
     else:
         import trimesh
 
+        options: dict[str, Any] = {}
+        if file.suffix.lower() == ".glb":
+            check_glb(file)
+            options = {"skip_materials": True}  # images may unpack to any size
+        logging.getLogger("trimesh").addHandler(logging.NullHandler())  # else it prints tracebacks
         try:
-            scene = trimesh.load_scene(file, process=False)
+            scene = trimesh.load_scene(file, process=False, **options)
         except Exception as error:  # readers of foreign formats fail in their own ways
             reason = (str(error).splitlines() or [type(error).__name__])[0]
             raise MeshError(f"cannot read {file}: {reason}; export it again") from error
