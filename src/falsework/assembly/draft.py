@@ -92,7 +92,10 @@ class Draft:
         stored = []
         for interface in interfaces:
             one, two = (number_of.get(key, -1) for key in interface["keys"])
-            points = np.array(interface["points"], dtype=float).reshape(-1, 3) * scale
+            try:
+                points = np.array(interface["points"], dtype=float).reshape(-1, 3) * scale
+            except (TypeError, ValueError):
+                raise AssemblyError(f"{path}: an interface has corners that are no points; export it again") from None
             stored.append(StoredInterface((one, two), points, np.asarray(interface["normal"])))
         return Draft(path, scale, tuple(blocks), tuple(stored))
 

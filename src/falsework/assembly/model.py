@@ -365,7 +365,10 @@ def _boundary(value: ArrayLike, meshes: Sequence[TriangleMesh]) -> NDArray[np.bo
     listed: list[Any] = list(value) if isinstance(value, (list, tuple)) else []
     if any(isinstance(item, str) for item in listed):
         value = part_ids(listed, [mesh.name for mesh in meshes], "boundary")
-    given = np.asarray(value)
+    try:
+        given = np.asarray(value)
+    except ValueError:  # lists of different lengths
+        raise AssemblyError(f"boundary is {value!r}; give ids of parts, 0 to {parts - 1}, or names") from None
     if given.dtype == bool:
         if given.shape != (parts,):
             raise AssemblyError(f"the boundary mask has shape {given.shape}; expected ({parts},), one a part")

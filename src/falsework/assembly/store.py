@@ -209,6 +209,8 @@ def _contact_settings(given: Mapping[str, Any], file: Path) -> ContactSettings:
     for key in given:
         if key not in known:
             raise AssemblyError(f"contact in {file} has {key!r}; it may have {', '.join(known)}")
+        if given[key] is not None and (isinstance(given[key], bool) or not isinstance(given[key], (int, float))):
+            raise AssemblyError(f"contact.{key} in {file} is {given[key]!r}; give a number")
     try:
         return ContactSettings(**given)
     except TypeError as error:

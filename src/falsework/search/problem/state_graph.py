@@ -18,6 +18,7 @@ from falsework.search.problem.result import Route
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Criterion
 from falsework.utils.archive import read_archive, write_archive
+from falsework.utils.damage import blamed_on
 
 FORMAT = "falsework.graph/1"
 
@@ -234,29 +235,30 @@ def load_state_graph(path: Path | str) -> StateGraph:
     if set(header) != _KEYS:
         odd = ", ".join(sorted(set(header) ^ _KEYS))
         raise InputError(f"{path} is not a valid {FORMAT} file: unexpected or absent header entries {odd}")
-    try:
-        task = Task.create(
-            arrays["boundary"],
-            header["robots"],
-            start=arrays["start_state"],
-            target=arrays["target_state"],
-            fixed=header["fixed"],
-            missing=header["missing"],
-            identity=header["identity"],
-        ).postpone(header["postponed"])
+    with blamed_on(path, "build the graph again"):
+        try:
+            task = Task.create(
+                arrays["boundary"],
+                header["robots"],
+                start=arrays["start_state"],
+                target=arrays["target_state"],
+                fixed=header["fixed"],
+                missing=header["missing"],
+                identity=header["identity"],
+            ).postpone(header["postponed"])
+        except InputError as error:
+            raise InputError(f"{path} is damaged ({error}); build the graph again") from None
         task = replace(task, holds_keep_stable=criterion == "equilibrium")
-    except (InputError, TypeError) as error:
-        raise InputError(f"{path} is damaged ({error}); build the graph again") from None
-    graph = StateGraph(
-        arrays["states"],
-        arrays["source"],
-        arrays["action"],
-        arrays["target"],
-        task,
-        header["name"],
-        header["removable_only_if_clear"],
-    )
-    _check(graph, path)
+        graph = StateGraph(
+            arrays["states"],
+            arrays["source"],
+            arrays["action"],
+            arrays["target"],
+            task,
+            header["name"],
+            header["removable_only_if_clear"],
+        )
+        _check(graph, path)
     return graph
 
 
