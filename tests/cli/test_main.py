@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
@@ -48,6 +49,11 @@ def test_help_is_fast_and_names_every_command() -> None:
         assert name in done.stdout
     assert "Example:" in done.stdout
     assert best < 0.4  # 0.1 s on an idle machine; more means that something heavy is imported
+
+
+def caused(error: Exception, cause: Exception) -> Exception:
+    error.__cause__ = cause
+    return error
 
 
 @pytest.mark.parametrize(("arguments", "more"), [(["--help"], {"tyro"}), (["plan", "--help"], set())])
@@ -130,7 +136,6 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     [
         (InputError("part 3 is\nopen; close it"), "part 3 is open; close it"),
         (FileNotFoundError(2, "No such file or directory", "x.json"), "x.json: No such file or directory"),
-        (MemoryError(), "out of memory"),
         (KeyError("surprise"), "unexpected KeyError"),
     ],
 )
@@ -145,6 +150,25 @@ def test_errors_become_one_line(
     assert captured.err.count("\n") == 1
     assert text in captured.err
     assert "Traceback" not in captured.err
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError(),
+        OSError(errno.ENOMEM, "Cannot allocate memory"),
+        ImportError("solver.so: failed to map segment from shared object"),
+        caused(InputError("the solver cannot be used"), MemoryError()),
+    ],
+)
+def test_want_of_memory_is_not_wrong_input(
+    error: Exception, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(_: Any) -> Exit:
+        raise error
+
+    assert run_with(monkeypatch, fail) == 3
+    assert capsys.readouterr().err == "falsework: out of memory; try a smaller structure or search width\n"
 
 
 def test_debug_shows_the_traceback(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

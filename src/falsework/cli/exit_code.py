@@ -12,5 +12,7 @@ class Exit(IntEnum):
     NO = 1
     """The input is valid and the answer is no."""
     WRONG_INPUT = 2
+    NO_MEMORY = 3
+    """There is too little memory for an answer."""
     INTERRUPTED = 130
     """As shells report it: 128 plus the number of SIGINT."""

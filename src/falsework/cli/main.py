@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import contextlib
+import errno
 import importlib
 import io
 import os
@@ -61,7 +62,7 @@ Example:
   falsework plan vault --robots 2 --out plan.json
   falsework check plan.json
 
-Exit codes: 0 done, 1 the answer is no, 2 wrong input."""
+Exit codes: 0 done, 1 the answer is no, 2 wrong input, 3 out of memory."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -73,6 +74,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         Exit code, see `Exit`; nothing is raised, whatever happens.
     """
+    # Threads of OpenBLAS only get in the way of the solvers' own; where they cannot start, it interrupts the program.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in arguments
     try:
@@ -98,7 +101,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if debug:
             for line in traceback.format_exc().splitlines():
                 write_line(line, sys.stderr)
-        return _fail(_explain(error), Exit.WRONG_INPUT)
+        return _fail(_explain(error), Exit.NO_MEMORY if _lacks_memory(error) else Exit.WRONG_INPUT)
 
 
 _OPTION_INDENT, _HELP_INDENT = 5, 9
@@ -250,13 +253,26 @@ def _choices(found: re.Match[str]) -> str:
 def _explain(error: Exception) -> str:
     """Return one line for an error: known errors say what to do, others get their kind and a way to learn more."""
     text = " ".join(str(error).split())
+    if _lacks_memory(error):
+        return "out of memory; try a smaller structure or search width"
     if isinstance(error, FalseworkError):
         return text
     if isinstance(error, OSError):
         return f"{error.filename}: {error.strerror}" if error.filename and error.strerror else text
-    if isinstance(error, MemoryError):
-        return "out of memory; try a smaller structure or search width"
     return f"unexpected {type(error).__name__}: {text}; this is a defect, --debug shows where"
+
+
+def _lacks_memory(error: BaseException | None) -> bool:
+    """Return whether an error, or one that led to it, is for want of memory, as that to load a library is."""
+    if error is None:
+        return False
+    words = ("failed to map segment", "cannot allocate memory")
+    return (
+        isinstance(error, MemoryError)
+        or (isinstance(error, OSError) and error.errno == errno.ENOMEM)
+        or (isinstance(error, (OSError, ImportError)) and any(word in str(error).lower() for word in words))
+        or _lacks_memory(error.__cause__ or error.__context__)
+    )
 
 
 def _fail(text: str, code: Exit) -> Exit:
