@@ -5,6 +5,7 @@ from __future__ import annotations
 import operator
 import os
 import sys
+import time
 
 import pytest
 
@@ -23,6 +24,11 @@ def test_a_crash_is_an_error() -> None:
         run_in_child(os._exit, 7)
     with pytest.raises(ChildDiedError, match="SIGABRT" if os.name == "posix" else "exit code"):
         run_in_child(os.abort)
+
+
+def test_time_is_limited() -> None:
+    with pytest.raises(ChildDiedError, match="no answer within 1 s"):
+        run_in_child(time.sleep, 60, seconds=1)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="Linux limits the memory of a process")

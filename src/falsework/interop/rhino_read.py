@@ -18,6 +18,7 @@ from falsework.geometry.mesh.bounds import check_growth
 from falsework.geometry.mesh.read import unit_length
 from falsework.geometry.mesh.repair import RepairWarning
 from falsework.geometry.mesh.sheets import is_sheet
+from falsework.interop.apart import read_apart
 
 _UNITS = {
     "Microns": 1e-6,
@@ -79,10 +80,16 @@ def read_rhino(path: Path | str, *, unit: str | None = None) -> Draft:
         InputError: no Rhino file, no part in it, an object without a mesh, or a unit without a length.
     """
     try:
-        import rhino3dm
+        import rhino3dm  # noqa: F401 - imported by the other process
     except ImportError:
         raise DependencyError("Rhino files need rhino3dm; pip install 'falsework[rhino]'") from None
-    path = Path(path)
+    return read_apart(_read, Path(path), unit, library="rhino3dm")
+
+
+def _read(path: Path, unit: str | None) -> Draft:
+    """Read a Rhino file in this process, which rhino3dm may hold up for minutes when the file is damaged."""
+    import rhino3dm
+
     model = rhino3dm.File3dm.Read(str(path))
     if model is None:
         raise InputError(f"{path} is not a Rhino file, or is damaged; save it again in Rhino")

@@ -10,7 +10,7 @@ import numpy as np
 from falsework.assembly.draft import Block, Draft
 from falsework.assembly.model import Assembly
 from falsework.errors import DependencyError, InputError
-from falsework.utils.child_process import ChildDiedError, run_in_child
+from falsework.interop.apart import read_apart
 
 _MILLIMETRE = 1e-3
 """Unit to which Open CASCADE converts coordinates, in metres."""
@@ -18,8 +18,6 @@ _DEFLECTION = 1e-3
 """Largest distance of triangles from a curved face, as a share of the face's edges."""
 _ANGLE = np.radians(5)
 """Largest angle between neighbouring triangles of a curved face."""
-_MEMORY, _MEMORY_PER_BYTE = 4 << 30, 2000
-"""Address space of the process that reads: for the libraries, and for each byte of the file."""
 
 
 def is_step(path: Path | str) -> bool:
@@ -59,16 +57,7 @@ def read_step(path: Path | str, *, unit: str | None = None) -> Draft:
     path = Path(path)
     if unit is not None:
         raise InputError(f"{path} is a STEP file and says its unit; leave out --unit")
-    if not path.is_file():
-        raise InputError(f"there is no file {path}; name a STEP file")
-    memory = _MEMORY + _MEMORY_PER_BYTE * path.stat().st_size
-    try:
-        return run_in_child(_read, path, memory=memory)
-    except (ChildDiedError, MemoryError) as error:
-        how = (
-            "takes more memory than a file of its size may" if isinstance(error, MemoryError) else f"stopped ({error})"
-        )
-        raise InputError(f"{path} cannot be read: Open CASCADE {how}; the file is damaged, export it again") from None
+    return read_apart(_read, path, library="Open CASCADE")
 
 
 def _read(path: Path) -> Draft:

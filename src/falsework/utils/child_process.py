@@ -30,7 +30,9 @@ def child_environment() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
 
 
-def run_in_child(function: Callable[..., Result], *arguments: object, memory: int | None = None) -> Result:
+def run_in_child(
+    function: Callable[..., Result], *arguments: object, memory: int | None = None, seconds: float | None = None
+) -> Result:
     """Call a function in a new interpreter and return its result.
 
     Unlike the processes of `multiprocessing` it does not run the main module of the program again, which a library must
@@ -40,18 +42,23 @@ def run_in_child(function: Callable[..., Result], *arguments: object, memory: in
         function: function of a module; arguments and result can be pickled.
         arguments: of the function.
         memory: address space of the process, bytes, where the system can limit it.
+        seconds: time after which the process is ended.
 
     Raises:
-        ChildDiedError: the process ended without an answer.
+        ChildDiedError: the process ended without an answer, or was ended.
     """
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", _MAIN],
-        input=pickle.dumps((function, arguments, memory)),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        env=child_environment() | _ONE_THREAD,
-        check=False,
-    )
+    try:
+        done = subprocess.run(
+            [sys.executable, "-P", "-c", _MAIN],
+            input=pickle.dumps((function, arguments, memory)),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env=child_environment() | _ONE_THREAD,
+            timeout=seconds,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        raise ChildDiedError(f"no answer within {seconds:.0f} s") from None
     if not done.stdout:
         raise ChildDiedError(_how(done.returncode))
     result, error, said = pickle.loads(done.stdout)
@@ -71,7 +78,8 @@ def answer() -> None:
     if memory is not None and sys.platform == "linux":
         import resource
 
-        resource.setrlimit(resource.RLIMIT_AS, (memory, resource.getrlimit(resource.RLIMIT_AS)[1]))
+        most = resource.getrlimit(resource.RLIMIT_AS)[1]
+        resource.setrlimit(resource.RLIMIT_AS, (memory if most < 0 else min(memory, most), most))
     result, error = None, None
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
