@@ -61,7 +61,7 @@ def test_the_fuzzer_notices(found: dict[str, fuzz.Kind], tmp_path: Path) -> None
     path.write_bytes(b"{}")
     assert fuzz.examine(kind(fail), path) == "KeyError: 'defect'"
     assert fuzz.in_process_of_its_own(kind(fail), path) == "KeyError: 'defect'"
-    assert fuzz.in_process_of_its_own(kind(lambda _: bytearray(fuzz.MEMORY + 1)), path) == "MemoryError"
+    assert fuzz.in_process_of_its_own(kind(lambda _: bytearray(1 << 40)), path) == "MemoryError"
     assert fuzz.in_process_of_its_own(kind(lambda _: fuzz.os.abort()), path) == "SIGABRT"
     outside = tmp_path.parent / "outside"
     assert "forbidden: open" in fuzz.in_process_of_its_own(kind(lambda _: outside.write_text("")), path)
