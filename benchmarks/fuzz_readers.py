@@ -137,7 +137,7 @@ def _structures(assembly: Assembly, scratch: Path) -> Iterator[tuple[str, Kind]]
         yield name, Kind(files[name], name, _read_folder, beside)
     whole = trimesh.util.concatenate([trimesh.Trimesh(mesh.vertices, mesh.faces) for mesh in assembly.meshes])
     for suffix in ("stl", "ply", "stl_ascii"):
-        written = whole.export(file_type=suffix)
+        written = whole.export(None, file_type=suffix)
         yield (
             suffix,
             Kind(
@@ -164,7 +164,8 @@ def kinds_apart(assembly: Assembly, scratch: Path) -> Iterator[tuple[str, Kind]]
         pass
     else:
         model = rhino3dm.File3dm()
-        model.Settings.ModelUnitSystem = rhino3dm.UnitSystem.Meters
+        settings: Any = model.Settings  # the stubs of rhino3dm lag behind it
+        settings.ModelUnitSystem = rhino3dm.UnitSystem.Meters
         for part in assembly.meshes:
             mesh = rhino3dm.Mesh()
             for corner in part.vertices.tolist():

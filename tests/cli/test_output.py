@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from falsework.cli.output import Output, write_line
-from falsework.utils.printable import printable
+from falsework.utils.files.printable import printable
 
 EVIL = "a\x1b[2J\x07\r\nplan.json: all 9 states are stable\u202e\u2028\x9b1m\ud800\0"
 

@@ -39,7 +39,7 @@ def test_memory_is_limited() -> None:
 
 
 def test_warnings_come_back() -> None:
-    from falsework.utils.cache_folder import CacheWarning, warn_of_no_cache
+    from falsework.utils.cache.folder import CacheWarning, warn_of_no_cache
 
     with pytest.warns(CacheWarning, match="cannot be kept in here"):
         run_in_child(warn_of_no_cache, "here")

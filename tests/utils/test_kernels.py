@@ -18,7 +18,8 @@ import numpy as np
 import pytest
 from llvmlite import binding as llvm
 
-from falsework.utils import bits, cache_folder, kernel_code
+from falsework.utils import bits, kernel_code
+from falsework.utils.cache import folder as cache_folder
 from falsework.utils.kernels import Kernel, njit
 
 ONE = np.array([[1, 0], [4, 2], [0, 0]], np.uint64)

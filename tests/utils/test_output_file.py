@@ -17,8 +17,8 @@ from typing import IO, NoReturn
 import pytest
 
 from falsework.errors import InputError
-from falsework.utils import output_file
-from falsework.utils.output_file import check_writable, path_beside, write_whole
+from falsework.utils.files import output_file
+from falsework.utils.files.output_file import check_writable, path_beside, write_whole
 
 posix = pytest.mark.skipif(os.name != "posix", reason="links, pipes and devices of POSIX")
 
@@ -77,7 +77,7 @@ def test_a_pipe_gets_the_content_and_stays(tmp_path: Path) -> None:
 def test_standard_output_is_streamed_to(tmp_path: Path, name: str) -> None:
     (tmp_path / "link").symlink_to("/dev/stdout")
     code = (
-        "from falsework.utils.output_file import *; import sys;"
+        "from falsework.utils.files.output_file import *; import sys;"
         f"check_writable(Path({name!r}));"
         f"write_whole({name!r}, lambda file: file.write(b'hello')); print(' still open')"
     )

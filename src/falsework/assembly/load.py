@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from falsework.errors import InputError
-from falsework.utils.damage import blamed_on
+from falsework.utils.files.damage import blamed_on
 
 if TYPE_CHECKING:
     from falsework.assembly.draft import Draft

@@ -365,10 +365,7 @@ def _boundary(value: ArrayLike, meshes: Sequence[TriangleMesh]) -> NDArray[np.bo
     listed: list[Any] = list(value) if isinstance(value, (list, tuple)) else []
     if any(isinstance(item, str) for item in listed):
         value = part_ids(listed, [mesh.name for mesh in meshes], "boundary")
-    try:
-        given = np.asarray(value)
-    except ValueError:  # lists of different lengths
-        raise AssemblyError(f"boundary is {value!r}; give ids of parts, 0 to {parts - 1}, or names") from None
+    given = np.asarray(None if any(isinstance(item, (list, tuple, dict)) for item in listed) else value)
     if given.dtype == bool:
         if given.shape != (parts,):
             raise AssemblyError(f"the boundary mask has shape {given.shape}; expected ({parts},), one a part")

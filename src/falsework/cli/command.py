@@ -11,7 +11,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from falsework.cli.arguments import parse_load, parse_numbers, parse_parts
 from falsework.cli.exit_code import Exit
-from falsework.utils.output_file import path_beside
+from falsework.utils.files.output_file import path_beside
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly

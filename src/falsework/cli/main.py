@@ -25,7 +25,7 @@ from falsework import __version__
 from falsework.cli.exit_code import Exit
 from falsework.cli.output import Output, write_line
 from falsework.errors import FalseworkError
-from falsework.utils.output_file import is_standard_output
+from falsework.utils.files.output_file import is_standard_output
 
 if TYPE_CHECKING:
     from falsework.cli.command import Command

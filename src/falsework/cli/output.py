@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TextIO
 
-from falsework.utils.printable import printable
+from falsework.utils.files.printable import printable
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType

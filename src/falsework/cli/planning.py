@@ -11,7 +11,7 @@ from tyro.conf import arg
 from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET
 from falsework.errors import InputError
-from falsework.utils.output_file import check_writable
+from falsework.utils.files.output_file import check_writable
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly

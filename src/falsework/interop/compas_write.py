@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 
 from falsework.errors import InputError
-from falsework.utils.output_file import write_whole
+from falsework.utils.files.output_file import write_whole
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from falsework import __version__
 from falsework.errors import InputError
 from falsework.interop.tracks import Track, Tracks, tracks_of
-from falsework.utils.output_file import write_whole
+from falsework.utils.files.output_file import write_whole
 from falsework.viewer.palette import BOUNDARY, INSTALLED, robot_color, unit_rgb
 from falsework.viewer.timeline import NO_ROBOT
 

@@ -30,7 +30,7 @@ from falsework.search.problem.result import (
 from falsework.search.problem.task import Direction, Task
 from falsework.search.settings import COMPACT, EDGES, Attempt, PlannerSettings
 from falsework.utils.archive import read_archive, write_archive
-from falsework.utils.damage import blamed_on
+from falsework.utils.files.damage import blamed_on
 
 FORMAT = "falsework.planner/9"
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
+from falsework.utils.files.output_file import write_whole
 from falsework.utils.json_text import parse_json
-from falsework.utils.output_file import write_whole
 
 _HEADER = "header"
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, ClassVar, NoReturn
 
 from falsework.errors import PlanError
+from falsework.utils.files.output_file import write_whole
 from falsework.utils.json_text import parse_json
-from falsework.utils.output_file import write_whole
 
 
 def write_json(path: Path | str, data: Mapping[str, Any], spread: Container[str]) -> None:

@@ -20,7 +20,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
-from falsework.utils.cache_folder import read_cache, write_cache
+from falsework.utils.cache.folder import read_cache, write_cache
 
 PACKAGE = Path(__file__).parents[1]
 ARCHIVE = PACKAGE / "kernels.zip"

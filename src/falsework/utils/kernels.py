@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from falsework.utils import kernel_code
-from falsework.utils.cache_folder import warn_of_no_cache
+from falsework.utils.cache.folder import warn_of_no_cache
 
 Flat = tuple[str, bytes]
 _ARRAYS = [Struct(f"={5 + 2 * dimensions}q") for dimensions in range(5)]
@@ -55,7 +55,7 @@ class Kernel:
         """The function as numba compiles it."""
         import numba
 
-        from falsework.utils.numba_cache import SealedCacheFile
+        from falsework.utils.cache.numba_files import SealedCacheFile
 
         compiler: Any = numba.njit
         try:

@@ -34,7 +34,7 @@ from falsework.learn.training.checkpoint import load_run  # noqa: E402
 from falsework.learn.training.logger import read_progress  # noqa: E402
 from falsework.learn.training.train import TrainResult, train  # noqa: E402
 from falsework.learn.training.trainer import Trainer  # noqa: E402
-from falsework.utils.output_file import write_whole  # noqa: E402
+from falsework.utils.files.output_file import write_whole  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("few_tries")
 

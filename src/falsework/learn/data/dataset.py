@@ -25,8 +25,8 @@ from falsework.search.problem.state_graph import criterion_of, read_criterion
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Criterion
 from falsework.utils.archive import read_archive, write_archive
-from falsework.utils.damage import blamed_on
 from falsework.utils.distributed import ProcessGroup
+from falsework.utils.files.damage import blamed_on
 from falsework.utils.quantity import check_seed
 from falsework.utils.tensors import choose_device
 

@@ -18,9 +18,9 @@ from falsework.learn.config.train import TrainSettings, from_dict
 from falsework.learn.networks import policy as policies
 from falsework.learn.networks.factory import make_policy
 from falsework.learn.networks.policy import Policy
-from falsework.utils.damage import blamed_on
+from falsework.utils.files.damage import blamed_on
+from falsework.utils.files.output_file import write_whole
 from falsework.utils.json_text import parse_json
-from falsework.utils.output_file import write_whole
 
 FORMAT = "falsework.run/2"
 CHECKPOINT_FORMAT = "falsework.checkpoint/2"

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from falsework.errors import DependencyError, InputError
-from falsework.utils.output_file import write_whole
+from falsework.utils.files.output_file import write_whole
 
 PROGRESS = "progress.jsonl"
 TENSORBOARD = "tensorboard"

@@ -22,7 +22,7 @@ from falsework.robots.plans.mcap_bag import PlacedParts, write_bag
 from falsework.robots.plans.programs import Grip, events_of, rapid_modules, ur_scripts
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.robot_plan_file import rounded
-from falsework.utils.output_file import write_whole
+from falsework.utils.files.output_file import write_whole
 
 Array = NDArray[np.float64]
 Format = Literal["ros2-json", "ros2-yaml", "csv", "rapid", "urscript", "mcap"]

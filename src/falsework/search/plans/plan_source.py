@@ -12,7 +12,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.props import with_props
 from falsework.errors import PlanError
 from falsework.search.plans.plan import Plan
-from falsework.utils.output_file import path_beside
+from falsework.utils.files.output_file import path_beside
 
 
 def structure_of_plan(

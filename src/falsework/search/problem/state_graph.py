@@ -18,7 +18,7 @@ from falsework.search.problem.result import Route
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Criterion
 from falsework.utils.archive import read_archive, write_archive
-from falsework.utils.damage import blamed_on
+from falsework.utils.files.damage import blamed_on
 
 FORMAT = "falsework.graph/1"
 

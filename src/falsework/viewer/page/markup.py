@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import html
 
-from falsework.utils.printable import printable
+from falsework.utils.files.printable import printable
 
 _HARMLESS = frozenset(" ,.-;:%()/'")
 """Characters beside letters and digits that stand for themselves within a line of Markdown."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from falsework.errors import DependencyError, FalseworkError, InputError
 from falsework.search.problem.task import Direction
-from falsework.utils.printable import printable
+from falsework.utils.files.printable import printable
 from falsework.viewer.appearance import bounds_of
 from falsework.viewer.arms import bounds_with_arms
 from falsework.viewer.arrows import KINDS

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.geometry.mesh.mesh import triangle_normals
-from falsework.utils.printable import printable
+from falsework.utils.files.printable import printable
 from falsework.viewer.appearance import Appearance, bounds_of, diagonal
 from falsework.viewer.arms import ArmPoses, Arms, wxyz_of
 from falsework.viewer.arrows import KINDS, Arrows

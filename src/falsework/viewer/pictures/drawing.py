@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from falsework.errors import InputError
 from falsework.geometry.mesh.mesh import triangle_normals
-from falsework.utils.output_file import write_whole
+from falsework.utils.files.output_file import write_whole
 from falsework.viewer.appearance import appearance_at
 from falsework.viewer.arrows import Arrows
 from falsework.viewer.palette import INK

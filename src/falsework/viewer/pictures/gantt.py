@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from falsework.errors import DependencyError, InputError
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import schedule_of
-from falsework.utils.output_file import write_whole
+from falsework.utils.files.output_file import write_whole
 from falsework.viewer.palette import INK, rgb, robot_color
 from falsework.viewer.pictures.graph_picture import figure_pixels
 

@@ -13,7 +13,7 @@ from typing import Any
 from numba.core.caching import IndexDataCacheFile
 
 from falsework.errors import InputError
-from falsework.utils.cache_folder import read_sealed, warn_of_no_cache, write_sealed
+from falsework.utils.cache.folder import read_sealed, warn_of_no_cache, write_sealed
 
 
 class SealedCacheFile(IndexDataCacheFile):

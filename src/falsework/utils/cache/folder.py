@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 
 from falsework.errors import InputError
-from falsework.utils.output_file import write_whole
+from falsework.utils.files.output_file import write_whole
 
 _DIGEST = hashlib.sha256().digest_size
 """Bytes of the digest with which a file begins."""
