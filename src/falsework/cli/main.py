@@ -271,7 +271,7 @@ def _lacks_memory(error: BaseException | None) -> bool:
         isinstance(error, MemoryError)
         or (isinstance(error, OSError) and error.errno == errno.ENOMEM)
         or (isinstance(error, (OSError, ImportError)) and any(word in str(error).lower() for word in words))
-        or _lacks_memory(error.__cause__ or error.__context__)
+        or _lacks_memory(error.__cause__ or (None if error.__suppress_context__ else error.__context__))
     )
 
 
