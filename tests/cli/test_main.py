@@ -8,6 +8,7 @@ import subprocess
 import sys
 import warnings
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -233,3 +234,36 @@ def test_a_reader_that_leaves_is_no_error() -> None:
     command = f"{sys.executable} -m falsework plan --help | head -c 1"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=True)
     assert done.stderr == ""
+
+
+def test_an_interrupt_while_modules_are_imported_is_one_line() -> None:
+    code = """
+import sys
+class Interrupted:
+    def find_spec(self, name, path=None, target=None):
+        if name == "falsework.cli.main":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Interrupted())
+from falsework.__main__ import main
+sys.exit(main())
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "falsework: interrupted\n")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="Linux limits the address space")
+def test_a_lack_of_memory_is_said(tmp_path: Path) -> None:
+    """Under a limit that begins when OpenBLAS has started, which loops when it finds no memory."""
+    code = """
+import resource, sys
+import numpy, scipy.linalg
+taken = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (taken + 30_000_000,) * 2)
+from falsework.__main__ import main
+sys.exit(main())
+"""
+    command = [sys.executable, "-c", code, "plan", "vault:parts=246", "--out", str(tmp_path / "plan.json")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode, done.stdout) == (3, "")
+    assert done.stderr == "falsework: out of memory; try a smaller structure or search width\n"
+    assert not (tmp_path / "plan.json").exists()
