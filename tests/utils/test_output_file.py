@@ -128,7 +128,7 @@ def test_a_full_disk_is_named_with_the_file(tmp_path: Path) -> None:
     path = tmp_path / "plan.json"
     path.write_text("old")
     full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-    with pytest.raises(InputError, match=re.escape(f"cannot write {path}: No space left on device")):
+    with pytest.raises(InputError, match=re.escape(f"cannot write {path}: the disk is full; choose another place")):
         write_whole(path, lambda file: broken(full, file))
     assert path.read_text() == "old"
     assert [left.name for left in tmp_path.iterdir()] == ["plan.json"]

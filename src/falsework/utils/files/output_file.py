@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import io
 import os
 import re
@@ -48,7 +49,8 @@ def write_whole(path: Path | str, write: Callable[[IO[bytes]], object]) -> None:
     except BrokenPipeError:
         raise
     except OSError as error:
-        raise InputError(f"cannot write {path}: {error.strerror or error}; choose another place") from error
+        reason = "the disk is full" if error.errno == errno.ENOSPC else error.strerror or error
+        raise InputError(f"cannot write {path}: {reason}; choose another place") from error
 
 
 def check_writable(path: Path) -> None:
