@@ -189,8 +189,9 @@ def kinds_apart(assembly: Assembly, scratch: Path) -> Iterator[tuple[str, Kind]]
 def _robots(plan: Plan, assembly: Assembly, scratch: Path) -> Iterator[tuple[str, Kind]]:
     from falsework.robots.cells.cell_file import load_cell, parse_cell
     from falsework.robots.model.cell import cell_identity
-    from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Trajectory, records_of
+    from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Trajectory
     from falsework.robots.plans.robot_plan_file import load_robot_plan, save_robot_plan
+    from falsework.robots.plans.robot_record import records_of
 
     yield "cell", Kind(CELL.encode(), "cell.toml", partial(load_cell, check=False), {})
     cell = parse_cell(CELL, "cell.toml", Path())

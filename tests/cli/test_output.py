@@ -102,8 +102,8 @@ def test_paths_that_are_no_text_do_not_lose_a_plan(
 
 @pytest.mark.skipif(os.name != "posix", reason="streams have paths on POSIX")
 def test_a_plan_on_standard_output_is_alone_there(write_structure: Callable[..., Path], tmp_path: Path) -> None:
-    write_structure(tmp_path / "stack")
-    command = [sys.executable, "-m", "falsework", "plan", "stack", "--out", "/dev/stdout", "--json"]
+    write_structure(tmp_path / "blocks")
+    command = [sys.executable, "-m", "falsework", "plan", "blocks", "--out", "/dev/stdout", "--json"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, check=True)
-    assert Path(json.loads(done.stdout)["structure"]["source"]["path"]) == (tmp_path / "stack").resolve()
+    assert Path(json.loads(done.stdout)["structure"]["source"]["path"]) == (tmp_path / "blocks").resolve()
     assert json.loads(done.stderr)["robots"] == 2

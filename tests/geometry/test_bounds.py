@@ -98,6 +98,19 @@ def test_glb_that_grows(make: Callable[[], tuple[dict[str, Any], bytes]], tmp_pa
         tracemalloc.stop()
 
 
+def test_data_beside_a_file_count(tmp_path: Path) -> None:
+    """A file whose arrays are in another may be as large as both; a node that is below others many times is copies."""
+    path, beside = tmp_path / "model.gltf", tmp_path / "data.bin"
+    content, data = many()
+    content["buffers"][0]["uri"] = beside.name
+    content["nodes"] = [{"children": [1] * 200}, {"mesh": 0}]
+    path.write_text(json.dumps(content))
+    beside.write_bytes(data)
+    most = 4_000_000 + path.stat().st_size + beside.stat().st_size
+    with pytest.raises(MeshError, match=f"grows to 16000000 corners and triangles, at most {most} are"):
+        load_meshes(path)
+
+
 def test_copies_of_usual_size_are_read(tmp_path: Path) -> None:
     content, data = document()
     content["nodes"] = [{"mesh": 0, "name": str(k), "translation": [0, k, 0]} for k in range(2)]

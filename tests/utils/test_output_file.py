@@ -28,7 +28,7 @@ def hello(file: IO[bytes]) -> None:
 
 
 def broken(error: BaseException, file: IO[bytes]) -> NoReturn:
-    file.write(b"hel")
+    file.write(b"he")
     raise error
 
 
