@@ -191,7 +191,7 @@ def fake_open_cascade(folder: Path, monkeypatch: pytest.MonkeyPatch, read: str, 
         "BRepMesh": "BRepMesh_IncrementalMesh = None",
         "IFSelect": "IFSelect_RetDone = 1",
         "STEPControl": f"import os, sys\nclass STEPControl_Reader:\n    def ReadFile(self, path):\n        {read}",
-        "TopAbs": "TopAbs_SOLID = None",
+        "TopAbs": "TopAbs_EDGE = TopAbs_FACE = TopAbs_SOLID = None",
         "TopExp": "TopExp_Explorer = None",
     }.items():
         (package / f"{module}.py").write_text(content + "\n")
