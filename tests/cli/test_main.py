@@ -264,6 +264,6 @@ sys.exit(main())
 """
     command = [sys.executable, "-c", code, "plan", "vault:parts=246", "--out", str(tmp_path / "plan.json")]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
-    assert (done.returncode, done.stdout) == (3, "")
+    assert (done.returncode, done.stdout) == (4, "")
     assert done.stderr == "falsework: out of memory; try a smaller structure or search width\n"
     assert not (tmp_path / "plan.json").exists()

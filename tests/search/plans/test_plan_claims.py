@@ -563,5 +563,5 @@ def test_an_entry_may_not_occur_twice(plan: Plan, tmp_path: Path) -> None:
         twice = re.sub(rf'("{key}": [^,}}\]]+)', r"\1, \1", text, count=1)
         assert twice != text
         path.write_text(twice)
-        with pytest.raises(PlanError, match=f"has two entries '{key}'"):
+        with pytest.raises(PlanError, match=f"has the entry '{key}' twice"):
             load_plan(path)
