@@ -38,7 +38,7 @@ SUBPACKAGES = {
     "utils": ("files", "cache"),
     "geometry": ("mesh", "contact", "clearance"),
     "assembly": ("library",),
-    "stability": ("cpu", "contact", "gpu", "reference", "margins", "judges"),
+    "stability": ("second_order", "cpu", "contact", "gpu", "reference", "margins", "judges"),
     "search": ("problem", "beam", "margins", "plans", "support", "device"),
     "learn": ("config", "env", "networks", "data", "algorithms", "training"),
     "robots": (
