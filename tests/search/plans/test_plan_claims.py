@@ -164,6 +164,10 @@ LISTED: dict[str, Callable[[Plan, Plan, PlanReport], bool]] = {
     "stability.stiffness_ratio": lambda old, new, report: report.claim.criterion == "equilibrium",
     "stability.tolerance": lambda old, new, report: f"its tolerance {new.claim.tolerance:g}" in report.unverified,
     "stability.force_bound": lambda old, new, report: f"its force bound {new.claim.force_bound:g}" in report.unverified,
+    "stability.reserve": lambda old, new, report: (
+        report.claim.reserve == new.claim.reserve or f"its reserve {new.claim.reserve:g}" in report.unverified
+    ),
+    "stability.holds": lambda old, new, report: report.claim.holds == new.claim.holds,
     "start.residual": lambda old, new, report: bool(new.residuals[0] <= new.claim.tolerance),
     "steps.residual": lambda old, new, report: bool(new.residuals.max() <= new.claim.tolerance),
     "replay": lambda old, new, report: new.replay is None or "its replay" in report.unverified,
