@@ -217,7 +217,10 @@ def accepted_changes(
     return count, accepted
 
 
-_ALWAYS = {"structure.name", "structure.source", "robots", "rules.removable_only_if_clear", "stability.force_bound"}
+_ALWAYS = {
+    "structure.name", "structure.source", "robots", "rules.removable_only_if_clear", "stability.force_bound",
+    "stability.reserve",
+}  # fmt: skip
 _JUDGED = {"start.residual", "steps.residual"}
 
 
@@ -225,7 +228,7 @@ def test_one_change_at_a_time_is_refused_or_claims_nothing(data: dict[str, Any])
     count, accepted = accepted_changes(data)
     assert count > 1200
     # What is listed is seen to be accepted, here or below, so that the list is not longer than it must be.
-    assert accepted == _ALWAYS | _JUDGED | {"replay", "displacements", "margins"}
+    assert accepted == _ALWAYS | _JUDGED | {"stability.holds", "replay", "displacements", "margins"}
 
 
 def test_one_change_of_a_plan_under_equilibrium() -> None:
@@ -242,7 +245,7 @@ def test_one_change_of_a_plan_with_props(propped: tuple[Assembly, Plan]) -> None
     data = json.loads(json.dumps(plan_to_dict(propped[1])))
     count, accepted = accepted_changes(data, among=("structure", "robots", "rules", "stability"))
     assert count > 500
-    assert accepted == _ALWAYS | {"structure.props", "rules.support", "rules.props"}
+    assert accepted == _ALWAYS | {"stability.holds", "structure.props", "rules.support", "rules.props"}
 
 
 def test_the_documentation_lists_what_claims_nothing() -> None:
