@@ -359,8 +359,7 @@ def _boundary(value: ArrayLike, meshes: Sequence[TriangleMesh]) -> NDArray[np.bo
     listed: list[Any] = list(value) if isinstance(value, (list, tuple)) else []
     if any(isinstance(item, str) for item in listed):
         value = part_ids(listed, [mesh.name for mesh in meshes], "boundary")
-    nested = any(isinstance(item, (list, tuple)) for item in listed)
-    given: NDArray[Any] = np.zeros((1, 1)) if nested else np.asarray(value)
+    given = np.asarray(None if any(isinstance(item, (list, tuple, dict)) for item in listed) else value)
     if given.dtype == bool:
         if given.shape != (parts,):
             raise AssemblyError(f"the boundary mask has shape {given.shape}; expected ({parts},), one a part")
