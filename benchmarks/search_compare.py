@@ -63,8 +63,9 @@ def search(options: Options, seed: int) -> dict[str, Any]:
     from falsework.search import PlannerSettings, find_plans, save_plan
     from falsework.stability import Stability, StabilitySettings
 
-    known = "reserve" in StabilitySettings.__dataclass_fields__ and options.criterion == "contact"  # not in old commits
-    stability = StabilitySettings(criterion=options.criterion, **({"reserve": options.reserve} if known else {}))
+    stability = StabilitySettings(criterion=options.criterion)
+    if "reserve" in StabilitySettings.__dataclass_fields__ and options.criterion == "contact":  # not in old commits
+        stability = StabilitySettings(criterion=options.criterion, reserve=options.reserve)
     small, assembly = load_structure("arch:blocks=5"), load_structure(options.structures[0])
     find_plans(small, oracle=Stability(small, stability))  # have everything compiled
     cpu, wall = time.process_time(), time.perf_counter()

@@ -185,7 +185,7 @@ class BeamSearch(LevelSearch):
             moved = draw.uniform(-settings.disorder, settings.disorder, self.task.part_count)
         return Scores(frontier, before, guide, tuple(fixed), moved)
 
-    def replay_summary(self) -> tuple[float, int, tuple[tuple[Press, ...], ...]] | None:
+    def replay_summary(self) -> tuple[float, int, None, tuple[tuple[Press, ...], ...]] | None:
         """Return the replay of the route found, see `Histories.summary`; None where no histories are kept."""
         replays = self._ways.replays
         return None if replays is None or not self.found else replays.histories.summary(0)

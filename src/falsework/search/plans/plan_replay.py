@@ -66,7 +66,7 @@ class Acceptance:
         if replayer is not None and replayer.settings.reserve != 1.0:
             self._plain = replayer.vary(replace(replayer.settings, reserve=1.0), ReplaySettings())
 
-    def failure(self, states: States, presses: tuple[tuple[Press, ...], ...]) -> Replay | None:
+    def failure(self, states: States, presses: tuple[tuple[Press, ...], ...]) -> PlanReplay | None:
         """Return the replay of a route that fails under the true friction, or in which a state tips; None if none does.
 
         Args:
@@ -77,13 +77,9 @@ class Acceptance:
             return None
         found = self._plain.replay(states, presses=presses)
         if not found.good:
-            return found
+            return PlanReplay.of(found)
         tips = self._plain.first_tipping(states, found.histories)
-        if tips is None:
-            return None
-        stands = found.stands.copy()
-        stands[tips], stands[tips + 1 :] = -1, 0
-        return replace(found, stands=stands)
+        return None if tips is None else replace(PlanReplay.of(found), stands=False, falls_at=tips)
 
 
 def replayer_of(oracle: Oracle, settings: PlannerSettings) -> AnyReplayer | None:
