@@ -14,7 +14,7 @@ from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET, Command, LoadOptions, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.output import counted
-from falsework.cli.planning import refuse_unstable, writable
+from falsework.cli.planning import HoldOptions, refuse_unstable, writable
 from falsework.cli.robot_arguments import parse_grips, parse_holding, parse_joints, parse_now
 from falsework.cli.robot_reports import (
     check_record,
@@ -99,6 +99,7 @@ class PlanRobots(Command):
     """One robot moves at a time."""
     proofs: bool = False
     """Write the contact forces that prove each state into the plan."""
+    holds: HoldOptions
     criterion: Literal["contact", "equilibrium"] = "contact"
     """Stability criterion: compliant contacts without prestress bring every part to rest, in every state and in a
     replay of the whole plan; or (paper) contact forces in balance exist."""
@@ -110,7 +111,7 @@ class PlanRobots(Command):
         from falsework.robots.planning.hybrid_planner import plan_robots
         from falsework.robots.planning.hybrid_result import HybridSettings
         from falsework.robots.planning.plan_together import plan_together
-        from falsework.stability import Stability, StabilitySettings
+        from falsework.stability import Stability
 
         writable(self.out)
         cell = load_cell(self.cell)
@@ -121,12 +122,14 @@ class PlanRobots(Command):
         held = parse_holding(self.holding, cell, assembly)
         joints, task = parse_joints(self.joints, cell), self._task(assembly, cell, held)
         grips = parse_grips(self.grips, held, task.target if building else task.start, cell, assembly)
-        oracle = Stability(assembly, StabilitySettings(criterion=self.criterion))
-        if refuse_unstable(assembly, oracle, task, output, building=building):
+        stability = self.holds.settings(self.criterion)
+        if refuse_unstable(
+            assembly, Stability(assembly, replace(stability, reserve=1.0)), task, output, building=building
+        ):
             output.record({"robot_plan": None, "found": False})
             return Exit.NO
         guide = self._guide(assembly, task)
-        given: dict[str, Any] = {"task": task, "oracle": oracle, "guide": guide, "settings": settings}
+        given: dict[str, Any] = {"task": task, "stability": stability, "guide": guide, "settings": settings}
         now: dict[str, Any] = {"configurations": joints, "held": held, "gripped": grips}
         given |= {"continued": Continuation(**now)} if building else now
         assembly_order = self.assembly_order or building
@@ -140,13 +143,18 @@ class PlanRobots(Command):
         if found is not None and assembly_order and not together:
             found = found.reverse()
         done = self._report(result, found, output)
-        heavy = overloads_of(found, assembly, cell) if done is Exit.DONE and found is not None else []
+        if done is not Exit.DONE or found is None:
+            return done
+        kept, heavy = found.plan.claim.reserve, overloads_of(found, assembly, cell)
+        if kept < stability.reserve:
+            output.note(
+                f"falsework: no plan was found with the reserve of {stability.reserve:g}; this one keeps {kept:g}"
+            )
         if heavy:
             output.record({"overloads": [asdict(problem) for problem in heavy]})
             for problem in heavy:
                 output.note(f"falsework: {problem}")
-            return Exit.NO
-        return done
+        return Exit.NO if heavy or kept < stability.reserve else Exit.DONE
 
     def _can_schedule(self, output: Output) -> bool:
         from falsework.errors import DependencyError

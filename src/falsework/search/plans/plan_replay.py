@@ -63,7 +63,7 @@ class Acceptance:
     def __init__(self, replayer: VariableReplayer | None) -> None:
         """Prepare the test; without a replayer, or without a reserve, there is none."""
         reserve = 1.0 if replayer is None else replayer.settings.reserve
-        self._plain = None
+        self._replayer, self._plain = replayer, None
         if replayer is not None and reserve != 1.0:
             self._plain = replayer.vary(replace(replayer.settings, reserve=1.0), ReplaySettings())
 
@@ -78,6 +78,21 @@ class Acceptance:
             return None
         found = self._plain.replay(states, presses=presses)
         return None if found.good else found
+
+    def falls_at(self, states: States) -> int | None:
+        """Return the first state that does not come to rest, with presses chosen anew, in one friction or the other.
+
+        Args:
+            states: in assembly order, shape (steps + 1, parts).
+
+        Returns:
+            None if all come to rest, as they always do without a replayer.
+        """
+        if self._replayer is None:
+            return None
+        found = self._replayer.replay(states)
+        plain = self.replay(states, found.presses) if found.good else None
+        return (plain or found).falls_at
 
 
 def replayer_of(oracle: Oracle, settings: PlannerSettings) -> AnyReplayer | None:
