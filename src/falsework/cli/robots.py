@@ -373,7 +373,7 @@ class ExportRobots(Command):
     out: Annotated[Path, arg(metavar="FOLDER")]
     """Folder to write into."""
     structure: Annotated[str | None, arg(metavar="STRUCTURE", help_behavior_hint=UNSET)] = None
-    """Structure whose shapes a bag has, instead of the one that the plan names."""
+    """Structure whose shapes a bag has, and whose parts robots press, instead of the one that the plan names."""
     cell: Annotated[str | None, arg(metavar="CELL", help_behavior_hint=UNSET)] = None
     """Cell that the programs are for, instead of the one that the plan names."""
     rate: float = 50.0
@@ -385,6 +385,7 @@ class ExportRobots(Command):
         """Load and write."""
         from falsework.robots.cells.cell_file import load_cell
         from falsework.robots.plans.export import export_plan
+        from falsework.robots.plans.presses import has_presses
         from falsework.robots.plans.robot_plan_file import load_robot_plan
         from falsework.search.plans.plan_source import structure_of_plan
         from falsework.search.problem.task import Direction
@@ -393,11 +394,12 @@ class ExportRobots(Command):
         if self.assembly_order and plan.direction is Direction.DISASSEMBLY:
             plan = plan.reverse()
         cell, shapes = load_cell(self.cell or plan.cell_place(self.plan)), None
-        if self.format == "mcap":
+        pressed = has_presses(plan)
+        if self.format == "mcap" or pressed:
             try:
                 shapes = structure_of_plan(plan.plan, self.plan, self.structure)
             except InputError as error:
-                if self.structure is not None:
+                if self.structure is not None or pressed:
                     raise
                 output.note(f"falsework: the bag has no shapes of parts: {error}")
         paths = export_plan(plan, self.out, self.format, rate=self.rate, structure=shapes, cell=cell)

@@ -14,7 +14,7 @@ from falsework.stability.settings import StabilitySettings
 
 @dataclass(frozen=True)
 class CellScale:
-    """Factors from the structure's own lengths and forces to those in a cell, which may scale it and change its density.
+    """Factors from a structure's own lengths and forces to those in a cell, which may scale it and change its density.
 
     Moments grow with the product of both, stiffness with their ratio.
     """

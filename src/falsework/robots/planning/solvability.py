@@ -138,8 +138,8 @@ class SolvabilityCheck:
     def falls(self, route: Route) -> int | None:
         """Return the first state in assembly order in which the replay of a route collapses; None if it succeeds.
 
-        It must come to rest with the reserve of the oracle, and under the true friction. Always None under the criterion
-        `equilibrium`, which has no history.
+        It must come to rest with the reserve of the oracle, and under the true friction. Always None under the
+        criterion `equilibrium`, which has no history.
         """
         return self._acceptance.falls_at(route.states[::-1])
 

@@ -50,6 +50,18 @@ class GripLoad:
         """Magnitude of the moment, Nm."""
         return float(np.linalg.norm(self.moment))
 
+    def fault(self, plan: RobotPlan, cell: Cell) -> str:
+        """Return what the gripper does not bear; empty if it bears the load, as far as the cell gives limits."""
+        gripper, name = cell.robots[self.robot].gripper, plan.plan.part_names[self.part]
+        does = "pressing" if self.presses else "holding"
+        for what, value, limit, unit in (
+            ("force", self.force_n, gripper.force, "N"),
+            ("moment", self.moment_nm, gripper.moment, "Nm"),
+        ):
+            if value > limit:
+                return f"{does} {name} takes a {what} of {value:.4g} {unit}; its gripper bears {limit:.4g} {unit}"
+        return ""
+
 
 def grip_loads(plan: RobotPlan, assembly: Assembly, cell: Cell) -> list[GripLoad]:
     """Return the load on each gripper at each keyframe at which it holds a part in a stable state, and each press.
@@ -119,15 +131,8 @@ def overloads(loads: list[GripLoad], plan: RobotPlan, cell: Cell) -> list[PlanPr
                 said = f"what holding {plan.plan.part_names[part]} takes is unknown: the state is not stable"
                 problems.append(PlanProblem(max(number - 1, 0), cell.robots[robot].name, said))
     for load in loads:
-        entry, name = cell.robots[load.robot], plan.plan.part_names[load.part]
-        for what, value, limit, unit in (
-            ("force", load.force_n, entry.gripper.force, "N"),
-            ("moment", load.moment_nm, entry.gripper.moment, "Nm"),
-        ):
-            if value > limit:
-                does = "pressing" if load.presses else "holding"
-                said = f"{does} {name} takes a {what} of {value:.4g} {unit}; its gripper bears {limit:.4g} {unit}"
-                problems.append(PlanProblem(max(load.keyframe - 1, 0), entry.name, said))
+        if fault := load.fault(plan, cell):
+            problems.append(PlanProblem(max(load.keyframe - 1, 0), cell.robots[load.robot].name, fault))
     return problems
 
 

@@ -70,6 +70,11 @@ class TimedPress:
         return np.concatenate([shift @ self.tool[:3, :3], angle @ self.tool[:3, :3]])
 
 
+def has_presses(plan: RobotPlan) -> bool:
+    """Return whether robots press when they carry out a plan."""
+    return plan.direction is Direction.ASSEMBLY and any(plan.plan.presses)
+
+
 def presses_in(plan: RobotPlan, step: int) -> tuple[Press, ...]:
     """Return the presses of a step as it is done in assembly, in the structure's units."""
     presses = plan.plan.presses
@@ -94,9 +99,7 @@ def press_fault(plan: RobotPlan, step: int) -> str:
     return ""
 
 
-def timed_presses(
-    plan: RobotPlan, assembly: Assembly, cell: Cell, graph: TemporalPlanGraph
-) -> tuple[TimedPress, ...]:
+def timed_presses(plan: RobotPlan, assembly: Assembly, cell: Cell, graph: TemporalPlanGraph) -> tuple[TimedPress, ...]:
     """Return the presses of a plan in the order of its steps; none for disassembly, in which robots do not press.
 
     Args:
@@ -108,7 +111,7 @@ def timed_presses(
     Raises:
         PlanError: the plan is for another structure or cell, or its presses cannot be carried out.
     """
-    if plan.direction is Direction.DISASSEMBLY or not any(plan.plan.presses):
+    if not has_presses(plan):
         return ()
     plan.check_identity(assembly, cell)
     scale, placement, holds = CellScale.of(assembly, cell), cell.placement, plan.plan.claim.holds
