@@ -11,14 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from falsework.assembly.library.blocks import box, gather
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, complete_state
 from falsework.errors import CellError, PlanError
 from falsework.interop import export
+from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.kinematics.forward import flange_pose, tool_pose
 from falsework.robots.model.cell import Cell, Placement, cell_identity
 from falsework.robots.model.cell_holds import CellScale, stability_in
 from falsework.robots.planning.hybrid_planner import plan_robots
+from falsework.robots.planning.hybrid_result import HybridSettings
 from falsework.robots.plans.export import export_plan
 from falsework.robots.plans.grip_loads import grip_loads, overloads
 from falsework.robots.plans.presses import timed_presses
@@ -316,3 +319,52 @@ def test_limits_of_holds_are_those_of_the_weakest_gripper(column: Assembly, cell
         stability_in(replace(small, robots=(first, weak)), column, settings)
     with pytest.raises(CellError, match="the gripper of arm 2 bears 4 N"):
         plan_robots(column, replace(small, robots=(first, weak)))
+
+
+@pytest.fixture(scope="module")
+def gap() -> Assembly:
+    """A cube between a wall and another one, and one below it that comes later: before, only friction carries it."""
+    solids = [
+        box("block", low, np.asarray(low) + 0.2) for low in ((-0.1, -0.1, 0.2), (0.1, -0.1, 0.2), (-0.1, -0.1, 0))
+    ]
+    solids.append(box("wall", (-0.2, -0.1, 0.25), (-0.1, 0.1, 0.4), fixed=True))
+    solids.append(box("pedestal", (-0.1, -0.1, -0.2), (0.1, 0.1, 0.0), fixed=True))
+    made = gather(solids)
+    return Assembly.from_meshes(made.meshes, boundary=made.boundary, density=250.0, friction=0.6, name="gap")
+
+
+@pytest.mark.parametrize("together", [False, True])
+def test_arms_press_where_the_search_needs_it(gap: Assembly, cell: Cell, together: bool) -> None:
+    """The lowest cube is not delivered yet, so the upper one has to stand without it, pressed against the wall.
+
+    Presses of the plan are those of its own order, also where the order of steps was searched anew.
+    """
+    raised = replace(cell, placement=Placement(position=(0.0, 0.0, 0.2)))
+    start, end = (np.array(state, np.uint8) for state in ((1, 2, 1, 2, 2), (0, 2, 0, 2, 2)))
+    grip = KeyframeGraph(gap, raised).grips(1, 1, start)[0].configuration
+
+    def planned(cell: Cell, holds: HoldSettings) -> tuple[RobotPlan, list[int]]:
+        """Return the plan and the order in which parts come."""
+        task = Task.create(gap.boundary, 2, start=start, target=end, missing=[2])
+        given = {"configurations": (cell.homes[0], grip), "held": (None, 1)}
+        limits = HybridSettings(attempts=2, together=together)
+        stability = StabilitySettings(reserve=1.1, holds=holds)
+        found = plan_robots(gap, cell, task=task, settings=limits, stability=stability, **given).plan
+        assert found is not None
+        return found.reverse(), found.reverse().plan.removed_parts.tolist()
+
+    plan, order = planned(raised, HoldSettings())
+    assert order == [0, 2]
+    assert [[press.part for press in presses] for presses in plan.plan.presses] == [[], [1], [], []]
+    assert plan.plan.claim.reserve == 1.1
+    assert validate_plan(plan.plan, gap).good
+    (press,) = timed_presses(plan, gap, raised, schedule_of(plan))
+    assert (press.robot, press.part) == (1, 1)
+    assert press.wrench[0] < -20.0  # against the wall
+    grippers = limited(raised, force=1.1 * max(load.force_n for load in grip_loads(plan, gap, raised)))
+    assert planned(grippers, HoldSettings())[1] == [0, 2]
+    # Grippers that carry a cube, but cannot press as hard, and robots that may not press, need the lowest cube first.
+    assert planned(limited(raised, force=22.0), HoldSettings())[1] == [2, 0]
+    bare, order = planned(raised, HoldSettings(press=False))
+    assert order == [2, 0]
+    assert not any(bare.plan.presses)
