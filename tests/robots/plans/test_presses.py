@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 from falsework.assembly.library.blocks import box, gather
+from falsework.assembly.loads import Loads
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, complete_state
 from falsework.errors import CellError, PlanError
@@ -368,3 +370,15 @@ def test_arms_press_where_the_search_needs_it(gap: Assembly, cell: Cell, togethe
     bare, order = planned(raised, HoldSettings(press=False))
     assert order == [2, 0]
     assert not any(bare.plan.presses)
+
+
+def test_a_plan_without_the_reserve_where_none_keeps_it(cell: Cell, make_boxes: Callable[..., Assembly]) -> None:
+    """A cube that an earthquake pushes with 0.52 of its weight, on a friction of 0.55."""
+    alone = make_boxes((-0.1, -0.1, 0.0))
+    shaken = alone.replace(loads=Loads.of(alone.part_count, acceleration=(0.52, 0.0, 0.0)))
+    plan = plan_robots(shaken, cell).plan
+    assert plan is not None
+    assert plan.plan.claim.reserve == 1.0
+    calm = plan_robots(alone, cell).plan
+    assert calm is not None
+    assert calm.plan.claim.reserve == 1.1
