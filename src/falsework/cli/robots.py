@@ -14,17 +14,17 @@ from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET, Command, LoadOptions, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.output import counted
-from falsework.cli.planning import HoldOptions, refuse_unstable, writable
+from falsework.cli.planning import HoldOptions, lost_reserve, press_text, refuse_unstable, writable
 from falsework.cli.robot_arguments import parse_grips, parse_holding, parse_joints, parse_now
 from falsework.cli.robot_reports import (
     check_record,
     check_texts,
+    found_texts,
     holds_record,
     holds_text,
     overloads_of,
     runs_record,
     runs_text,
-    schedule_text,
     scope_record,
     scope_text,
     times_record,
@@ -46,10 +46,11 @@ if TYPE_CHECKING:
 class PlanRobots(Command):
     """Plan arm motions that disassemble a structure and, in reverse, assemble it.
 
-    Actions and motions are planned together: every state is stable, a replay in assembly order succeeds, every motion
-    is collision-free. Then motions of different robots are scheduled to take place at the same time wherever that is
-    proven safe, whatever the delays. Exit code 1 if no plan was found; the report lists parts out of reach, obstacles,
-    and the progress of the search. A partial plan is saved, except where an assembly is continued.
+    Actions and motions are planned together: every state is stable, a replay in assembly order succeeds in which
+    robots bear and press no more than their grippers allow, every motion is collision-free. Then motions of different
+    robots are scheduled to take place at the same time wherever that is proven safe, whatever the delays. Exit code 1
+    if no plan was found, or none that keeps the reserve and the limits of grippers; the report lists parts out of
+    reach, obstacles, and the progress of the search. A partial plan is saved, except where an assembly is continued.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -107,6 +108,7 @@ class PlanRobots(Command):
     def run(self, output: Output) -> Exit:
         """Search, save, report."""
         from falsework.robots.cells.cell_file import load_cell
+        from falsework.robots.model.cell_holds import CellScale
         from falsework.robots.planning.end_motions import Continuation
         from falsework.robots.planning.hybrid_planner import plan_robots
         from falsework.robots.planning.hybrid_result import HybridSettings
@@ -145,16 +147,14 @@ class PlanRobots(Command):
         done = self._report(result, found, output)
         if done is not Exit.DONE or found is None:
             return done
-        kept, heavy = found.plan.claim.reserve, overloads_of(found, assembly, cell)
-        if kept < stability.reserve:
-            output.note(
-                f"falsework: no plan was found with the reserve of {stability.reserve:g}; this one keeps {kept:g}"
-            )
+        if text := press_text(found.plan, CellScale.of(assembly, cell).force):
+            output.say(text)
+        lost, heavy = lost_reserve(found.plan, stability.reserve), overloads_of(found, assembly, cell)
         if heavy:
             output.record({"overloads": [asdict(problem) for problem in heavy]})
-            for problem in heavy:
-                output.note(f"falsework: {problem}")
-        return Exit.NO if heavy or kept < stability.reserve else Exit.DONE
+        for text in (*([lost] if lost else []), *heavy):
+            output.note(f"falsework: {text}")
+        return Exit.NO if lost or heavy else Exit.DONE
 
     def _can_schedule(self, output: Output) -> bool:
         from falsework.errors import DependencyError
@@ -207,20 +207,8 @@ class PlanRobots(Command):
                 }
             )
             if result.found:
-                replay = saved.plan.replay
-                output.say(
-                    f"{self.out}: {counted(len(saved), 'step')} for {counted(len(saved.robots), 'robot')}, "
-                    f"{saved.seconds:.0f} s of motion, "
-                    f"every state proven stable (criterion {self.criterion}, {result.statistics['seconds']:.1f} s)"
-                )
-                if replay is not None:
-                    output.say(f"the replay succeeds; parts move by at most {replay.moved * 1e3:.3g} mm")
-                if saved.schedule is not None:
-                    output.say(schedule_text(saved))
-                if result.statistics.get("search") == "sequential":
-                    output.say(
-                        "no plan with short approaches was found; this one has the approaches of one arm at a time"
-                    )
+                for text in found_texts(saved, str(self.out), result.statistics):
+                    output.say(text)
                 return Exit.DONE
             output.note(f"{self.out} has the first {counted(len(saved), 'step')}")
         else:

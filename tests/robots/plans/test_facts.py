@@ -246,7 +246,7 @@ def taken(case: Case) -> Case:
 
 def pressing(case: Case, step: int, *, held: bool = False) -> Case:
     """Let a robot press the cube beside the column with 1 kN in a step; keyframes may say that arm 2 holds it."""
-    presses = [()] * len(case.plan.plan)
+    presses: list[tuple[Press, ...]] = [()] * len(case.plan.plan)
     presses[step] = (Press(2, (1000.0, 0.0, 0.0, 0.0, 0.0, 0.0)),)
     frames = list(case.plan.keyframes)
     for index in (step, step + 1) if held else ():

@@ -8,6 +8,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,10 +25,10 @@ from falsework.robots.model.cell import Cell, Placement, cell_identity
 from falsework.robots.model.cell_holds import CellScale, stability_in
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridSettings
+from falsework.robots.plans.commands import Begin, Grip, Pressing, PublishCount, Wait, commands_of
 from falsework.robots.plans.export import export_plan
 from falsework.robots.plans.grip_loads import grip_loads, overloads
 from falsework.robots.plans.presses import timed_presses
-from falsework.robots.plans.programs import Begin, Grip, Pressing, PublishCount, Wait, commands_of
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import load_robot_plan, save_robot_plan
 from falsework.robots.plans.timeline import event_times, schedule_of
@@ -68,7 +69,7 @@ def with_press(plan: RobotPlan, step: int, press: Press) -> RobotPlan:
     return replace(plan, plan=replace(plan.plan, presses=tuple(presses)))
 
 
-def limited(cell: Cell, **limits: float) -> Cell:
+def limited(cell: Cell, **limits: Any) -> Cell:
     grippers = [replace(robot.gripper, **limits) for robot in cell.robots]
     robots = tuple(replace(robot, gripper=gripper) for robot, gripper in zip(cell.robots, grippers, strict=True))
     return replace(cell, robots=robots)
@@ -154,7 +155,8 @@ def test_no_export_exceeds_a_gripper_or_lacks_what_a_press_needs(
     weak = limited(cell, force=12.0)
     with pytest.raises(PlanError, match="pressing block-2 takes a force of 13 N; its gripper bears 12 N"):
         export_plan(in_cell(pressed, weak), tmp_path, form, structure=column, cell=weak)
-    for given in ({"cell": cell}, {"structure": column}, {}):
+    missing: tuple[dict[str, Any], ...] = ({"cell": cell}, {"structure": column}, {})
+    for given in missing:
         with pytest.raises(PlanError, match=r"robots press in this plan.*give its (structure|cell)"):
             export_plan(pressed, tmp_path, form, **given)
     assert export_plan(pressed.reverse(), tmp_path, form)  # in disassembly no robot presses
@@ -348,7 +350,7 @@ def test_arms_press_where_the_search_needs_it(gap: Assembly, cell: Cell, togethe
     def planned(cell: Cell, holds: HoldSettings) -> tuple[RobotPlan, list[int]]:
         """Return the plan and the order in which parts come."""
         task = Task.create(gap.boundary, 2, start=start, target=end, missing=[2])
-        given = {"configurations": (cell.homes[0], grip), "held": (None, 1)}
+        given: dict[str, Any] = {"configurations": (cell.homes[0], grip), "held": (None, 1)}
         limits = HybridSettings(attempts=2, together=together)
         stability = StabilitySettings(reserve=1.1, holds=holds)
         found = plan_robots(gap, cell, task=task, settings=limits, stability=stability, **given).plan

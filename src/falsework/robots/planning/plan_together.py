@@ -87,9 +87,9 @@ def plan_together(
     start: dict[str, Any] = {"task": task, "configurations": configurations, "held": held}
     start |= {"gripped": gripped, "continued": continued}
     if oracle is None:
-        given = {"guide": guide, "assembly_order": assembly_order, "progress": progress, **start}
+        start |= {"guide": guide, "assembly_order": assembly_order, "progress": progress}
         return keeping_reserve(
-            lambda oracle, limits: plan_together(assembly, cell, oracle=oracle, settings=limits, **given),
+            lambda oracle, limits: plan_together(assembly, cell, oracle=oracle, settings=limits, **start),
             assembly,
             cell,
             stability,

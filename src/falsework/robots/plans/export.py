@@ -19,11 +19,12 @@ from falsework.errors import InputError, PlanError
 from falsework.robots.cells.cell_file import AnyCell, as_cell
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
+from falsework.robots.plans.commands import Grip, events_of
 from falsework.robots.plans.grip_loads import GripLoad
 from falsework.robots.plans.mcap_bag import PlacedParts, write_bag
 from falsework.robots.plans.motion_limits import first_limit_fault
 from falsework.robots.plans.presses import TimedPress, has_presses, timed_presses
-from falsework.robots.plans.programs import Grip, events_of, rapid_modules, ur_scripts
+from falsework.robots.plans.programs import rapid_modules, ur_scripts
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.robot_plan_file import rounded
 from falsework.robots.plans.timeline import schedule_of
