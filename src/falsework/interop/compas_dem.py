@@ -80,6 +80,7 @@ def solve(problem: Any, *, criterion: Criterion = "contact", gravity: float | No
         "verdict": verdict.name.lower(),
         "proof": Proof(verdicts.proof[0]).name.lower(),
         "residual": residual if np.isfinite(residual) else None,
+        "on_tolerance": bool(verdicts.on_tolerance[0]),
         "criterion": criterion,
         "mu": assembly.friction,
     }
@@ -91,7 +92,7 @@ def solve(problem: Any, *, criterion: Criterion = "contact", gravity: float | No
         results.set_node(node, "transformation", Transformation(place.tolist()))
         if verdict == Verdict.UNSTABLE:
             results.set_node(node, "velocity", verdicts.velocity[0, part].tolist())
-    if verdict in (Verdict.STABLE, Verdict.SLIDES):
+    if verdict in (Verdict.STABLE, Verdict.SLIDES, Verdict.TIPS):
         _set_edges(results, assembly, nodes, verdicts.forces[0])
     return results
 
@@ -187,7 +188,7 @@ def _set_edges(results: Any, assembly: Assembly, nodes: list[Any], forces: Array
 
     contacts = assembly.contacts
     point_contact = contacts.contact_of_point
-    vectors = np.einsum("pi,pij->pj", forces, contacts.frames[point_contact])
+    vectors = np.einsum("pi,pij->pj", forces, contacts.point_frames)
     for a, b in np.unique(contacts.parts, axis=0).tolist():
         mine = np.flatnonzero((contacts.parts == (a, b)).all(axis=1))
         rows = np.flatnonzero(np.isin(point_contact, mine))

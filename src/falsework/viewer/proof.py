@@ -17,6 +17,7 @@ from falsework.viewer.arrows import Arrows, arrows_of_forces, arrows_of_motion, 
 from falsework.viewer.palette import MOTION, SLIDING
 
 _NAMED = 3
+_TIPS = "forces balance every part, but a small motion grows"
 _WHY = "balancing forces exist, but the contacts do not develop them"
 _AT_ONCE = 64
 """States whose contact forces are in memory at the same time."""
@@ -36,11 +37,15 @@ class StateProof:
     """For a state that is not stable: displaced vertices of the moving parts; by part, shape (vertices, 3)."""
     slides: bool = False
     """Whether forces in equilibrium exist although parts move: only under the criterion `contact`."""
+    tips: bool = False
+    """Whether they move because the equilibrium is unstable."""
 
     @property
     def verdict(self) -> str:
         """One word for captions."""
-        return "slides" if self.slides else "stable" if self.stable else "unstable" if self.decided else "undecided"
+        if self.slides:
+            return "tips" if self.tips else "slides"
+        return "stable" if self.stable else "unstable" if self.decided else "undecided"
 
     @property
     def motion_color(self) -> str:
@@ -90,7 +95,8 @@ def _proof(assembly: Assembly, state: States, verdicts: Verdicts, row: int) -> S
         free = int((state == INSTALLED).sum())
         words = f"stable: contact forces balance {free} free parts" if free else "stable: every part is held"
         return StateProof(True, True, words, arrows_of_forces(assembly, state, verdicts.forces[row]))
-    slides = bool(verdicts.slides[row])
+    tips = bool(verdicts.tips[row])
+    slides = bool(verdicts.slides[row]) or tips
     if not (slides or verdicts.unstable[row]):
         return StateProof(False, False, "neither stable nor unstable could be proven", {})
     motion = motion_of(assembly, verdicts, row)
@@ -106,7 +112,9 @@ def _proof(assembly: Assembly, state: States, verdicts: Verdicts, row: int) -> S
     speed = np.linalg.norm(motion[:, :3], axis=1)
     named = _named(assembly, sorted(moved, key=lambda part: -speed[part]))
     words = f"slides: {named} would slide; {_WHY}" if slides else f"unstable: {named} would move"
-    return StateProof(False, True, words, arrows, moved, slides)
+    if tips:
+        words = f"tips: {named} would move; {_TIPS}"
+    return StateProof(False, True, words, arrows, moved, slides, tips)
 
 
 def _named(assembly: Assembly, parts: Sequence[int]) -> str:

@@ -33,7 +33,7 @@ from falsework.stability.oracle import Stability
 from falsework.stability.reference.clarabel import ExactSolver
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.state_arrays import StateArrays
-from falsework.stability.verdict import Verdicts
+from falsework.stability.verdict import Verdict, Verdicts
 
 
 def check_identity(plan: Plan, assembly: Assembly) -> None:
@@ -267,6 +267,8 @@ def _build(
         if wrong:
             bad = _row(plan, row)
             verdict = Stability(assembly, replace(case, reserve=1.0)).check(plan.states[bad])
+            if verdict.unstable[0]:
+                wrong = _unstable(plan, bad, verdict)
             return replace(report, reason=wrong, checked=bad, residual=largest, verdict=verdict)
     count = len(states)
     return replace(report, checked=count, residual=largest, certified=count * carried)
@@ -388,11 +390,8 @@ def validate_proofs(plan: Plan, assembly: Assembly, settings: StabilitySettings 
 
 
 def _unstable(plan: Plan, row: int, verdict: Verdicts) -> str:
-    if verdict.unstable[0]:
-        return f"the structure is unstable {_place(plan, row)}"
-    if verdict.slides[0]:
-        return f"the structure slides {_place(plan, row)}"
-    return f"the structure could be proved neither stable nor unstable {_place(plan, row)}"
+    hangs = ", which depends on the tolerance" if verdict.on_tolerance[0] else ""
+    return f"the structure {Verdict(verdict.verdict[0]).words} {_place(plan, row)}{hangs}"
 
 
 def _place(plan: Plan, row: int) -> str:

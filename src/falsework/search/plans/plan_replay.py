@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,7 +33,7 @@ class PlanReplay:
     """The part that moved that far, -1 if none moved."""
     falls_at: int | None = None
     """First state in the order of assembly that does not come to rest, counted from 0."""
-    presses: tuple[tuple[Press, ...], ...] = ()
+    presses: tuple[tuple[Press, ...], ...] = field(default=(), compare=False, repr=False)
     """Presses of the step to each state in the order of assembly; empty where they are not known."""
 
     def to_dict(self) -> dict[str, Any]:
@@ -58,17 +58,16 @@ class PlanReplay:
 
 
 class Acceptance:
-    """Second test of a route that comes to rest with a reserve: it does so under the true friction too."""
+    """Last test of a route: it comes to rest under the true friction too, and no state of it tips."""
 
     def __init__(self, replayer: VariableReplayer | None) -> None:
-        """Prepare the test; without a replayer, or without a reserve, there is none."""
-        reserve = 1.0 if replayer is None else replayer.settings.reserve
-        self._replayer, self._plain = replayer, None
-        if replayer is not None and reserve != 1.0:
+        """Prepare the test; without a replayer there is none."""
+        self._replayer, self._plain = replayer, replayer
+        if replayer is not None and replayer.settings.reserve != 1.0:
             self._plain = replayer.vary(replace(replayer.settings, reserve=1.0), ReplaySettings())
 
-    def replay(self, states: States, presses: tuple[tuple[Press, ...], ...]) -> Replay | None:
-        """Return the replay of a route under the true friction if it fails, else None.
+    def failure(self, states: States, presses: tuple[tuple[Press, ...], ...]) -> Replay | None:
+        """Return the replay of a route that fails under the true friction, or in which a state tips; None if none does.
 
         Args:
             states: in assembly order, shape (steps + 1, parts).
@@ -77,21 +76,28 @@ class Acceptance:
         if self._plain is None:
             return None
         found = self._plain.replay(states, presses=presses)
-        return None if found.good else found
+        if not found.good:
+            return found
+        tips = self._plain.first_tipping(states, found.histories)
+        if tips is None:
+            return None
+        stands = found.stands.copy()
+        stands[tips], stands[tips + 1 :] = -1, 0
+        return replace(found, stands=stands)
 
     def falls_at(self, states: States) -> int | None:
-        """Return the first state that does not come to rest, with presses chosen anew, in one friction or the other.
+        """Return the first state that does not come to rest, with presses chosen anew, or tips.
 
         Args:
             states: in assembly order, shape (steps + 1, parts).
 
         Returns:
-            None if all come to rest, as they always do without a replayer.
+            None if all stand, with the reserve of the replayer and under the true friction; always without a replayer.
         """
         if self._replayer is None:
             return None
         found = self._replayer.replay(states)
-        plain = self.replay(states, found.presses) if found.good else None
+        plain = self.failure(states, found.presses) if found.good else None
         return (plain or found).falls_at
 
 

@@ -65,7 +65,7 @@ class CountingOracle:
             else:
                 verdicts = self.oracle.judge(states[rows], parents=parents[rows])
                 stable[rows] = verdicts.stable
-                self.sliding += int(verdicts.slides.sum())
+                self.sliding += int((verdicts.slides | verdicts.tips).sum())
                 self.undecided += int(verdicts.undecided.sum())
             if self.forbidden:
                 fallen = np.array([state.tobytes() in self.forbidden for state in states[rows]], dtype=bool)
@@ -75,3 +75,13 @@ class CountingOracle:
         self.rejected += int((~stable).sum())
         self.seconds += time.perf_counter() - begun
         return stable
+
+    def unstable(self, states: States, parents: States) -> bool:
+        """Return whether all of some states are proven unstable, however they are reached."""
+        for begin in range(0, len(states), self._batch):
+            rows = slice(begin, begin + self._batch)
+            found = self.oracle.judge(states[rows], parents=parents[rows])
+            self.asked += len(found)
+            if not found.unstable.all():
+                return False
+        return True
