@@ -13,10 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from falsework.assembly import load_structure, save_assembly
 from falsework.assembly.library.blocks import box, gather
 from falsework.assembly.loads import Loads
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, complete_state
+from falsework.cli.main import main
 from falsework.errors import CellError, PlanError
 from falsework.interop import export
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
@@ -384,3 +386,24 @@ def test_a_plan_without_the_reserve_where_none_keeps_it(cell: Cell, make_boxes: 
     calm = plan_robots(alone, cell).plan
     assert calm is not None
     assert calm.plan.claim.reserve == 1.1
+
+
+def test_the_command_needs_the_structure_of_a_plan_with_presses(
+    pressed: RobotPlan,
+    column: Assembly,
+    cell: Cell,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    save_assembly(column, tmp_path / "boxes")
+    save_robot_plan(pressed, tmp_path / "plan.json")
+    monkeypatch.setattr("falsework.robots.cells.cell_file.load_cell", lambda _: cell)
+    command = ["robots", "export", str(tmp_path / "plan.json"), "--cell", "here", "--format", "csv", "--out"]
+    assert main([*command, str(tmp_path / "bare")]) == 2
+    assert "structure" in capsys.readouterr().err
+    again = load_structure(tmp_path / "boxes")
+    moved = replace(pressed, plan=replace(pressed.plan, identity=again.identity, part_names=tuple(again.names)))
+    save_robot_plan(moved, tmp_path / "plan.json")
+    assert main([*command, str(tmp_path / "out"), "--structure", str(tmp_path / "boxes")]) == 0, capsys.readouterr().err
+    assert (tmp_path / "out" / "presses.csv").is_file()
