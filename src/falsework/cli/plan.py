@@ -12,7 +12,15 @@ from tyro.conf import arg
 from falsework.cli.command import CONE_HINT, UNSET, Command, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.output import counted
-from falsework.cli.planning import HoldOptions, SupportOptions, refuse_unstable, writable
+from falsework.cli.planning import (
+    HoldOptions,
+    SupportOptions,
+    lost_reserve,
+    press_text,
+    refuse_unstable,
+    replay_text,
+    writable,
+)
 from falsework.errors import InputError
 
 if TYPE_CHECKING:
@@ -155,11 +163,8 @@ class MakePlan(Command):
             self._report(self._save(planning.plans), planning, output)
             if result.interrupted:
                 output.note(f"{cut}; {saved}")
-            kept = planning.plans[0].claim.reserve
-            if kept < stability.reserve:
-                output.note(
-                    f"falsework: no plan was found with the reserve of {stability.reserve:g}; this one keeps {kept:g}"
-                )
+            if lost := lost_reserve(planning.plans[0], stability.reserve):
+                output.note(f"falsework: {lost}")
                 return Exit.NO
         else:
             failure = explain(assembly, oracle, result)
@@ -262,13 +267,9 @@ class MakePlan(Command):
         )
         if first.replay is not None:
             also = ", under varied settings too" if self.robust else ""
-            kept = first.claim.reserve
-            reserve = f" with the true friction and with friction / {kept:g}" if kept > 1 else ""
-            output.say(f"the replay succeeds{reserve}{also}; parts move by at most {first.replay.moved * 1e3:.3g} mm")
-        pressed = [press.force for presses in first.presses for press in presses]
-        if pressed:
-            count = sum(map(bool, first.presses))
-            output.say(f"robots press in {counted(count, 'step')}, with at most {max(pressed):.4g} N")
+            output.say(replay_text(first, also))
+        if text := press_text(first):
+            output.say(text)
         for prop in first.props:
             place = ", ".join(f"{value:.3f}" for value in prop.at)
             name = first.part_names[prop.part]

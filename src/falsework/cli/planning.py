@@ -10,6 +10,7 @@ from tyro.conf import arg
 
 from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET
+from falsework.cli.output import counted
 from falsework.errors import InputError
 from falsework.utils.files.output_file import check_writable
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from falsework.cli.output import Output
     from falsework.search.beam.settings import BeamSettings
     from falsework.search.find import TaskRules
+    from falsework.search.plans.plan import Plan
     from falsework.search.problem.task import Task
     from falsework.stability import Stability, StabilitySettings
     from falsework.stability.problem import Cone
@@ -168,6 +170,32 @@ class SearchOptions:
         from falsework.search.problem.task import Direction
 
         return BeamSettings(self.width, Direction(self.direction), seed=self.seed)
+
+
+def replay_text(plan: Plan, also: str = "") -> str:
+    """Return how the replay of a plan succeeds, in one sentence, with a clause on other replays."""
+    kept, replay = plan.claim.reserve, plan.replay
+    assert replay is not None
+    reserve = f" with the true friction and with friction / {kept:g}" if kept > 1 else ""
+    return f"the replay succeeds{reserve}{also}; parts move by at most {replay.moved * 1e3:.3g} mm"
+
+
+def press_text(plan: Plan, scale: float = 1.0) -> str:
+    """Return in how many steps robots press, and how hard at most; empty if they do not.
+
+    Args:
+        plan: the plan.
+        scale: factor of its forces.
+    """
+    forces = [scale * press.force for presses in plan.presses for press in presses]
+    steps = counted(sum(map(bool, plan.presses)), "step")
+    return f"robots press in {steps}, with at most {max(forces):.4g} N" if forces else ""
+
+
+def lost_reserve(plan: Plan, wanted: float) -> str:
+    """Return that a plan keeps less than the reserve that was asked for; empty if it keeps it."""
+    kept = plan.claim.reserve
+    return f"no plan was found with the reserve of {wanted:g}; this one keeps {kept:g}" if kept < wanted else ""
 
 
 def writable(path: Path, suffix: str = "") -> None:

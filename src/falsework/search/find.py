@@ -318,9 +318,7 @@ def _weak_states(route: States, oracle: Stability) -> States:
     if oracle.replayer is None:
         return route[~prove(route, oracle, forces=False)[0].stable]
     states = route[::-1]
-    replay = oracle.replayer.replay(states)
-    failed = Acceptance(oracle.replayer).failure(states, replay.presses) if replay.good else PlanReplay.of(replay)
-    row = None if failed is None else failed.falls_at
+    row = Acceptance(oracle.replayer).falls_at(states)
     return states[:0] if row is None else states[min(max(row, 1), max(len(states) - 2, 0))][None]
 
 

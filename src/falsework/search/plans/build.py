@@ -89,9 +89,8 @@ def check_build(
     for number, case in enumerate(cases):
         verifier, row, wrong = BuildVerifier(assembly, case.claim), -1, ""
         under = f" with friction divided by {case.reserve:g}" if case.reserve != 1.0 else ""
-        steps = (
-            carried_steps(plan) if carried and number == 0 else Replayer(assembly, case).certificates(states, presses)
-        )
+        own = carried and number == 0
+        steps = carried_steps(plan) if own else Replayer(assembly, case).certificates(states, presses)
         with np.errstate(over="ignore", invalid="ignore"):
             for row, certificate in enumerate(steps):
                 proof = verifier.step(states[row], certificate)

@@ -62,7 +62,7 @@ class Acceptance:
 
     def __init__(self, replayer: VariableReplayer | None) -> None:
         """Prepare the test; without a replayer there is none."""
-        self._plain = replayer
+        self._replayer, self._plain = replayer, replayer
         if replayer is not None and replayer.settings.reserve != 1.0:
             self._plain = replayer.vary(replace(replayer.settings, reserve=1.0), ReplaySettings())
 
@@ -80,6 +80,20 @@ class Acceptance:
             return PlanReplay.of(found)
         tips = self._plain.first_tipping(states, found.histories)
         return None if tips is None else replace(PlanReplay.of(found), stands=False, falls_at=tips)
+
+    def falls_at(self, states: States) -> int | None:
+        """Return the first state that does not come to rest, with presses chosen anew, or tips.
+
+        Args:
+            states: in assembly order, shape (steps + 1, parts).
+
+        Returns:
+            None if all stand, with the reserve of the replayer and under the true friction; always without a replayer.
+        """
+        if self._replayer is None:
+            return None
+        found = PlanReplay.of(self._replayer.replay(states))
+        return ((self.failure(states, found.presses) if found.stands else None) or found).falls_at
 
 
 def replayer_of(oracle: Oracle, settings: PlannerSettings) -> AnyReplayer | None:
