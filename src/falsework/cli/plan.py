@@ -148,7 +148,7 @@ class MakePlan(Command):
         result = planning.result
         cut = "the deadline ended the search" if planning.deadline_passed else "interrupted"
         saved = f"it is saved in {checkpoint}, the same command with --resume continues it"
-        if self.maximise is not None or checkpoint is None:
+        if self.maximise is not None or checkpoint is None or not checkpoint.is_file():
             stronger = self.maximise is not None and planning.found
             saved = f"{'a stronger plan may exist; ' * stronger}the same command begins anew"
         if planning.found:
@@ -217,7 +217,8 @@ class MakePlan(Command):
             path = self.out if number == 1 else self.out.with_stem(f"{self.out.stem}-{number}")
             plan = replace(found, source=self.structure.source(path))
             plan = plan.reverse() if self.assembly_order else plan
-            save_plan(plan, path, proofs=self.proofs)
+            # A plan whose replay fails, which is saved to be looked at, has no proofs of all states.
+            save_plan(plan, path, proofs=self.proofs and (plan.replay is None or plan.replay.stands))
             saved.append((path, plan))
         return saved
 

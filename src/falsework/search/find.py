@@ -160,9 +160,10 @@ def find_plans(
         again = stability.reserve > 1.0 and first.replayer is not None
         share = deadline if deadline is None or not again else _FIRST_SHARE * deadline
         found = find_plans(assembly, task, oracle=first, deadline=share, checkpoint=checkpoint, **more)
-        if found.found or not again or (found.result.interrupted and not found.deadline_passed):
+        left = None if deadline is None else deadline - (time.perf_counter() - begun)
+        late = left is not None and left <= 0
+        if found.found or not again or late or (found.result.interrupted and not found.deadline_passed):
             return found
-        left = None if deadline is None else max(deadline - (time.perf_counter() - begun), _CHOICE_SECONDS)
         return find_plans(assembly, task, oracle=Stability(assembly, weaker), deadline=left, **more)
     clock = Deadline(deadline)
     task = task or task_of(assembly, 2 if robots is None else robots, **rules)
