@@ -12,7 +12,7 @@ from tyro.conf import arg
 from falsework.cli.command import CONE_HINT, UNSET, Command, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.output import counted
-from falsework.cli.planning import HoldOptions, SupportOptions, refuse_unstable, writable
+from falsework.cli.planning import HoldOptions, SupportOptions, lacks_reserve, promise_lines, refuse_unstable, writable
 from falsework.errors import InputError
 
 if TYPE_CHECKING:
@@ -155,11 +155,9 @@ class MakePlan(Command):
             self._report(self._save(planning.plans), planning, output)
             if result.interrupted:
                 output.note(f"{cut}; {saved}")
-            kept = planning.plans[0].claim.reserve
-            if kept < stability.reserve:
-                output.note(
-                    f"falsework: no plan was found with the reserve of {stability.reserve:g}; this one keeps {kept:g}"
-                )
+            lacking = lacks_reserve(planning.plans[0], stability.reserve)
+            if lacking:
+                output.note(f"falsework: {lacking}")
                 return Exit.NO
         else:
             failure = explain(assembly, oracle, result)
@@ -261,15 +259,8 @@ class MakePlan(Command):
             f"{path}: {counted(len(first), 'step')} with {counted(first.robots, 'robot')}, every state proven stable "
             f"(criterion {first.claim.criterion}, {seconds:.1f} s, {asked} verdicts)"
         )
-        if first.replay is not None:
-            also = ", under varied settings too" if self.robust else ""
-            kept = first.claim.reserve
-            reserve = f" with the true friction and with friction / {kept:g}" if kept > 1 else ""
-            output.say(f"the replay succeeds{reserve}{also}; parts move by at most {first.replay.moved * 1e3:.3g} mm")
-        pressed = [press.force for presses in first.presses for press in presses]
-        if pressed:
-            count = sum(map(bool, first.presses))
-            output.say(f"robots press in {counted(count, 'step')}, with at most {max(pressed):.4g} N")
+        for line in promise_lines(first, robust=self.robust):
+            output.say(line)
         for prop in first.props:
             place = ", ".join(f"{value:.3f}" for value in prop.at)
             name = first.part_names[prop.part]

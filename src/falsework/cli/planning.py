@@ -11,6 +11,7 @@ from tyro.conf import arg
 
 from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET
+from falsework.cli.output import counted
 from falsework.errors import InputError
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from falsework.cli.output import Output
     from falsework.search.beam.settings import BeamSettings
     from falsework.search.find import TaskRules
+    from falsework.search.plans.plan import Plan
     from falsework.search.problem.task import Task
     from falsework.stability import Stability, StabilitySettings
     from falsework.stability.problem import Cone
@@ -127,6 +129,33 @@ class HoldOptions:
         holds = HoldSettings(self.hold_stiffness, self.hold_force, press=not self.no_press)
         reserve = self.reserve or (PLANS.reserve if criterion == "contact" else 1.0)
         return StabilitySettings(criterion=criterion, cone=cone, solver=solver, reserve=reserve, holds=holds)
+
+
+def promise_lines(plan: Plan, *, robust: bool = False) -> list[str]:
+    """Return what a plan promises of its replay, and what it asks of robots, in words.
+
+    Args:
+        plan: as it was found.
+        robust: whether its replay succeeds under varied settings too.
+    """
+    lines = []
+    if plan.replay is not None and plan.replay.stands:
+        kept = plan.claim.reserve
+        reserve = f" with the true friction and with friction / {kept:g}" if kept > 1 else ""
+        also = ", under varied settings too" if robust else ""
+        moved = plan.replay.moved * 1e3
+        lines.append(f"the replay succeeds{reserve}{also}; parts move by at most {moved:.3g} mm")
+    pressed = [press.force for presses in plan.presses for press in presses]
+    if pressed:
+        count = counted(sum(map(bool, plan.presses)), "step")
+        lines.append(f"robots press in {count}, with at most {max(pressed):.4g} N")
+    return lines
+
+
+def lacks_reserve(plan: Plan, asked: float) -> str:
+    """Return the remark on a plan that keeps less reserve than was asked; empty if it keeps it."""
+    kept = plan.claim.reserve
+    return f"no plan was found with the reserve of {asked:g}; this one keeps {kept:g}" if kept < asked else ""
 
 
 @dataclass(frozen=True, kw_only=True)

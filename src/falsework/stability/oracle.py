@@ -231,7 +231,7 @@ class Stability:
 
     @cached_property
     def prober(self) -> Prober:
-        """Solver of single states under modified friction and additional loads; margins count from the true friction."""
+        """Solver of single states under modified friction and additional loads, which count from the true friction."""
         if self.settings.reserve != 1.0:
             return Stability(self.assembly, replace(self.settings, reserve=1.0)).prober
         return Prober(self.assembly, self.problem, self.settings, self._cpu)

@@ -11,7 +11,16 @@ from numpy.typing import NDArray
 
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, States, action_mask, apply_actions, held_count, undo_actions, undo_mask
+from falsework.assembly.state import (
+    HELD,
+    INSTALLED,
+    States,
+    action_mask,
+    apply_actions,
+    held_count,
+    undo_actions,
+    undo_mask,
+)
 from falsework.errors import InputError, PlanError
 from falsework.search.margins.demands import DemandingStability, Demands
 from falsework.search.plans.plan import Plan
@@ -101,6 +110,10 @@ def broken_rule(plan: Plan, assembly: Assembly | None = None) -> tuple[int, str]
             return step + 1, f"step {step + 1} ({plan.describe(step)}) touches a fixed part"
     if not np.array_equal(_follow(plan), states[1:]):
         return 1, "the actions do not lead through the states of the plan"
+    for step, presses in enumerate(plan.presses):
+        wrong = _broken_press(plan, step, [press.part for press in presses]) if presses else ""
+        if wrong:
+            return step + 1, f"step {step + 1} ({plan.describe(step)}) is against the rules: {wrong}"
     if plan.removable_only_if_clear and assembly is not None:
         # A part is removed from the state in which it is still there.
         route = plan.route
@@ -420,6 +433,19 @@ def _task_of(plan: Plan) -> Task:
         props=[prop.part for prop in plan.props],
         prop_limit=plan.prop_limit,
     )
+
+
+def _broken_press(plan: Plan, step: int, pressed: list[int]) -> str:
+    """Return why robots cannot press on some parts in a step as it is done in assembly; empty if they can."""
+    order = 1 if plan.direction is Direction.ASSEMBLY else -1
+    before, after = plan.states[step : step + 2][::order]
+    held = (before == HELD) & (after == HELD) & ~plan.immovable
+    for part in pressed:
+        if not held[part]:
+            return f"a robot presses {plan.part_names[part]}, which it does not hold"
+    if len(set(pressed)) < len(pressed):
+        return "a robot presses a part twice"
+    return "" if ((before == HELD) & (after == INSTALLED)).any() else "robots press, but no part is released"
 
 
 def _why(plan: Plan, step: int) -> str:
