@@ -35,7 +35,7 @@ class MakeReplan(JudgingCommand):
 
     STRUCTURE may also be a run, the folder that `falsework train` wrote: its policy then proposes the steps, and
     searches take over where it fails. Every state of the new plan is certified as stable. With --direction assembly the
-    plan adds parts to the state, with disassembly it removes them. How the state was reached is not known, so it is loaded
+    plan adds parts to the state, with disassembly it removes them. How the state was reached is not known: it is loaded
     from rest. Exit code 1 if there is no plan, none was found, or none that keeps the reserve.
     """
 
