@@ -143,8 +143,9 @@ def test_robots_of_no_force_never_press(falsework: Run, tmp_path: Path) -> None:
 
 
 def test_wrong_settings() -> None:
-    wrong: list[dict[str, Any]] = [{"force": -1.0}, {"force": math.nan}, {"moment": -1.0}]
-    for options in [*wrong, {"stiffness": 0.0}, {"stiffness": math.nan}]:
+    wrong = (("force", -1.0), ("force", math.nan), ("moment", -1.0), ("stiffness", 0.0), ("stiffness", math.nan))
+    for name, value in wrong:
+        options: dict[str, Any] = {name: value}
         with pytest.raises(InputError, match="of holds is"):
             HoldSettings(**options)
     for reserve in (0.9, 0.0, math.nan):

@@ -93,14 +93,14 @@ def test_a_robust_plan_stands_under_varied_settings(
     out.unlink()
     replay = RobustReplayer.replay
 
-    def fail(self: RobustReplayer, states: Any, history: Any = None) -> Any:
-        found = replay(self, states, history)
+    def fail(self: RobustReplayer, states: Any, history: Any = None, presses: Any = None) -> Any:
+        found = replay(self, states, history, presses)
         stands = found.stands.copy()
         stands[3:4], stands[4:] = -1, 0
         return dataclasses.replace(found, stands=stands)
 
     monkeypatch.setattr(RobustReplayer, "replay", fail)
-    result = falsework(*robust)
+    result = falsework(*robust, "--reserve", 1, "--width", 1, "--direction", "assembly")
     assert result.code == 1
     assert "its replay succeeds under the default settings only" in result.error
     assert out.is_file()
