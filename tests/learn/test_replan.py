@@ -275,7 +275,7 @@ def test_deadline_is_kept(name: str) -> None:
         if not answer.found:
             assert answer.deadline_passed
             assert answer.outcome is Outcome.NOT_FOUND
-            assert f"deadline of {deadline} s" in answer.reason
+            assert "the deadline passed" in answer.reason
         else:
             assert answer.plan is not None
             assert validate_plan(answer.plan, assembly).good

@@ -285,7 +285,7 @@ class ReplanSession:
                 f"steps the structure collapses after step {self.replayer.fell_after}"
             )
         if self.clock.passed:
-            return f"the deadline of {self.request.deadline:g} s passed; more time may find a plan"
+            return "the deadline passed; more time may find a plan"
         return self.result.limit if self.result is not None and self.result.limit else "the search was limited"
 
     def _moving(self) -> tuple[int, ...]:
