@@ -131,6 +131,24 @@ class HoldOptions:
         return StabilitySettings(criterion=criterion, cone=cone, solver=solver, reserve=reserve, holds=holds)
 
 
+def promise_lines(plan: Plan, *, robust: bool = False) -> list[str]:
+    """Return what a plan promises of its replay, and what it asks of robots, in words.
+
+    Args:
+        plan: as it was found.
+        robust: whether its replay succeeds under varied settings too.
+    """
+    also = ", under varied settings too" if robust else ""
+    stands = plan.replay is not None and plan.replay.stands
+    return [*([replay_text(plan, also)] if stands else []), *filter(None, [press_text(plan)])]
+
+
+def lacks_reserve(plan: Plan, asked: float) -> str:
+    """Return the remark on a plan that keeps less reserve than was asked; empty if it keeps it."""
+    kept = plan.claim.reserve
+    return f"no plan was found with the reserve of {asked:g}; this one keeps {kept:g}" if kept < asked else ""
+
+
 @dataclass(frozen=True, kw_only=True)
 class TaskOptions(RuleOptions):
     """Rules that a plan must obey."""
@@ -190,12 +208,6 @@ def press_text(plan: Plan, scale: float = 1.0) -> str:
     forces = [scale * press.force for presses in plan.presses for press in presses]
     steps = counted(sum(map(bool, plan.presses)), "step")
     return f"robots press in {steps}, with at most {max(forces):.4g} N" if forces else ""
-
-
-def lost_reserve(plan: Plan, wanted: float) -> str:
-    """Return that a plan keeps less than the reserve that was asked for; empty if it keeps it."""
-    kept = plan.claim.reserve
-    return f"no plan was found with the reserve of {wanted:g}; this one keeps {kept:g}" if kept < wanted else ""
 
 
 def writable(path: Path, suffix: str = "") -> None:

@@ -14,7 +14,7 @@ from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET, Command, LoadOptions, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.output import counted
-from falsework.cli.planning import HoldOptions, lost_reserve, press_text, refuse_unstable, writable
+from falsework.cli.planning import HoldOptions, lacks_reserve, press_text, refuse_unstable, writable
 from falsework.cli.robot_arguments import parse_grips, parse_holding, parse_joints, parse_now
 from falsework.cli.robot_reports import (
     check_record,
@@ -149,7 +149,7 @@ class PlanRobots(Command):
             return done
         if text := press_text(found.plan, CellScale.of(assembly, cell).force):
             output.say(text)
-        lost, heavy = lost_reserve(found.plan, stability.reserve), overloads_of(found, assembly, cell)
+        lost, heavy = lacks_reserve(found.plan, stability.reserve), overloads_of(found, assembly, cell)
         if heavy:
             output.record({"overloads": [asdict(problem) for problem in heavy]})
         for text in (*([lost] if lost else []), *heavy):

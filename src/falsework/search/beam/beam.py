@@ -56,7 +56,9 @@ class BeamSearch(LevelSearch):
             guide: scores actions; without it only diversity decides.
         """
         task = task.judged_by(oracle)
-        replayer = getattr(oracle, "replayer", None) if settings.direction is Direction.ASSEMBLY else None
+        # Only a beam that looks ahead confirms the ways to its states; one that judges whole levels has no histories.
+        histories = settings.direction is Direction.ASSEMBLY and settings.lookahead > 0
+        replayer = getattr(oracle, "replayer", None) if histories else None
         if replayer is not None:
             task = replace(task, holds_keep_stable=True)  # with a history, a part that is fixed changes no force
         super().__init__(task, settings)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, States, action_mask, apply_actions, held_count, undo_actions, undo_mask
 from falsework.errors import InputError, PlanError
 from falsework.search.margins.demands import DemandingStability, Demands
 from falsework.search.plans.build import carried_steps, check_build, row_of_build
@@ -26,9 +25,8 @@ from falsework.search.plans.plan_report import (
     unverified_claims,
     weaker_claim,
 )
+from falsework.search.plans.plan_rules import broken_rule
 from falsework.search.plans.plan_source import structure_of_plan
-from falsework.search.problem.support_moves import SupportMoves
-from falsework.search.problem.task import Direction, Task
 from falsework.stability.certificate import StabilityCriterion, residuals_in_order, verify_certificates
 from falsework.stability.history import BuildVerifier
 from falsework.stability.reference.clarabel import ExactSolver
@@ -75,43 +73,6 @@ def check_identity(plan: Plan, assembly: Assembly) -> None:
                 f"the plan has a prop under part {said.part} from {said.floor:g} m up to {said.at[2]:g} m, but in "
                 f"{assembly.name} it is under part {prop.part}, from {prop.floor:g} m to {prop.at[2]:g} m; plan again"
             )
-
-
-def broken_rule(plan: Plan, assembly: Assembly | None = None) -> tuple[int, str] | None:
-    """Return the first state that the rules do not allow, and why; None if all are allowed.
-
-    Args:
-        plan: plan to check.
-        assembly: needed to check that removed parts have a way out; that is left out without it.
-    """
-    states, parts, boundary = plan.states, len(plan.boundary), plan.boundary
-    held = int(held_count(states[:1], plan.immovable)[0])
-    if held > plan.robots:
-        return 0, f"{held} parts are held at first, with {plan.robots} robots"
-    if plan.support:
-        allowed = SupportMoves(_task_of(plan)).legal(states[:-1], plan.direction)
-    else:
-        legal = action_mask if plan.direction is Direction.DISASSEMBLY else undo_mask
-        allowed = legal(states[:-1], boundary, plan.robots)
-    kept = np.isin(plan.actions % parts, plan.fixed)
-    for step, action in enumerate(plan.actions.tolist()):
-        if not allowed[step, action]:
-            return step + 1, f"step {step + 1} ({plan.describe(step)}) is against the rules: {_why(plan, step)}"
-        if kept[step]:
-            return step + 1, f"step {step + 1} ({plan.describe(step)}) touches a fixed part"
-    if not np.array_equal(_follow(plan), states[1:]):
-        return 1, "the actions do not lead through the states of the plan"
-    if plan.removable_only_if_clear and assembly is not None:
-        # A part is removed from the state in which it is still there.
-        route = plan.route
-        removals = np.flatnonzero(route.actions >= parts)
-        clear = assembly.clearance.can_leave(route.states[removals])
-        blocked = removals[~clear[np.arange(len(removals)), route.actions[removals] - parts]]
-        if len(blocked):
-            disassembly = plan.direction is Direction.DISASSEMBLY
-            step = int(blocked[0]) if disassembly else len(plan) - 1 - int(blocked[-1])
-            return step + 1, f"step {step + 1} ({plan.describe(step)}) finds no straight way past the other parts"
-    return None
 
 
 def validate_plan(
@@ -322,42 +283,3 @@ def validate_proofs(plan: Plan, assembly: Assembly, settings: StabilitySettings 
         reason = _unproven(plan, count, float(residual[count]), claim)
     largest, seconds = float(residual[:count].max(initial=0.0)), time.perf_counter() - begun
     return replace(report, checked=count, reason=reason, residual=largest, certified=count, seconds=seconds)
-
-
-def _follow(plan: Plan) -> States:
-    """Return the states that the actions of a plan lead to, each from the state before."""
-    if plan.support:
-        return SupportMoves(_task_of(plan)).follow(plan.states[:-1], plan.actions)
-    step = apply_actions if plan.direction is Direction.DISASSEMBLY else undo_actions
-    return step(plan.states[:-1], plan.actions)
-
-
-def _task_of(plan: Plan) -> Task:
-    """Return the task of a plan with repeated holds, without a rule on exits."""
-    start, target = plan.states[[0, -1]] if plan.direction is Direction.DISASSEMBLY else plan.states[[-1, 0]]
-    return Task.create(
-        plan.boundary,
-        plan.robots,
-        start=start,
-        target=target,
-        fixed=plan.fixed,
-        support=True,
-        props=[prop.part for prop in plan.props],
-        prop_limit=plan.prop_limit,
-    )
-
-
-def _why(plan: Plan, step: int) -> str:
-    action, parts = int(plan.actions[step]), len(plan.boundary)
-    part, state = action % parts, plan.states[step]
-    if plan.boundary[part]:
-        return "it is boundary"
-    held = int(held_count(state[None], plan.immovable)[0])
-    if part >= parts - len(plan.props):
-        return f"{plan.prop_limit} props may stand at a time, each under a part that is there"
-    if action >= parts and any(prop.part == part and state[k - len(plan.props)] for k, prop in enumerate(plan.props)):
-        return "a prop stands under it"
-    takes_robot = plan.support or (action < parts) is (plan.direction is Direction.DISASSEMBLY)
-    if takes_robot and held >= plan.robots and state[part] != HELD:
-        return f"all {plan.robots} robots are holding"
-    return f"the part is {('removed', 'installed', 'held')[int(state[part])]}"
