@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, REMOVED, States, action_mask
 from falsework.search.problem.task import Direction
+from falsework.stability.holds import describe_force
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Criterion
@@ -22,7 +23,7 @@ from falsework.viewer.arms import ArmPoses, Arms, look_with_arms
 from falsework.viewer.clock import Clock
 from falsework.viewer.page.disruption import ClickMode, Disruption, chance_of_parts
 from falsework.viewer.palette import FIXED, SELECTED
-from falsework.viewer.proof import StateProof, proof_of_state
+from falsework.viewer.proof import BuildProofs, StateProof, proof_of_state
 from falsework.viewer.timeline import NO_ROBOT, Timeline
 
 if TYPE_CHECKING:
@@ -88,8 +89,9 @@ class ViewerState:
         self.deadline = deadline
         self.lock = threading.RLock()
         self._oracle = oracle
-        self._criterion: Criterion = criterion
-        self._proofs: OrderedDict[bytes, StateProof] = OrderedDict()
+        self._criterion: Criterion = criterion if oracle is None else oracle.settings.criterion
+        self._proofs: OrderedDict[int | bytes, StateProof] = OrderedDict()
+        self._build: tuple[Plan, BuildProofs] | None = None
         self._replanner: Any = None
         self._guide: PolicyGuide | None = None
         self._before: list[tuple[Timeline, Plan | None, Disruption, float, Arms | None]] = []
@@ -198,10 +200,13 @@ class ViewerState:
         return [int(part) for part in np.flatnonzero(self.site == REMOVED) if part not in self.disruption.missing]
 
     def labels(self, appearance: Appearance) -> dict[int, str]:
-        """Return short labels of parts: holder, selection and marks."""
+        """Return short labels of parts: holder, press, selection and marks."""
         labels = {
             int(part): f"R{appearance.holder[part] + 1}" for part in np.flatnonzero(appearance.holder != NO_ROBOT)
         }
+        for press in self.timeline.presses_at(self.step):
+            if press.part in labels:
+                labels[press.part] += f" presses {describe_force(press.force)}"
         if self.selected is not None:
             name = self.assembly.names[self.selected]
             labels[self.selected] = f"{name}, {labels[self.selected]}" if self.selected in labels else name
@@ -289,23 +294,39 @@ class ViewerState:
         return facts
 
     def proof(self) -> StateProof:
-        """Return the verdict on the marked state, with its proof."""
-        site = self.site
-        key = site.tobytes()
+        """Return the verdict on the marked state, with its proof.
+
+        Under `contact`, a state of the plan is judged as it is reached in assembly, a marked one from rest.
+        """
         with self.lock:
+            key = self._proof_key
             known = self._proofs.get(key)
             if known is None:
-                known = proof_of_state(self.oracle, site)
+                known = self._reached.at(key) if isinstance(key, int) else proof_of_state(self.oracle, self.site)
                 self._proofs[key] = known
                 while len(self._proofs) > _PROOFS:
                     self._proofs.popitem(last=False)
             return known
 
     @property
+    def _proof_key(self) -> int | bytes:
+        """Row of the timeline where the plan itself is shown under `contact`, or else the marked state."""
+        of_plan = self.plan is not None and self.disruption.empty and self._criterion == "contact"
+        return self.timeline.row(self.position) if of_plan else self.site.tobytes()
+
+    @property
+    def _reached(self) -> BuildProofs:
+        """Proofs of the plan that is shown."""
+        assert self.plan is not None
+        if self._build is None or self._build[0] is not self.plan:
+            self._build = (self.plan, BuildProofs(self.plan, self.oracle))
+        return self._build[1]
+
+    @property
     def sliding(self) -> dict[int, str]:
         """Colours of the parts that slide in the marked state, by part; empty unless `proof` was called."""
         with self.lock:
-            known = self._proofs.get(self.site.tobytes())
+            known = self._proofs.get(self._proof_key)
             return {} if known is None else known.marks
 
     def action_probabilities(self) -> NDArray[np.float64]:
@@ -361,6 +382,7 @@ class ViewerState:
         words += self._compare(old, answer.plan)
         with self.lock:
             self._before.append((self.timeline, self.plan, self.disruption, self.position, self.arms))
+            self._proofs.clear()
             self.arms = None  # the new plan has no motions yet
             self.timeline = Timeline.of(answer.plan, self.assembly)
             self.plan = answer.plan
@@ -378,6 +400,7 @@ class ViewerState:
         """Show the previous plan again, with the marks that were set then."""
         with self.lock:
             if self._before:
+                self._proofs.clear()
                 self.timeline, self.plan, self.disruption, position, self.arms = self._before.pop()
                 self.go_to(position)
 
