@@ -267,6 +267,8 @@ def _build(
         if wrong:
             bad = _row(plan, row)
             verdict = Stability(assembly, replace(case, reserve=1.0)).check(plan.states[bad])
+            if verdict.unstable[0]:
+                wrong = _unstable(plan, bad, verdict)
             return replace(report, reason=wrong, checked=bad, residual=largest, verdict=verdict)
     count = len(states)
     return replace(report, checked=count, residual=largest, certified=count * carried)

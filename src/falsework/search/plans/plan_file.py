@@ -88,7 +88,7 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
             "tolerance": plan.claim.tolerance,
             "force_bound": plan.claim.force_bound,
             "reserve": plan.claim.reserve,
-            "holds": plan.claim.holds.to_dict(),
+            **({"holds": plan.claim.holds.to_dict()} if plan.claim.criterion == "contact" else {}),
         },
         "start": {"state": plan.states[0].tolist(), **judged[0]},
         "steps": steps,

@@ -69,9 +69,9 @@ def _from_version_2(data: dict[str, Any]) -> dict[str, Any]:
     """Convert a plan of version 2; proofs of single states from rest are left out, they prove no build."""
     stability = data.get("stability")
     if isinstance(stability, dict):
-        rigid = {"stiffness": None, "force": None, "moment": None, "press": False}
-        stability = stability | {"reserve": 1.0, "holds": rigid}
+        stability = stability | {"reserve": 1.0}
         if stability.get("criterion") == "contact":
+            stability["holds"] = {"stiffness": None, "force": None, "moment": None, "press": False}
             data = {key: value for key, value in data.items() if key != "displacements"}
             data["start"] = _from_rest(data.get("start"))
             if isinstance(data.get("steps"), list):
@@ -116,8 +116,9 @@ class PlanReader(Reader):
         self._keys(rules, {"fixed", "missing", "removable_only_if_clear"}, "rules", frozenset({"support", "props"}))
         self._keys(
             stability,
-            {"criterion", "stiffness_ratio", "cone", "gravity", "tolerance", "force_bound", "reserve", "holds"},
+            {"criterion", "stiffness_ratio", "cone", "gravity", "tolerance", "force_bound", "reserve"},
             "stability",
+            frozenset({"holds"}),
         )
         names = structure["parts"]
         if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
@@ -142,7 +143,7 @@ class PlanReader(Reader):
         claim = StabilityCriterion(
             cone=stability["cone"],
             criterion=stability["criterion"],
-            holds=self._holds(stability["holds"]),
+            holds=self._holds(stability),
             **{key: self._number(stability[key], f"stability.{key}") for key in numbers},
         )
         if 0 in (claim.gravity, claim.tolerance, claim.force_bound, claim.stiffness_ratio, claim.reserve):
@@ -298,7 +299,12 @@ class PlanReader(Reader):
             self._fail(f"{place} names a part twice")
         return value
 
-    def _holds(self, value: Any) -> HoldSettings:
+    def _holds(self, stability: dict[str, Any]) -> HoldSettings:
+        contact, value = stability["criterion"] == "contact", stability.get("holds")
+        if contact != ("holds" in stability):
+            self._fail("stability.holds must be there under contact, and not under equilibrium")
+        if not contact:
+            return HoldSettings()
         self._keys(value, {"stiffness", "force", "moment", "press"}, "stability.holds")
         numbers = {
             key: np.inf if value[key] is None else self._number(value[key], f"stability.holds.{key}")

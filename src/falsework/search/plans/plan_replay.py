@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,7 +33,7 @@ class PlanReplay:
     """The part that moved that far, -1 if none moved."""
     falls_at: int | None = None
     """First state in the order of assembly that does not come to rest, counted from 0."""
-    presses: tuple[tuple[Press, ...], ...] = ()
+    presses: tuple[tuple[Press, ...], ...] = field(default=(), compare=False, repr=False)
     """Presses of the step to each state in the order of assembly; empty where they are not known."""
 
     def to_dict(self) -> dict[str, Any]:

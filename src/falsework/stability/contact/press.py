@@ -14,10 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, States
-from falsework.stability.contact.newton import make_contact_scratch
 from falsework.stability.contact.press_kernel import press_responses
 from falsework.stability.contact.solver import ContactSolver
-from falsework.stability.cpu.layout import make_scratch
 from falsework.stability.holds import Press
 
 Array = NDArray[np.float64]
@@ -55,15 +53,13 @@ class PressPlanner:
         held = np.flatnonzero((after == HELD) & (before == HELD) & ~self._problem.boundary)
         if not len(held):
             return
-        structure, contact, problem = self._solver.structure, self._solver.contact_structure, self._problem
+        contact, problem = self._solver.contact_structure, self._problem
         columns = 1 + 6 * len(held)
         index, forces = np.zeros(problem.points, np.int64), np.zeros((columns, problem.points, 3))
         moves = np.zeros((columns, columns - 1))
         count = press_responses(
-            structure,
+            self._solver.structure,
             contact,
-            make_scratch(structure),
-            make_contact_scratch(structure),
             before,
             after,
             held,
@@ -81,7 +77,7 @@ class PressPlanner:
         forces[0, :, 0] += strength.pull / scale
         compliance = 1.0 / contact.normal[index]
         # What a rigid hold would bear keeps soft arms where they are, and is the least that a press may be.
-        still = _within(np.linalg.solve(moves[1:].T, -moves[0]), contact.force_limit[held])
+        still = _within(np.linalg.lstsq(moves[1:].T, -moves[0], rcond=None)[0], contact.force_limit[held])
         seen = [np.zeros_like(still) if np.isinf(self._solver.settings.holds.stiffness) else still]
         if seen[0].any():
             yield self._presses(held, still)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from falsework.stability.contact.newton import evaluate
+from falsework.stability.contact.newton import evaluate, make_contact_scratch
 from falsework.stability.contact.replay_kernel import load_history, set_holds
 from falsework.stability.contact.tangent import assemble_tangent
 from falsework.stability.cpu.elimination import lay_out_panels
-from falsework.stability.cpu.layout import pair_velocity, point_velocity
+from falsework.stability.cpu.layout import make_scratch, pair_velocity, point_velocity
 from falsework.stability.cpu.neighbourhood import hold_far_parts
 from falsework.stability.cpu.panels import factor_panels, solve_panels
 from falsework.utils.kernels import njit
@@ -23,14 +23,14 @@ _SHIFT = 1e-9
 
 @njit(nogil=True, cache=True)
 def press_responses(
-    structure, contact_structure, work, contact, before, state, pressed, springs, torn, set_share, points, forces, moves
+    structure, contact_structure, before, state, pressed, springs, torn, set_share, points, forces, moves
 ):
     """Write the spring forces after a release, and by how much unit wrenches of robots change them.
 
     Parts more than `RINGS` contacts away stay where they are.
 
     Args:
-        structure, contact_structure, work, contact: as in `settle_step`.
+        structure, contact_structure: as in `settle_step`.
         before, state: state before and after a part is released, shape (parts,).
         pressed: held parts on which robots press, shape (n,).
         springs, torn, set_share: the history before the release, as in `settle_step`.
@@ -42,6 +42,7 @@ def press_responses(
     Returns:
         Number of contact points; 0 where there is no response.
     """
+    work, contact = make_scratch(structure), make_contact_scratch(structure)
     parts = len(state)
     near, origin, moving = np.empty(parts, np.uint8), np.empty(parts, np.uint8), np.empty(parts, np.uint8)
     position = structure.elimination.position

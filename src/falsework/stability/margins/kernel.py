@@ -37,7 +37,7 @@ def rest_under(
     work, contact = make_scratch(structure), make_contact_scratch(structure)
     order, turn = structure.elimination.order, structure.acceleration
     pairs, count = restrict(structure, state, work)
-    adrift = count > 0 and lacks_contact(work, pairs)
+    adrift = count > 0 and lacks_contact(work, contact, pairs)
     place_contacts(structure, contact_structure, state, work, contact, pairs)
     for p in range(pairs if len(moved) else 0):
         shift = structure.pair_start[work.pair[p]] - work.start[p]
