@@ -14,7 +14,7 @@ pytest.importorskip("fastapi", reason="the service needs fastapi; pip install 'f
 from falsework.assembly import Assembly
 from falsework.assembly.library.blocks import box, gather
 from falsework.errors import InputError
-from falsework.service.schema import Holds, components, models_of, read_holds
+from falsework.service.schema import components, models_of, read_holds
 from falsework.service.settings import ServiceSettings
 from falsework.service.worker import Item, WorkerConfig, _Judge, _Planner
 from falsework.stability.holds import HoldSettings
@@ -74,8 +74,14 @@ def test_plans(criterion: Any, clamp: Assembly, monkeypatch: pytest.MonkeyPatch)
 
 
 def test_robots_have_limits_under_contact_alone(clamp: Assembly) -> None:
-    assert read_holds(Holds(force=1e6), clamp, "contact") == HoldSettings(force=1e6)
-    assert read_holds(Holds(force=None), clamp, "contact") == HoldSettings(force=np.inf)
-    assert read_holds(Holds(), clamp, "equilibrium") == HoldSettings()
+    model = models_of(clamp, ServiceSettings()).replan
+    for given, holds in (
+        ({}, HoldSettings()),
+        ({"holds": {}}, HoldSettings()),
+        ({"holds": {"force": 1e6, "press": False}}, HoldSettings(force=1e6, press=False)),
+        ({"holds": {"stiffness": None, "force": None}}, HoldSettings(np.inf, np.inf)),
+    ):
+        assert read_holds(model.model_validate(given), clamp, "contact") == holds
+    assert read_holds(model.model_validate({}), clamp, "equilibrium") == HoldSettings()
     with pytest.raises(InputError, match="holds: under equilibrium robots hold with any force"):
-        read_holds(Holds(press=False), clamp, "equilibrium")
+        read_holds(model.model_validate({"holds": {"press": False}}), clamp, "equilibrium")

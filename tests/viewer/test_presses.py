@@ -14,6 +14,7 @@ from falsework.search import Plan
 from falsework.search.problem.task import Direction
 from falsework.stability import Stability, StabilitySettings
 from falsework.stability.holds import Press, describe_force
+from falsework.stability.verdict import Criterion
 from falsework.viewer.arrows import PRESSES, arrows_of_step
 from falsework.viewer.page.disruption import ClickMode
 from falsework.viewer.page.page_text import where_text
@@ -136,8 +137,10 @@ def test_states_of_a_plan_are_judged_as_they_are_reached(
         np.testing.assert_array_equal(again.forces, proofs[at].forces)
     rest = proof_of_state(oracle, plan.states[place])
     assert rest.words.endswith("(from rest)")
+    reached = proofs[place].forces
     assert rest.forces is not None
-    off = np.abs(rest.forces - proofs[place].forces).max()
+    assert reached is not None
+    off = float(np.abs(rest.forces - reached).max())
     assert off > 1.0, "the press changes the forces"
     equilibrium = shown.proofs([place], "equilibrium")[place]
     assert "(" not in equilibrium.words
@@ -160,12 +163,12 @@ def test_a_build_that_ends_too_soon_is_not_called_stable(
 
 @pytest.mark.parametrize("criterion", ["contact", "equilibrium"])
 def test_the_page_says_how_a_state_was_judged(
-    criterion: str, arch: tuple[Assembly, Plan], pressed: tuple[Plan, int, int]
+    criterion: Criterion, arch: tuple[Assembly, Plan], pressed: tuple[Plan, int, int]
 ) -> None:
     assembly, (plan, place, part) = arch[0], pressed
     model = ViewerState(
         Timeline.of(plan, assembly), plan=plan, oracle=Stability(assembly, StabilitySettings(criterion=criterion))
-    )  # type: ignore[arg-type]
+    )
     contact = criterion == "contact"
     model.go_to(place)
     text = where_text(model, ask=True)

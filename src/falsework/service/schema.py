@@ -207,16 +207,17 @@ def read_states(values: list[Any], assembly: Assembly) -> States:
     return np.stack(rows)
 
 
-def read_holds(given: Holds, assembly: Assembly, criterion: Criterion) -> HoldSettings:
-    """Return what robots of a request can do.
+def read_holds(request: BaseModel, assembly: Assembly, criterion: Criterion) -> HoldSettings:
+    """Return what robots of a request for a plan can do.
 
     Raises:
         InputError: robots that cannot carry a part, or limits under a criterion that has none.
     """
-    values = given.model_dump(exclude_unset=True)
+    values: dict[str, Any] = request.model_dump(include={"holds"}, exclude_unset=True).get("holds", {})
     if values and criterion != "contact":
         raise InputError(f"holds: under {criterion} robots hold with any force; leave the entry out")
-    holds = HoldSettings(**{name: np.inf if value is None else value for name, value in values.items()})
+    given: dict[str, Any] = {name: np.inf if value is None else value for name, value in values.items()}
+    holds = HoldSettings(**given)
     try:
         limits_of(assembly, holds)
     except InputError as error:
