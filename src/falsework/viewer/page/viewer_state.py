@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -22,8 +21,9 @@ from falsework.viewer.appearance import Appearance, appearance_at, pick
 from falsework.viewer.arms import ArmPoses, Arms, look_with_arms
 from falsework.viewer.clock import Clock
 from falsework.viewer.page.disruption import ClickMode, Disruption, chance_of_parts
+from falsework.viewer.page.proof_cache import ProofCache
 from falsework.viewer.palette import FIXED, SELECTED
-from falsework.viewer.proof import BuildProofs, StateProof, proof_of_state
+from falsework.viewer.proof import StateProof
 from falsework.viewer.timeline import NO_ROBOT, Timeline
 
 if TYPE_CHECKING:
@@ -31,9 +31,6 @@ if TYPE_CHECKING:
     from falsework.replanning.policy_guide import PolicyGuide
     from falsework.search.plans.plan import Plan
     from falsework.search.problem.state_graph import StateGraph
-
-_PROOFS = 64
-"""Number of proofs of states that are cached."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,8 +87,7 @@ class ViewerState:
         self.lock = threading.RLock()
         self._oracle = oracle
         self._criterion: Criterion = criterion if oracle is None else oracle.settings.criterion
-        self._proofs: OrderedDict[int | bytes, StateProof] = OrderedDict()
-        self._build: tuple[Plan, BuildProofs] | None = None
+        self._proofs = ProofCache(contact=self._criterion == "contact")
         self._replanner: Any = None
         self._guide: PolicyGuide | None = None
         self._before: list[tuple[Timeline, Plan | None, Disruption, float, Arms | None]] = []
@@ -299,34 +295,18 @@ class ViewerState:
         Under `contact`, a state of the plan is judged as it is reached in assembly, a marked one from rest.
         """
         with self.lock:
-            key = self._proof_key
-            known = self._proofs.get(key)
-            if known is None:
-                known = self._reached.at(key) if isinstance(key, int) else proof_of_state(self.oracle, self.site)
-                self._proofs[key] = known
-                while len(self._proofs) > _PROOFS:
-                    self._proofs.popitem(last=False)
-            return known
+            return self._proofs.prove(self.oracle, *self._shown)
 
     @property
-    def _proof_key(self) -> int | bytes:
-        """Row of the timeline where the plan itself is shown under `contact`, or else the marked state."""
-        of_plan = self.plan is not None and self.disruption.empty and self._criterion == "contact"
-        return self.timeline.row(self.position) if of_plan else self.site.tobytes()
-
-    @property
-    def _reached(self) -> BuildProofs:
-        """Proofs of the plan that is shown."""
-        assert self.plan is not None
-        if self._build is None or self._build[0] is not self.plan:
-            self._build = (self.plan, BuildProofs(self.plan, self.oracle))
-        return self._build[1]
+    def _shown(self) -> tuple[Plan | None, int, States]:
+        """The plan, unless marks change its state; row of the state in the timeline; the marked state."""
+        return self.plan if self.disruption.empty else None, self.timeline.row(self.position), self.site
 
     @property
     def sliding(self) -> dict[int, str]:
         """Colours of the parts that slide in the marked state, by part; empty unless `proof` was called."""
         with self.lock:
-            known = self._proofs.get(self._proof_key)
+            known = self._proofs.find(*self._shown)
             return {} if known is None else known.marks
 
     def action_probabilities(self) -> NDArray[np.float64]:
@@ -382,7 +362,6 @@ class ViewerState:
         words += self._compare(old, answer.plan)
         with self.lock:
             self._before.append((self.timeline, self.plan, self.disruption, self.position, self.arms))
-            self._proofs.clear()
             self.arms = None  # the new plan has no motions yet
             self.timeline = Timeline.of(answer.plan, self.assembly)
             self.plan = answer.plan
@@ -400,7 +379,6 @@ class ViewerState:
         """Show the previous plan again, with the marks that were set then."""
         with self.lock:
             if self._before:
-                self._proofs.clear()
                 self.timeline, self.plan, self.disruption, position, self.arms = self._before.pop()
                 self.go_to(position)
 
