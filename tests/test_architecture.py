@@ -37,7 +37,7 @@ CORE = ("errors", "utils", "geometry", "assembly", "stability", "search", "repla
 SUBPACKAGES = {
     "geometry": ("mesh", "contact", "clearance"),
     "assembly": ("library",),
-    "stability": ("cpu", "contact", "gpu", "reference", "margins", "judges"),
+    "stability": ("second_order", "cpu", "contact", "gpu", "reference", "margins", "judges"),
     "search": ("problem", "beam", "margins", "plans", "support", "device"),
     "learn": ("config", "env", "networks", "data", "algorithms", "training"),
     "robots": (

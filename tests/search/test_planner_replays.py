@@ -65,6 +65,9 @@ class RuleReplayer:
         part = zeros.astype(np.int32) - 1
         return Replay(stands, zeros, part, zeros, 1.0, (none,) * reached, ((),) * reached)
 
+    def first_tipping(self, states: States, histories: Sequence[History]) -> int | None:
+        return None
+
     def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
         if self.slow:
             time.sleep(self.slow.pop())

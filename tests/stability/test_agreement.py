@@ -96,10 +96,16 @@ def test_parts_of_very_different_weight(scenes: Any, cone: str) -> None:
 def test_any_tolerance(scenes: Any, simplex: Callable[..., float], tolerance: float) -> None:
     assembly = library.build("stack:blocks=3,overhang=1.001")
     states = mixed_states(scenes, assembly, 8, seed=15)
-    verdicts = Stability(assembly, StabilitySettings(criterion="equilibrium", tolerance=tolerance)).check(states)
+    settings = StabilitySettings(criterion="equilibrium", tolerance=tolerance)
+    verdicts = Stability(assembly, settings).check(states)
     assert not verdicts.undecided.any()
-    for state, verdict in zip(states, verdicts.verdict, strict=True):
-        assert verdict == (Verdict.STABLE if simplex(assembly, state) <= tolerance else Verdict.UNSTABLE)
+    close = 0
+    for state, verdict, on_tolerance in zip(states, verdicts.verdict, verdicts.on_tolerance, strict=True):
+        least = simplex(assembly, state)
+        assert verdict == (Verdict.STABLE if least <= settings.resolution else Verdict.UNSTABLE)
+        assert on_tolerance == (settings.resolution < least <= tolerance)
+        close += on_tolerance
+    assert (close > 0) == (tolerance == 1e-2)
 
 
 @pytest.mark.parametrize("cone", ["octagon", "quadratic"])

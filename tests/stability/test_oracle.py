@@ -189,9 +189,9 @@ def test_a_displacement_that_proves_nothing_is_not_passed_on(arch: Assembly) -> 
     fallen = states[0].copy()
     fallen[3] = 0
     assert stability.check(fallen).unstable[0]
-    known = stability._guesses.get(states[0].tobytes())
+    known = stability._guesses._memory.get(states[0].tobytes())
     assert known is not None
-    stability._guesses[fallen.tobytes()] = known
+    stability._guesses._memory[fallen.tobytes()] = known
     assert stability.check_again(fallen[None]).undecided[0]
 
 

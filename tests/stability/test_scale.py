@@ -46,9 +46,15 @@ def solver(request: pytest.FixtureRequest) -> Callable[[Assembly, StabilitySetti
 def solve(
     solver: Callable[..., Any], assembly: Assembly, states: NDArray[np.uint8], settings: StabilitySettings
 ) -> Verdicts:
-    """Verdicts of one solver without the help of another, each proof accepted by the checker."""
+    """Verdicts of one solver without the help of another, each proof accepted by the checker.
+
+    The fast solvers leave open where forces in balance lie on the boundary of the admissible ones.
+    """
     verdicts = solver(assembly, settings).check(states)
-    assert verify_certificates(assembly, states, verdicts, settings.claim).all()
+    accepted = verify_certificates(assembly, states, verdicts, settings.claim)
+    np.testing.assert_array_equal(accepted, ~verdicts.undecided)
+    assert solver is not ExactSolver or accepted.all()
+    assert len(states) == 1 or accepted.mean() > 0.9
     return verdicts
 
 
@@ -84,25 +90,27 @@ def overhang(scenes: Any, past: float, size: float) -> Assembly:
 def test_a_cube_past_an_edge_tips_at_every_size(scenes: Any, solver: Any, size: float) -> None:
     """Its least residual has a closed form, so it is known past which offset the tolerance is exceeded.
 
-    Between the forces that the fast solvers find and the best there are lies a narrow gap, which they leave to the
-    exact one. At the edge of a cube of width `w` act a normal force `1 - r` and friction `r`, in weights: they leave
-    `r` of gravity along both axes, and turn it by `((1 - r) past w - r w / 2) / (w^2 / 6)`, which times
-    `w / sqrt 6` is `r`.
+    Below it the cube tips all the same: the exact solver proves that, and says that the verdict depends on the
+    tolerance; the fast solvers leave it open. At the edge of a cube of width `w` act a normal force `1 - r` and
+    friction `r`, in weights: they leave `r` of gravity along both axes, and turn it by
+    `((1 - r) past w - r w / 2) / (w^2 / 6)`, which times `w / sqrt 6` is `r`.
     """
     tolerance = settings_of("octagon").tolerance
     critical = tolerance * (1 / np.sqrt(6) + 1 / 2) / (1 - tolerance)
-    near = 0.02 if solver is ExactSolver else 0.5
-    for past, expected in (
-        (-1e-2, Verdict.STABLE),
-        (-1e-3, Verdict.STABLE),
-        ((1 - near) * critical, Verdict.STABLE),
-        ((1 + near) * critical, Verdict.UNSTABLE),
-        (1e-3, Verdict.UNSTABLE),
-        (1e-2, Verdict.UNSTABLE),
+    exact = solver is ExactSolver
+    near, below = (0.02, Verdict.UNSTABLE) if exact else (0.5, Verdict.UNDECIDED)
+    for past, expected, close in (
+        (-1e-2, Verdict.STABLE, False),
+        (-1e-3, Verdict.STABLE, False),
+        ((1 - near) * critical, below, exact),
+        ((1 + near) * critical, Verdict.UNSTABLE, False),
+        (1e-3, Verdict.UNSTABLE, False),
+        (1e-2, Verdict.UNSTABLE, False),
     ):
         for cone in CONES:
             verdicts = solve(solver, overhang(scenes, past, size), np.array([[1, 2]], np.uint8), settings_of(cone))
             assert verdicts.verdict[0] == expected, (past, cone)
+            assert verdicts.on_tolerance[0] == close
 
 
 @pytest.mark.parametrize("cone", CONES)
@@ -133,7 +141,7 @@ def test_units_that_are_powers_of_four_change_no_digit(scenes: Any, solver: Any,
     base = structure(name)
     states = some_states(scenes, base)
     expected = solve(solver, base, states, settings_of(cone))
-    assert {Verdict.STABLE, Verdict.UNSTABLE} == set(expected.verdict.tolist())
+    assert {Verdict.STABLE, Verdict.UNSTABLE} <= set(expected.verdict.tolist())
     for size, density, gravity in ((4.0**-5, 1.0, 1.0), (4.0**5, 4.0**-7, 1.0), (1.0, 4.0**6, 4.0**-2)):
         other = structure(name, size, density)
         verdicts = solve(solver, other, states, settings_of(cone, gravity * EARTH))
@@ -151,4 +159,5 @@ def test_any_units_give_the_same_verdicts(scenes: Any, solver: Any, cone: str, n
         verdicts = solve(solver, structure(name, size, density), states, settings_of(cone, gravity))
         np.testing.assert_array_equal(verdicts.verdict, expected.verdict)
         if Solver.GPU not in verdicts.decided_by and name != "bottle":  # not float32, not degenerate
-            np.testing.assert_allclose(verdicts.residual, expected.residual, rtol=1e-6, atol=1e-8)
+            decided = ~expected.undecided
+            np.testing.assert_allclose(verdicts.residual[decided], expected.residual[decided], rtol=1e-6, atol=1e-8)

@@ -33,7 +33,7 @@ class Verdict:
     """Verdict on a state."""
 
     verdict: str
-    """`stable`, `slides`, `unstable` or `undecided`."""
+    """`stable`, `slides`, `tips`, `unstable` or `undecided`."""
     criterion: str
     """What stable means: `contact` or `equilibrium`."""
     proof: str

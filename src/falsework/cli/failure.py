@@ -114,7 +114,7 @@ def common_motions(assembly: Assembly, oracle: Stability, states: States) -> lis
     verdicts = oracle.check(states)
     count: Counter[int] = Counter()
     fastest: dict[int, PartMotion] = {}
-    for index in np.flatnonzero(verdicts.unstable | verdicts.slides):
+    for index in np.flatnonzero(~verdicts.stable & ~verdicts.undecided):
         moved = motion_of(assembly, verdicts, int(index))
         for motion in [] if moved is None else motions(assembly, moved):
             count[motion.part] += 1

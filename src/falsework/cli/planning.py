@@ -207,6 +207,7 @@ def refuse_unstable(
     from falsework.assembly.state import complete_state
     from falsework.cli.velocity_text import describe, motions
     from falsework.stability.motion import motion_of
+    from falsework.stability.verdict import Verdict
 
     names = ("target", "start") if building else ("start", "target")
     for name, state in zip(names, (task.start, task.target), strict=True):
@@ -217,12 +218,10 @@ def refuse_unstable(
         subject = "complete structure" if complete else f"{name} state"
         motion = motion_of(assembly, verdicts, 0)
         moving = [] if motion is None else motions(assembly, motion)
-        if verdicts.unstable[0]:
-            text = f"no plan exists: the {subject} is unstable"
-        elif verdicts.slides[0]:
-            text = f"no plan was found: the {subject} slides"
-        else:
-            text = f"no plan was found: the {subject} could be proven neither stable nor unstable"
+        outcome = "no plan exists" if verdicts.unstable[0] else "no plan was found"
+        text = f"{outcome}: the {subject} {Verdict(verdicts.verdict[0]).words}"
+        if verdicts.on_tolerance[0]:
+            text += ", which depends on the tolerance"
         output.record({"plan": None, "outcome": text, "moving": [motion.to_dict(assembly) for motion in moving]})
         output.note(f"falsework: {text}{'; ' if moving else ''}{describe(assembly, moving, limit=3)}")
         return True

@@ -21,7 +21,8 @@ class CheckStability(JudgingCommand):
     """Check the stability of a structure, or of some of its states, with a certificate for each.
 
     A state has one value per part: 0 removed, 1 installed, 2 held; boundary parts are always 2. For a state that is
-    unstable or slides, the output describes which parts would move and how. Exit code 1 if any state is not stable.
+    unstable, slides or tips, the output describes which parts would move and how. Exit code 1 if any state is not
+    stable.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -63,6 +64,7 @@ class CheckStability(JudgingCommand):
                     "proof": proof.name.lower(),
                     "criterion": self.criterion,
                     "residual": residual if np.isfinite(residual) else None,
+                    "on_tolerance": bool(verdicts.on_tolerance[index]),
                     "moving": [motion.to_dict(assembly) for motion in moving],
                 }
             )
@@ -70,8 +72,10 @@ class CheckStability(JudgingCommand):
             held = [part for part in np.flatnonzero(states[index] == 2) if not assembly.boundary[part]]
             if held:
                 subject += f" with {', '.join(part_name(assembly, int(part)) for part in held)} held"
+            near = "; the verdict depends on the tolerance" if verdicts.on_tolerance[index] else ""
             line = (
                 f"{subject}: {verdict.name.lower()} (proof: {proof.name.lower()}, residual {residual:.1e} of gravity)"
+                f"{near}"
             )
             output.say(f"{line}; {describe(assembly, moving)}" if moving else line)
         return Exit.DONE if bool(np.all(verdicts.stable)) else Exit.NO

@@ -80,6 +80,7 @@ def solve(problem: Any, *, criterion: Criterion = "contact", gravity: float | No
         "verdict": verdict.name.lower(),
         "proof": Proof(verdicts.proof[0]).name.lower(),
         "residual": residual if np.isfinite(residual) else None,
+        "on_tolerance": bool(verdicts.on_tolerance[0]),
         "criterion": criterion,
         "mu": assembly.friction,
     }
@@ -91,7 +92,7 @@ def solve(problem: Any, *, criterion: Criterion = "contact", gravity: float | No
         results.set_node(node, "transformation", Transformation(place.tolist()))
         if verdict == Verdict.UNSTABLE:
             results.set_node(node, "velocity", verdicts.velocity[0, part].tolist())
-    if verdict in (Verdict.STABLE, Verdict.SLIDES):
+    if verdict in (Verdict.STABLE, Verdict.SLIDES, Verdict.TIPS):
         _set_edges(results, assembly, nodes, verdicts.forces[0])
     return results
 

@@ -24,7 +24,7 @@ from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.task import Direction, Task
 from falsework.search.problem.timed_oracle import TimedOracle
 from falsework.search.problem.timed_replayer import DeadlineReplayer
-from falsework.stability.verdict import Verdicts
+from falsework.stability.verdict import Verdict, Verdicts
 
 _SAMPLES_GPU, _SAMPLES_CPU = 16, 4
 _SAFETY = 1.3
@@ -204,11 +204,11 @@ class ReplanSession:
         """Take the verdicts on start and target."""
         if not verdicts.stable.all():
             row = int(np.argmin(verdicts.stable))
-            proved, slides = bool(verdicts.unstable[row]), bool(verdicts.slides[row])
+            proved = bool(verdicts.unstable[row])
             name = "state" if (row == 0) == (self.way is Direction.DISASSEMBLY) else "target"
             self._unstable = (self.task.start, self.task.target)[row][None]
-            word = "slides" if slides else "could be proved neither stable nor unstable"
-            self._why = f"the {name} {'is not stable' if proved else word}"
+            words = "is not stable" if proved else Verdict(verdicts.verdict[row]).words
+            self._why = f"the {name} {words}"
             if proved:
                 self.outcome, self.decided_by = Outcome.PROVED_IMPOSSIBLE, Stage.RULES
             self.infeasible = True

@@ -15,7 +15,7 @@ from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
 from falsework.assembly.part_numbers import part_ids
 from falsework.assembly.props import keep_props
-from falsework.assembly.state import REMOVED
+from falsework.assembly.state import REMOVED, States
 from falsework.errors import InputError
 from falsework.search.margins.demands import DemandingStability
 from falsework.search.margins.plan_margins import PlanMargins
@@ -23,7 +23,7 @@ from falsework.search.planner import Planner
 from falsework.search.plans.alternatives import Alternatives, choose_alternatives
 from falsework.search.plans.build import plan_of_build
 from falsework.search.plans.plan import Plan
-from falsework.search.plans.plan_replay import PlanReplay
+from falsework.search.plans.plan_replay import Acceptance, PlanReplay
 from falsework.search.plans.prove import prove
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.guide import Guide, SupportGuide
@@ -186,7 +186,7 @@ def find_plans(
         return Planning(result, (), Alternatives.of([]), fallen, result.interrupted and clock.passed)
     late = result.interrupted and clock.passed
     choice = Deadline(max(clock.left, _CHOICE_SECONDS))
-    chosen = _choose(planner, settings, assembly.name, lambda: choice.passed)
+    chosen = _choose(planner, settings, assembly, oracle, lambda: choice.passed)
     plans = tuple(
         plan_of(route, assembly, task, oracle, forces=forces, replay=planner.replays.get(route.states.tobytes()))
         for route in chosen.routes
@@ -288,15 +288,40 @@ def plan_of(
     return plan
 
 
-def _choose(planner: Planner | SupportPlanner, settings: PlannerSettings, name: str, stop: Stop) -> Alternatives:
-    """Choose the requested number of plans, as different as possible, from all that a planner has found."""
+def _choose(
+    planner: Planner | SupportPlanner, settings: PlannerSettings, assembly: Assembly, oracle: Stability, stop: Stop
+) -> Alternatives:
+    """Choose the requested number of plans, as different as possible, from all that a planner has found.
+
+    Other plans than those of the planner are proved first, and replaced where a state tips or has no proof.
+    """
     if settings.alternatives == 1 or isinstance(planner, SupportPlanner):
         return Alternatives.of(planner.routes)
     task = planner.task.postpone(planner.postponed)
-    graph = StateGraph.build(
-        task, np.concatenate([planner.states, *(route.states for route in planner.routes)]), name=name
-    )
-    return choose_alternatives(graph, settings.alternatives, given=planner.routes, seed=settings.seed, stop=stop)
+    states = np.concatenate([planner.states, *(route.states for route in planner.routes)])
+    known = {route.states.tobytes() for route in planner.routes}
+    while True:
+        graph = StateGraph.build(task, states, name=assembly.name)
+        found = choose_alternatives(graph, settings.alternatives, given=planner.routes, seed=settings.seed, stop=stop)
+        others = [route.states for route in found.routes if route.states.tobytes() not in known]
+        weak = {state.tobytes() for route in others for state in _weak_states(route, oracle)}
+        if not weak:
+            return found
+        if stop():
+            firm = [not any(state.tobytes() in weak for state in route.states) for route in found.routes]
+            return found.keep(np.flatnonzero(firm).tolist())
+        states = states[[state.tobytes() not in weak for state in states]]
+
+
+def _weak_states(route: States, oracle: Stability) -> States:
+    """Return the states of a route, shape (steps + 1, parts), that cannot be proved or at which its replay fails."""
+    if oracle.replayer is None:
+        return route[~prove(route, oracle, forces=False)[0].stable]
+    states = route[::-1]
+    replay = oracle.replayer.replay(states)
+    failed = Acceptance(oracle.replayer).failure(states, replay.presses) if replay.good else replay
+    row = None if failed is None else failed.falls_at
+    return states[:0] if row is None else states[min(max(row, 1), max(len(states) - 2, 0))][None]
 
 
 def _run(

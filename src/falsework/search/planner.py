@@ -237,7 +237,7 @@ class Planner:
             if self._falls < _MOST_FALLS:
                 beam.search.forbid(self._forbidden)
             else:
-                limit = f"{self._falls} plans were found whose states are stable, and the replay of each fails"
+                limit = f"{self._falls} plans were found, and in each a state tips or the replay fails"
                 self._failed(replace(result, outcome=Outcome.NOT_FOUND, routes=(), limit=limit))
         elif result.found:
             begin = not self.routes
@@ -263,13 +263,13 @@ class Planner:
         known = None if self.settings.robust else beam.search.replay_summary()
         if known is not None:
             moved, part, presses = known
-            replay = self._acceptance.replay(route.states[::-1], presses)
+            replay = self._acceptance.failure(route.states[::-1], presses)
             if replay is None:
                 self.replays[route.states.tobytes()] = PlanReplay(True, moved, part, presses=presses)
                 return True
         else:
             replay = self._replayer.replay(route.states[::-1])
-            replay = (self._acceptance.replay(route.states[::-1], replay.presses) if replay.good else None) or replay
+            replay = (self._acceptance.failure(route.states[::-1], replay.presses) if replay.good else None) or replay
         if replay.good:
             self.replays[route.states.tobytes()] = PlanReplay.of(replay)
             return True

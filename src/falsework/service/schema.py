@@ -253,16 +253,21 @@ def components(models: Models) -> dict[str, Any]:
     numbers = {"type": "array", "items": count}
     verdict = {
         "verdict": {
-            "enum": ["stable", "slides", "unstable", "undecided"],
-            "description": "slides: forces in balance exist, but the contacts do not produce them; the state is "
-            "not stable",
+            "enum": ["stable", "slides", "tips", "unstable", "undecided"],
+            "description": "slides: forces in balance exist, but the contacts do not produce them; tips: at rest, but "
+            "a small motion grows, which is only looked for on request; neither is stable",
         },
         "proof": {
-            "enum": ["displacement", "forces", "velocity", "none"],
+            "enum": ["displacement", "forces", "velocity", "motion", "none"],
             "description": "displacement: of a state that is stable under the criterion contact; forces: of balance, "
-            "of a state that slides or that is stable under the criterion equilibrium",
+            "of a state that slides or that is stable under the criterion equilibrium; motion: from rest, of a state "
+            "that tips",
         },
         "residual": {"description": "share of gravity", "anyOf": [{"type": "number"}, {"type": "null"}]},
+        "on_tolerance": {
+            "type": "boolean",
+            "description": "whether the verdict depends on the tolerance, as the residual is near it",
+        },
         "moving": {**numbers, "description": "parts that move, the fastest first; only on request"},
     }
     criterion = {

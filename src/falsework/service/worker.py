@@ -165,6 +165,7 @@ class _Judge:
                 "verdict": verdict.name.lower(),
                 "proof": Proof(verdicts.proof[row]).name.lower(),
                 "residual": float(f"{residual:.6g}") if np.isfinite(residual) else None,
+                "on_tolerance": bool(verdicts.on_tolerance[row]),
             }
             if explain:
                 motion = motion_of(self._assembly, verdicts, row)

@@ -70,9 +70,11 @@ class VerdictCache:
         for (present, held), value, left in zip(_keys(states), verdict.tolist(), residual.tolist(), strict=True):
             if value == Verdict.UNDECIDED:
                 continue
-            known = self._known.setdefault(present, {}).setdefault(Verdict(value), {})
-            self._size += held not in known
-            known[held] = left
+            entry = self._known.setdefault(present, {})
+            for other in entry.values():  # a closer look may have changed the verdict
+                self._size -= other.pop(held, None) is not None
+            entry.setdefault(Verdict(value), {})[held] = left
+            self._size += 1
 
 
 def _keys(states: States) -> list[tuple[bytes, int]]:

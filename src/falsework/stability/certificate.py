@@ -7,14 +7,14 @@ Forces and virtual velocities bound the same number, the smallest residual that 
 Admissible forces lie in the friction cones, and their normal components sum to at most the force bound. The residual
 is the largest acceleration of a part as a share of gravity; an angular acceleration is multiplied by the part's largest
 radius of gyration, so the residual is dimensionless and independent of size, density and gravity. Forces bound it from
-above, a virtual velocity from below, so a state cannot pass both tests. Joints with tensile strength or cohesion
-enlarge the set of admissible forces (`Strength`).
+above, a virtual velocity from below, so a state cannot pass both tests, unless the verdict itself says that it depends
+on the tolerance: then a velocity proves that some residual is left, though less than the tolerance. Joints with tensile
+strength or cohesion enlarge the set of admissible forces (`Strength`).
+
+A motion proves that a rest position is an unstable equilibrium, where the forces after it make it grow.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,53 +23,20 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.stability.contact_geometry import geometry_of
-from falsework.stability.holds import HoldSettings
+from falsework.stability.criterion import CONTACT, StabilityCriterion
+from falsework.stability.second_order.growth import NEUTRAL, growth_of_motion
+from falsework.stability.second_order.springs import ROUNDING, into_cone, springs_of_displacement
 from falsework.stability.state_arrays import StateArrays
-from falsework.stability.stiffness import MOVEMENT, TANGENTIAL_RATIO, normal_stiffness, structure_size
+from falsework.stability.stiffness import MOVEMENT, structure_size
 from falsework.stability.strength import Strength, strength_of
-from falsework.stability.verdict import Criterion, Verdict, Verdicts
+from falsework.stability.verdict import Verdict, Verdicts
 
 Array = NDArray[np.float64]
 
-_ROUNDING = 1e-9
-"""Largest distance of a force from its cone, as a share of the force and of the structure's weight; such a force
-is moved into the cone before the residual is computed."""
-_TEARS = 1.0 + 1e-6
-"""A contact point breaks at this multiple of its tensile strength; the excess over 1 covers rounding of the solvers."""
 _MANY_POINTS = 4096
 """Contact points from which states one after the other are evaluated only where they change."""
 _CHUNK_POINTS = 1 << 18
 """Contact points of all states that are checked at once: small enough for the processor's cache."""
-
-
-@dataclass(frozen=True)
-class StabilityCriterion:
-    """Criterion, cone, gravity, tolerance and bounds that a verdict refers to."""
-
-    cone: str = "octagon"
-    """Friction cone, `octagon` or `quadratic`."""
-    gravity: float = 9.81
-    """m/s2 along -z."""
-    tolerance: float = 1e-4
-    """Largest residual of a stable state, as a share of gravity."""
-    force_bound: float = 1e3
-    """Bound on the sum of all normal forces, in weights of the structure."""
-    criterion: Criterion = "equilibrium"
-    """Definition of stability."""
-    stiffness_ratio: float = TANGENTIAL_RATIO
-    """Ratio of tangential to normal contact stiffness, under the criterion `contact`."""
-    reserve: float = 1.0
-    """Number by which friction is divided."""
-    holds: HoldSettings = field(default_factory=HoldSettings)
-    """Stiffness and limits of robots that hold parts, in replays."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the criterion as plain JSON values."""
-        return vars(self) | {"holds": self.holds.to_dict()}
-
-
-CONTACT = StabilityCriterion(cone="quadratic", criterion="contact")
-"""The default criterion of verdicts, plans and replays."""
 
 
 def verify_certificates(
@@ -86,7 +53,7 @@ def verify_certificates(
 
     Returns:
         Shape (batch,); an undecided verdict is never accepted. Of a sliding state, only the proof that forces in
-        equilibrium exist is checked.
+        equilibrium exist is checked; of a stable one, not that no motion from rest grows.
 
     Raises:
         InputError: verdicts without certificates, or with shapes that do not fit the states.
@@ -121,11 +88,15 @@ def verify_certificates(
         for rows in chunks(stable, points):
             residual = residual_of_displacement(assembly, states[rows], verdicts.displacement[rows], claim)
             accepted[rows] = residual <= claim.tolerance
+        for rows in chunks(np.flatnonzero(verdicts.tips), points):
+            known = states[rows], verdicts.displacement[rows]
+            growth = growth_of_motion(assembly, *known, verdicts.velocity[rows], claim)
+            accepted[rows] = (residual_of_displacement(assembly, *known, claim) <= claim.tolerance) & (growth > NEUTRAL)
     forces = [verdicts.forces[row] for row in balanced]
     accepted[balanced] = residuals_in_order(assembly, states[balanced], forces, claim) <= claim.tolerance
     for rows in chunks(unstable, points):
         bound = residual_bound_of_velocity(assembly, states[rows], verdicts.velocity[rows], claim)
-        accepted[rows] = bound > claim.tolerance
+        accepted[rows] = bound > np.where(verdicts.on_tolerance[rows], claim.resolution, claim.tolerance)
     return accepted
 
 
@@ -158,16 +129,7 @@ def residual_of_displacement(
 
 def forces_of_displacement(assembly: Assembly, states: States, displacement: Array, claim: StabilityCriterion) -> Array:
     """Return the contact forces `(n, t1, t2)` in N that the law gives at a displacement, shape (batch, points, 3)."""
-    geometry = geometry_of(assembly.contacts, assembly.mass)
-    relative = geometry.relative(displacement)
-    stiffness = normal_stiffness(assembly, claim.gravity)
-    strength = strength_of(assembly, claim.gravity, claim.reserve)
-    normal = -stiffness * relative[..., 0]
-    whole = ~strength.tears | (normal >= -_TEARS * strength.pull)
-    tangent = -(claim.stiffness_ratio * stiffness)[:, None] * relative[..., 1:]
-    springs = np.concatenate([normal[..., None], tangent], axis=2)
-    forces = np.where(whole[..., None], into_cone(springs, strength, claim.cone)[0], 0.0)
-    return np.where(geometry.acts(states)[:, :, None], forces, 0.0)
+    return springs_of_displacement(assembly, states, displacement, claim).forces
 
 
 def residual_of_forces(
@@ -259,7 +221,7 @@ def _weight(assembly: Assembly, claim: StabilityCriterion) -> float:
 
 def _most(assembly: Assembly, claim: StabilityCriterion) -> float:
     """Return the largest sum of normal forces that is admissible, N."""
-    return claim.force_bound * _weight(assembly, claim) * (1 + _ROUNDING)
+    return claim.force_bound * _weight(assembly, claim) * (1 + ROUNDING)
 
 
 def _admit(
@@ -273,7 +235,7 @@ def _admit(
     size = np.linalg.norm(forces, axis=2)
     finite = np.isfinite(size)
     inside, outside = into_cone(np.where(finite[:, :, None], forces, 0.0), strength, cone)
-    refused = acts & ~(finite & (outside <= _ROUNDING * (size + weight)))
+    refused = acts & ~(finite & (outside <= ROUNDING * (size + weight)))
     return np.where(acts[:, :, None], inside, 0.0), refused
 
 
@@ -340,27 +302,6 @@ def resistance_to_velocity(
     momentum = np.abs(mass.mass[None, :, None] * velocity[:, :, :3]).sum(axis=(1, 2))
     turning = np.abs(np.einsum("pij,bpj->bpi", mass.inertia, velocity[:, :, 3:])).sum(axis=2)
     return most * taken + joined, claim.gravity * (momentum + (turning / geometry.gyration).sum(axis=1))
-
-
-def into_cone(forces: Array, strength: Strength, cone: str) -> tuple[Array, Array]:
-    """Return forces with tangents shrunk until they are admissible, and how far outside the cone they were, in N.
-
-    Shapes (batch, points, 3) and (batch, points).
-    """
-    normal, tangent = forces[..., 0], forces[..., 1:]
-    radius = strength.friction * np.maximum(normal + strength.pull, 0.0) + strength.stick
-    if cone == "quadratic":
-        reach, limit = np.hypot(tangent[..., 0], tangent[..., 1]), radius
-    else:
-        # The octagon has its corners at multiples of 45 degrees, so the normals of its sides are half way between; the
-        # nearest normal is 22.5 degrees from the axis along which the tangent is larger.
-        x, y = np.abs(tangent[..., 0]), np.abs(tangent[..., 1])
-        reach = np.cos(np.pi / 8) * np.maximum(x, y) + np.sin(np.pi / 8) * np.minimum(x, y)
-        limit = np.cos(np.pi / 8) * radius
-    inside = forces.copy()
-    inside[..., 0] = np.maximum(normal, -strength.pull)
-    inside[..., 1:] *= np.divide(limit, reach, out=np.ones_like(reach), where=reach > limit)[..., None]
-    return inside, np.maximum(reach - limit, -normal - strength.pull)
 
 
 def _slip(relative: Array, cone: str) -> Array:

@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, States
-from falsework.stability.certificate import StabilityCriterion, into_cone, residual_of_forces
+from falsework.stability.certificate import residual_of_forces
 from falsework.stability.contact_geometry import geometry_of
+from falsework.stability.criterion import StabilityCriterion
 from falsework.stability.holds import PRESS_STIFFNESS, Press, limits_of
+from falsework.stability.second_order.springs import into_cone
 from falsework.stability.stiffness import MOVEMENT, normal_stiffness, structure_size
 from falsework.stability.strength import Strength, strength_of
 

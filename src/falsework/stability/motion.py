@@ -16,7 +16,8 @@ def motion_of(assembly: Assembly, verdicts: Verdicts, row: int) -> NDArray[np.fl
     """Return the initial motion of the parts of one state, up to scale.
 
     Of an unstable state it is the virtual velocity that proves it; of a sliding state it is the displacement at
-    which the iterations ended, without the parts that move less than `SLIDING_SHARE` of the largest movement.
+    which the iterations ended, without the parts that move less than `SLIDING_SHARE` of the largest movement; of a
+    state that tips it is the motion that grows, without those too.
 
     Args:
         assembly: the structure.
@@ -30,9 +31,10 @@ def motion_of(assembly: Assembly, verdicts: Verdicts, row: int) -> NDArray[np.fl
     verdict = verdicts.verdict[row]
     if verdict == Verdict.UNSTABLE and verdicts.velocity is not None:
         return verdicts.velocity[row]
-    if verdict != Verdict.SLIDES or verdicts.displacement is None:
+    moving = {Verdict.SLIDES: verdicts.displacement, Verdict.TIPS: verdicts.velocity}.get(Verdict(verdict))
+    if moving is None:
         return None
-    displacement = verdicts.displacement[row]
+    displacement = moving[row]
     if not np.isfinite(displacement).all():
         return None
     moved = np.maximum(

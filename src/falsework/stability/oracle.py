@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.load import AnyStructure, as_assembly
-from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states
+from falsework.assembly.state import States, as_states
 from falsework.errors import InputError
 from falsework.stability.cache import VerdictCache, unique_rows, unique_states
 from falsework.stability.certificate import verify_certificates
@@ -23,21 +22,22 @@ from falsework.stability.gpu.solver import GpuSolver
 from falsework.stability.margins.margins import QUICK, MarginFinder
 from falsework.stability.margins.prober import Prober
 from falsework.stability.margins.state_margins import StateMargins
+from falsework.stability.optional_solvers import gpu_solver, gurobi_solver
 from falsework.stability.problem import build_problem
+from falsework.stability.second_order.growing_motion import SecondOrder
 from falsework.stability.settings import StabilitySettings
-from falsework.stability.state_memory import WholeMemory, remembered_forces
+from falsework.stability.state_memory import Guesses, WholeMemory, remembered_forces
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 
 if TYPE_CHECKING:
     from falsework.stability.reference.clarabel import ExactSolver
-    from falsework.stability.reference.gurobi import GurobiSolver
 
 _BATCH = 32 * 1024 * 1024
 """Memory for contact forces or displacements of one batch, bytes."""
 _WORTH_A_GPU = 8
 """States from which `auto` uses the GPU: a launch costs as much as a few states on the CPU."""
-_UNHELD = 3
-"""Held parts of which a guess is looked up for the state before they were held."""
+_LOOKED_AT = 64
+"""States whose proofs are in memory at the same time while they are looked at more closely."""
 
 
 class Stability:
@@ -56,13 +56,14 @@ class Stability:
         self.problem = build_problem(
             assembly, cone=settings.friction_cone, gravity=settings.gravity, reserve=settings.reserve
         )
-        self._gurobi = self._make_gurobi()
+        self._gurobi = gurobi_solver(assembly, settings, self.problem)
         self.counters = Counters()
-        self._cpu, self._gpu = self._make_cpu(), self._make_gpu()
+        self._cpu, self._gpu = self._make_cpu(), gpu_solver(assembly, settings, self.problem)
         self._cache = VerdictCache(holds_keep_stable=not self._contact)
         self._guess_shape = (self.problem.parts, 6) if self._contact else (self.problem.points, 3)
         points = self.problem.points
-        self._guesses = WholeMemory(self._guess_bytes) if self._contact else remembered_forces(points)
+        memory = WholeMemory(self._guess_bytes) if self._contact else remembered_forces(points)
+        self._guesses = Guesses(memory, assembly.boundary, holds_keep_stable=not self._contact)
 
     @cached_property
     def exact(self) -> ExactSolver:
@@ -105,7 +106,11 @@ class Stability:
             verdicts = self.exact.check(unique)
         else:
             verdicts = solver.check(unique, certificates=True)
+            # A GPU may stop at residuals above the resolution; they are proofs where no solver finds better ones.
             accepted = self._accept(unique, verdicts)
+            rough = np.flatnonzero(accepted & verdicts.stable & (verdicts.residual > self.settings.resolution))
+            kept = verdicts[rough]
+            accepted[rough] = False
             rest = np.flatnonzero(~accepted)
             if len(rest) and solver is self._gpu and self._cpu is not None:
                 again = self._cpu.check(unique[rest], certificates=True)
@@ -113,6 +118,10 @@ class Stability:
                 rest = rest[~self._accept(unique[rest], again)]
             if len(rest):
                 verdicts.put(rest, self._decide_exactly(unique[rest], verdicts[rest]))
+            lost = verdicts.undecided[rough]
+            verdicts.put(rough[lost], kept[lost])
+            self._look_closer(unique, verdicts)
+        verdicts.on_tolerance[:] = self.settings.claim.on_tolerance(verdicts)
         self._count(verdicts)
         self._cache.store(unique, verdicts.verdict, verdicts.residual)
         self.counters.cached += len(batch) - len(unique)
@@ -141,19 +150,21 @@ class Stability:
         """Check states `(batch, parts)` from the displacements or forces by which `judge` found them stable.
 
         Returns:
-            Stable verdicts with certificates; undecided where none are stored or they no longer prove the state.
+            Stable verdicts with certificates, or that a state tips; undecided where none are stored or they no longer
+            prove the state.
         """
         found = Verdicts.blank(
             len(states), points=self.problem.points, parts=self.problem.parts, displaced=self._contact
         )
-        stored = {row: guess for row, state in enumerate(states) if (guess := self._guess_of(state)) is not None}
+        stored = {row: guess for row, state in enumerate(states) if (guess := self._guesses.of(state)) is not None}
         if self._cpu is None or not stored or self._choose(len(stored)) is not self._cpu:
             return found
         rows, guess = np.array(list(stored)), np.array(list(stored.values()), dtype=np.float64)
         again = self._cpu.check(states[rows], parents=states[rows], guess=guess)
         good = again.stable & self._accept(states[rows], again)
-        self._put(states[rows[good]], again[good])
-        found.put(rows[good], again[good])
+        self._look_closer(states[rows[good]], proven := again[good])
+        self._put(states[rows[good]], proven)
+        found.put(rows[good], proven)
         return found
 
     def check_next(self, states: States, before: States, known: Verdicts) -> Verdicts:
@@ -164,6 +175,8 @@ class Stability:
         guess = np.where(known.stable[:, None, None], proof, np.nan if self._contact else 0.0)
         found = self._cpu.check(states, parents=before, guess=guess)
         good = found.stable & self._accept(states, found)
+        self._look_closer(states, found)
+        good &= found.stable
         self._put(states[good], found[good])
         if not good.all():
             found.put(np.flatnonzero(~good), self.check(states[~good]))
@@ -172,7 +185,8 @@ class Stability:
     def judge(self, states: ArrayLike, *, parents: ArrayLike | None = None) -> Verdicts:
         """Check states without certificates, from the cache if possible.
 
-        Every verdict is based on a proof found in float64; the cache keeps the verdict, not the proof.
+        Every verdict is based on a proof found in float64; the cache keeps the verdict, not the proof. Whether a state
+        tips is not asked here, see `keeps`; one that is known to tip is not stable.
 
         Args:
             states: shape (batch, parts).
@@ -196,7 +210,7 @@ class Stability:
         self.counters.cached += int(((verdict != 0) & ~by_monotonicity).sum())
         origins = None if parents is None else as_states(parents, self.assembly.boundary)
         if origins is not None:
-            self._pass_on(batch[verdict == Verdict.STABLE], origins[verdict == Verdict.STABLE])
+            self._guesses.pass_on(batch[verdict == Verdict.STABLE], origins[verdict == Verdict.STABLE])
         rest = np.flatnonzero(verdict == 0)
         if len(rest):
             first, back = unique_rows(batch[rest])
@@ -207,6 +221,7 @@ class Stability:
             self.counters.cached += len(rest) - len(rows)
             verdicts.put(rest, solved[back])
         verdicts.proof[:] = proof_of(verdicts.verdict, self.settings.criterion)
+        verdicts.on_tolerance[:] = self.settings.claim.on_tolerance(verdicts)
         return verdicts
 
     def margins(
@@ -227,6 +242,10 @@ class Stability:
             StateError: states of the wrong length or with other values.
         """
         return self._margins.of(states, QUICK if kinds is None else kinds, deadline=deadline)
+
+    @cached_property
+    def _second_order(self) -> SecondOrder | None:
+        return SecondOrder(self.assembly, self.settings.claim) if self._contact else None
 
     @cached_property
     def prober(self) -> Prober:
@@ -284,6 +303,10 @@ class Stability:
             verdicts.put(rest, self._decide_exactly(states[rest], verdicts[rest]))
         return verdicts.without_certificates()
 
+    def _look_closer(self, states: States, verdicts: Verdicts) -> None:
+        if self._second_order is not None:
+            self._second_order.revise(states, verdicts)
+
     def _accept(self, states: States, verdicts: Verdicts) -> NDArray[np.bool_]:
         """Return whether the checker accepts each verdict; count the rejected ones."""
         accepted = verify_certificates(self.assembly, states, verdicts, self.settings.claim)
@@ -316,28 +339,9 @@ class Stability:
             exact.verdict[slides] = Verdict.SLIDES
             exact.proof[:] = proof_of(exact.verdict, self.settings.criterion)
         elif exact.forces is not None:  # the next states start from them
-            self._remember(states[rows[exact.stable]], exact.forces[exact.stable])
+            self._guesses.remember(states[rows[exact.stable]], exact.forces[exact.stable])
         decided.put(rows, exact)
         return decided
-
-    def _make_gurobi(self) -> GurobiSolver | None:
-        """Return the Gurobi solver if the settings ask for it."""
-        if self.settings.solver != "gurobi":
-            return None
-        from falsework.stability.reference.gurobi import GurobiSolver
-
-        return GurobiSolver(self.assembly, self.settings, self.problem)
-
-    def _make_gpu(self) -> GpuSolver | None:
-        """Return the GPU solver if the settings ask for it; with `auto`, only where there is a GPU."""
-        if self.settings.solver not in ("auto", "gpu"):
-            return None
-        try:
-            return GpuSolver(self.assembly, self.problem, self.settings)
-        except InputError:  # no torch, no bindings or no device
-            if self.settings.solver == "gpu":
-                raise
-            return None
 
     @property
     def _guess_bytes(self) -> int:
@@ -356,7 +360,7 @@ class Stability:
             return self.exact.check(states).without_certificates()
         verdicts = Verdicts.blank(len(states))
         # Look up the parents first: storing the results of their children may evict them.
-        known = [None] * len(states) if parents is None else [self._guess_of(parent) for parent in parents]
+        known = [None] * len(states) if parents is None else [self._guesses.of(parent) for parent in parents]
         size, guess = max(_BATCH // max(self._guess_bytes, 1), 16), None
         for first in range(0, len(states), size):
             rows = np.arange(first, min(first + size, len(states)))
@@ -372,7 +376,7 @@ class Stability:
             else:
                 solved = solver.check(states[rows], certificates=False, guess=guess)
             if guess is not None:
-                self._remember(states[rows][solved.stable], guess[solved.stable])
+                self._guesses.remember(states[rows][solved.stable], guess[solved.stable])
             verdicts.put(rows, solved)
         rest = np.flatnonzero(verdicts.verdict == Verdict.UNDECIDED)
         if len(rest) and solver is self._gpu:
@@ -380,29 +384,6 @@ class Stability:
         elif len(rest) and (parents is None or self.problem.parts < LEFT_OPEN):
             verdicts.put(rest, self._decide_exactly(states[rest], verdicts[rest]))
         return verdicts
-
-    def _guess_of(self, state: States) -> NDArray[np.floating] | None:
-        """Return the guess stored for a state; where holds keep states stable, also for it with parts not yet held."""
-        found = self._guesses.get(state.tobytes())
-        if found is not None or not self.holds_keep_stable:
-            return found
-        held, before = np.flatnonzero((state == HELD) & ~self.assembly.boundary)[:_UNHELD], state.copy()
-        for values in product((REMOVED, INSTALLED, HELD), repeat=len(held)):
-            before[held] = values
-            if (found := self._guesses.get(before.tobytes())) is not None:
-                break
-        return found
-
-    def _pass_on(self, states: States, origins: States) -> None:
-        """Let states that were cached as stable share the guess of their parents."""
-        for state, origin in zip(states, origins, strict=True):
-            key = state.tobytes()
-            if key not in self._guesses and (known := self._guess_of(origin)) is not None:
-                self._guesses[key] = known
-
-    def _remember(self, states: States, found: NDArray[np.float64]) -> None:
-        for state, guess in zip(states, found, strict=True):
-            self._guesses[state.tobytes()] = guess.astype(np.float32 if self._contact else np.float64)
 
     def _put(self, states: States, verdicts: Verdicts) -> None:
         """Count checked verdicts and store them in the cache."""

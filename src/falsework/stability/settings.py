@@ -8,7 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from falsework.errors import InputError
-from falsework.stability.certificate import StabilityCriterion
+from falsework.stability.criterion import StabilityCriterion
 from falsework.stability.holds import HoldSettings
 from falsework.stability.problem import TOLERANCE, Cone
 from falsework.stability.stiffness import TANGENTIAL_RATIO
@@ -88,7 +88,8 @@ class StabilitySettings:
     """m/s2 along -z."""
     tolerance: float = TOLERANCE
     """Largest residual of a stable state: the largest acceleration of a part as a share of gravity, an angular
-    acceleration times the part's largest radius of gyration. The paper allows 1e-3 m/s2 (section 4)."""
+    acceleration times the part's largest radius of gyration. The paper allows 1e-3 m/s2 (section 4). Solvers go on to
+    `resolution`; `Verdicts.on_tolerance` tells where they do not get there."""
     force_bound: float = FORCE_BOUND
     """Bound on the sum of all normal forces, in weights of the structure."""
     stiffness_ratio: float = TANGENTIAL_RATIO
@@ -119,6 +120,11 @@ class StabilitySettings:
     def friction_cone(self) -> Cone:
         """The friction cone in force."""
         return self.cone or ("quadratic" if self.criterion == "contact" else "octagon")
+
+    @property
+    def resolution(self) -> float:
+        """Residual at which verdicts are decided, a share of gravity."""
+        return self.claim.resolution
 
     @property
     def claim(self) -> StabilityCriterion:

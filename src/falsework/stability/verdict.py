@@ -18,12 +18,26 @@ compliant contacts without prestress."""
 class Verdict(IntEnum):
     """Stability of a partial structure."""
 
+    TIPS = -3
+    """Rest position that a small motion leaves, such as a cube on its edge: an unstable equilibrium. Only under the
+    criterion `contact`; it counts as not stable."""
     SLIDES = -2
     """Forces in equilibrium exist, but no displacement was found that produces them: the iterations follow parts
     that move away. Only under the criterion `contact`; it counts as not stable."""
     UNSTABLE = -1
     UNDECIDED = 0
     STABLE = 1
+
+    @property
+    def words(self) -> str:
+        """What a structure with this verdict does."""
+        return {
+            Verdict.TIPS: "tips, as its equilibrium is unstable",
+            Verdict.SLIDES: "slides",
+            Verdict.UNSTABLE: "is unstable",
+            Verdict.UNDECIDED: "could be proved neither stable nor unstable",
+            Verdict.STABLE: "is stable",
+        }[self]
 
 
 class Proof(IntEnum):
@@ -36,8 +50,10 @@ class Proof(IntEnum):
     """A virtual velocity that no admissible forces can stop (unstable)."""
     DISPLACEMENT = 3
     """A displacement whose contact forces balance every part (stable from rest under the criterion `contact`)."""
-    HISTORY = 4
+    HISTORY = 5
     """Displacements in the steps of a build whose contact forces balance every part (stable as reached in a plan)."""
+    MOTION = 4
+    """Such a displacement, and a motion from there that grows (`growth_of_motion`)."""
 
 
 class Solver(IntEnum):
@@ -65,20 +81,24 @@ class Verdicts:
     residual: NDArray[np.float64]
     """Largest acceleration of a part as a share of gravity, angular acceleration times the part's largest radius
     of gyration: shape (batch,). Stable: left by the forces, at most the tolerance; unstable: a lower bound for all
-    admissible forces, above the tolerance."""
+    admissible forces, above the tolerance unless `on_tolerance`."""
     iterations: NDArray[np.int32]
     """Iterations of the solver that decided, shape (batch,)."""
     decided_by: NDArray[np.int8]
     """`Solver` of each state, shape (batch,)."""
+    on_tolerance: NDArray[np.bool_]
+    """Whether the verdict depends on the tolerance, shape (batch,). Unstable: all admissible forces leave a residual,
+    but the proven bound is not above the tolerance. Stable: no forces were found whose residual is well below it, and
+    no proof that there are none."""
     forces: NDArray[np.float64] | None = None
     """Contact forces `(n, t1, t2)` in N, shape (batch, points, 3); only meaningful where stable or sliding."""
     velocity: NDArray[np.float64] | None = None
     """Virtual velocity `(linear, angular)` about the centres of mass, shape (batch, parts, 6); only meaningful
-    where unstable."""
+    where unstable. Where a state tips, the motion that grows."""
     displacement: NDArray[np.float64] | None = None
     """Displacement `(translation, rotation)` of the parts about their centres of mass in m and rad, shape
-    (batch, parts, 6); only under the criterion `contact`. Stable: rest position; sliding: position at which parts
-    were seen to move away, which shows the moving parts and their directions; otherwise meaningless."""
+    (batch, parts, 6); only under the criterion `contact`. Stable, or tips: rest position; sliding: position at which
+    parts were seen to move away, which shows the moving parts and their directions; otherwise meaningless."""
 
     @classmethod
     def blank(
@@ -98,6 +118,7 @@ class Verdicts:
             residual=np.full(batch, np.nan),
             iterations=np.zeros(batch, np.int32),
             decided_by=np.zeros(batch, np.int8),
+            on_tolerance=np.zeros(batch, bool),
             forces=None if points is None else np.zeros((batch, points, 3)),
             velocity=None if parts is None else np.zeros((batch, parts, 6)),
             displacement=np.zeros((batch, parts, 6)) if displaced and parts is not None else None,
@@ -117,6 +138,11 @@ class Verdicts:
     def slides(self) -> NDArray[np.bool_]:
         """Whether each state slides, shape (batch,)."""
         return self.verdict == Verdict.SLIDES
+
+    @property
+    def tips(self) -> NDArray[np.bool_]:
+        """Whether each state tips, shape (batch,)."""
+        return self.verdict == Verdict.TIPS
 
     @property
     def undecided(self) -> NDArray[np.bool_]:
@@ -141,6 +167,7 @@ class Verdicts:
             self.residual[index],
             self.iterations[index],
             self.decided_by[index],
+            self.on_tolerance[index],
             None if self.forces is None else self.forces[index],
             None if self.velocity is None else self.velocity[index],
             None if self.displacement is None else self.displacement[index],
@@ -163,6 +190,7 @@ class Verdicts:
             self.residual,
             self.iterations,
             self.decided_by,
+            self.on_tolerance,
             self.forces,
             self.velocity,
             self.displacement,
@@ -171,12 +199,17 @@ class Verdicts:
 
 def proof_of(verdict: NDArray[np.int8], criterion: Criterion = "equilibrium") -> NDArray[np.int8]:
     """Return the kind of proof that belongs to each verdict; for `SLIDES` the forces that prove equilibrium."""
-    return _proofs(criterion)[verdict.astype(np.intp) - Verdict.SLIDES]
+    return _proofs(criterion)[verdict.astype(np.intp) - min(Verdict)]
 
 
 @cache
 def _proofs(criterion: Criterion) -> NDArray[np.int8]:
     """Return the kind of proof by verdict, starting from the least verdict."""
     stable = Proof.DISPLACEMENT if criterion == "contact" else Proof.FORCES
-    by_verdict = {Verdict.SLIDES: Proof.FORCES, Verdict.UNSTABLE: Proof.VELOCITY, Verdict.STABLE: stable}
+    by_verdict = {
+        Verdict.TIPS: Proof.MOTION,
+        Verdict.SLIDES: Proof.FORCES,
+        Verdict.UNSTABLE: Proof.VELOCITY,
+        Verdict.STABLE: stable,
+    }
     return np.array([by_verdict.get(kind, Proof.NONE) for kind in sorted(Verdict)], dtype=np.int8)

@@ -26,6 +26,7 @@ from falsework.viewer.arrows import Arrows, arrows_of_forces, arrows_of_motion, 
 from falsework.viewer.palette import MOTION, SLIDING
 
 _NAMED = 3
+_TIPS = "forces balance every part, but a small motion grows"
 _WHY = "balancing forces exist, but the contacts do not develop them"
 _REST, _REACHED = "from rest", "as reached in assembly"
 _AT_ONCE = 64
@@ -46,13 +47,17 @@ class StateProof:
     """For a state that is not stable: displaced vertices of the moving parts; by part, shape (vertices, 3)."""
     slides: bool = False
     """Whether forces in equilibrium exist although parts move: only under the criterion `contact`."""
+    tips: bool = False
+    """Whether they move because the equilibrium is unstable."""
     forces: NDArray[np.float64] | None = None
     """Contact forces `(n, t1, t2)` of a stable state, N, shape (points, 3)."""
 
     @property
     def verdict(self) -> str:
         """One word for captions."""
-        return "slides" if self.slides else "stable" if self.stable else "unstable" if self.decided else "undecided"
+        if self.slides:
+            return "tips" if self.tips else "slides"
+        return "stable" if self.stable else "unstable" if self.decided else "undecided"
 
     @property
     def motion_color(self) -> str:
@@ -100,7 +105,8 @@ def proofs_of_states(oracle: Stability, states: States) -> list[StateProof]:
 class BuildProofs:
     """Proofs of the states of a plan under `contact`, as they are reached in assembly.
 
-    The plan is built step by step, with its presses, up to the last state that is asked for; each step once.
+    The plan is built step by step, with its presses, up to the last state that is asked for; each step once. Whether a
+    state at rest tips was asked when the plan was accepted, and is not asked again.
     """
 
     def __init__(self, plan: Plan, oracle: Stability) -> None:
@@ -166,7 +172,8 @@ def _proof(assembly: Assembly, state: States, verdicts: Verdicts, row: int, how:
     if verdicts.stable[row]:
         assert verdicts.forces is not None
         return _stable(assembly, state, verdicts.forces[row], how)
-    slides = bool(verdicts.slides[row])
+    tips = bool(verdicts.tips[row])
+    slides = bool(verdicts.slides[row]) or tips
     if not (slides or verdicts.unstable[row]):
         return StateProof(False, False, f"neither stable nor unstable could be proven{_said(how)}", {})
     motion = motion_of(assembly, verdicts, row)
@@ -183,7 +190,9 @@ def _proof(assembly: Assembly, state: States, verdicts: Verdicts, row: int, how:
     named = _named(assembly, sorted(moved, key=lambda part: -speed[part]))
     # Velocities that prove a state unstable do so however it was reached.
     words = f"slides: {named} would slide; {_WHY}{_said(how)}" if slides else f"unstable: {named} would move"
-    return StateProof(False, True, words, arrows, moved, slides)
+    if tips:
+        words = f"tips: {named} would move; {_TIPS}{_said(how)}"
+    return StateProof(False, True, words, arrows, moved, slides, tips)
 
 
 def _named(assembly: Assembly, parts: Sequence[int]) -> str:

@@ -133,7 +133,7 @@ def test_forces_are_passed_on_by_holds(vault: Assembly) -> None:
 def test_forces_are_kept_as_they_were_accepted(vault: Assembly) -> None:
     oracle, complete = Stability(vault, EQUILIBRIUM), complete_state(vault.boundary)
     assert oracle.judge(complete[None], parents=complete[None]).stable.all()
-    kept = oracle._guesses.get(complete.tobytes())
+    kept = oracle._guesses._memory.get(complete.tobytes())
     assert kept is not None
     assert (kept != kept.astype(np.float32)).any()  # rounded, they may leave parts out of balance
     again = oracle.check_again(complete[None])

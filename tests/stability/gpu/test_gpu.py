@@ -20,7 +20,7 @@ from falsework.stability import (
     StabilitySettings,
     Verdict,
     build_problem,
-    oracle,
+    optional_solvers,
     verify_certificates,
 )
 from falsework.stability.cpu.solver import CpuSolver
@@ -231,7 +231,7 @@ def test_compiles_for_a_gpu(kernel: str, tmp_path: Path, monkeypatch: pytest.Mon
 def test_oracle_sends_large_batches_to_the_gpu_and_small_ones_to_the_processor(monkeypatch, host_driver, criterion):
     assembly = library.build("arch:blocks=7")
     monkeypatch.setattr(
-        oracle,
+        optional_solvers,
         "GpuSolver",
         lambda assembly, problem, settings: GpuSolver(assembly, problem, settings, make_driver=host_driver),
     )
@@ -257,7 +257,7 @@ def test_oracle_without_a_gpu_says_so_or_takes_the_processor(monkeypatch):
     def missing(assembly, problem, settings):
         raise DependencyError("no torch here; pip install 'falsework[gpu]'")
 
-    monkeypatch.setattr(oracle, "GpuSolver", missing)
+    monkeypatch.setattr(optional_solvers, "GpuSolver", missing)
     assembly = library.build("arch:blocks=5")
     state = np.where(assembly.boundary, 2, 1).astype(np.uint8)[None].repeat(9, axis=0)
     auto = Stability(assembly, StabilitySettings(solver="auto"))

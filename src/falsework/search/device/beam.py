@@ -179,7 +179,8 @@ class DeviceBeam(LevelSearch):
         after, before = self._written(level, mine), level.states[mine.parent]
         verdicts = self._judge.verdicts(after, before, len(asked), clusters.begin)
         stable[asked] = verdicts == Verdict.STABLE
-        answers = (verdicts != Verdict.STABLE, verdicts == Verdict.UNDECIDED, verdicts == Verdict.SLIDES)
+        moving = (verdicts == Verdict.SLIDES) | (verdicts == Verdict.TIPS)
+        answers = (verdicts != Verdict.STABLE, verdicts == Verdict.UNDECIDED, moving)
         self._refused += torch.stack([answer.sum() for answer in answers])
         chosen, found = _choose(stable, *clusters.result(), width)
         self._candidates += len(candidates)

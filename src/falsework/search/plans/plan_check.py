@@ -33,7 +33,7 @@ from falsework.stability.oracle import Stability
 from falsework.stability.reference.clarabel import ExactSolver
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.state_arrays import StateArrays
-from falsework.stability.verdict import Verdicts
+from falsework.stability.verdict import Verdict, Verdicts
 
 
 def check_identity(plan: Plan, assembly: Assembly) -> None:
@@ -390,11 +390,8 @@ def validate_proofs(plan: Plan, assembly: Assembly, settings: StabilitySettings 
 
 
 def _unstable(plan: Plan, row: int, verdict: Verdicts) -> str:
-    if verdict.unstable[0]:
-        return f"the structure is unstable {_place(plan, row)}"
-    if verdict.slides[0]:
-        return f"the structure slides {_place(plan, row)}"
-    return f"the structure could be proved neither stable nor unstable {_place(plan, row)}"
+    hangs = ", which depends on the tolerance" if verdict.on_tolerance[0] else ""
+    return f"the structure {Verdict(verdict.verdict[0]).words} {_place(plan, row)}{hangs}"
 
 
 def _place(plan: Plan, row: int) -> str:

@@ -303,7 +303,7 @@ class PlanReader(Reader):
         contact, value = stability["criterion"] == "contact", stability.get("holds")
         if contact != ("holds" in stability):
             self._fail("stability.holds must be there under contact, and not under equilibrium")
-        if not contact:
+        if value is None:
             return HoldSettings()
         self._keys(value, {"stiffness", "force", "moment", "press"}, "stability.holds")
         numbers = {

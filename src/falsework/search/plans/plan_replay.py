@@ -58,17 +58,16 @@ class PlanReplay:
 
 
 class Acceptance:
-    """Second test of a route that comes to rest with a reserve: it does so under the true friction too."""
+    """Last test of a route: it comes to rest under the true friction too, and no state of it tips."""
 
     def __init__(self, replayer: VariableReplayer | None) -> None:
-        """Prepare the test; without a replayer, or without a reserve, there is none."""
-        reserve = 1.0 if replayer is None else replayer.settings.reserve
-        self._plain = None
-        if replayer is not None and reserve != 1.0:
+        """Prepare the test; without a replayer there is none."""
+        self._plain = replayer
+        if replayer is not None and replayer.settings.reserve != 1.0:
             self._plain = replayer.vary(replace(replayer.settings, reserve=1.0), ReplaySettings())
 
-    def replay(self, states: States, presses: tuple[tuple[Press, ...], ...]) -> Replay | None:
-        """Return the replay of a route under the true friction if it fails, else None.
+    def failure(self, states: States, presses: tuple[tuple[Press, ...], ...]) -> Replay | None:
+        """Return the replay of a route that fails under the true friction, or in which a state tips; None if none does.
 
         Args:
             states: in assembly order, shape (steps + 1, parts).
@@ -77,7 +76,14 @@ class Acceptance:
         if self._plain is None:
             return None
         found = self._plain.replay(states, presses=presses)
-        return None if found.good else found
+        if not found.good:
+            return found
+        tips = self._plain.first_tipping(states, found.histories)
+        if tips is None:
+            return None
+        stands = found.stands.copy()
+        stands[tips], stands[tips + 1 :] = -1, 0
+        return replace(found, stands=stands)
 
 
 def replayer_of(oracle: Oracle, settings: PlannerSettings) -> AnyReplayer | None:

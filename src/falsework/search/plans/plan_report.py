@@ -129,7 +129,8 @@ def unverified_claims(plan: Plan, asked: StabilityCriterion, demands: Demands | 
         demands: margins of the caller, checked instead of those of the plan.
     """
     found = [] if plan.replay is None else [REPLAY]
-    checked = {"reserve", "holds"}  # a plan is built with those that it names
+    # Under `contact` a plan is built with the reserve and for the robots that it names.
+    checked = {"reserve", "holds"} if plan.claim.criterion == "contact" else {"holds"}
     for name, value in asdict(plan.claim).items():
         if (
             name not in checked

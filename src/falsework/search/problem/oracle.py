@@ -65,7 +65,7 @@ class CountingOracle:
             else:
                 verdicts = self.oracle.judge(states[rows], parents=parents[rows])
                 stable[rows] = verdicts.stable
-                self.sliding += int(verdicts.slides.sum())
+                self.sliding += int((verdicts.slides | verdicts.tips).sum())
                 self.undecided += int(verdicts.undecided.sum())
             if self.forbidden:
                 fallen = np.array([state.tobytes() in self.forbidden for state in states[rows]], dtype=bool)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import HELD, States
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.task import Direction, Task
+from falsework.stability.verdict import Verdict
 
 
 class Outcome(StrEnum):
@@ -176,13 +177,15 @@ def unstable_end(task: Task, oracle: Oracle) -> SearchResult | None:
     """Return the failed search if the start or the target of a task is not stable, else None."""
     ends = np.stack([task.start, task.target])
     verdicts = oracle.judge(ends)
+    keeps = getattr(oracle, "keeps", None)
+    if keeps is not None and verdicts.stable.all():
+        verdicts.verdict[~keeps(ends)] = Verdict.TIPS
     if verdicts.stable.all():
         return None
     row = int(np.argmin(verdicts.stable))
     name = ("start", "target")[row]
-    proved, slides = bool(verdicts.unstable[row]), bool(verdicts.slides[row])
-    word = "unstable" if proved else "sliding" if slides else "undecided"
-    limit = f"the {name} state slides" if slides else f"the {name} state could be proved neither stable nor unstable"
+    proved, moves = bool(verdicts.unstable[row]), bool((verdicts.slides | verdicts.tips)[row])
+    words = Verdict(verdicts.verdict[row]).words
     return SearchResult(
         outcome=Outcome.PROVED_IMPOSSIBLE if proved else Outcome.NOT_FOUND,
         routes=(),
@@ -193,8 +196,8 @@ def unstable_end(task: Task, oracle: Oracle) -> SearchResult | None:
         rejected=ends[row : row + 1],
         counters=SearchCounters(asked=2, rejected=int((~verdicts.stable).sum())),
         seconds=0.0,
-        limit="" if proved else limit,
-        undecided=int(word == "undecided"),
-        sliding=int(slides),
-        notes=(f"the {name} state is {word}",),
+        limit="" if proved else f"the {name} state {words}",
+        undecided=int(verdicts.undecided[row]),
+        sliding=int(moves),
+        notes=(f"the {name} state {words}",),
     )

@@ -76,6 +76,11 @@ class TimedOracle:
         self.asked += len(states)
         return found & ~self.rules_out(states)
 
+    def keeps(self, states: States) -> Mask:
+        """Return which states stay stable on a closer look, shape (batch,); see `Stability.keeps`."""
+        keeps = getattr(self._oracle, "keeps", None)
+        return np.ones(len(states), dtype=bool) if keeps is None else keeps(states)
+
     def rules_out(self, states: States) -> Mask:
         """Return which states replays have excluded, shape (batch,)."""
         known = () if self.replayer is None else self.replayer.ruled_out

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -98,6 +98,12 @@ class DeadlineReplayer:
     def vary(self, settings: StabilitySettings, replay: ReplaySettings) -> DeadlineReplayer:
         """Return a replayer of the same structure under other settings, with the same clock."""
         return DeadlineReplayer(self._replayer.vary(settings, replay), self._clock, self._between)
+
+    def first_tipping(self, states: States, histories: Sequence[History]) -> int | None:
+        """Return the first state that a small motion leaves, see `Replayer.first_tipping`."""
+        self._look()
+        with self._clock.timed("replays"):
+            return self._replayer.first_tipping(states, histories)
 
     def unlimited(self) -> Replayer:
         """Return the replayer that does not look at the deadline, for another thread.

@@ -157,7 +157,7 @@ class SupportPlanner:
     def _failed(self, result: SearchResult) -> None:
         """Give up a search and continue with the next; a proof ends all of them."""
         if result.found:
-            limit = f"{self._falls} plans were found whose states are stable, and the replay of each fails"
+            limit = f"{self._falls} plans were found, and in each a state tips or the replay fails"
             result = replace(result, outcome=Outcome.NOT_FOUND, routes=(), limit=limit)
         if isinstance(self._running, Planner):  # which proves nothing about plans with repeated holds
             result = replace(result, outcome=Outcome.NOT_FOUND)

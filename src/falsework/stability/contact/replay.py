@@ -15,12 +15,13 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states
 from falsework.errors import InputError
-from falsework.stability.contact.kernel import ContactOptions
+from falsework.stability.contact.kernel import NEAR_RINGS, ContactOptions
 from falsework.stability.contact.newton import FIRST_STEP, OPEN, RESTS
 from falsework.stability.contact.press import PressPlanner
 from falsework.stability.contact.replay_kernel import replay_range
@@ -29,6 +30,8 @@ from falsework.stability.cpu.layout import COMPILED_LAYOUT
 from falsework.stability.history import StepCertificate
 from falsework.stability.holds import Press, pack_presses
 from falsework.stability.problem import build_problem
+from falsework.stability.second_order.growing_motion import SecondOrder
+from falsework.stability.second_order.springs import springs_at
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.stiffness import structure_size
 from falsework.utils.cores import core_count
@@ -242,6 +245,36 @@ class Replayer:
             if not found.good:
                 return
             history, first = found.histories[-1], first + _TRACKED
+
+    def first_tipping(self, states: States, histories: Sequence[History]) -> int | None:
+        """Return the first state that a small motion of parts near its change leaves, though it is at rest.
+
+        Args:
+            states: in assembly order, shape (states, parts).
+            histories: of these states.
+        """
+        for row, (state, history) in enumerate(zip(states, histories, strict=True)):
+            changed = state != states[row - 1] if row else np.ones(len(state), dtype=bool)
+            near = np.asarray(changed, dtype=np.float64)
+            for _ in range(NEAR_RINGS):
+                near = near + self._touches @ near
+            local = np.where((state == INSTALLED) & (near == 0), HELD, state).astype(np.uint8)
+            forces = (history.springs * self.problem.force_scale[:, None])[None]
+            springs = springs_at(self.assembly, local[None], forces, self.settings.claim)
+            if self._second_order.growing_motion(local, history.displacement, springs) is not None:
+                return row
+        return None
+
+    @cached_property
+    def _second_order(self) -> SecondOrder:
+        return SecondOrder(self.assembly, self.settings.claim)
+
+    @cached_property
+    def _touches(self) -> csr_array:
+        """Which parts are in contact, shape (parts, parts)."""
+        a, b = self.problem.pair_parts.T
+        ends = np.concatenate([a, b]), np.concatenate([b, a])
+        return csr_array((np.ones(len(ends[0])), ends), shape=(self.problem.parts,) * 2)
 
     @cached_property
     def _presses(self) -> PressPlanner:

@@ -49,9 +49,8 @@ class ContactSolver:
         )
         self._options = kernel_options(settings)
         self.contact_options = ContactOptions(
-            settings.tolerance, settings.cpu.contact_steps, _WARM_STEPS, _NEAR_STEPS, FIRST_STEP, WARM_FIRST_STEP
+            settings.claim.well_below, settings.cpu.contact_steps, _WARM_STEPS, _NEAR_STEPS, FIRST_STEP, WARM_FIRST_STEP
         )
-        self._quick = self.contact_options._replace(steps=0, warm_steps=0)
         self._pulls = bool(problem.strength.pull.any())
         self._workers = Workers(settings.cpu.threads)
 
@@ -86,7 +85,8 @@ class ContactSolver:
 
         Args:
             states: checked states, shape (batch, parts).
-            certificates: return displacement, forces and velocity too.
+            certificates: return displacement, forces and velocity too; without parents, with residuals down to the
+                resolution of the settings.
             parents: for each state a stable one that differs in few parts, shape (batch, parts); a mechanism is sought
                 near the difference first.
             guess: displacements of the parents in m and rad, NaN where they are not known, shape (batch, parts, 6);
@@ -102,6 +102,10 @@ class ContactSolver:
         if parents is not None:
             parents = np.require(parents, requirements=COMPILED_LAYOUT)
         batch, problem = len(states), self.problem
+        balance, rest = self._options, self.contact_options
+        if certificates and parents is None:
+            resolution = self.settings.resolution
+            balance, rest = balance._replace(resolution=resolution), rest._replace(tolerance=resolution)
         verdicts = Verdicts.blank(
             batch,
             points=problem.points if certificates else None,
@@ -126,7 +130,13 @@ class ContactSolver:
         def stay(rows: slice) -> bool:
             """Find the states that tensile joints keep in place, in one or two iterations; return whether all are."""
             start, verdict, residual = displacement[rows].copy(), verdicts.verdict[rows], verdicts.residual[rows]
-            kernel = self.structure, self.contact_structure, states[rows], states[rows], self._quick
+            kernel = (
+                self.structure,
+                self.contact_structure,
+                states[rows],
+                states[rows],
+                rest._replace(steps=0, warm_steps=0),
+            )
             cold_start = np.zeros(len(start), bool)
             left = rest_range(*kernel, start, forces[rows], cold_start, verdict, residual, steps[rows], found[rows])
             displacement[rows] = np.where((verdict == STABLE)[:, None, None], start, displacement[rows])
@@ -138,8 +148,8 @@ class ContactSolver:
             verdict, residual = np.full(len(rows), UNDECIDED, verdicts.verdict.dtype), verdicts.residual[rows]
             taken, result = steps[rows], found[rows]
             many = not certificates and (chosen == INSTALLED).sum(axis=1).max() >= _MANY_PARTS
-            limit = min(_MORE_STEPS, self.contact_options.steps) if many else self.contact_options.steps
-            options = self.contact_options._replace(warm_steps=limit)
+            limit = min(_MORE_STEPS, rest.steps) if many else rest.steps
+            options = rest._replace(warm_steps=limit)
             kernel = self.structure, self.contact_structure, chosen, chosen, options
             rest_range(*kernel, start, force, np.ones(len(rows), bool), verdict, residual, taken, result)
             displacement[rows], steps[rows], found[rows] = start, taken, result
@@ -158,12 +168,12 @@ class ContactSolver:
             if (
                 parents is not None
                 and not certificates
-                and not fall_range(self.structure, chosen, parents[rows], RINGS, self._options, motion, *tail)
+                and not fall_range(self.structure, chosen, parents[rows], RINGS, balance, motion, *tail)
             ):
                 return
-            kernel = self.structure, self.contact_structure, chosen, origins[rows], self.contact_options
+            kernel = self.structure, self.contact_structure, chosen, origins[rows], rest
             if rest_range(*kernel, displacement[rows], force, warm[rows], verdict, residual, taken, found[rows]):
-                solve_range(self.structure, chosen, self._options, force, motion, cold, *tail)
+                solve_range(self.structure, chosen, balance, force, motion, cold, *tail)
                 again = np.flatnonzero(warm[rows] & (found[rows] == OPEN) & (verdict != UNSTABLE))
                 if len(again):
                     go_on(again + rows.start)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Protocol, Self
@@ -50,6 +51,10 @@ class VariableReplayer(AnyReplayer, Protocol):
 
     def vary(self, settings: StabilitySettings, replay: ReplaySettings) -> Self:
         """Return a replayer of the same structure under other settings."""
+        ...
+
+    def first_tipping(self, states: States, histories: Sequence[History]) -> int | None:
+        """Return the first state that a small motion leaves, though it is at rest; None if there is none."""
         ...
 
 

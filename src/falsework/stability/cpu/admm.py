@@ -68,7 +68,7 @@ def try_bonded(structure, work, pairs, options):
             t0, t1, t2 = point_velocity(basis, j, s0, s1, s2, s3, s4, s5)
             z[j, 0], z[j, 1], z[j, 2] = project_joint(cone, pull[j] - t0, -t1, -t2, mu[j], stick[j])
     worst = check_primal(structure, work, pairs, z, options, work.residual)
-    return (STABLE, worst) if worst < (1.0 - MARGIN) * options.tolerance else (UNDECIDED, worst)
+    return (STABLE, worst) if worst < (1.0 - MARGIN) * options.resolution else (UNDECIDED, worst)
 
 
 @njit(fastmath=FAST, cache=True)

@@ -189,6 +189,6 @@ def run_centring(structure, work, pairs, options, steps, level, settings):
             return UNDECIDED, step
         _advance(structure, work, pairs, settings[0], settings[1])
         residual = check_primal(structure, work, pairs, work.z, options, work.residual)
-        if residual < (1.0 - MARGIN) * options.tolerance:
+        if residual < (1.0 - MARGIN) * options.resolution:
             return STABLE, step
     return UNDECIDED, steps

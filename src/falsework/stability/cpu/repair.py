@@ -144,7 +144,7 @@ def repair_state(structure, state, parent, rings, corridors, options, along, war
     Returns:
         `STABLE` or `UNDECIDED`; residual; ADMM iterations; interior-point steps.
     """
-    bound, spent, taken = (1.0 - MARGIN) * options.tolerance, 0, 0
+    bound, spent, taken = (1.0 - MARGIN) * options.resolution, 0, 0
     residual = _accept_forces(structure, state, options, work.residual, forces)
     if residual < bound:
         return STABLE, residual, spent, taken
@@ -198,7 +198,7 @@ def centre_state(structure, state, parent, options, work, near, forces):
     Returns:
         `STABLE` or `UNDECIDED`; residual; steps.
     """
-    bound, taken = (1.0 - MARGIN) * options.tolerance, 0
+    bound, taken = (1.0 - MARGIN) * options.resolution, 0
     residual = _accept_forces(structure, state, options, work.residual, forces)
     if residual < bound:
         return STABLE, residual, taken

@@ -54,6 +54,7 @@ def kernel_options(settings: StabilitySettings) -> Options:
         check_every=cpu.check_every,
         interior_steps=cpu.interior_steps,
         tolerance=settings.tolerance,
+        resolution=settings.claim.well_below,
         force_bound=settings.force_bound,
         scaled=False,
     )
@@ -111,6 +112,10 @@ class CpuSolver:
         self._from_rest = self._options._replace(**_FROM_REST) if large else self._options
         self._workers = Workers(settings.cpu.threads)
 
+    def _options_for(self, resolution: float) -> tuple[Options, ...]:
+        options = self._options, self._from_forces, self._along, self._around, self._from_rest
+        return tuple(option._replace(resolution=resolution) for option in options)
+
     def check(
         self,
         states: States,
@@ -123,7 +128,8 @@ class CpuSolver:
 
         Args:
             states: checked states, shape (batch, parts).
-            certificates: return forces and velocity too.
+            certificates: return forces and velocity too; without parents, with residuals down to the resolution of
+                the settings.
             parents: for each state a stable one that differs in few parts, shape (batch, parts); a mechanism is
                 sought near the difference first, unless certificates are requested and there is a guess.
             guess: contact forces in N to start from, shape (batch, points, 3), zero where not known; overwritten with
@@ -145,6 +151,10 @@ class CpuSolver:
             forces = np.zeros((0, problem.points, 3))
         velocity = verdicts.velocity if verdicts.velocity is not None else np.zeros((0, problem.parts, 6))
         steps = np.zeros(batch, np.int32)
+        fine = certificates and parents is None
+        plain, from_forces, along_ways, around, from_rest = self._options_for(
+            self.settings.resolution if fine else self.settings.claim.well_below
+        )
         known = np.zeros(batch, bool) if guess is None or parents is None else np.asarray(guess.any(axis=(1, 2)))
 
         def work(rows: slice) -> None:
@@ -158,26 +168,26 @@ class CpuSolver:
                 beside = parents[rows]
                 # Proofs along a plan are requested for stable states.
                 along = certificates and guess is not None
-                if not along and not fall_range(*kernel, beside, RINGS, self._options, motion, *found):
+                if not along and not fall_range(*kernel, beside, RINGS, plain, motion, *found):
                     return
                 before = force.copy() if self._larger and not only_centred else force  # repairs write to `force`
-                near = beside, known[rows], self._rings, self._corridors, self._around, self._along, warm, centred
+                near = beside, known[rows], self._rings, self._corridors, around, along_ways, warm, centred
                 if known[rows].any() and not repair_range(*kernel, *near, force, *found):
                     return
             if only_centred:
                 return
             if not left_open:  # whose forces would lie on the boundaries of cones
-                solve_range(*kernel, self._from_forces if warm else self._options, force, motion, warm, *found)
+                solve_range(*kernel, from_forces if warm else plain, force, motion, warm, *found)
             left = found[0] == UNDECIDED
             # From no forces: first along the ways to supports, with the forces of the parent farther away.
             if warm and parents is not None and self._larger and left.any():
-                near = parents[rows], known[rows], REPAIR_RINGS[:0], CORRIDORS[1:], self._around, self._from_rest
+                near = parents[rows], known[rows], REPAIR_RINGS[:0], CORRIDORS[1:], around, from_rest
                 repair_range(*kernel, *near, not warm, False, before, *found)
                 repaired = left & (found[0] != UNDECIDED)
                 force[repaired] = before[repaired]
                 left &= ~repaired
             if warm and left.any():
-                solve_range(*kernel, self._from_rest, force, motion, not warm, *found)
+                solve_range(*kernel, from_rest, force, motion, not warm, *found)
 
         self._workers.run(work, batch)
         if verdicts.forces is not None and forces is not verdicts.forces:

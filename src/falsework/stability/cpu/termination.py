@@ -15,7 +15,7 @@ from falsework.utils.kernels import njit
 
 STABLE, UNSTABLE, UNDECIDED = 1, -1, 0
 MARGIN = 1e-3
-"""Both tests are stricter than the tolerance by this share, so that rounding cannot overturn them."""
+"""Both tests are stricter than their limits by this share, so that rounding cannot overturn them."""
 
 
 class Options(NamedTuple):
@@ -27,6 +27,8 @@ class Options(NamedTuple):
     check_every: int
     interior_steps: int
     tolerance: float
+    resolution: float
+    """Residual below which forces prove a state stable; see `StabilitySettings.resolution`."""
     force_bound: float
     scaled: bool
     """Whether known forces set the units of force of ADMM; see `units.py`."""
@@ -113,7 +115,7 @@ def check_dual(structure, work, pairs, velocity, options):
 def judge(structure, work, pairs, velocity, options):
     """Return the verdict on the current forces `work.z` and a velocity, with the residual that it is based on."""
     worst = check_primal(structure, work, pairs, work.z, options, work.residual)
-    if worst < (1.0 - MARGIN) * options.tolerance:
+    if worst < (1.0 - MARGIN) * options.resolution:
         return STABLE, worst
     least = check_dual(structure, work, pairs, velocity, options)
     if least > (1.0 + MARGIN) * options.tolerance:

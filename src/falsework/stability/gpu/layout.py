@@ -18,6 +18,8 @@ _GROUP_SIZES = (3, 4, 5, 6)
 _GROUP_COST = 3
 """Fixed cost of a group of contact points, in contact points."""
 _INT_FIELDS = ("parts", "positions", "groups", "blocks", "levels", "points", "products")
+_DOUBLE_OPTIONS = ("rho", "relaxation", "tolerance", "resolution", "force_bound", "first_step")
+_INT_OPTIONS = ("iterations", "first_check", "check_every", "interior_steps", "contact_steps")
 _SCALAR_FIELDS = ("weight", "friction", "length", "tangential", "unit", "limit")
 _ARRAY_FIELDS = (
     "position",
@@ -63,11 +65,8 @@ class KernelOptions(ctypes.Structure):
     """Struct `Options` of the kernel."""
 
     _fields_ = [
-        *((name, ctypes.c_double) for name in ("rho", "relaxation", "tolerance", "force_bound", "first_step")),
-        *(
-            (name, ctypes.c_int)
-            for name in ("iterations", "first_check", "check_every", "interior_steps", "contact_steps")
-        ),
+        *((name, ctypes.c_double) for name in _DOUBLE_OPTIONS),
+        *((name, ctypes.c_int) for name in _INT_OPTIONS),
     ]
 
 
@@ -203,6 +202,7 @@ def kernel_options(settings: StabilitySettings) -> KernelOptions:
         rho=gpu.rho,
         relaxation=gpu.relaxation,
         tolerance=settings.tolerance,
+        resolution=settings.claim.well_below,
         force_bound=settings.force_bound,
         first_step=FIRST_STEP,
         iterations=gpu.iterations,

@@ -41,9 +41,9 @@ class ExactSolver:
     """Exact solver with Clarabel, one state at a time.
 
     It first solves the least-squares problem of the residual (docs/how-it-works), whose forces prove nearly every
-    stable state and whose residual nearly every unstable one. The rest (least-squares residual above the tolerance,
-    although other forces might stay below it) is settled by the linear program that minimises the residual of
-    `certificate.py` itself, whose dual is the best virtual velocity there is.
+    stable state and whose residual nearly every unstable one. The rest is settled by the linear program that minimises
+    the residual of `certificate.py` itself, whose dual is the best virtual velocity there is. Where a velocity proves
+    that forces leave more than the resolution, the state is unstable, though they may leave less than the tolerance.
     """
 
     _programs: ClassVar[tuple[ProgramOf, ...]] = (least_squares, least_acceleration)
@@ -83,26 +83,32 @@ class ExactSolver:
         assert verdict.forces is not None
         assert verdict.velocity is not None
         free, active = problem.free(state)[0], problem.active(state)[0]
+        above, below = np.inf, 0.0
         for program_of in self._programs:
+            forces, velocity = np.zeros_like(verdict.forces), np.zeros_like(verdict.velocity)
             if free.any():
                 program = program_of(problem, free, active, claim)
                 solution, multipliers, steps = self._solve(program)
-                forces, velocity = program.read(solution, multipliers)
-                verdict.forces[0][active] = into_cone(forces, problem.strength.of(active), claim.cone)
-                verdict.velocity[0][free] = velocity
+                found, velocity[0][free] = program.read(solution, multipliers)
+                forces[0][active] = into_cone(found, problem.strength.of(active), claim.cone)
                 verdict.iterations[0] += steps
-            above = residual_of_forces(self.assembly, state, verdict.forces, claim)[0]
-            below = residual_bound_of_velocity(self.assembly, state, verdict.velocity, claim)[0]
-            if problem.strength.friction.max(initial=0.0) > _ROUGH and above > claim.tolerance >= below:
-                verdict.velocity[0][free] = without_slip(problem, free, active, verdict.velocity[0][free])
-                below = residual_bound_of_velocity(self.assembly, state, verdict.velocity, claim)[0]
-            if above <= claim.tolerance:
-                verdict.verdict[0], verdict.residual[0] = Verdict.STABLE, above
+            left = residual_of_forces(self.assembly, state, forces, claim)[0]
+            bound = residual_bound_of_velocity(self.assembly, state, velocity, claim)[0]
+            if problem.strength.friction.max(initial=0.0) > _ROUGH and left > claim.tolerance >= bound:
+                velocity[0][free] = without_slip(problem, free, active, velocity[0][free])
+                bound = residual_bound_of_velocity(self.assembly, state, velocity, claim)[0]
+            if left < above:
+                verdict.forces[:], above = forces, left
+            if bound > below:
+                verdict.velocity[:], below = velocity, bound
+            if above <= claim.resolution or below > claim.tolerance:
                 break
-            if below > claim.tolerance:
-                verdict.verdict[0], verdict.residual[0] = Verdict.UNSTABLE, below
-                break
-            verdict.residual[0] = above
+        verdict.residual[0] = above
+        if below > claim.resolution:
+            verdict.verdict[0], verdict.residual[0] = Verdict.UNSTABLE, below
+        elif above <= claim.tolerance:
+            verdict.verdict[0] = Verdict.STABLE
+        verdict.on_tolerance[:] = claim.on_tolerance(verdict)
         verdict.proof[:] = proof_of(verdict.verdict)
         verdict.decided_by[:] = np.where(verdict.undecided, Solver.NONE, self._name)
         return verdict

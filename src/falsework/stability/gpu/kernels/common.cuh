@@ -146,7 +146,10 @@ struct Structure {
 };
 
 struct Options {
-  double rho, relaxation, tolerance, force_bound, first_step;
+  double rho, relaxation;
+  double tolerance;          // what a velocity proves exceeds it
+  double resolution;         // what forces leave is below it
+  double force_bound, first_step;
   int iterations, first_check, check_every, interior_steps;
   int contact_steps;         // Newton iterations; 0 under the criterion `equilibrium`
 };

@@ -68,7 +68,7 @@ DEVICE void tally_nodes(const Structure& s, const State& a, const T* wrench, con
 DEVICE int decide(const Structure& s, const Options& o, const Tally& tally, double slack, double& residual) {
   double bound = o.force_bound * s.weight;
   residual = tally.v[4] <= bound * (1 + slack) ? tally.v[0] : kHuge;
-  if (residual < (1 - kMargin + slack) * o.tolerance) return kStable;
+  if (residual < (1 - kMargin + slack) * o.resolution) return kStable;
   double worst = fmax(tally.v[1], 0.0) * (1 - slack);
   double least = (tally.v[2] - worst * bound) / tally.v[3];
   if (!(tally.v[3] > 0 && least > (1 + kMargin - slack) * o.tolerance && least < kHuge)) return kUndecided;

@@ -246,7 +246,7 @@ DEVICE int find_rest(const Structure& s, const State& a, const Options& o, Newto
     kept = q.residual, q.residual = q.ahead_residual, q.ahead_residual = kept;
     kept = q.trial, q.trial = q.ahead_trial, q.ahead_trial = kept;
     double moved = progress.v[1] * s.unit;
-    bool rests = residual <= (1 - kMargin) * o.tolerance;
+    bool rests = residual <= (1 - kMargin) * o.resolution;
     if (rests || moved > kFar * s.limit) {
       steps++;
       return rests && moved <= s.limit ? kStable : kMovesAway;

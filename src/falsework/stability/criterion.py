@@ -1,0 +1,63 @@
+"""Criterion, tolerance and bounds that a verdict refers to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.stability.holds import HoldSettings
+from falsework.stability.stiffness import TANGENTIAL_RATIO
+from falsework.stability.verdict import Criterion, Verdicts
+
+_RESOLUTION = 1e-3
+"""Residual at which verdicts are decided, as a share of the tolerance."""
+_WELL_BELOW = 0.1
+"""Residual of a stable state, as a share of the tolerance, above which the verdict depends on the tolerance."""
+
+
+@dataclass(frozen=True)
+class StabilityCriterion:
+    """Criterion, cone, gravity, tolerance and bounds that a verdict refers to."""
+
+    cone: str = "octagon"
+    """Friction cone, `octagon` or `quadratic`."""
+    gravity: float = 9.81
+    """m/s2 along -z."""
+    tolerance: float = 1e-4
+    """Largest residual of a stable state, as a share of gravity."""
+    force_bound: float = 1e3
+    """Bound on the sum of all normal forces, in weights of the structure."""
+    criterion: Criterion = "equilibrium"
+    """Definition of stability."""
+    stiffness_ratio: float = TANGENTIAL_RATIO
+    """Ratio of tangential to normal contact stiffness, under the criterion `contact`."""
+    reserve: float = 1.0
+    """Number by which friction is divided."""
+    holds: HoldSettings = field(default_factory=HoldSettings)
+    """Stiffness and limits of robots that hold parts, in replays."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the criterion as plain JSON values."""
+        return vars(self) | {"holds": self.holds.to_dict()}
+
+    @property
+    def resolution(self) -> float:
+        """Residual at which verdicts are decided, a share of gravity."""
+        return _RESOLUTION * self.tolerance
+
+    @property
+    def well_below(self) -> float:
+        """Residual up to which a stable state does not depend on the tolerance, a share of gravity."""
+        return _WELL_BELOW * self.tolerance
+
+    def on_tolerance(self, verdicts: Verdicts) -> NDArray[np.bool_]:
+        """Return which verdicts depend on the tolerance, shape (batch,); see `Verdicts.on_tolerance`."""
+        residual = verdicts.residual
+        return (verdicts.stable & (residual > self.well_below)) | (verdicts.unstable & (residual <= self.tolerance))
+
+
+CONTACT = StabilityCriterion(cone="quadratic", criterion="contact")
+"""The default criterion of verdicts, plans and replays."""

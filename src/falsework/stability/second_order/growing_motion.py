@@ -1,0 +1,249 @@
+"""Stability of rest positions to second order: small motions that grow (docs/decisions/0151)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import States
+from falsework.stability.contact_geometry import geometry_of
+from falsework.stability.criterion import StabilityCriterion
+from falsework.stability.second_order.growth import NEUTRAL, growth_of_motion
+from falsework.stability.second_order.springs import Springs, closing_points, springs_of_displacement
+from falsework.stability.strength import strength_of
+from falsework.stability.verdict import Proof, Verdict, Verdicts
+
+if TYPE_CHECKING:
+    from scipy.sparse import csc_array
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_NEAREST = 4
+"""Eigenvalues that are found of an unsymmetric stiffness: negative ones are those near zero."""
+_REMEMBERED = 200_000
+"""States that are remembered to be firm."""
+_TRIALS = 24
+"""Stiffness matrices that are tried for one state."""
+
+
+class SecondOrder:
+    """Test of rest positions of one structure under the criterion `contact`.
+
+    The stiffness of a state is that of its contact springs plus that of forces whose points turn with the parts. It is
+    first taken without the contact points that bear no force, and without friction where that is at its limit. Mostly
+    it is positive definite, which one sparse factorisation tells. Else friction at its limit, which makes it
+    unsymmetric, is taken into account, and the motion of its least eigenvalue is followed in both directions: points
+    that it would close, and friction that it would reverse, are added until the motion grows or the stiffness is
+    positive.
+    """
+
+    def __init__(self, assembly: Assembly, claim: StabilityCriterion) -> None:
+        """Prepare what does not depend on the state.
+
+        Args:
+            assembly: the structure.
+            claim: cone, gravity and stiffness ratio.
+        """
+        self.assembly, self.claim = assembly, claim
+        self.firm: set[bytes] = set()
+        """States with a rest position from which no motion was found to grow."""
+        geometry = self._geometry = geometry_of(assembly.contacts, assembly.mass)
+        self._axes = assembly.contacts.frames[assembly.contacts.contact_of_point]
+        points, parts = len(self._axes), assembly.part_count
+        self._motion = geometry.motion.data.reshape(points, 3, 12)
+        both = np.stack([geometry.part_a, geometry.part_b], axis=1)
+        self._first = np.flatnonzero(np.r_[True, (both[1:] != both[:-1]).any(axis=1)][:points])
+        pairs = both[self._first]
+        # Blocks of the stiffness matrix: four for every pair of parts and one for every part, row by row.
+        each = np.arange(parts)
+        rows, columns = np.r_[pairs[:, [0, 0, 1, 1]].ravel(), each], np.r_[pairs[:, [0, 1, 0, 1]].ravel(), each]
+        self._order = np.lexsort((columns, rows))
+        self._rows, self._columns = rows[self._order], columns[self._order]
+        self._own = np.zeros((parts, 6, 6))
+        self._own[:, :3, :3] = assembly.mass.mass[:, None, None] * np.eye(3)
+        self._own[:, 3:, 3:] = assembly.mass.inertia
+        self._own *= (claim.gravity / geometry.gyration)[:, None, None]
+
+    def revise(self, states: States, verdicts: Verdicts) -> None:
+        """Change the verdict on stable states whose rest position a small motion leaves.
+
+        Args:
+            states: shape (batch, parts).
+            verdicts: in and out, with certificates.
+        """
+        if verdicts.displacement is None or verdicts.velocity is None:
+            return
+        for row in np.flatnonzero(verdicts.stable):
+            key = states[row].tobytes()
+            if key in self.firm:
+                continue
+            motion = self.growing_motion(states[row], verdicts.displacement[row])
+            if motion is None:
+                if len(self.firm) >= _REMEMBERED:
+                    self.firm.clear()
+                self.firm.add(key)
+            else:
+                verdicts.velocity[row] = motion
+                verdicts.verdict[row], verdicts.proof[row] = Verdict.TIPS, Proof.MOTION
+
+    def growing_motion(self, state: States, displacement: Array, springs: Springs | None = None) -> Array | None:
+        """Return a small motion from a rest position that grows; None if none is found.
+
+        Args:
+            state: shape (parts,).
+            displacement: of the parts at rest, shape (parts, 6), m and rad.
+            springs: contact points at rest, a batch of one, where their history is known.
+
+        Returns:
+            `(linear, angular)` about the centres of mass, largest entry 1, shape (parts, 6), with a `growth_of_motion`
+            above `NEUTRAL`.
+        """
+        free = state == 1
+        if not free.any() or not len(self._first):
+            return None
+        known = state[None], np.where(free[:, None], displacement, 0.0)[None]
+        history, springs = springs, springs or springs_of_displacement(self.assembly, *known, self.claim)
+        turning = self._turning(springs)
+        none, trials = np.zeros(len(self._axes), dtype=bool), 0
+        waiting = [(none, none, lean) for lean in self._leaning(springs)]
+        while waiting and trials < _TRIALS:
+            closed, gripped, lean = waiting.pop()
+            trials += 1
+            pairs = self._of_springs(springs, closed, gripped, lean)
+            if _is_positive(self._matrix(free, pairs, turning + NEUTRAL * self._own)):
+                continue
+            own = self._matrix(free, np.zeros_like(pairs), self._own)
+            dragged = self._dragged(springs, gripped)
+            stiffness = self._matrix(free, pairs if dragged is None else pairs + dragged, turning)
+            least = _lowest(stiffness, own, symmetric=dragged is None)
+            if least is None:
+                continue
+            motion = np.zeros((1, len(state), 6))
+            motion[0, free] = least.reshape(-1, 6)
+            for way in (motion, -motion):
+                if growth_of_motion(self.assembly, *known, way, self.claim, history)[0] > NEUTRAL:
+                    return way[0] / np.abs(way).max()
+            for way in (-motion, motion):
+                relative = self._geometry.relative(way)
+                closes = closing_points(self.assembly, springs, way, relative)[0] | closed
+                grips = ((springs.pull[0] * relative[0, :, 1:]).sum(axis=1) > 0.0) | gripped
+                if (closes & ~closed).any() or (grips & ~gripped).any():
+                    waiting.append((closes, grips, lean))
+        return None
+
+    def _of_springs(self, springs: Springs, closed: Mask, gripped: Mask, lean: Array) -> Array:
+        """Return the stiffness of the contact springs of every pair of parts, shape (pairs, 12, 12).
+
+        Args:
+            springs: at rest.
+            closed: open points that count as closed, without friction, shape (points,).
+            gripped: points whose friction at its limit counts as sticking, shape (points,).
+            lean: stiffness of normal forces that turn with a surface, shape (points, 12, 12) or (1, 1, 1).
+        """
+        bears, pull = springs.closed[0], springs.pull[0]
+        law = np.zeros((len(bears), 3, 3))
+        law[:, 0, 0] = np.where(bears | closed, springs.normal, 0.0)
+        along = pull[:, :, None] * pull[:, None, :]
+        across = np.where(gripped, 1.0, springs.across[0])[:, None, None] * (np.eye(2) - along)
+        lateral = across + np.where(gripped, 1.0, 0.0)[:, None, None] * along
+        law[:, 1:, 1:] = np.where(bears, springs.tangential, 0.0)[:, None, None] * lateral
+        each = self._motion.transpose(0, 2, 1) @ (law @ self._motion) + lean
+        return np.add.reduceat(each, self._first, axis=0)
+
+    def _dragged(self, springs: Springs, gripped: Mask) -> Array | None:
+        """Return what friction at its limit adds, since it follows the normal force; None where there is none.
+
+        Unsymmetric, shape (pairs, 12, 12).
+        """
+        friction = strength_of(self.assembly, self.claim.gravity, self.claim.reserve).friction
+        slips = springs.closed[0] & springs.slips[0, :, 0] & ~gripped & (friction > 0.0)
+        if not slips.any():
+            return None
+        law = np.zeros((len(slips), 3, 3))
+        law[slips, 1:, 0] = (friction * springs.normal)[slips, None] * springs.pull[0, slips]
+        each = self._motion.transpose(0, 2, 1) @ (law @ self._motion)
+        return np.add.reduceat(each, self._first, axis=0)
+
+    def _turning(self, springs: Springs) -> Array:
+        """Return the stiffness of contact forces whose points turn with the parts, shape (parts, 6, 6)."""
+        force = np.einsum("pi,pij->pj", springs.forces[0], self._axes)
+        virial = np.zeros((self.assembly.part_count, 3, 3))
+        for part, sign in ((self._geometry.part_a, -1.0), (self._geometry.part_b, 1.0)):
+            arm = self.assembly.contacts.points - self.assembly.mass.center[part]
+            np.add.at(virial, part, sign * force[:, :, None] * arm[:, None, :])
+        turning = np.zeros((len(virial), 6, 6))
+        turning[:, 3:, 3:] = np.einsum("pii->p", virial)[:, None, None] * np.eye(3)
+        turning[:, 3:, 3:] -= 0.5 * (virial + virial.transpose(0, 2, 1))
+        return turning
+
+    def _leaning(self, springs: Springs) -> list[Array]:
+        """Return the stiffness of normal forces that turn with the surface of part `a`, and of `b`, without friction.
+
+        Shape (points, 12, 12); the same for both, and without entries, where every point has friction.
+        """
+        smooth = springs.closed[0] & (
+            strength_of(self.assembly, self.claim.gravity, self.claim.reserve).friction == 0.0
+        )
+        if not smooth.any():
+            return [np.zeros((1, 1, 1))]
+        found = []
+        for first in (3, 9):  # columns of the rotation of `a`, and of `b`
+            half = np.zeros((len(smooth), 12, 12))
+            # The normal turns by `w x n`: along `t1` by the rotation about `t2`, along `t2` by minus that about `t1`.
+            for along, across, sign in ((1, 2, 1.0), (2, 1, -1.0)):
+                force = np.where(smooth, sign * springs.forces[0, :, 0], 0.0)
+                axis = self._axes[:, across]
+                half[:, first : first + 3] -= force[:, None, None] * axis[:, :, None] * self._motion[:, along, None]
+            found.append(half + half.transpose(0, 2, 1))
+        return found
+
+    def _matrix(self, free: Mask, pairs: Array, parts: Array) -> csc_array:
+        """Return the matrix of the free parts from blocks of pairs, (pairs, 12, 12), and of parts, (parts, 6, 6)."""
+        from scipy.sparse import bsr_array, csc_array
+
+        quarters = pairs.reshape(-1, 2, 6, 2, 6).transpose(0, 1, 3, 2, 4).reshape(-1, 6, 6)
+        blocks = np.concatenate([quarters, parts])[self._order]
+        rows, columns = self._rows, self._columns
+        kept = free[rows] & free[columns]
+        number = np.cumsum(free) - 1
+        count = int(free.sum())
+        start = np.r_[0, np.cumsum(np.bincount(number[rows[kept]], minlength=count))]
+        matrix = bsr_array((blocks[kept], number[columns[kept]], start), shape=(6 * count, 6 * count))
+        matrix.sum_duplicates()
+        return csc_array(matrix)
+
+
+def _is_positive(matrix: csc_array) -> bool:
+    """Return whether a symmetric matrix is positive definite: whether all pivots are positive."""
+    from scipy.sparse.linalg import splu
+
+    options = {"SymmetricMode": True}
+    try:
+        factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+    except RuntimeError:  # singular
+        return False
+    return bool((factor.U.diagonal() > 0.0).all() and (factor.perm_r == factor.perm_c).all())
+
+
+def _lowest(matrix: csc_array, own: csc_array, *, symmetric: bool) -> Array | None:
+    """Return the eigenvector of the least eigenvalue of `matrix x = e own x`; None if that is above `-NEUTRAL`."""
+    from scipy.sparse.linalg import ArpackError, eigs, eigsh
+
+    count = matrix.shape[0]
+    begin = np.ones(count)  # not at random
+    try:
+        if symmetric:
+            below = 1.0
+            while not _is_positive(matrix + below * own):
+                below *= 2.0
+            values, vectors = eigsh(matrix, k=1, M=own, sigma=-below, which="LM", v0=begin)
+        else:
+            values, vectors = eigs(matrix, k=min(_NEAREST, count - 2), M=own, sigma=-1.0, which="LM", v0=begin)
+    except (ArpackError, RuntimeError):  # no convergence, or singular
+        return None
+    least = int(np.argmin(values.real))
+    return None if values[least].real > -NEUTRAL else np.ascontiguousarray(vectors[:, least].real)

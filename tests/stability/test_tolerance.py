@@ -1,0 +1,146 @@
+"""Verdicts near the tolerance: structures just beyond their limit are not stable, and verdicts say how close it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from falsework.assembly import library
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import complete_state
+from falsework.search import find_plans, validate_plan
+from falsework.stability import (
+    Solver,
+    Stability,
+    StabilitySettings,
+    Verdict,
+    Verdicts,
+    optional_solvers,
+    verify_certificates,
+)
+from falsework.stability.certificate import residual_of_forces
+from falsework.stability.gpu.solver import GpuSolver
+from falsework.stability.settings import EQUILIBRIUM
+
+CRITERIA = ("equilibrium", "contact")
+SETTINGS = StabilitySettings()
+
+
+def arch(thickness: float) -> Assembly:
+    return library.build(f"arch:blocks=40,thickness={thickness},radius=1")
+
+
+def checked(assembly: Assembly, criterion: Any, **settings: Any) -> Verdicts:
+    """Verdict of the complete structure, whose certificate the checker accepts."""
+    chosen = StabilitySettings(criterion=criterion, **settings)
+    states = complete_state(assembly.boundary)[None]
+    verdicts = Stability(assembly, chosen).check(states)
+    assert verify_certificates(assembly, states, verdicts, chosen.claim).all()
+    return verdicts
+
+
+def critical_thickness(simplex: Any) -> float:
+    """Thickness at which the least residual of the arch vanishes, by the simplex method: it falls linearly."""
+    thin, thinner = 0.1073, 0.1072
+    rest = [simplex(arch(t), complete_state(arch(t).boundary)) for t in (thin, thinner)]
+    return thin + rest[0] * (thin - thinner) / (rest[1] - rest[0])
+
+
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_an_arch_just_thinner_than_its_limit_is_not_stable(simplex: Any, criterion: str) -> None:
+    """Its forces leave less than the tolerance, so that it would be stable by that alone."""
+    critical = critical_thickness(simplex)
+    thin = checked(arch(critical - 1e-5), criterion)
+    least = simplex(arch(critical - 1e-5), complete_state(arch(0.1).boundary))
+    assert SETTINGS.resolution < least < SETTINGS.tolerance
+    assert thin.unstable[0]
+    assert thin.on_tolerance[0]
+    np.testing.assert_allclose(thin.residual, least, rtol=1e-2)
+    thinner = checked(arch(critical - 1e-4), criterion)
+    assert thinner.unstable[0]
+    assert not thinner.on_tolerance[0]
+    thick = checked(arch(critical + 1e-5), criterion)
+    assert thick.stable[0]
+    assert not thick.on_tolerance[0]
+    assert thick.residual[0] <= SETTINGS.resolution
+
+
+@pytest.mark.parametrize("criterion", CRITERIA)
+@pytest.mark.parametrize("past", [1e-6, 1e-5, 5e-5])
+def test_a_block_just_steeper_than_friction_allows_slips(scenes: Any, criterion: str, past: float) -> None:
+    """It accelerates by `sin(a) - mu cos(a)`, below the tolerance."""
+    angle = np.arctan(0.5) + past
+    verdicts = checked(scenes.slope(angle, friction=0.5), criterion, cone="quadratic")
+    assert verdicts.unstable[0]
+    assert verdicts.on_tolerance[0]
+    flatter = checked(scenes.slope(np.arctan(0.5) - past, friction=0.5), criterion, cone="quadratic")
+    assert flatter.stable[0]
+    assert not flatter.on_tolerance[0]
+
+
+def test_searches_do_not_take_what_is_close_for_stable(simplex: Any) -> None:
+    """`judge`, which searches call, sends what has a residual above a tenth of the tolerance to the exact solver."""
+    assembly = arch(critical_thickness(simplex) - 2e-5)
+    for criterion in CRITERIA:
+        oracle = Stability(assembly, StabilitySettings(criterion=criterion))  # type: ignore[arg-type]
+        verdicts = oracle.judge(complete_state(assembly.boundary))
+        assert verdicts.unstable[0]
+        assert verdicts.on_tolerance[0]
+        assert oracle.counters.exact == 1
+        assert oracle.judge(complete_state(assembly.boundary)).on_tolerance[0]  # from the cache
+    assert not find_plans(assembly, robots=2).plans
+
+
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_a_gpu_is_no_exception(on_host: Any, simplex: Any, monkeypatch: pytest.MonkeyPatch, criterion: Any) -> None:
+    def driven(assembly: Assembly, problem: Any, settings: StabilitySettings) -> GpuSolver:
+        return on_host(assembly, settings)
+
+    monkeypatch.setattr(optional_solvers, "GpuSolver", driven)
+    critical = critical_thickness(simplex)
+    for thickness, verdict in ((critical - 2e-5, Verdict.UNSTABLE), (critical + 1e-3, Verdict.STABLE)):
+        verdicts = checked(arch(thickness), criterion, solver="gpu")
+        assert verdicts.verdict[0] == verdict
+        assert verdicts.on_tolerance[0] == (verdict == Verdict.UNSTABLE)
+        assert verdicts.residual[0] <= SETTINGS.tolerance
+
+
+def test_the_checker_takes_a_close_proof_only_from_a_verdict_that_says_so(simplex: Any) -> None:
+    assembly = arch(critical_thickness(simplex) - 1e-5)
+    states = complete_state(assembly.boundary)[None]
+    verdicts = Stability(assembly, EQUILIBRIUM).check(states)
+    assert verify_certificates(assembly, states, verdicts)[0]
+    verdicts.on_tolerance[:] = False
+    assert not verify_certificates(assembly, states, verdicts)[0]
+
+
+def test_a_plan_with_a_close_state_is_refused_with_the_reason(simplex: Any) -> None:
+    good = arch(0.12)
+    plan = find_plans(good, robots=3, oracle=Stability(good, EQUILIBRIUM)).plans[0]
+    thin = arch(critical_thickness(simplex) - 1e-5)
+    forged = replace(plan, identity=thin.identity, boundary=thin.boundary)
+    report = validate_plan(forged, thin, EQUILIBRIUM)
+    assert not report.good
+    assert report.reason == "the structure is unstable at the beginning, which depends on the tolerance"
+
+
+def test_ordinary_verdicts_stay_with_the_fast_solver(scenes: Any) -> None:
+    for name in ("dome", "vault", "wall"):
+        assembly = library.build(name)
+        states = scenes.few_changes(assembly, 20, seed=5)
+        for criterion in CRITERIA:
+            oracle = Stability(assembly, StabilitySettings(criterion=criterion))  # type: ignore[arg-type]
+            verdicts = oracle.judge(states)
+            assert not verdicts.on_tolerance.any()
+            assert (verdicts.decided_by[verdicts.stable] != Solver.EXACT).mean() >= 0.9
+
+
+def test_forces_of_a_verdict_leave_as_much_as_it_says() -> None:
+    assembly = library.build("dome")
+    states = complete_state(assembly.boundary)[None]
+    verdicts = Stability(assembly, EQUILIBRIUM).check(states)
+    assert verdicts.forces is not None
+    assert residual_of_forces(assembly, states, verdicts.forces)[0] <= EQUILIBRIUM.resolution
