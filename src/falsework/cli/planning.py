@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -12,6 +11,7 @@ from tyro.conf import arg
 from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET
 from falsework.errors import InputError
+from falsework.utils.files.output_file import check_writable
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -178,16 +178,12 @@ def writable(path: Path, suffix: str = "") -> None:
         suffix: ending by which commands know the file again, if they do.
 
     Raises:
-        InputError: the folder is not there or not writable, the path is a folder, or the name ends otherwise.
+        InputError: the folder is not there or not writable, the path is a folder or a device, or the name ends
+            otherwise.
     """
     if suffix and path.suffix.lower() != suffix:
         raise InputError(f"{path} is written as {suffix}; name such a file")
-    if path.is_dir():
-        raise InputError(f"{path} is a folder; name a file in it")
-    if not path.parent.is_dir():
-        raise InputError(f"cannot write {path}: there is no folder {path.parent}; make it first")
-    if not os.access(path.parent, os.W_OK):
-        raise InputError(f"cannot write {path}: no permission in {path.parent}; choose another place")
+    check_writable(path)
 
 
 def refuse_unstable(

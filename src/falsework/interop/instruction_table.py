@@ -20,7 +20,7 @@ from falsework.assembly.state import REMOVED
 from falsework.errors import PlanError
 from falsework.search.problem.task import Direction
 from falsework.stability.holds import Press, describe_force
-from falsework.utils.archive import write_whole
+from falsework.utils.files.output_file import write_whole
 from falsework.viewer.timeline import NO_ROBOT, Timeline
 
 if TYPE_CHECKING:

@@ -30,6 +30,7 @@ from falsework.search.problem.result import (
 from falsework.search.problem.task import Direction, Task
 from falsework.search.settings import COMPACT, EDGES, Attempt, PlannerSettings
 from falsework.utils.archive import read_archive, write_archive
+from falsework.utils.files.damage import blamed_on
 
 FORMAT = "falsework.planner/9"
 
@@ -194,10 +195,8 @@ class Planner:
         if (header.get("task"), header.get("settings")) != expected:
             raise InputError(f"{path} belongs to another structure, task or settings; remove it to begin a new search")
         planner = cls(task, oracle, settings, guide=guide)
-        try:
+        with blamed_on(path, "remove it to begin a new search"):
             planner._restore(header, arrays)
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"{path} is damaged ({error}); remove it to begin a new search") from None
         return planner
 
     def _restore(self, header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:

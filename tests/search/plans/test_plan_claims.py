@@ -164,6 +164,10 @@ LISTED: dict[str, Callable[[Plan, Plan, PlanReport], bool]] = {
     "stability.stiffness_ratio": lambda old, new, report: report.claim.criterion == "equilibrium",
     "stability.tolerance": lambda old, new, report: f"its tolerance {new.claim.tolerance:g}" in report.unverified,
     "stability.force_bound": lambda old, new, report: f"its force bound {new.claim.force_bound:g}" in report.unverified,
+    "stability.reserve": lambda old, new, report: (
+        report.claim.reserve == new.claim.reserve or f"its reserve {new.claim.reserve:g}" in report.unverified
+    ),
+    "stability.holds": lambda old, new, report: report.claim.holds == new.claim.holds,
     "start.residual": lambda old, new, report: bool(new.residuals[0] <= new.claim.tolerance),
     "steps.residual": lambda old, new, report: bool(new.residuals.max() <= new.claim.tolerance),
     "replay": lambda old, new, report: new.replay is None or "its replay" in report.unverified,
@@ -213,7 +217,10 @@ def accepted_changes(
     return count, accepted
 
 
-_ALWAYS = {"structure.name", "structure.source", "robots", "rules.removable_only_if_clear", "stability.force_bound"}
+_ALWAYS = {
+    "structure.name", "structure.source", "robots", "rules.removable_only_if_clear", "stability.force_bound",
+    "stability.reserve",
+}  # fmt: skip
 _JUDGED = {"start.residual", "steps.residual"}
 
 
@@ -221,7 +228,7 @@ def test_one_change_at_a_time_is_refused_or_claims_nothing(data: dict[str, Any])
     count, accepted = accepted_changes(data)
     assert count > 1200
     # What is listed is seen to be accepted, here or below, so that the list is not longer than it must be.
-    assert accepted == _ALWAYS | _JUDGED | {"replay", "displacements", "margins"}
+    assert accepted == _ALWAYS | _JUDGED | {"stability.holds", "replay", "displacements", "margins"}
 
 
 def test_one_change_of_a_plan_under_equilibrium() -> None:
@@ -238,7 +245,7 @@ def test_one_change_of_a_plan_with_props(propped: tuple[Assembly, Plan]) -> None
     data = json.loads(json.dumps(plan_to_dict(propped[1])))
     count, accepted = accepted_changes(data, among=("structure", "robots", "rules", "stability"))
     assert count > 500
-    assert accepted == _ALWAYS | {"structure.props", "rules.support", "rules.props"}
+    assert accepted == _ALWAYS | {"stability.holds", "structure.props", "rules.support", "rules.props"}
 
 
 def test_the_documentation_lists_what_claims_nothing() -> None:
@@ -412,17 +419,16 @@ def test_certificates_in_a_plan_are_evaluated_instead_of_solving(plan: Plan, mon
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e300, 0.0])
 @pytest.mark.parametrize("row", [0, 3])
 def test_a_certificate_that_proves_nothing_is_no_good(plan: Plan, value: float, row: int) -> None:
-    """Though the state itself is stable; the rows before it are proven."""
+    """Though the state itself is stable; a build is proven as a whole, so its other states are not either."""
     assert plan.displacement is not None
     installed = plan.states[row] == 1
     assert installed.any()
     wrong = plan.displacement.copy()
-    wrong[row, installed] = value
+    wrong[row][:, installed] = value
     report = validate_plan(replace(plan, displacement=wrong, margins=None), load_structure(SPEC))
     assert not report.good
-    assert report.checked == report.certified == row
-    assert "the displacements in the plan for the state" in report.reason
-    assert "prove nothing" in report.reason
+    assert (report.checked, report.certified) == (row, 0)
+    assert "is not proven: the displacements in the plan prove nothing" in report.reason
     short = replace(plan, displacement=plan.displacement[:-1], margins=None)
     assert "displacements of shape" in validate_plan(short, load_structure(SPEC)).reason
 
@@ -512,7 +518,7 @@ def peak(read: Callable[[], Any]) -> int:
 
 def test_displacements_of_other_parts_are_not_unpacked(data: dict[str, Any]) -> None:
     states, parts = len(data["steps"]) + 1, 100_000
-    entry = {"parts": parts, "zlib_base64": packed(b"\0" * (states * parts * 48))}
+    entry = data["displacements"] | {"parts": parts, "zlib_base64": packed(b"\0" * (states * parts * 48))}
 
     def read() -> None:
         with pytest.raises(PlanError, match=r"displacements.parts is 100000; the plan has 5 parts"):
@@ -529,7 +535,7 @@ def test_forces_take_no_more_than_their_text_allows(
     monkeypatch.setattr(packed_proofs, "_ROOM", 1 << 21)
     states, points = len(plan.states), 100_000
     balanced = {key: value for key, value in data.items() if key not in ("displacements", "replay", "margins")}
-    balanced["stability"] = data["stability"] | {"criterion": "equilibrium"}
+    balanced["stability"] = {k: v for k, v in data["stability"].items() if k != "holds"} | {"criterion": "equilibrium"}
     balanced |= {"start": data["start"] | {"proof": "forces"}}
     balanced |= {"steps": [step | {"proof": "forces"} for step in data["steps"]]}
     rows = np.arange(points, dtype="<u4")[::32].tobytes()
@@ -563,5 +569,5 @@ def test_an_entry_may_not_occur_twice(plan: Plan, tmp_path: Path) -> None:
         twice = re.sub(rf'("{key}": [^,}}\]]+)', r"\1, \1", text, count=1)
         assert twice != text
         path.write_text(twice)
-        with pytest.raises(PlanError, match=f"has two entries '{key}'"):
+        with pytest.raises(PlanError, match=f"has the entry '{key}' twice"):
             load_plan(path)

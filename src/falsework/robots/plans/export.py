@@ -23,7 +23,7 @@ from falsework.robots.plans.motion_limits import first_limit_fault
 from falsework.robots.plans.programs import Grip, events_of, rapid_modules, ur_scripts
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.robot_plan_file import rounded
-from falsework.utils.archive import write_whole
+from falsework.utils.files.output_file import write_whole
 
 Array = NDArray[np.float64]
 Format = Literal["ros2-json", "ros2-yaml", "csv", "rapid", "urscript", "mcap"]
@@ -102,7 +102,7 @@ def export_plan(
         paths.append(folder / "plan.mcap")
         write_bag(plan, paths[0], placed)
     for entry in writers[form]() if form in writers else ():
-        path, data = folder / entry.name, entry.text.encode()
+        path, data = folder / entry.name, entry.text.encode("utf-8", "backslashreplace")
         write_whole(path, lambda file, data=data: file.write(data))
         paths.append(path)
     return paths

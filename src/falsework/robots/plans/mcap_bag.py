@@ -31,7 +31,7 @@ from falsework.robots.plans.loads import Load, load_of, loads_at
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.timeline import schedule_of
 from falsework.search.problem.task import Direction
-from falsework.utils.archive import write_whole
+from falsework.utils.files.output_file import write_whole
 
 Array = NDArray[np.float64]
 

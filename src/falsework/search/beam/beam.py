@@ -113,7 +113,7 @@ class BeamSearch(LevelSearch):
         rng = np.random.default_rng((settings.seed, self._retried, len(self.levels)))
         how = settings.diversity == "k-means", settings.pool, rng
         selector = Selector(frontier, scores, *how, self._ways.stable_before(), self._failures)
-        confirmed = self._ways.confirmation(frontier)
+        confirmed, sliding = self._ways.confirmation(frontier), self._judge.sliding
         if settings.lookahead > 0:
             choice = selector.most_promising(
                 self._judge,
@@ -133,8 +133,14 @@ class BeamSearch(LevelSearch):
             self._farthest = len(self.levels)
             self._deepest = level.states[:_REPORTED_STATES]
             self._rejected = frontier.states(choice.rejected[:_REPORTED_STATES])
-        # A state refused because of the way to it may be reached by another, which was merged with this one.
-        whole = choice.exhaustive and not confirmed.refused and not left_out
+        # A state refused because of the way to it may be reached by another, which was merged with this one, unless it
+        # is unstable however it is reached.
+        whole = choice.exhaustive and not left_out
+        if whole and confirmed.refused:
+            rejected = choice.rejected
+            whole = self._judge.unstable(frontier.states(rejected), level.states[frontier.parent(rejected)])
+            if whole:
+                self._judge.sliding = sliding
         self._whole = [*self._whole[: len(self.levels) - 1], whole]
         if self._dead:
             return False
