@@ -39,7 +39,7 @@ class HoldSettings:
     """Stiffness of a hold, N/m; against turning it is this times the square of the radius of gyration, N m/rad.
     Infinite: held parts never move."""
     force: float | None = None
-    """Largest force on a held part, N; five weights of the heaviest part if not given."""
+    """Largest force on a held part, N; ten weights of the heaviest part if not given."""
     moment: float | None = None
     """Largest moment about the centre of mass of a held part, N m; if not given, twice the largest force times the
     largest radius of gyration."""
