@@ -326,7 +326,7 @@ def test_scaled_displacements_of_a_build_are_refused(pressed: Any, factor: float
     assembly, of, steps = pressed
     with np.errstate(invalid="ignore"):
         forged = [*steps[:-1], steps[-1]._replace(displacement=steps[-1].displacement * factor)]
-    assert not last_proof(assembly, of.claim, BESIDE, forged).residual <= of.tolerance
+        assert not last_proof(assembly, of.claim, BESIDE, forged).residual <= of.tolerance
 
 
 @pytest.mark.parametrize(

@@ -198,6 +198,29 @@ def place_new(structure, before, state, noise, displacement, springs, torn):
 
 
 @njit(cache=True)
+def lose_carriers(structure, before, state, springs, torn, set_share, lost):
+    """Write the whitened wrenches by which parts that a step removes carry parts that stay held, shape (parts, 6).
+
+    Args:
+        structure, before, state, springs, torn, set_share: as in `settle_step`, with the history of the state before.
+        lost: out, shape (parts, 6).
+    """
+    removes, whole = False, np.empty(6)
+    for part in range(len(state)):
+        removes = removes or (before[part] != 0 and state[part] == 0)
+        for r in range(6):
+            lost[part, r] = 0.0
+    if not removes:
+        return
+    for part in range(len(state)):
+        if before[part] == 2 and state[part] == 2 and structure.elimination.position[part] >= 0:
+            hold_wrench(structure, before, part, springs, torn, set_share, whole)
+            hold_wrench(structure, state, part, springs, torn, set_share, lost[part])
+            for r in range(6):
+                lost[part, r] -= whole[r]
+
+
+@njit(cache=True)
 def settle_step(
     structure,
     contact_structure,
@@ -205,6 +228,7 @@ def settle_step(
     state,
     press_part,
     press_wrench,
+    lost,
     options,
     increments,
     work,
@@ -227,6 +251,7 @@ def settle_step(
         before, state: shape (parts,).
         press_part, press_wrench: held parts that robots press, and the whitened wrenches that they add, shapes (n,)
             and (n, 6).
+        lost: whitened wrenches by which what the step removes carried held parts, shape (parts, 6).
         increments: in how many the missing wrenches are transferred; all of gravity where the history is empty.
         displacement: displacement of the parts since they were placed, m and rad, shape (parts, 6); changed in place.
         springs: scaled spring forces of all contact points, shape (points, 3); changed in place.
@@ -253,10 +278,15 @@ def settle_step(
         if work.free[j]:
             for r in range(6):
                 missing[j, r] = contact.residual[j, r]
+    # Robots bear what they bore before; their springs take over what is lost.
     push = np.zeros((len(work.free), 6))
+    for j in range(len(work.free)):
+        if contact.grip[j] > 0.0:
+            for r in range(6):
+                push[j, r] = -lost[structure.elimination.order[j], r] / increments
     for k in range(len(press_part)):
         for r in range(6):
-            push[structure.elimination.position[press_part[k]], r] = press_wrench[k, r] / increments
+            push[structure.elimination.position[press_part[k]], r] += press_wrench[k, r] / increments
     count = increments
     if lacks_contact(work, contact, pairs):
         result, count = MOVES_AWAY, 0
@@ -379,6 +409,7 @@ def replay_range(
         result, residual, iterations, part, movement: out, one entry per state.
     """
     work, contact = make_scratch(structure), make_contact_scratch(structure)
+    lost = np.zeros((states.shape[1], 6))
     near, moving, origin = (
         np.empty(states.shape[1], np.uint8),
         np.empty(states.shape[1], np.uint8),
@@ -395,6 +426,7 @@ def replay_range(
                 for k in range(3):
                     springs[i, j, k] = springs[i - 1, j, k]
                 torn[i, j] = torn[i - 1, j]
+            lose_carriers(structure, states[i - 1], states[i], springs[i], torn[i], set_share[i], lost)
             place_new(structure, states[i - 1], states[i], noise, displacement[i], springs[i], torn[i])
             settles = False
             for p in range(states.shape[1]):
@@ -409,6 +441,7 @@ def replay_range(
                 states[i],
                 press_part[press_start[i] : press_start[i + 1]],
                 press_wrench[press_start[i] : press_start[i + 1]],
+                lost,
                 options,
                 increments,
                 work,
