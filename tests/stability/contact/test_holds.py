@@ -335,6 +335,7 @@ def test_scaled_displacements_of_a_build_are_refused(pressed: Any, factor: float
         ((), "the robot that holds plate-1 does not bear what its stiffness and its presses give"),
         ((push(1.0),), "the robot that holds plate-1 does not bear what its stiffness and its presses give"),
         ((push(1.0, PLATE),), "a robot presses plate-0, which it does not hold"),
+        ((push(1.0), push(1.0)), "a part is pressed twice in one step"),
     ],
 )
 def test_other_presses_are_refused(pressed: Any, presses: tuple[Press, ...], reason: str) -> None:
