@@ -312,7 +312,7 @@ def test_a_plan_for_stronger_robots_is_refused(plan: Plan, kind: str) -> None:
     assert limit > 0
 
     def reason(claimed: float | None, asked: float | None) -> str:
-        holds = replace(plan.claim.holds, **{kind: claimed})
+        holds = replace(plan.claim.holds, **{kind: claimed})  # type: ignore[arg-type]
         changed_plan = replace(plan, claim=replace(plan.claim, holds=holds), margins=None)
         settings = StabilitySettings(holds=HoldSettings(**{kind: asked}))  # type: ignore[arg-type]
         return validate_plan(changed_plan, load_structure(SPEC), settings).reason
