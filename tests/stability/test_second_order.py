@@ -222,8 +222,15 @@ def test_plans_leave_out_states_that_tip() -> None:
         assert validate_plan(plan, assembly).good
 
 
-def test_a_structure_that_tips_has_no_plan(scenes: Any) -> None:
-    planning = find_plans(on_ground(scenes, on_edge(scenes)), robots=1)
-    assert not planning.plans
-    assert planning.result.outcome is Outcome.NOT_FOUND
-    assert planning.result.limit == "the start state tips, as its equilibrium is unstable"
+@pytest.mark.parametrize("deadline", [None, 60.0])
+def test_a_structure_that_tips_or_slides_has_no_plan(scenes: Any, deadline: float | None) -> None:
+    """It is refused before the search begins, in words of its own."""
+    for assembly, words in (
+        (on_ground(scenes, on_edge(scenes)), "the start state tips, as its equilibrium is unstable"),
+        (scenes.clamp(friction=0.55), "the start state slides"),
+    ):
+        planning = find_plans(assembly, robots=1, deadline=deadline)
+        assert not planning.plans
+        assert planning.result.outcome is Outcome.NOT_FOUND
+        assert planning.result.limit == words
+        assert planning.result.reached == 0

@@ -131,6 +131,8 @@ class BuildVerifier:
         stray = [part for part in added if not held[part]]
         if stray:
             return f"a robot presses {assembly.names[stray[0]]}, which it does not hold"
+        if len(added) < len(presses):
+            return "a part is pressed twice in one step"
         for part in np.flatnonzero((state == HELD) & ~assembly.immovable).tolist():
             name, weight = assembly.names[part], mass[part] * self._claim.gravity
             force, moment = np.linalg.norm(borne[part, :3]), np.linalg.norm(borne[part, 3:])

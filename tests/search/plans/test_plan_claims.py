@@ -20,9 +20,11 @@ import pytest
 from falsework.assembly import Assembly, load_structure
 from falsework.assembly.props import prop_places, with_props
 from falsework.errors import InputError, PlanError
+from falsework.geometry import TriangleMesh
 from falsework.search import (
     Plan,
     PlanReport,
+    Task,
     find_plans,
     load_plan,
     plan_schema,
@@ -33,9 +35,12 @@ from falsework.search import (
 from falsework.search.margins.demands import Demands
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans import packed_proofs, plan_check, plan_reader
+from falsework.search.plans.build import plan_of_build
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
 from falsework.search.plans.plan_source import structure_to_check
+from falsework.search.problem.result import Route
 from falsework.stability import Stability
+from falsework.stability.holds import HoldSettings
 from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
 
 DOCS = Path(__file__).resolve().parents[3] / "docs" / "files.md"
@@ -81,9 +86,32 @@ def propped() -> tuple[Assembly, Plan]:
     return with_one, plan
 
 
-def checked(data: Any, settings: StabilitySettings = StabilitySettings()) -> tuple[PlanReport, dict[str, Any]]:
+@pytest.fixture(scope="module")
+def pressed() -> tuple[Assembly, Plan]:
+    """Two plates beside a wall, of which one is let go while a robot presses the other, and a plan of that."""
+    faces = [(0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4)]
+    faces += [(2, 6, 7), (2, 7, 3), (0, 4, 6), (0, 6, 2), (1, 3, 7), (1, 7, 5)]
+
+    def box(name: str, left: float, right: float, size: float) -> TriangleMesh:
+        corners = [(x, y, z) for z in (-size, size) for y in (-size, size) for x in (left, right)]
+        return TriangleMesh.from_arrays(name, np.array(corners), faces)
+
+    boxes = [box("plate-0", 0.0, 0.2, 0.5), box("plate-1", 0.2, 0.4, 0.5), box("wall", -1.0, 0.0, 1.0)]
+    assembly = Assembly.from_meshes(boxes, boundary=[2], friction=0.5)
+    states = np.array([[1, 2, 2], [2, 2, 2], [0, 2, 2]], np.uint8)
+    task = Task.create(assembly.boundary, 2, start=states[0], target=states[-1], fixed=[1])
+    replayer = Stability(assembly).replayer
+    assert replayer is not None
+    return assembly, plan_of_build(Route.through(states), assembly, task, replayer, None, forces=True)
+
+
+def checked(
+    data: Any, settings: StabilitySettings = StabilitySettings(), structure: Assembly | None = None
+) -> tuple[PlanReport, dict[str, Any]]:
     """Check a plan as the command does, with `--ground` if the plan has props, which need a floor."""
     plan = plan_from_dict(data)
+    if structure is not None:
+        return validate_plan(plan, structure, settings), {}
     assembly, overrides = structure_to_check(plan, ground=True if plan.props else None)
     return validate_plan(plan, assembly, settings), overrides
 
@@ -153,6 +181,14 @@ def margins_are_kept(old: PlanMargins, new: PlanMargins | None) -> bool:
     )
 
 
+def presses_agree(old: Plan, new: Plan) -> bool:
+    """Whether the wrenches of presses on the same parts differ by a thousandth of a newton per newton at most."""
+    pairs = [pair for one, other in zip(old.presses, new.presses, strict=True) for pair in zip(one, other, strict=True)]
+    return all(
+        one.part == other.part and np.allclose(one.wrench, other.wrench, atol=1e-3 * one.force) for one, other in pairs
+    )
+
+
 LISTED: dict[str, Callable[[Plan, Plan, PlanReport], bool]] = {
     "structure.name": lambda old, new, report: report.about is not None and report.about.structure == old.name,
     "structure.source": lambda old, new, report: report.about is not None and report.about.identity == old.identity,
@@ -170,6 +206,7 @@ LISTED: dict[str, Callable[[Plan, Plan, PlanReport], bool]] = {
     "stability.holds": lambda old, new, report: report.claim.holds == new.claim.holds,
     "start.residual": lambda old, new, report: bool(new.residuals[0] <= new.claim.tolerance),
     "steps.residual": lambda old, new, report: bool(new.residuals.max() <= new.claim.tolerance),
+    "steps.presses": lambda old, new, report: report.certified == 0 or presses_agree(old, new),
     "replay": lambda old, new, report: new.replay is None or "its replay" in report.unverified,
     "displacements": lambda old, new, report: new.displacement is None and report.certified == 0,
     "forces": lambda old, new, report: new.forces is None and report.certified == 0,
@@ -187,11 +224,14 @@ def entry_of(path: tuple[Any, ...], old: Any, new: Any) -> str:
 
 
 def accepted_changes(
-    data: dict[str, Any], settings: StabilitySettings = StabilitySettings(), among: tuple[str, ...] = ()
+    data: dict[str, Any],
+    settings: StabilitySettings = StabilitySettings(),
+    among: tuple[str, ...] = (),
+    structure: Assembly | None = None,
 ) -> tuple[int, set[str]]:
     """Change one value at a time; return how many changes there were, and the entries of those that pass."""
     count, accepted, original = 0, set(), plan_from_dict(data)
-    assert checked(data, settings)[0].good
+    assert checked(data, settings, structure)[0].good
     for path in paths(data):
         if among and path[:1] and path[0] not in among:
             continue
@@ -204,7 +244,7 @@ def accepted_changes(
                 continue
             count += 1
             try:
-                report, overrides = checked(changed_data, settings)
+                report, overrides = checked(changed_data, settings, structure)
             except InputError:
                 continue
             found = plan_from_dict(changed_data)
@@ -217,18 +257,16 @@ def accepted_changes(
     return count, accepted
 
 
-_ALWAYS = {
-    "structure.name", "structure.source", "robots", "rules.removable_only_if_clear", "stability.force_bound",
-    "stability.reserve",
-}  # fmt: skip
+_ALWAYS = {"structure.name", "structure.source", "robots", "rules.removable_only_if_clear", "stability.force_bound"}
 _JUDGED = {"start.residual", "steps.residual"}
+_BUILT = {"stability.reserve", "stability.holds"}
 
 
 def test_one_change_at_a_time_is_refused_or_claims_nothing(data: dict[str, Any]) -> None:
     count, accepted = accepted_changes(data)
     assert count > 1200
     # What is listed is seen to be accepted, here or below, so that the list is not longer than it must be.
-    assert accepted == _ALWAYS | _JUDGED | {"stability.holds", "replay", "displacements", "margins"}
+    assert accepted == _ALWAYS | _JUDGED | _BUILT | {"replay", "displacements", "margins"}
 
 
 def test_one_change_of_a_plan_under_equilibrium() -> None:
@@ -238,14 +276,57 @@ def test_one_change_of_a_plan_under_equilibrium() -> None:
     data = json.loads(json.dumps(plan_to_dict(replace(found, source={"built_in": SPEC}), proofs=True)))
     count, accepted = accepted_changes(data, EQUILIBRIUM)
     assert count > 1000
-    assert accepted - {"stability.tolerance"} == _ALWAYS | _JUDGED | {"stability.stiffness_ratio", "forces"}
+    others = {"stability.stiffness_ratio", "stability.reserve", "forces"}
+    assert accepted - {"stability.tolerance"} == _ALWAYS | _JUDGED | others
+
+
+def test_one_change_of_a_plan_with_presses(pressed: tuple[Assembly, Plan]) -> None:
+    assembly, plan = pressed
+    assert list(map(len, plan.presses)) == [1, 0]
+    data = json.loads(json.dumps(plan_to_dict(plan, proofs=True)))
+    count, accepted = accepted_changes(data, among=("steps",), structure=assembly)
+    assert count > 100
+    assert accepted == {"steps.presses", "replay", "displacements"}
+
+
+def test_a_plan_without_a_press_that_it_needs_is_refused(pressed: tuple[Assembly, Plan]) -> None:
+    """Without certificates it is built anew, with its own presses."""
+    assembly, plan = pressed
+    bare = replace(plan, displacement=None)
+    assert validate_plan(bare, assembly).good
+    assert "does not come to rest" in validate_plan(replace(bare, presses=((), ())), assembly).reason
+    (press,) = plan.presses[0]
+    weak = replace(press, wrench=tuple(0.1 * value for value in press.wrench))
+    assert "does not come to rest" in validate_plan(replace(bare, presses=((weak,), ())), assembly).reason
+    away = replace(press, part=0)
+    assert (
+        "a robot presses plate-0, which it does not hold"
+        in validate_plan(replace(plan, presses=((away,), ())), assembly).reason
+    )
+
+
+@pytest.mark.parametrize("kind", ["force", "moment"])
+def test_a_plan_for_stronger_robots_is_refused(plan: Plan, kind: str) -> None:
+    """None and 0 stand for no limit, of the plan as of the caller."""
+    limit = getattr(plan.claim.holds, kind)
+    assert limit > 0
+
+    def reason(claimed: float | None, asked: float | None) -> str:
+        holds = replace(plan.claim.holds, **{kind: claimed})  # type: ignore[arg-type]
+        changed_plan = replace(plan, claim=replace(plan.claim, holds=holds), margins=None)
+        settings = StabilitySettings(holds=HoldSettings(**{kind: asked}))  # type: ignore[arg-type]
+        return validate_plan(changed_plan, load_structure(SPEC), settings).reason
+
+    assert reason(limit, limit) == reason(limit, None) == reason(limit, 0.0) == ""
+    for claimed in (1.1 * limit, 0.0, np.inf):
+        assert reason(claimed, limit).startswith("the plan is for robots that hold with up to")
 
 
 def test_one_change_of_a_plan_with_props(propped: tuple[Assembly, Plan]) -> None:
     data = json.loads(json.dumps(plan_to_dict(propped[1])))
     count, accepted = accepted_changes(data, among=("structure", "robots", "rules", "stability"))
     assert count > 500
-    assert accepted == _ALWAYS | {"stability.holds", "structure.props", "rules.support", "rules.props"}
+    assert accepted == _ALWAYS | _BUILT | {"structure.props", "rules.support", "rules.props"}
 
 
 def test_the_documentation_lists_what_claims_nothing() -> None:
@@ -344,8 +425,6 @@ def test_options_of_the_plan_count_only_with_the_callers_word() -> None:
 
 def _drawn(assembly: Any) -> Plan:
     """A plan of one step for a structure, without a verdict."""
-    from falsework.search import Task
-    from falsework.search.problem.result import Route
     from falsework.stability import Verdicts
 
     start = np.where(assembly.boundary, 2, 1).astype(np.uint8)
@@ -419,7 +498,7 @@ def test_certificates_in_a_plan_are_evaluated_instead_of_solving(plan: Plan, mon
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e300, 0.0])
 @pytest.mark.parametrize("row", [0, 3])
 def test_a_certificate_that_proves_nothing_is_no_good(plan: Plan, value: float, row: int) -> None:
-    """Though the state itself is stable; a build is proven as a whole, so its other states are not either."""
+    """Though the state itself is stable; the rows before it are in place, in the order of assembly."""
     assert plan.displacement is not None
     installed = plan.states[row] == 1
     assert installed.any()
@@ -428,7 +507,7 @@ def test_a_certificate_that_proves_nothing_is_no_good(plan: Plan, value: float, 
     report = validate_plan(replace(plan, displacement=wrong, margins=None), load_structure(SPEC))
     assert not report.good
     assert (report.checked, report.certified) == (row, 0)
-    assert "is not proven: the displacements in the plan prove nothing" in report.reason
+    assert "is not proven: the displacements in the plan prove nothing: " in report.reason
     short = replace(plan, displacement=plan.displacement[:-1], margins=None)
     assert "displacements of shape" in validate_plan(short, load_structure(SPEC)).reason
 
@@ -518,7 +597,7 @@ def peak(read: Callable[[], Any]) -> int:
 
 def test_displacements_of_other_parts_are_not_unpacked(data: dict[str, Any]) -> None:
     states, parts = len(data["steps"]) + 1, 100_000
-    entry = data["displacements"] | {"parts": parts, "zlib_base64": packed(b"\0" * (states * parts * 48))}
+    entry = {"parts": parts, "increments": 1, "zlib_base64": packed(b"\0" * (states * parts * 48))}
 
     def read() -> None:
         with pytest.raises(PlanError, match=r"displacements.parts is 100000; the plan has 5 parts"):
@@ -535,7 +614,8 @@ def test_forces_take_no_more_than_their_text_allows(
     monkeypatch.setattr(packed_proofs, "_ROOM", 1 << 21)
     states, points = len(plan.states), 100_000
     balanced = {key: value for key, value in data.items() if key not in ("displacements", "replay", "margins")}
-    balanced["stability"] = {k: v for k, v in data["stability"].items() if k != "holds"} | {"criterion": "equilibrium"}
+    balanced["stability"] = {key: value for key, value in data["stability"].items() if key != "holds"}
+    balanced["stability"]["criterion"] = "equilibrium"
     balanced |= {"start": data["start"] | {"proof": "forces"}}
     balanced |= {"steps": [step | {"proof": "forces"} for step in data["steps"]]}
     rows = np.arange(points, dtype="<u4")[::32].tobytes()

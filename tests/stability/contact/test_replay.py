@@ -14,10 +14,10 @@ from falsework.assembly import library, load_structure
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.errors import InputError
-from falsework.search import find_plans
+from falsework.search import Plan, find_plans
 from falsework.search.find import task_of
 from falsework.search.plans.plan_replay import PlanReplay
-from falsework.stability import Replayer, ReplaySettings, Stability
+from falsework.stability import Replayer, ReplaySettings, Stability, StabilitySettings
 from falsework.stability.contact.replay import replay_plans
 from falsework.stability.contact.varied_replay import replay_varied
 from falsework.stability.judges import replay_by_discrete_elements
@@ -28,6 +28,12 @@ def plan_states(assembly: Assembly, robots: int = 2) -> NDArray[np.uint8]:
     planning = find_plans(assembly, task_of(assembly, robots))
     assert planning.found
     return np.ascontiguousarray(planning.plans[0].states[::-1])
+
+
+def replayed(assembly: Assembly, plan: Plan) -> PlanReplay:
+    """Replay of a plan with its reserve and the robots and presses that it names."""
+    settings = StabilitySettings(reserve=plan.claim.reserve, holds=plan.claim.holds)
+    return PlanReplay.of(Replayer(assembly, settings).replay(plan.assembly_states, presses=plan.assembly_presses))
 
 
 class Forgetful(Stability):
@@ -109,7 +115,7 @@ def test_plans_are_delivered_only_where_their_replay_stands(name: str) -> None:
     (plan,) = planning.plans
     assert plan.replay is not None
     assert plan.replay.stands
-    assert plan.replay == PlanReplay.of(Replayer(assembly).replay(plan.assembly_states))
+    assert plan.replay == replayed(assembly, plan)
 
 
 def test_a_search_that_forgets_histories_finds_the_same_plan(
@@ -119,7 +125,7 @@ def test_a_search_that_forgets_histories_finds_the_same_plan(
     monkeypatch.setattr("falsework.search.beam.histories._HISTORY_BYTES", 1 << 16)
     (plan,) = find_plans(dome, task_of(dome, 2)).plans
     assert (plan.assembly_states == dome_states).all()
-    assert plan.replay == PlanReplay.of(Replayer(dome).replay(dome_states))
+    assert plan.replay == replayed(dome, plan)
 
 
 def test_history_fells_a_plan_whose_states_all_stand() -> None:

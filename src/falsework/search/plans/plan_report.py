@@ -107,7 +107,8 @@ def weaker_claim(claimed: StabilityCriterion, asked: StabilityCriterion) -> str:
         return f"the plan claims a reserve of {claimed.reserve:g}; {asked.reserve:g} is asked"
     for name, unit in (("force", "N"), ("moment", "N m")):
         most, limit = getattr(claimed.holds, name), getattr(asked.holds, name)
-        if claimed.criterion == "contact" and limit is not None and (most is None or most > limit * (1 + 1e-12)):
+        # None and 0 stand for no limit.
+        if claimed.criterion == "contact" and limit and (not most or most > limit * (1 + 1e-12)):
             return f"the plan is for robots that hold with up to {most or np.inf:g} {unit}; {limit:g} {unit} is allowed"
     for name, unit in (("tolerance", ""), ("force_bound", " weights")):
         if getattr(claimed, name) > getattr(asked, name) * (1 + 1e-12):

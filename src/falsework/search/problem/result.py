@@ -176,10 +176,12 @@ class SearchResult:
 def unstable_end(task: Task, oracle: Oracle) -> SearchResult | None:
     """Return the failed search if the start or the target of a task is not stable, else None."""
     ends = np.stack([task.start, task.target])
+    check, keeps = getattr(oracle, "check", None), getattr(oracle, "keeps", None)
+    if check is not None:
+        check(ends)  # asks whether they tip, which `judge` knows from then on
     verdicts = oracle.judge(ends)
-    keeps = getattr(oracle, "keeps", None)
     if keeps is not None and verdicts.stable.all():
-        verdicts.verdict[~keeps(ends)] = Verdict.TIPS
+        verdicts.verdict[~keeps(ends)] = Verdict.SLIDES
     if verdicts.stable.all():
         return None
     row = int(np.argmin(verdicts.stable))

@@ -76,8 +76,20 @@ class TimedOracle:
         self.asked += len(states)
         return found & ~self.rules_out(states)
 
+    def check(self, states: States) -> Verdicts:
+        """Check a few states as fully as the oracle can; see `Stability.check`.
+
+        Raises:
+            DeadlineExceeded: the deadline has passed.
+        """
+        self._between()
+        if self._clock.passed:
+            raise DeadlineExceeded
+        with self._clock.timed("verdicts"):
+            return getattr(self._oracle, "check", self._oracle.judge)(states)
+
     def keeps(self, states: States) -> Mask:
-        """Return which states stay stable on a closer look, shape (batch,); see `Stability.keeps`."""
+        """Return which states keep the margins that the oracle asks for; see `DemandingStability.keeps`."""
         keeps = getattr(self._oracle, "keeps", None)
         return np.ones(len(states), dtype=bool) if keeps is None else keeps(states)
 

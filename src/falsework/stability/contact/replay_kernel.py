@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from falsework.stability.contact.hold_kernel import overloaded, set_holds
+from falsework.stability.contact.hold_kernel import hold_wrench, overloaded, set_holds
 from falsework.stability.contact.kernel import NEAR_RINGS, lacks_contact, move_far_parts
 from falsework.stability.contact.law import contact_force
 from falsework.stability.contact.newton import (
@@ -126,6 +126,29 @@ def place_new(structure, before, state, noise, displacement, springs, torn):
 
 
 @njit(cache=True)
+def lose_carriers(structure, before, state, springs, torn, set_share, lost):
+    """Write the whitened wrenches by which parts that a step removes carry parts that stay held, shape (parts, 6).
+
+    Args:
+        structure, before, state, springs, torn, set_share: as in `settle_step`, with the history of the state before.
+        lost: out, shape (parts, 6).
+    """
+    removes, whole = False, np.empty(6)
+    for part in range(len(state)):
+        removes = removes or (before[part] != 0 and state[part] == 0)
+        for r in range(6):
+            lost[part, r] = 0.0
+    if not removes:
+        return
+    for part in range(len(state)):
+        if before[part] == 2 and state[part] == 2 and structure.elimination.position[part] >= 0:
+            hold_wrench(structure, before, part, springs, torn, set_share, whole)
+            hold_wrench(structure, state, part, springs, torn, set_share, lost[part])
+            for r in range(6):
+                lost[part, r] -= whole[r]
+
+
+@njit(cache=True)
 def settle_step(
     structure,
     contact_structure,
@@ -133,6 +156,7 @@ def settle_step(
     state,
     press_part,
     press_wrench,
+    lost,
     options,
     increments,
     work,
@@ -155,6 +179,7 @@ def settle_step(
         before, state: shape (parts,).
         press_part, press_wrench: held parts that robots press, and the whitened wrenches that they add, shapes (n,)
             and (n, 6).
+        lost: whitened wrenches by which what the step removes carried held parts, shape (parts, 6).
         increments: in how many the missing wrenches are transferred; all of gravity where the history is empty.
         displacement: displacement of the parts since they were placed, m and rad, shape (parts, 6); changed in place.
         springs: scaled spring forces of all contact points, shape (points, 3); changed in place.
@@ -181,10 +206,15 @@ def settle_step(
         if work.free[j]:
             for r in range(6):
                 missing[j, r] = contact.residual[j, r]
+    # Robots bear what they bore before; their springs take over what is lost.
     push = np.zeros((len(work.free), 6))
+    for j in range(len(work.free)):
+        if contact.grip[j] > 0.0:
+            for r in range(6):
+                push[j, r] = -lost[structure.elimination.order[j], r] / increments
     for k in range(len(press_part)):
         for r in range(6):
-            push[structure.elimination.position[press_part[k]], r] = press_wrench[k, r] / increments
+            push[structure.elimination.position[press_part[k]], r] += press_wrench[k, r] / increments
     count = increments
     if lacks_contact(work, contact, pairs):
         result, count = MOVES_AWAY, 0
@@ -307,6 +337,7 @@ def replay_range(
         result, residual, iterations, part, movement: out, one entry per state.
     """
     work, contact = make_scratch(structure), make_contact_scratch(structure)
+    lost = np.zeros((states.shape[1], 6))
     near, moving, origin = (
         np.empty(states.shape[1], np.uint8),
         np.empty(states.shape[1], np.uint8),
@@ -323,6 +354,7 @@ def replay_range(
                 for k in range(3):
                     springs[i, j, k] = springs[i - 1, j, k]
                 torn[i, j] = torn[i - 1, j]
+            lose_carriers(structure, states[i - 1], states[i], springs[i], torn[i], set_share[i], lost)
             place_new(structure, states[i - 1], states[i], noise, displacement[i], springs[i], torn[i])
             settles = False
             for p in range(states.shape[1]):
@@ -337,6 +369,7 @@ def replay_range(
                 states[i],
                 press_part[press_start[i] : press_start[i + 1]],
                 press_wrench[press_start[i] : press_start[i + 1]],
+                lost,
                 options,
                 increments,
                 work,
