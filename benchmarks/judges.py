@@ -11,7 +11,7 @@ random friction at the start), the same building sequence by discrete elements, 
 the plan, LMGC90. Discrete elements leave a state undecided that
 neither rests nor has collapsed at their step limit; LMGC90 does not judge a state whose contacts it cannot detect.
 `builds`: a plan with a reserve, built state by state by discrete elements under the true friction, with robots that are
-springs and press as planned: on stiff contact springs and on soft ones.
+springs and press as planned: on contact springs as stiff as those of the criterion (`alike`), stiff and soft ones.
 `scenes`: the random rows and stacks of the tests; the verdict of each beside the replay in which the robots release.
 """
 
@@ -44,6 +44,7 @@ from falsework.stability.judges import (
     settle,
 )
 from falsework.stability.judges.discrete_elements import SOFT, STIFF
+from falsework.stability.stiffness import normal_stiffness
 
 _STANDS = {1: "stands", -1: "falls", 0: "open"}
 _TESTS = Path(__file__).resolve().parents[1] / "tests"
@@ -129,7 +130,15 @@ def builds(options: Options) -> Iterator[dict[str, Any]]:
             continue
         plan = found[0]
         row |= {"reserve": plan.claim.reserve, "states": len(plan.states), "presses": sum(map(len, plan.presses))}
-        yield {**row, "stiff": _built(assembly, plan, STIFF, options), "soft": _built(assembly, plan, SOFT, options)}
+        sinks = {"alike": _sink(assembly), "stiff": STIFF, "soft": SOFT}
+        yield row | {label: _built(assembly, plan, sink, options) for label, sink in sinks.items()}
+
+
+def _sink(assembly: Assembly) -> float:
+    """Return the settlement of a typical part that makes contacts of discrete elements as stiff as the criterion's."""
+    size = np.median([np.ptp(mesh.bounds, axis=0).max() for mesh in assembly.meshes])
+    weight = 9.81 * assembly.mass.mass[~assembly.boundary].mean()
+    return float(weight / (8 * size * normal_stiffness(assembly).mean()))
 
 
 def _built(assembly: Assembly, plan: Plan, sink: float, options: Options) -> dict[str, Any]:
@@ -147,7 +156,7 @@ def _built(assembly: Assembly, plan: Plan, sink: float, options: Options) -> dic
         row |= {"falls_at": last, "part": assembly.names[found.part[last]]}
         row |= {"released": [assembly.names[part] for part in released]}
         row |= {"presses": len(plan.assembly_presses[last])}
-    return {**row, "judge_seconds": time.process_time() - begun}
+    return {"sink": sink, **row, "judge_seconds": time.process_time() - begun}
 
 
 def scenes(options: Options) -> Iterator[dict[str, Any]]:

@@ -217,13 +217,18 @@ def test_presses_are_checked(scenes: Any, presses: list[tuple[Press, ...]], mess
 
 
 def test_a_plan_with_presses_can_be_built() -> None:
-    """Every state of it stands where robots press, and some state falls where they do not."""
-    vault = library.build("VAULT")
-    plan = find_plans(vault).plans[0].reverse()
-    assert any(plan.presses)
-    found = replay_by_discrete_elements(vault, plan.states, presses=plan.assembly_presses)
-    assert len(found.stands) == len(plan.states)
+    """Every state of it stands where robots press, and where they do not, a state falls in whose step one should."""
+    vault = library.build("vault")
+    plan = find_plans(vault, forces=False).plans[0]
+    states, presses = plan.assembly_states, plan.assembly_presses
+    assert any(presses)
+    contacts = DiscreteElementSettings(sinks=(6e-7,))  # about as stiff as those of the criterion
+    found = replay_by_discrete_elements(vault, states, contacts, presses=presses)
+    assert len(found.stands) == len(states)
     assert (found.stands == STANDS).all()
+    without = replay_by_discrete_elements(vault, states, contacts)
+    assert without.stands[-1] == FALLS
+    assert presses[len(without.stands) - 1]
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])

@@ -57,7 +57,8 @@ class DiscreteElementSettings:
     damping: float = 0.7
     """Coefficient of local damping: share of the unbalanced force that opposes the velocity."""
     ramp: int = 2000
-    """Steps over which an unbalanced force, such as gravity on the unstressed structure, is ramped up."""
+    """Steps over which an unbalanced force, such as gravity on the unstressed structure, is ramped up; more where the
+    springs of robots are so soft that held parts would swing."""
     steps: int = 30000
     """Steps after which a state that has neither come to rest nor collapsed is left undecided."""
     friction_share: float = 0.0

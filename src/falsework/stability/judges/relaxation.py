@@ -21,6 +21,8 @@ _REST = 1e-4
 """Largest unbalanced force of a part at rest, in weights of the part; moments are divided by the typical size."""
 _EVERY = 100
 """Steps between two checks for rest or collapse."""
+_PERIODS = 10.0
+"""Least length of a ramp, in periods of a held part on the spring of its robot: a shorter one would swing the part."""
 
 
 class Model(NamedTuple):
@@ -72,7 +74,7 @@ def relax(model, state, gap, friction, grip, tangential, damping, ramp, steps):
         gap: in and out: opening of each contact point, negative where compressed, shape (points,).
         friction: in and out: tangential forces on part `b`, shape (points, 2).
         grip: springs of the robots; a wrench that they do not balance at the start is ramped up like any other.
-        tangential, damping, ramp, steps: as in `DiscreteElementSettings`.
+        tangential, damping, ramp, steps: as in `DiscreteElementSettings`; soft robots lengthen ramp and steps.
 
     Returns:
         Result, largest displacement since the start, and the part with it.
@@ -102,6 +104,8 @@ def relax(model, state, gap, friction, grip, tangential, damping, ramp, steps):
     for body in range(bodies):
         if inertia[body, 0] == 0.0:
             return FALLS, np.inf, free[body]
+    slow = _slow_ramp(inertia, hold, turn, ramp)
+    ramp, steps = slow, steps + slow - ramp
     weight, applied, radius = model.weight[free], model.applied[free] + grip.wrench[free], model.radius[free]
     motion, moved = np.zeros((bodies + 1, 6)), np.zeros((bodies + 1, 6))
     load, missing = np.zeros((bodies + 1, 6)), np.zeros((bodies, 6))
@@ -150,6 +154,17 @@ def relax(model, state, gap, friction, grip, tangential, damping, ramp, steps):
             grip.wrench[free[body]] = applied[body] - model.applied[free[body]]
             _pull(hold[body], turn[body], moved[body], grip.wrench[free[body]])
     return answer, largest, part
+
+
+@nb.njit(cache=True, nogil=True)
+def _slow_ramp(inertia, hold, turn, ramp):
+    """Return the steps over which to ramp up a load where robots are springs, at least `ramp`."""
+    for body in range(len(hold)):
+        if hold[body] > 0.0:
+            for i in range(3):
+                shift, swing = inertia[body, i], inertia[body, 3 + i] / turn[body, i, i]
+                ramp = max(ramp, int(_PERIODS * 2.0 * np.pi * np.sqrt(max(shift, swing) / hold[body])))
+    return ramp
 
 
 @nb.njit(cache=True, nogil=True)
