@@ -264,9 +264,7 @@ class Stability:
         return self.judge(states, parents=parents).stable
 
     def plausible(self, states: States, parents: States) -> NDArray[np.bool_]:
-        """Return which states a replay may find at rest: those without a mechanism near where they differ.
-
-        The test is cheap and its rejections are proofs; where the replay decides, nothing more is asked.
+        """Return which states a replay may find at rest: those without a proven mechanism near where they differ.
 
         Args:
             states: shape (batch, parts).

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, States
 from falsework.search.plans.plan import Plan
+from falsework.stability.contact.build_verifier import BuildVerifier
 from falsework.stability.contact.replay import Replayer
-from falsework.stability.history import BuildVerifier
 from falsework.stability.holds import Press
 from falsework.stability.motion import motion_of
 from falsework.stability.oracle import Stability

@@ -13,10 +13,10 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.errors import InputError
 from falsework.stability import Replayer, Stability, StabilitySettings
+from falsework.stability.contact.build_verifier import BuildVerifier, StepCertificate, StepProof
 from falsework.stability.contact.newton import MOVES_AWAY, OVERLOADS, RESTS
 from falsework.stability.contact.press_kernel import press_responses
 from falsework.stability.contact.replay import inexact_presses
-from falsework.stability.history import BuildVerifier, StepCertificate, StepProof
 from falsework.stability.holds import HoldSettings, Press, limits_of
 from falsework.stability.stiffness import normal_stiffness
 

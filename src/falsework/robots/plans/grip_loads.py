@@ -18,8 +18,8 @@ from falsework.robots.plans.presses import presses_in, pressing_robot
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.task import Direction
+from falsework.stability.contact.build_verifier import BuildVerifier
 from falsework.stability.contact.replay import Replayer
-from falsework.stability.history import BuildVerifier
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
 

@@ -14,8 +14,8 @@ from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.plans.plan_report import PlanReport, unstable_in_words
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Direction, Task
+from falsework.stability.contact.build_verifier import BuildVerifier, StepCertificate
 from falsework.stability.contact.replay import Replayer
-from falsework.stability.history import BuildVerifier, StepCertificate
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Proof, Solver, Verdict, Verdicts

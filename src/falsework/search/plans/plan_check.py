@@ -28,7 +28,7 @@ from falsework.search.plans.plan_report import (
 from falsework.search.plans.plan_rules import broken_rule
 from falsework.search.plans.plan_source import structure_of_plan
 from falsework.stability.certificate import StabilityCriterion, residuals_in_order, verify_certificates
-from falsework.stability.history import BuildVerifier
+from falsework.stability.contact.build_verifier import BuildVerifier
 from falsework.stability.reference.clarabel import ExactSolver
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.state_arrays import StateArrays

@@ -20,13 +20,13 @@ from scipy.sparse import csr_array
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states
 from falsework.errors import InputError
+from falsework.stability.contact.build_verifier import StepCertificate
 from falsework.stability.contact.kernel import NEAR_RINGS, ContactOptions
 from falsework.stability.contact.newton import FIRST_STEP, OPEN, RESTS
 from falsework.stability.contact.press import PressPlanner
 from falsework.stability.contact.replay_kernel import replay_range
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.cpu.layout import COMPILED_LAYOUT
-from falsework.stability.history import StepCertificate
 from falsework.stability.holds import Press, inexact_presses, pack_presses
 from falsework.stability.problem import build_problem
 from falsework.stability.second_order.growing_motion import SecondOrder
