@@ -32,6 +32,7 @@ from states import Recorder, find
 from falsework.assembly import load_structure
 from falsework.assembly.state import HELD, REMOVED, complete_state
 from falsework.search import Planner, PlannerSettings, SupportGuide, find_plans, task_of
+from falsework.search.find import PLANS
 from falsework.stability import Stability, StabilitySettings, Verdict
 from falsework.stability.settings import EQUILIBRIUM
 
@@ -156,7 +157,7 @@ def plan(name: str, options: Options) -> Iterator[dict[str, Any]]:
     assembly = load_structure(find(name))
     whole, search, states, fail, asked = [], [], 0, 0, []
     for seed in range(options.seeds):
-        oracle = Stability(assembly)
+        oracle = Stability(assembly, PLANS)
         begun = time.perf_counter()
         task = task_of(assembly, options.robots)
         planning = find_plans(
@@ -168,10 +169,13 @@ def plan(name: str, options: Options) -> Iterator[dict[str, Any]]:
         for found in planning.plans:
             assert oracle.replayer is not None
             states += len(found.states)
-            fail += int((oracle.replayer.replay(found.assembly_states).stands != 1).sum())
+            fail += int(
+                (oracle.replayer.replay(found.assembly_states, presses=found.assembly_presses).stands != 1).sum()
+            )
     yield {
         "seeds": tuple(range(options.seeds)),
         "robots": options.robots,
+        "reserve": PLANS.reserve,
         "seconds": spread(whole),
         "seconds_before_replay": spread(search),
         "verdicts": spread([float(count) for count in asked]),

@@ -37,6 +37,7 @@ from falsework.assembly import load_structure
 from falsework.assembly.state import HELD, REMOVED, complete_state
 from falsework.geometry import find_contacts
 from falsework.search import PlannerSettings, SearchProgress, find_plans
+from falsework.search.find import PLANS
 from falsework.stability import Stability, StabilitySettings
 from falsework.stability.settings import EQUILIBRIUM
 from falsework.stability.verdict import Criterion
@@ -124,7 +125,7 @@ def measure(parts: int, repeats: int) -> dict[str, float | int | str]:
 
 def measure_plan(parts: int, criterion: Criterion, robots: int, seed: int, limit: float) -> dict[str, Any]:
     """Return the times of one plan, or of a search that found none."""
-    settings = StabilitySettings(criterion=criterion)
+    settings = PLANS if criterion == "contact" else EQUILIBRIUM
     small = load_structure("vault:parts=62")
     find_plans(small, oracle=Stability(small, settings))  # compiles
     begun = time.process_time()
@@ -146,6 +147,7 @@ def measure_plan(parts: int, criterion: Criterion, robots: int, seed: int, limit
     return {
         "parts": assembly.part_count,
         "criterion": criterion,
+        "reserve": settings.reserve,
         "robots": robots,
         "found": bool(planning.plans),
         "reached": planning.result.reached,

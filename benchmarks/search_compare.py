@@ -41,6 +41,8 @@ class Options:
     """Parts held at once."""
     criterion: Literal["contact", "equilibrium"] = "contact"
     """Stability criterion of the plans."""
+    reserve: float = 1.1
+    """Number by which friction is divided, under `contact`; commits before it was there plan without."""
     seeds: int = 5
     """Number of seeds, from 0 on."""
     processes: int = 1
@@ -62,6 +64,8 @@ def search(options: Options, seed: int) -> dict[str, Any]:
     from falsework.stability import Stability, StabilitySettings
 
     stability = StabilitySettings(criterion=options.criterion)
+    if "reserve" in StabilitySettings.__dataclass_fields__ and options.criterion == "contact":  # not in old commits
+        stability = StabilitySettings(criterion=options.criterion, reserve=options.reserve)
     small, assembly = load_structure("arch:blocks=5"), load_structure(options.structures[0])
     find_plans(small, oracle=Stability(small, stability))  # have everything compiled
     cpu, wall = time.process_time(), time.perf_counter()
@@ -81,6 +85,7 @@ def search(options: Options, seed: int) -> dict[str, Any]:
         "cpu_seconds": time.process_time() - cpu,
         "seconds": time.perf_counter() - wall,
         "memory_gib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
+        "presses": sum(map(bool, getattr(planning.plans[0], "presses", ()))) if planning.plans else 0,
     }
     if options.plans is not None and planning.found:
         save_plan(planning.plans[0], options.plans / f"{assembly.name}-{seed}.json")
@@ -96,6 +101,7 @@ def run(options: Options, tree: Path, structure: str, seed: int) -> dict[str, An
         own = cores[seed % options.processes * share :][:share]
         command = ["taskset", "--cpu-list", ",".join(map(str, own)), *command]
     command += ["--robots", str(options.robots), "--limit", str(options.limit), "--criterion", options.criterion]
+    command += ["--reserve", str(options.reserve)]
     if options.plans is not None and tree == _HERE:
         command += ["--plans", str(options.plans)]
     environment = {**os.environ, "PYTHONPATH": str(tree.resolve() / "src")}
@@ -106,6 +112,7 @@ def run(options: Options, tree: Path, structure: str, seed: int) -> dict[str, An
 def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
     """Return medians with ranges, and the number of searches that found a plan."""
     figures: dict[str, Any] = {name: spread([run[name] for run in runs]) for name in _MEASURED}
+    figures["presses"] = spread([float(run["presses"]) for run in runs])
     return {"found": sum(run["found"] for run in runs), "reached": spread([run["reached"] for run in runs]), **figures}
 
 
@@ -143,6 +150,7 @@ def compare(options: Options) -> None:
             steps=runs["now"][0]["steps"],
             robots=options.robots,
             criterion=options.criterion,
+            reserve=options.reserve if options.criterion == "contact" else 1.0,
             limit=options.limit,
             processes=options.processes,
             **now,

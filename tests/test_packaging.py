@@ -79,7 +79,7 @@ def test_the_wheel_has_licence_version_and_command(wheel: zipfile.ZipFile) -> No
     assert f"\nVersion: {__version__}\n" in metadata
     assert "\nLicense-Expression: Apache-2.0\n" in metadata
     assert f"{info}/licenses/LICENSE" in wheel.namelist()
-    assert "falsework = falsework.cli.main:main" in wheel.read(f"{info}/entry_points.txt").decode()
+    assert "falsework = falsework.__main__:main" in wheel.read(f"{info}/entry_points.txt").decode()
 
 
 def test_the_sdist_can_be_tested(sdist: Path) -> None:

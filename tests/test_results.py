@@ -37,6 +37,7 @@ SMOKE = {
     "bricks": ["--heights", "1", "--repeats", "1"],
     "first_minute": ["--commands", "help", "--before", "", "--repeats", "1"],
     "scaling": ["--alone", "--parts", "60", "--repeats", "1"],
+    "curved": ["--pairs", "4"],
     "free_edges": ["--cases", "first"],
     "replan": ["complete", "--structures", "arch:blocks=5", "--seeds", "1"],
     "policies": ["cost", "--structures", "arch:blocks=5", "--kinds", "mlp"],

@@ -171,3 +171,27 @@ def test_a_line_is_a_contact_with_a_warning(beam_on_ridge: Assembly, tmp_path: P
     way = beam_on_ridge.clearance.exit_direction(np.array([2, 2, 1], np.uint8), 2)
     assert way is not None
     assert way[2] >= 0, "it can leave, and not through the ridge"
+
+
+@pytest.mark.parametrize(
+    ("contact", "advice"),
+    [
+        ({}, r'8 mm away, and 1\.\d+ mm is allowed; .*"gap": 0\.0082'),
+        ({"gap": 0.005}, r'8 mm away, and 5 mm is allowed; .*"gap": 0\.0082'),
+        ({"gap": 0.03}, r"8 mm away, within the gap of 30 mm that is allowed, but no faces .* 6 degrees"),
+        ({"gap": 0.03, "angle": 9.0}, "no faces look at each other there to within 9 degrees"),
+    ],
+)
+def test_advice_on_a_part_that_touches_nothing_is_not_what_was_done(contact: dict[str, float], advice: str) -> None:
+    """A block on its edge above the edge of another: nothing touches, however large the gap."""
+    turn = np.array([[np.sqrt(0.5), 0, -np.sqrt(0.5)], [0, 1, 0], [np.sqrt(0.5), 0, np.sqrt(0.5)]])
+    blocks = [box("low", (0, 0, 0)), box("high", (0, 0, 0))]
+    low, high = (mesh.vertices - mesh.vertices.mean(axis=0) for mesh in blocks)
+    up = (low @ turn.T)[:, 2].max() - (high @ turn.T)[:, 2].min() + 0.008
+    meshes = [
+        TriangleMesh.from_arrays("low", low @ turn.T, blocks[0].faces),
+        TriangleMesh.from_arrays("high", high @ turn.T + [0, 0, up], blocks[1].faces),
+    ]
+    with pytest.raises(AssemblyError, match=advice) as caught:
+        Assembly.from_meshes(meshes, boundary=[0], contact_settings=ContactSettings(**contact))
+    assert "\n" not in str(caught.value)

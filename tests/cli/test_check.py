@@ -10,8 +10,9 @@ from typing import Any
 import pytest
 
 from falsework.cli.arguments import spell_options
-from falsework.cli.output import Output, printable
+from falsework.cli.output import Output
 from falsework.search import load_plan
+from falsework.utils.files.printable import printable
 
 Run = Callable[..., Any]
 Write = Callable[..., Path]

@@ -69,6 +69,15 @@ def test_joints_that_set_need_steps(falsework: Run, write_structure: Any, tmp_pa
     assert falsework("stability", folder).code == 0
     # Nothing else is there to do while a robot holds the cube, so the glue has set by a ninth when it lets go.
     assert falsework("plan", folder, "--robots", 1, "--out", tmp_path / "plan.json").code == 1
+    fallen = json.loads((tmp_path / "plan.json").read_text())
+    assert fallen["replay"]["stands"] is False
+    assert fallen["start"] | {"state": 0} == {"state": 0, "verdict": "undecided", "proof": "none", "residual": None}
+    checked = falsework("check", tmp_path / "plan.json")
+    assert checked.code == 1
+    assert "does not come to rest" in checked.error
+    claimed = json.dumps(fallen | {"replay": fallen["replay"] | {"stands": True, "falls_at": None}})
+    (tmp_path / "plan.json").write_text(claimed)
+    assert "every state must be stable by history" in falsework("check", tmp_path / "plan.json").error
 
 
 def test_bricks_from_text_to_plan(falsework: Run, tmp_path: Path) -> None:

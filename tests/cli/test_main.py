@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
 import warnings
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -48,6 +50,11 @@ def test_help_is_fast_and_names_every_command() -> None:
         assert name in done.stdout
     assert "Example:" in done.stdout
     assert best < 0.4  # 0.1 s on an idle machine; more means that something heavy is imported
+
+
+def caused(error: Exception, cause: Exception) -> Exception:
+    error.__cause__ = cause
+    return error
 
 
 @pytest.mark.parametrize(("arguments", "more"), [(["--help"], {"tyro"}), (["plan", "--help"], set())])
@@ -130,7 +137,6 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     [
         (InputError("part 3 is\nopen; close it"), "part 3 is open; close it"),
         (FileNotFoundError(2, "No such file or directory", "x.json"), "x.json: No such file or directory"),
-        (MemoryError(), "out of memory"),
         (KeyError("surprise"), "unexpected KeyError"),
     ],
 )
@@ -145,6 +151,25 @@ def test_errors_become_one_line(
     assert captured.err.count("\n") == 1
     assert text in captured.err
     assert "Traceback" not in captured.err
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError(),
+        OSError(errno.ENOMEM, "Cannot allocate memory"),
+        ImportError("solver.so: failed to map segment from shared object"),
+        caused(InputError("the solver cannot be used"), MemoryError()),
+    ],
+)
+def test_want_of_memory_is_not_wrong_input(
+    error: Exception, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(_: Any) -> Exit:
+        raise error
+
+    assert run_with(monkeypatch, fail) == 4
+    assert capsys.readouterr().err == "falsework: out of memory; try a smaller structure or search width\n"
 
 
 def test_debug_shows_the_traceback(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -209,3 +234,36 @@ def test_a_reader_that_leaves_is_no_error() -> None:
     command = f"{sys.executable} -m falsework plan --help | head -c 1"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=True)
     assert done.stderr == ""
+
+
+def test_an_interrupt_while_modules_are_imported_is_one_line() -> None:
+    code = """
+import sys
+class Interrupted:
+    def find_spec(self, name, path=None, target=None):
+        if name == "falsework.cli.main":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Interrupted())
+from falsework.__main__ import main
+sys.exit(main())
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "falsework: interrupted\n")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="Linux limits the address space")
+def test_a_lack_of_memory_is_said(tmp_path: Path) -> None:
+    """Under a limit that begins when OpenBLAS has started, which loops when it finds no memory."""
+    code = """
+import resource, sys
+import numpy, scipy.linalg
+taken = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (taken + 30_000_000,) * 2)
+from falsework.__main__ import main
+sys.exit(main())
+"""
+    command = [sys.executable, "-c", code, "plan", "vault:parts=246", "--out", str(tmp_path / "plan.json")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode, done.stdout) == (4, "")
+    assert done.stderr == "falsework: out of memory; try a smaller structure or search width\n"
+    assert not (tmp_path / "plan.json").exists()

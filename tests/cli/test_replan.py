@@ -133,7 +133,7 @@ def test_unstable_state(falsework: Run, tmp_path: Path) -> None:
 def test_deadline_that_is_too_short(falsework: Run, tmp_path: Path) -> None:
     finished = falsework("replan", "vault", "--deadline", 0.001, "--out", tmp_path / "plan.json")
     assert finished.code == 1
-    assert "no plan was found: the deadline of 0.001 s passed" in finished.error
+    assert "no plan was found: the deadline passed" in finished.error
 
 
 @pytest.mark.parametrize(

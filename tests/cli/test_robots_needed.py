@@ -78,7 +78,7 @@ def test_a_structure_that_slides_is_not_said_to_be_impossible(falsework: Run) ->
 
 def test_the_deadline_leaves_a_search_to_resume(falsework: Run, tmp_path: Path) -> None:
     out = tmp_path / "plan.json"
-    finished = falsework("plan", "vault", "--deadline", "0.2", "--out", out, "--json")
+    finished = falsework("plan", "vault", "--deadline", "0.05", "--out", out, "--json")
     assert finished.code == 1
     (record,) = finished.records
     assert record["plan"] is None

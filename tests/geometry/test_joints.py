@@ -10,6 +10,7 @@ from falsework.assembly import library, load_structure
 from falsework.errors import AssemblyError
 from falsework.geometry import Contacts, ContactSettings, TriangleMesh, find_contacts
 from falsework.geometry.contact.interfaces import exact_contacts
+from falsework.geometry.contact.overlap import depth
 
 
 def of_pair(contacts: Contacts, a: int, b: int) -> np.ndarray:
@@ -46,8 +47,8 @@ def warped(
 
 
 @pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("into", [0.01, 0.1, 0.3, -0.04])
-def test_an_overlap_or_a_gap_is_divided_between_the_parts(shapes, into, seed):
+@pytest.mark.parametrize("into", [0.01, 0.1, 0.3])
+def test_an_overlap_is_divided_between_the_parts(shapes, into, seed):
     """A joint of 0.9 m by 0.9 m halfway between the two faces, whatever the sides of the parts do."""
     blocks = [shapes.box((0, 0, 0), (1, 1, 1)), shapes.box((0.1, 0.1, 1 - into), (1.1, 1.1, 2))]
     rotation = shapes.rotation(seed)
@@ -56,8 +57,29 @@ def test_an_overlap_or_a_gap_is_divided_between_the_parts(shapes, into, seed):
     assert contacts.normals[0] == pytest.approx(rotation @ (0, 0, 1), abs=1e-9)
     assert (contacts.points @ rotation)[:, 2] == pytest.approx(np.full(4, 1 - into / 2))
     assert contacts.report.parts.tolist() == [[0, 1]]
-    assert contacts.report.overlap == pytest.approx([max(into, 0)], abs=1e-9)
-    assert contacts.report.gap == pytest.approx([max(-into, 0)], abs=1e-9)
+    assert contacts.report.overlap == pytest.approx([into], abs=1e-9)
+    assert contacts.report.gap == pytest.approx([0.0], abs=1e-9)
+
+
+@pytest.mark.parametrize(("gap", "overlap", "bridged"), [(5, 4, True), (5, 0, False), (5, 1, False), (15, 10, False)])
+def test_a_gap_is_bridged_if_it_is_small_and_the_parts_overlap_elsewhere(shapes, gap, overlap, bridged):
+    """A plank of 1 m by 1 m on two pillars: lengths in millimetres, of which 10 are allowed."""
+    meshes = [
+        shapes.box((0, 0, 0), (1, 1, 1 + overlap / 1000)),
+        shapes.box((3, 0, 0), (4, 1, 1 - gap / 1000)),
+        shapes.box((0, 0, 1), (4, 1, 2)),
+    ]
+    contacts = find_contacts(meshes)
+    assert contacts.parts.tolist() == [[0, 2], [1, 2]][: 1 + bridged]
+    if bridged:
+        assert contacts.report.gap.max() == pytest.approx(gap / 1000)
+
+
+@pytest.mark.parametrize("share", [0.002, 0.005, 0.01, 0.02, 0.04])
+def test_a_block_above_the_ground_touches_nothing_unless_the_gap_is_allowed(shapes, share):
+    blocks = [shapes.box((-2, -2, -1), (2, 2, 0)), shapes.box((0, 0, share), (1, 1, 1 + share))]
+    assert len(find_contacts(blocks)) == 0
+    assert len(find_contacts(blocks, ContactSettings(gap=1.01 * share))) == 1
 
 
 def test_joints_narrower_than_the_overlap_elsewhere_survive(shapes):
@@ -99,7 +121,7 @@ def test_tessellations_of_one_warped_face(counts):
         ((0.2, 0.2, 0.2), (0.8, 0.8, 0.8), "outer and inner"),
         ((0.2, 0.2, 0.6), (0.8, 0.8, 0.995), "outer and inner"),
         ((0, 0, 0.6), (1, 1, 1.6), "pass through each other by 400 mm"),
-        ((0.3, 0.3, -1), (0.7, 0.7, 2), "pass through each other by 300 mm"),
+        ((0.3, 0.3, -1), (0.7, 0.7, 2), "pass through each other by 200 mm"),
     ],
 )
 def test_what_cannot_be_a_joint_is_refused(shapes, low, high, message):
@@ -116,17 +138,18 @@ def test_parts_that_are_shifted_and_turned_a_little_keep_their_neighbours(name, 
     rng = np.random.default_rng(seed)
     meshes = []
     for mesh in assembly.meshes:
-        centre, reach = mesh.vertices.mean(axis=0), 0.01 * mesh.thickness
-        turn = Rotation.from_rotvec(rng.normal(size=3) * 0.003).as_matrix()
+        centre, reach = mesh.vertices.mean(axis=0), 0.003 * mesh.thickness
+        turn = Rotation.from_rotvec(rng.normal(size=3) * 0.001).as_matrix()
         vertices = (mesh.vertices - centre) @ turn.T + centre + rng.normal(size=3) * reach
         meshes.append(TriangleMesh.from_arrays(mesh.name, vertices, mesh.faces))
     contacts = find_contacts(meshes)
     wide = assembly.contacts.dimension == 2
-    assert {tuple(pair) for pair in assembly.contacts.parts[wide].tolist()} == {
-        tuple(pair)
-        for pair, area in zip(contacts.parts.tolist(), contacts.areas.tolist(), strict=True)
-        if area > 0.03 * assembly.contacts.areas.max()
-    }
+    least = 0.03 * assembly.contacts.areas.max()
+    found = {tuple(pair) for pair in contacts.parts[contacts.areas > least].tolist()}
+    before = {tuple(pair) for pair in assembly.contacts.parts[wide].tolist()}
+    assert found <= before
+    assert len(before - found) <= 1
+    assert all(depth(meshes[a], meshes[b]) == 0.0 for a, b in before - found), "a gap with no overlap beside it"
 
 
 def test_gaps_wider_than_the_overlaps_beside_them_stay_open(shapes):
@@ -140,9 +163,10 @@ def test_gaps_wider_than_the_overlaps_beside_them_stay_open(shapes):
 
 
 def test_lengths_that_are_given_hold(shapes):
-    blocks = [shapes.box((0, 0, 0), (1, 1, 1)), shapes.box((0, 0, 1.02), (1, 1, 2))]
+    blocks = [shapes.box((0, 0, 0), (1, 1, 1)), shapes.box((0, 0, 0.98), (1, 1, 2))]
     assert len(find_contacts(blocks)) == 1
-    assert len(find_contacts(blocks, ContactSettings(gap=0.001))) == 0
+    with pytest.raises(AssemblyError, match="20 mm, and 1 mm is allowed"):
+        find_contacts(blocks, ContactSettings(gap=0.001, corner=0.001))
 
 
 def test_models_without_overlaps_take_the_exact_path(shared_assembly):

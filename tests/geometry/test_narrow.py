@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 
 from falsework.assembly import library, load_assembly
 from falsework.geometry import Contacts, ContactSettings, TriangleMesh, find_contacts
+from falsework.geometry.contact.interfaces import default_gap
+from falsework.geometry.contact.narrow_phase import NARROW
 
 REAL = ["bottle-12", "tetris-13", "tetris-14", "tetris-17", "cube-17", "dog-35", "dome-37", "vault-62", "dome-72"]
 GAP = 1e-3
@@ -44,19 +46,26 @@ def assert_line(contacts: Contacts, contact: int, ends: list[tuple[float, float,
 
 
 def test_an_edge_on_a_face_is_a_line(shapes):
-    contacts = find_contacts([roof(shapes), shapes.box((0, 0.4, 1), (3.2, 2, 1.1))], FINE)
+    meshes = [roof(shapes), shapes.box((0, 0.4, 1), (3.2, 2, 1.1))]
+    contacts = find_contacts(meshes, FINE)
     assert contacts.parts.tolist() == [[0, 1]]
     assert_line(contacts, 0, [(3, 0.4, 1), (3, 1, 1)])
     assert contacts.normals[0] == pytest.approx([0, 0, 1])
-    assert contacts.areas == pytest.approx([0.6 * GAP]), "a strip as wide as the tolerance"
+    assert contacts.areas == pytest.approx([0.6 * default_gap(meshes)]), "a strip as wide as the default gap"
     assert contacts.frames[0] @ contacts.frames[0].T == pytest.approx(np.eye(3))
 
 
-@pytest.mark.parametrize("flat", [0.0, 0.01, 0.4, 0.9, 1.5, 100.0])
-def test_a_contact_does_not_vanish_as_its_width_does(shapes, flat):
-    """A ridge with its top cut off, in units of the tolerance: a line up to about one, an area beyond."""
-    contacts = find_contacts([roof(shapes, flat * GAP), shapes.box((0, 0.4, 1), (3.2, 2, 1.1))], FINE)
-    assert contacts.dimension.tolist() == [1 if flat < 1 else 2]
+@pytest.mark.parametrize("flat", [0.0, 1e-4, 0.01, 0.4, 0.9, 1.5, 100.0])
+@pytest.mark.parametrize("settings", [None, FINE, ContactSettings(gap=0.1)])
+def test_a_contact_does_not_vanish_as_its_width_does(shapes, flat, settings):
+    """A ridge with its top cut off, in millimetres: an area of that width, and a line where it is rounding."""
+    meshes = [roof(shapes, flat * GAP), shapes.box((0, 0.4, 1), (3.2, 2, 1.1))]
+    contacts = find_contacts(meshes, settings)
+    wide = flat * GAP > NARROW * default_gap(meshes)
+    assert contacts.dimension.tolist() == [2 if wide else 1]
+    if wide:
+        assert contacts.areas == pytest.approx([0.6 * flat * GAP], rel=1e-3)
+        assert np.ptp(contacts.points[:, 0]) == pytest.approx(flat * GAP, rel=1e-3)
     assert contacts.points[:, 0] == pytest.approx(np.full(len(contacts.points), 3.0), abs=51 * GAP)
     assert [contacts.points[:, 1].min(), contacts.points[:, 1].max()] == pytest.approx([0.4, 1.0], abs=1e-6)
 
@@ -70,10 +79,11 @@ def test_lines_have_the_tolerance_of_faces(shapes, lift, touches):
 
 
 def test_a_corner_on_a_face_is_a_point(shapes):
-    contacts = find_contacts([shapes.box((-1, -1, -1), (1, 1, 0)), pyramid((0.2, 0.1, 0))], FINE)
+    meshes = [shapes.box((-1, -1, -1), (1, 1, 0)), pyramid((0.2, 0.1, 0))]
+    contacts = find_contacts(meshes, FINE)
     assert_line(contacts, 0, [(0.2, 0.1, 0)])
     assert contacts.normals[0] == pytest.approx([0, 0, 1])
-    assert contacts.areas == pytest.approx([GAP**2])
+    assert contacts.areas == pytest.approx([default_gap(meshes) ** 2])
 
 
 def test_edges_that_cross_are_a_point_with_a_normal_square_to_both(shapes):
@@ -90,12 +100,62 @@ def test_parallel_ridges_have_no_normal(shapes):
     assert len(find_contacts([roof(shapes), above], FINE)) == 0
 
 
-@pytest.mark.parametrize("shift", [0.0, 0.5])
-def test_on_the_rim_of_a_face_there_is_no_normal(shapes, shift):
+@pytest.mark.parametrize(("shift", "found"), [(0.0, 0), (1e-4, 0), (0.05, 1), (0.5, 1), (2, 1)])
+def test_on_the_rim_of_a_face_there_is_no_normal(shapes, shift, found):
     """A ridge under the end of a beam, and a tip on the edge of a plate: the force may point in many ways."""
     beam = shapes.box((0, 0, 1), (3 + shift * GAP, 1, 1.1))
-    assert len(find_contacts([roof(shapes), beam], FINE)) == 0
-    assert len(find_contacts([shapes.box((-1, -1, -1), (shift * GAP, 1, 0)), pyramid((0, 0, 0))], FINE)) == 0
+    assert len(find_contacts([roof(shapes), beam], FINE)) == found
+    plate = shapes.box((-1, -1, -1), (shift * GAP, 1, 0))
+    assert len(find_contacts([plate, pyramid((0, 0, 0))], FINE)) == found
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("width", [1e-4, 3e-4, 1e-3, 3e-3, 0.03])
+def test_bearings_along_the_rims_of_both_faces_keep_their_width(shapes, width, scale):
+    """A beam of 1 m that lies on a strip of two supports."""
+    supports = [shapes.box((-1.5, -0.5, -0.5), (-0.5, 0.5, 0)), shapes.box((0.5, -0.5, -0.5), (1.5, 0.5, 0))]
+    beam = shapes.box((-0.5 - width, -0.25, 0), (0.5 + width, 0.25, 0.2))
+    meshes = (*supports, beam)
+    contacts = find_contacts([TriangleMesh.from_arrays(m.name, m.vertices * scale, m.faces) for m in meshes])
+    assert contacts.parts.tolist() == [[0, 2], [1, 2]]
+    assert contacts.areas == pytest.approx(np.full(2, 0.5 * width * scale**2), rel=1e-6)
+    assert contacts.width == pytest.approx(np.full(2, width * scale), rel=0.1)
+
+
+def test_strips_where_stones_meet_around_a_line_are_left_out(shapes):
+    """Four blocks, two of which overlap by less than the tolerance across the corner; a key as low as that."""
+    lower = [shapes.box((-1, 0, -1), (2e-4, 1, 0)), shapes.box((2e-4, 0, -1), (1, 1, 0))]
+    upper = [shapes.box((-1, 0, 0), (0, 1, 1)), shapes.box((0, 0, 0), (1, 1, 1))]
+    assert find_contacts([*lower, *upper]).parts.tolist() == [[0, 1], [0, 2], [1, 3], [2, 3]]
+    assert find_contacts([lower[0], upper[1]]).parts.tolist() == [[0, 1]], "alone, the strip carries"
+    step = prism(shapes, [(-1, -1), (1, -1), (1, 2e-4), (0, 2e-4), (0, 0), (-1, 0)])
+    above = prism(shapes, [(-1, 0), (0, 0), (0, 2e-4), (1, 2e-4), (1, 1), (-1, 1)])
+    assert (find_contacts([step, above]).normals[:, 2] > 0.99).all()
+
+
+@pytest.mark.parametrize("lift", [0.0, 0.004, 0.008])
+def test_a_larger_tolerance_finds_at_least_what_a_smaller_one_does(shapes, lift):
+    """Prisms of 48 facets above each other, an edge and a tip: the pairs that touch, and their areas, only grow."""
+    angle = 2 * np.pi * (np.arange(48) + 0.5) / 48 - np.pi / 2
+    reach = 0.2 * np.cos(np.pi / 48)
+    drums = [
+        prism(shapes, [(0.2 * np.cos(t), height + 0.2 * np.sin(t)) for t in angle], -0.3)
+        for height in (reach, 3 * reach + lift)
+    ]
+    low = shapes.box((-1, -1, -0.2), (1.5, 1, 0))
+    wedge = prism(shapes, [(0.4, 0.3), (0.6, lift), (0.8, 0.3)], -0.3)
+    spike = pyramid((1.1, 0, lift))
+    meshes = [low, *drums, wedge, spike]
+    before: dict[tuple[int, int], float] = {}
+    for gap in (1e-4, 5e-4, 1e-3, 5e-3, 0.01, 0.03, 0.1):
+        contacts = find_contacts(meshes, ContactSettings(gap=gap, overlap=1e-3))
+        area: dict[tuple[int, int], float] = dict.fromkeys(map(tuple, contacts.parts.tolist()), 0.0)
+        for pair, size in zip(contacts.parts.tolist(), contacts.areas.tolist(), strict=True):
+            area[tuple(pair)] += size
+        assert area.keys() >= before.keys()
+        assert all(area[pair] >= 0.99 * size for pair, size in before.items() if size > 1e-4)
+        before = area
+    assert before.keys() >= {(0, 1), (1, 2), (0, 3), (0, 4)}
 
 
 def test_an_edge_in_a_groove_touches_both_sides(shapes):
@@ -132,9 +192,10 @@ def test_areas_have_no_lines_at_their_edges(shapes):
 def test_a_foot_beside_an_area_is_a_line_of_its_own(shapes):
     """A block on one broad foot and one knife: the area as without the knife, and the line."""
     block = prism(shapes, [(0, 0), (1, 0), (1, 1), (2.5, 1), (3, 0), (3.5, 1), (4, 1), (4, 2), (0, 2)])
-    contacts = find_contacts([shapes.box((-1, -2, -1), (6, 2, 0)), block], FINE)
+    meshes = [shapes.box((-1, -2, -1), (6, 2, 0)), block]
+    contacts = find_contacts(meshes, FINE)
     assert contacts.dimension.tolist() == [2, 1]
-    assert contacts.areas == pytest.approx([1.0, GAP])
+    assert contacts.areas == pytest.approx([1.0, default_gap(meshes)])
     assert_line(contacts, 1, [(3, 0, 0), (3, 1, 0)])
 
 
@@ -151,7 +212,8 @@ def test_triangulation_position_and_order_do_not_matter(shapes, seed):
         assert contacts.parts.tolist() == [[0, 1], [1, 2]]
         assert contacts.dimension.tolist() == [1, 0]
         assert contacts.normals == pytest.approx(still.normals @ rotation.T, abs=1e-7)
-        assert contacts.areas == pytest.approx(still.areas, rel=1e-4)
+        scale = default_gap(meshes) / default_gap(base)
+        assert contacts.areas == pytest.approx(still.areas * [scale, scale**2], rel=1e-4)
         expected = still.points @ rotation.T + shift
         apart = np.linalg.norm(contacts.points[:, None] - expected, axis=2)
         assert apart.min(axis=0) == pytest.approx(np.zeros(3), abs=1e-6)

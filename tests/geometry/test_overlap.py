@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
+import time
 
 import numpy as np
 import pytest
 
 from falsework.errors import AssemblyError
-from falsework.geometry import ContactSettings, find_contacts
+from falsework.geometry import ContactSettings, TriangleMesh, find_contacts
 from falsework.geometry.contact.overlap import depth
 
 
@@ -63,10 +64,33 @@ def test_faces_that_overlap_beyond_what_is_allowed_are_named(shapes, into, setti
     assert "\n" not in message
 
 
-def test_the_deepest_pair_is_named(shapes):
-    blocks = [shapes.box((0, 0, z), (1, 1, z + 1 + into), f"b{z}") for z, into in enumerate((0.01, 0.03, 0.02, 0))]
+def test_the_first_pair_that_is_too_deep_is_named(shapes):
+    blocks = [shapes.box((0, 0, z), (1, 1, z + 1 + into), f"b{z}") for z, into in enumerate((0, 0.03, 0.04, 0))]
     with pytest.raises(AssemblyError, match="parts b1 and b2 pass through each other by 30 mm"):
         find_contacts(blocks, EXPLICIT)
+
+
+@pytest.mark.parametrize("count", [20, 60])
+def test_rings_that_lie_in_each_other_are_refused_before_joints_are_sought(count, monkeypatch):
+    """Rings of 800 and 7,200 triangles, almost the same; their faces look at each other across the hole."""
+    monkeypatch.setattr("falsework.geometry.contact.interfaces.find_joints", None)
+    around, along = 2 * np.pi * np.arange(count) / count, 2 * np.pi * np.arange(2 * count) / (2 * count)
+    b, a = (values.ravel() for values in np.meshgrid(around, along))
+    reach = 1 + 0.3 * np.cos(b)
+    i, j = (index.ravel() for index in np.mgrid[: 2 * count, :count])
+    one, two = i * count + j, (i + 1) % (2 * count) * count + j
+    three, four = (i + 1) % (2 * count) * count + (j + 1) % count, i * count + (j + 1) % count
+    faces = np.stack([one, two, three, one, three, four], axis=1).reshape(-1, 3)
+    rings = [
+        TriangleMesh.from_arrays(
+            name, np.stack([wide * reach * np.cos(a), flat * reach * np.sin(a), 0.3 * np.sin(b)], axis=1), faces
+        )
+        for name, wide, flat in (("first", 1.0, 1.0), ("second", 1.0, 0.97), ("third", 1.02, 1.0))
+    ]
+    begin = time.process_time()
+    with pytest.raises(AssemblyError, match=r"parts first and second pass through each other by 29\d mm, and at most"):
+        find_contacts(rings)
+    assert time.process_time() - begin < 8
 
 
 def test_one_inside_the_other_is_named(shapes):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import warnings
 from collections.abc import Callable
@@ -17,6 +18,9 @@ from falsework.geometry import RepairWarning
 
 CUBE = [(1, 3, 2, 0), (6, 7, 5, 4), (4, 5, 1, 0), (3, 7, 6, 2), (2, 6, 4, 0), (5, 7, 3, 1)]
 """Faces of a box whose corners run through z, then y, then x."""
+
+posix = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+linux = pytest.mark.skipif(sys.platform != "linux", reason="Linux limits the memory of a process")
 
 
 @pytest.fixture
@@ -162,12 +166,57 @@ def test_a_rhino_file_of_an_unknown_unit(rhino: Any, tmp_path: Path) -> None:
     assert load_structure(path, unit="mm").mass.volume == pytest.approx(1e-3)
 
 
-@pytest.mark.parametrize(("suffix", "package"), [(".3dm", "rhino3dm"), (".step", "OCP.BRepMesh")])
-def test_a_missing_package_is_named(suffix: str, package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, package, None)
+@pytest.mark.parametrize("suffix", [".3dm", ".step"])
+def test_a_missing_package_is_named(suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "rhino3dm", None)
+    fake_open_cascade(tmp_path, monkeypatch, "", installed=False)
     (tmp_path / f"model{suffix}").write_text("?")
     with pytest.raises(DependencyError, match=r"pip install 'falsework\[(rhino|step)\]'"):
         load_structure(tmp_path / f"model{suffix}")
+
+
+def fake_open_cascade(folder: Path, monkeypatch: pytest.MonkeyPatch, read: str, *, installed: bool = True) -> None:
+    """Put packages named like those of Open CASCADE in its place, for the process that reads STEP files.
+
+    Args:
+        folder: for the packages.
+        monkeypatch: of the test.
+        read: what its reader does with a file.
+        installed: whether they can be imported.
+    """
+    package = folder / "packages" / "OCP"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text("" if installed else "raise ImportError")
+    for module, content in {
+        "BRepMesh": "BRepMesh_IncrementalMesh = None",
+        "IFSelect": "IFSelect_RetDone = 1",
+        "STEPControl": f"import os, sys\nclass STEPControl_Reader:\n    def ReadFile(self, path):\n        {read}",
+        "TopAbs": "TopAbs_EDGE = TopAbs_FACE = TopAbs_SOLID = None",
+        "TopExp": "TopExp_Explorer = None",
+    }.items():
+        (package / f"{module}.py").write_text(content + "\n")
+    monkeypatch.setenv("PYTHONPATH", str(package.parent))
+
+
+@pytest.mark.parametrize(
+    ("read", "message"),
+    [
+        pytest.param("os.kill(os.getpid(), 11)", r"stopped \(SIGSEGV\)", marks=posix),
+        pytest.param("os.abort()", r"stopped \(SIGABRT\)", marks=posix),
+        ("os._exit(3)", r"stopped \(exit code 3\)"),
+        pytest.param("bytearray(1 << 40)", "takes more memory than a file of its size may", marks=linux),
+        ("print('noise'); return 2", "is not a STEP file, or is damaged; export it again"),
+    ],
+)
+def test_a_step_file_cannot_end_the_process(
+    read: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    fake_open_cascade(tmp_path, monkeypatch, read)
+    (tmp_path / "model.step").write_text("?")
+    with pytest.raises(InputError, match=message) as raised:
+        load_structure(tmp_path / "model.step")
+    assert str(tmp_path / "model.step") in str(raised.value)
+    assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.usefixtures("rhino")

@@ -12,7 +12,10 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
 
+import httpx
 import pytest
+
+from falsework.service import middleware, server
 
 JSON = {"Content-Type": "application/json"}
 STATE = [1, 1, 1, 1, 1, 2, 2]
@@ -180,6 +183,77 @@ def test_what_is_no_http_is_refused(sent: bytes, live: Any) -> None:
     assert answer == b"" or answer.split()[1] in (b"400", b"408", b"415", b"431")
     assert b"Traceback" not in answer
     assert live.client.get("/health").status_code == 200
+
+
+def idle(live: Any, count: int) -> list[socket.socket]:
+    """Connections on which nothing is sent."""
+    return [socket.create_connection(live.address, timeout=5) for _ in range(count)]
+
+
+def is_open(connection: socket.socket) -> bool:
+    """Whether the other side has not closed a connection on which it says nothing."""
+    connection.setblocking(False)
+    try:
+        return connection.recv(1) != b""
+    except BlockingIOError:
+        return True
+    except ConnectionError:
+        return False
+
+
+def test_idle_connections_make_room(live: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many clients only connect, and however often, others are served, and only idle ones lose a connection."""
+    monkeypatch.setattr(server, "CONNECTIONS", 20)
+    with contextlib.ExitStack() as opened:
+        for _ in range(3):
+            crowd = [opened.enter_context(connection) for connection in idle(live, 60)]
+            with httpx.Client(base_url=live.url, timeout=5) as client:
+                assert client.get("/health").status_code == 200
+                assert client.post("/stability", json={"states": ["complete"]}).status_code == 200
+            still = [is_open(connection) for connection in crowd]
+            assert not any(still[:40])
+            assert sum(still) <= 20
+
+
+def test_a_request_in_work_is_not_idle(live: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "CONNECTIONS", 5)
+    live.wait_until_well()
+    (planner,) = pids(live, "replan")
+    os.kill(planner, signal.SIGSTOP)
+    with ThreadPoolExecutor(1) as threads, contextlib.ExitStack() as opened:
+        try:
+            asked = threads.submit(live.post, "/replan", {"state": "complete", "deadline": 900})
+            time.sleep(0.2)
+            for connection in idle(live, 30):
+                opened.enter_context(connection)
+            assert httpx.get(f"{live.url}/structure", timeout=5).status_code == 200
+        finally:
+            with contextlib.suppress(ProcessLookupError):  # a planner that hangs may have been replaced
+                os.kill(planner, signal.SIGCONT)
+        assert asked.result().status_code == 200
+
+
+def test_too_many_requests_at_a_time_are_refused_in_json(live: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(middleware, "CONNECTIONS", 1)
+    head = b"POST /replan HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 99\r\n\r\n{"
+    with socket.create_connection(live.address, timeout=5) as slow:
+        slow.sendall(head)
+        time.sleep(0.2)
+        reply = live.client.get("/structure")
+        expect(reply, 503, "too many requests")
+        assert reply.headers["retry-after"] == "1"
+        assert live.client.get("/health").status_code == 200
+    time.sleep(0.2)
+    assert live.client.get("/structure").status_code == 200
+
+
+def test_health_waits_for_no_body(live: Any) -> None:
+    """It is open to clients without a token, who must not hold requests open."""
+    begun = time.monotonic()
+    with socket.create_connection(live.address, timeout=5) as connection:
+        connection.sendall(b"GET /health HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100\r\n\r\n{")
+        assert connection.recv(100).startswith(b"HTTP/1.1 200 ")
+    assert time.monotonic() - begun < 0.9 * live.settings.body_seconds
 
 
 def test_a_deadline_is_kept_while_the_planner_hangs(live: Any) -> None:

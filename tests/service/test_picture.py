@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 import io
+import tracemalloc
+import zlib
 from typing import Any
 
 import numpy as np
@@ -10,6 +13,9 @@ import pytest
 from numpy.typing import NDArray
 
 from falsework.assembly import load_structure
+from falsework.errors import PlanError
+from falsework.search import find_plans, task_of
+from falsework.search.plans.plan_file import plan_to_dict
 from falsework.service.picture import PictureOrder, draw_png
 from falsework.stability import Stability
 
@@ -85,6 +91,33 @@ def test_a_step_or_a_structure_that_does_not_fit_the_plan(live: Any) -> None:
     assert "999" in reply.json()["error"]
     plan["structure"]["identity"] = "0" * len(plan["structure"]["identity"])
     assert live.post("/picture", {"plan": plan}).status_code == 422
+
+
+@pytest.mark.parametrize("claim", ["displacements", "forces", "parts"])
+def test_a_short_plan_takes_little_memory(claim: str) -> None:
+    """Of 250 kB that would unpack to 150 MB and more."""
+    assembly = load_structure("arch:blocks=3")
+    (plan,) = find_plans(assembly, task_of(assembly, 2)).plans
+    content, count = plan_to_dict(plan), 400_000
+    if claim == "parts":
+        content["structure"]["parts"] = [str(number) for number in range(count // 10)]
+        content["steps"] = content["steps"] * 500
+    else:
+        zeros = zlib.compress(bytes(count * 8 * 6 * (len(plan) + 1)))
+        counted = "parts" if claim == "displacements" else "points"
+        content[claim] = {counted: count, "zlib_base64": base64.b64encode(zeros).decode()}
+    oracle = Stability(assembly)
+    order = PictureOrder(plan.states[0], content, 0, 1, False, 80, -58.0, 24.0)
+    tracemalloc.start()
+    try:
+        if claim == "parts":
+            with pytest.raises(PlanError, match=r"the plan is of 40000 parts, arch:blocks=3 has 5"):
+                draw_png(oracle, order)
+        else:
+            assert draw_png(oracle, order).startswith(b"\x89PNG")
+        assert tracemalloc.get_traced_memory()[1] < 40e6
+    finally:
+        tracemalloc.stop()
 
 
 def test_pictures_do_not_count_as_workers_for_requests(live: Any) -> None:

@@ -152,10 +152,10 @@ class Some(Reader):
 def test_an_object_may_not_have_an_entry_twice(tmp_path: Path, text: str) -> None:
     path = tmp_path / "some.json"
     path.write_text(text)
-    with pytest.raises(ValueError, match="an object in it has two entries '"):
+    with pytest.raises(ValueError, match=r"an object in it has the entry '.+' twice"):
         parse_json(text)
     for read in (Some.load, read_format):
-        with pytest.raises(PlanError, match="two entries") as caught:
+        with pytest.raises(PlanError, match="twice") as caught:
             read(path)
         assert "\n" not in str(caught.value)
     assert parse_json('[{"a": 1}, {"a": 2}]') == [{"a": 1}, {"a": 2}]

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import importlib
 import os
 import subprocess
 import sys
 import warnings
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,8 @@ import numpy as np
 import pytest
 from llvmlite import binding as llvm
 
-from falsework.utils import bits, cache_folder, kernel_code
+from falsework.utils import bits, kernel_code
+from falsework.utils.cache import folder as cache_folder
 from falsework.utils.kernels import Kernel, njit
 
 ONE = np.array([[1, 0], [4, 2], [0, 0]], np.uint64)
@@ -65,6 +68,66 @@ def test_code_is_compiled_once_and_kept(fresh: Kernel, tmp_path: Path, monkeypat
     monkeypatch.setattr(kernel_code, "compile_code", lambda *_: pytest.fail("compiled again"))
     assert meets(Kernel(bits._intersect.py_func, {})) == MEET
     assert kept.name.startswith("sets-")
+
+
+DAMAGE = {
+    "empty": lambda content: b"",
+    "truncated": lambda content: content[: len(content) // 2],
+    "a changed bit": lambda content: content[:-99] + bytes([content[-99] ^ 1]) + content[-98:],
+    "something else": lambda content: b"no code",
+    "without a digest": lambda content: content[32:],
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE.values(), ids=DAMAGE)
+def test_damaged_code_is_compiled_again_with_one_warning(
+    fresh: Kernel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: Callable[[bytes], bytes]
+) -> None:
+    without_numba(fresh, monkeypatch)
+    assert meets(fresh) == MEET
+    (kept,) = (tmp_path / "cache").iterdir()
+    kept.write_bytes(damage(kept.read_bytes()))
+    kernel_code._library.cache_clear()
+    with pytest.warns(cache_folder.CacheWarning, match="is damaged") as said:
+        assert meets(Kernel(bits._intersect.py_func, {})) == MEET
+    assert len(said) == 1
+    kernel_code._library.cache_clear()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert meets(Kernel(bits._intersect.py_func, {})) == MEET
+
+
+SOURCE = """
+from falsework.utils.kernels import njit
+
+@njit(cache=True)
+def twice(value):
+    return 2 * value
+"""
+
+
+@pytest.mark.parametrize("damage", DAMAGE.values(), ids=DAMAGE)
+def test_damaged_files_of_numba_are_made_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: Callable[[bytes], bytes]
+) -> None:
+    (tmp_path / "doubling.py").write_text(SOURCE)
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def hits() -> int:
+        """Call the function as a new process would; return how often its code was in a file."""
+        monkeypatch.delitem(sys.modules, "doubling", raising=False)
+        twice = importlib.import_module("doubling").twice
+        assert twice(3) == 6
+        return sum(twice.dispatcher.stats.cache_hits.values())
+
+    assert [hits(), hits()] == [0, 1]
+    files = [file for file in (tmp_path / "__pycache__").iterdir() if file.suffix in (".nbi", ".nbc")]
+    assert len(files) == 2
+    for file in files:
+        file.write_bytes(damage(file.read_bytes()))
+        with pytest.warns(cache_folder.CacheWarning, match="is damaged"):
+            assert hits() == 0
+        assert hits() == 1
 
 
 def test_code_stays_as_long_as_a_kernel_may_call_it(fresh: Kernel, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -130,6 +130,7 @@ def test_a_server_that_the_guard_does_not_reach_is_stopped() -> None:
 
     class Package:
         ViserServer = Unguarded
+        __file__ = viser.__file__
 
     with pytest.raises(DependencyError, match="cannot be guarded"):
         start_server(Package, "127.0.0.1", PORT, OriginGuard("127.0.0.1"))

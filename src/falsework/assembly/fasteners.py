@@ -74,18 +74,10 @@ def fasten(assembly: Assembly, entries: Sequence[Mapping[str, Any]]) -> Assembly
     if not parts:
         return assembly
     frames = frames_of(np.array(axes))
-    order = np.lexsort((*np.concatenate([contacts.parts, np.array(parts)]).T[::-1],))
-    counts = np.concatenate([np.diff(contacts.start), np.ones(len(parts), int)])
-    first = np.concatenate([contacts.start[:-1], contacts.start[-1] + np.arange(len(parts))])
-    rows = np.concatenate([int(first[k]) + np.arange(int(counts[k])) for k in order.tolist()])
-    joined = replace(
-        contacts,
-        parts=np.concatenate([contacts.parts, np.array(parts, np.int32)])[order],
-        frames=np.concatenate([contacts.frames, frames])[order],
-        points=np.concatenate([contacts.points, np.array(points)])[rows],
-        start=np.concatenate([[0], np.cumsum(counts[order])]).astype(np.int32),
-        areas=np.concatenate([contacts.areas, areas])[order],
-    )
+    singly = np.arange(len(parts) + 1, dtype=np.int32)
+    both = contacts.join(Contacts(np.array(parts, np.int32), frames, np.array(points), singly, np.array(areas)))
+    order = np.lexsort(both.parts.T[::-1])
+    joined, rows = both.take(order), both.points_of(order)
     old = (joints.friction, joints.cohesion, joints.tension, joints.ductile, joints.sets)
     arrays: list[NDArray[Any]] = [
         np.concatenate([array, np.array(new, array.dtype)])[rows] if len(array) == len(contacts.points) else array

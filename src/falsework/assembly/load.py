@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from falsework.errors import InputError, ReadWarning
+from falsework.utils.files.damage import blamed_on
 
 if TYPE_CHECKING:
     from falsework.assembly.draft import Draft
@@ -47,7 +48,8 @@ def read_draft(path: Path, unit: str | None = None) -> Draft | None:
     """
     for probe, _, parts in _READERS if path.is_file() else ():
         if parts and _resolve(probe)(path):
-            return _resolve(parts)(path, unit=unit)
+            with blamed_on(path, "write it again"):
+                return _resolve(parts)(path, unit=unit)
     return None
 
 
@@ -71,7 +73,6 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
     """
     from falsework.assembly import library
     from falsework.assembly.fasteners import furnish
-    from falsework.assembly.store import FILE, load_assembly
 
     text = str(structure)
     if not text.strip():
@@ -86,20 +87,9 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
                 ReadWarning,
                 stacklevel=2,
             )
-        if path.name == FILE and path.is_file():
-            path = path.parent
-        if not path.exists() and path.name == text:
-            names = ", ".join(entry.name for entry in library.structures())
-            raise InputError(f"there is no folder, file or built-in structure {text!r}; built in are {names}")
-        for probe, reader, _ in _READERS if path.is_file() else ():
-            if _resolve(probe)(path):
-                options = {**described_options(path), **given}
-                acting = {name: options.pop(name, None) for name in LOAD_OPTIONS}
-                return _not_all_fixed(furnish(_resolve(reader)(path, **options), **acting))
-        if given.pop("interfaces", "found") != "found":
-            raise InputError(f"{text} is made of meshes and stores no interfaces; leave out --interfaces")
-        check_meshes_path(path)
-        return _not_all_fixed(load_assembly(path, **given))
+        with blamed_on(path, "write it again"):
+            assembly = _read_structure(path, text, given)
+        return _not_all_fixed(assembly)
     if given.pop("interfaces", "found") != "found":
         raise InputError(f"{text} is a built-in structure and stores no interfaces; leave out --interfaces")
     for option in ("unit", "contact_settings"):
@@ -128,6 +118,28 @@ def _not_all_fixed(assembly: Assembly) -> Assembly:
             stacklevel=3,
         )
     return assembly
+
+
+def _read_structure(path: Path, text: str, given: dict[str, Any]) -> Assembly:
+    """Read a structure from a path; arguments as of `load_structure`."""
+    from falsework.assembly import library
+    from falsework.assembly.fasteners import furnish
+    from falsework.assembly.store import FILE, load_assembly
+
+    if path.name == FILE and path.is_file():
+        path = path.parent
+    if not path.exists() and path.name == text:
+        names = ", ".join(entry.name for entry in library.structures())
+        raise InputError(f"there is no folder, file or built-in structure {text!r}; built in are {names}")
+    for probe, reader, _ in _READERS if path.is_file() else ():
+        if _resolve(probe)(path):
+            options = {**described_options(path), **given}
+            acting = {name: options.pop(name, None) for name in LOAD_OPTIONS}
+            return furnish(_resolve(reader)(path, **options), **acting)
+    if given.pop("interfaces", "found") != "found":
+        raise InputError(f"{text} is made of meshes and stores no interfaces; leave out --interfaces")
+    check_meshes_path(path)
+    return load_assembly(path, **given)
 
 
 def as_assembly(structure: AnyStructure, **options: Any) -> Assembly:

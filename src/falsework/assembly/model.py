@@ -17,11 +17,11 @@ from falsework.assembly.joints import Joints
 from falsework.assembly.loads import Loads
 from falsework.assembly.part_numbers import part_ids
 from falsework.assembly.prop import Prop
+from falsework.assembly.touching import check_touching, contact_warnings
 from falsework.errors import AssemblyError
 from falsework.geometry.clearance.table import ClearanceTable, clearance_table
 from falsework.geometry.contact.interfaces import Contacts, ContactSettings, find_contacts
 from falsework.geometry.contact.joints import JointReport
-from falsework.geometry.mesh.collision import nearest
 from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh, mass_properties
 
 DENSITY = 2400.0
@@ -121,7 +121,7 @@ class Assembly:
         settings = contact_settings or ContactSettings()
         given = contacts is not None
         contacts = find_contacts(parts, settings) if contacts is None else contacts
-        _check_touching(parts, fixed, contacts)
+        check_touching(parts, fixed, contacts, settings)
         fixed.setflags(write=False)
         densities.setflags(write=False)
         assembly = Assembly(name, parts, fixed, densities, friction, contacts, mass, settings, given)
@@ -131,7 +131,9 @@ class Assembly:
         if len(found) > _WARNED:
             more = len(found) - _WARNED
             warnings.warn(
-                f"{more} more pairs of parts touch along lines or at points only", ContactWarning, stacklevel=2
+                f"{more} more pairs of parts touch along lines, on strips or at points only",
+                ContactWarning,
+                stacklevel=2,
             )
         return assembly
 
@@ -144,23 +146,13 @@ class Assembly:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """One line for all joints that were resolved, and one for each pair that touches along lines or at points only.
+        """One line for all joints that were resolved, and one for each pair that touches on less than a face.
 
-        Real edges and corners have a width, which the meshes do not say, and may be chipped off. Pairs of boundary
-        parts are omitted: no verdict depends on them.
+        That is along lines, at points, or on strips narrower than the default gap. Real edges and corners have a width,
+        which the meshes do not say, and may be chipped off. Pairs of boundary parts are omitted: no verdict depends on
+        them.
         """
-        pairs, pair = np.unique(self.contacts.parts, axis=0, return_inverse=True)
-        widest = np.zeros(len(pairs), dtype=np.int8)
-        np.maximum.at(widest, pair.ravel(), self.contacts.dimension)
-        lines = [self.report.line(self.names)] if len(self.report) else []
-        for number in np.flatnonzero((widest < 2) & ~self.boundary[pairs].all(axis=1)).tolist():
-            a, b = (self.names[part] for part in pairs[number].tolist())
-            count = int(np.sum(pair.ravel() == number))
-            where = ("at a point", "along a line")[widest[number]]
-            if count > 1:
-                where = ("at points", "along lines")[widest[number]]
-            lines.append(f"parts {a} and {b} touch {where} only: verdicts may depend on it")
-        return tuple(lines)
+        return contact_warnings(self.meshes, self.boundary, self.contacts)
 
     @property
     def report(self) -> JointReport:
@@ -205,6 +197,8 @@ class Assembly:
         if self.contacts_given:
             for array in (self.contacts.parts, self.contacts.frames, self.contacts.points, self.contacts.start):
                 digest.update((array + 0.0).astype("<f8").tobytes())
+            if self.contacts.curved is not None:
+                digest.update(b"curved" + (self.contacts.curved + 0.0).astype("<f8").tobytes())
         if self.loads is not None:
             for array in (self.loads.wrench, self.loads.acceleration):
                 digest.update(b"loads" + (array + 0.0).astype("<f8").tobytes())
@@ -250,7 +244,7 @@ class Assembly:
         fixed = self.boundary if boundary is None else _boundary(boundary, self.meshes)
         if not fixed.any():
             raise AssemblyError("no part is boundary, so nothing carries the structure; keep at least one fixed part")
-        _check_touching(self.meshes, fixed, self.contacts)
+        check_touching(self.meshes, fixed, self.contacts, self.contact_settings)
         densities = self.density if density is None else _density(density, self.part_count)
         changed = _replace(
             self,
@@ -365,8 +359,7 @@ def _boundary(value: ArrayLike, meshes: Sequence[TriangleMesh]) -> NDArray[np.bo
     listed: list[Any] = list(value) if isinstance(value, (list, tuple)) else []
     if any(isinstance(item, str) for item in listed):
         value = part_ids(listed, [mesh.name for mesh in meshes], "boundary")
-    nested = any(isinstance(item, (list, tuple)) for item in listed)
-    given: NDArray[Any] = np.zeros((1, 1)) if nested else np.asarray(value)
+    given = np.asarray(None if any(isinstance(item, (list, tuple, dict)) for item in listed) else value)
     if given.dtype == bool:
         if given.shape != (parts,):
             raise AssemblyError(f"the boundary mask has shape {given.shape}; expected ({parts},), one a part")
@@ -383,17 +376,3 @@ def _boundary(value: ArrayLike, meshes: Sequence[TriangleMesh]) -> NDArray[np.bo
             raise AssemblyError(f"boundary names part {part} twice; give every id once")
         mask[part] = True
     return mask
-
-
-def _check_touching(meshes: Sequence[TriangleMesh], boundary: NDArray[np.bool_], contacts: Contacts) -> None:
-    """Raise for a part without contacts; boundary parts may stand alone, as obstacles do."""
-    alone = ~boundary
-    alone[contacts.parts.ravel()] = False
-    if alone.any():
-        part = int(np.argmax(alone))
-        other, gap = nearest(part, meshes)
-        where = f"; part {meshes[other].name} is nearest, {1000 * gap:.3g} mm away" if other >= 0 else ""
-        raise AssemblyError(
-            f"part {meshes[part].name} touches no other part{where}; move it into place, "
-            'or raise the tolerance if it is modelled with gaps ("contact": {"gap": metres} in assembly.json)'
-        )

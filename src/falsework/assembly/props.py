@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.prop import Prop
 from falsework.errors import AssemblyError
+from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.contact.patches import frames_of
 from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh, mass_properties
 
@@ -95,18 +96,16 @@ def with_props(assembly: Assembly, props: Sequence[Prop]) -> Assembly:
     joined = {key: np.concatenate([getattr(assembly.mass, key), getattr(mass, key)]) for key in vars(mass)}
     contacts = assembly.contacts
     pairs = np.array([[head.prop.part, parts + number] for number, head in enumerate(heads)], dtype=np.int32)
-    counts = np.concatenate([np.diff(contacts.start), np.full(len(heads), 4)])
-    all_pairs = np.concatenate([contacts.parts, pairs])
-    order = np.lexsort((all_pairs[:, 1], all_pairs[:, 0]))
-    blocks = [*np.split(contacts.points, contacts.start[1:-1]), *(head.corners for head in heads)]
-    merged = _replace(
-        contacts,
-        parts=np.ascontiguousarray(all_pairs[order]),
-        frames=np.concatenate([contacts.frames, frames_of(np.array([head.axis for head in heads]))])[order],
-        points=np.concatenate([blocks[k] for k in order]),
-        start=np.concatenate([[0], np.cumsum(counts[order])]).astype(np.int32),
-        areas=np.concatenate([contacts.areas, [head.area for head in heads]])[order],
+    both = contacts.join(
+        Contacts(
+            pairs,
+            frames_of(np.array([head.axis for head in heads])),
+            np.concatenate([head.corners for head in heads]),
+            4 * np.arange(len(heads) + 1, dtype=np.int32),
+            np.array([head.area for head in heads]),
+        )
     )
+    merged = both.take(np.lexsort(both.parts.T[::-1]))
     loads = assembly.loads
     if loads is not None:
         loads = _replace(loads, wrench=np.concatenate([loads.wrench, np.zeros((len(heads), 6))]))
@@ -131,7 +130,6 @@ def keep_props(assembly: Assembly, kept: Sequence[int]) -> Assembly:
     bare = assembly.part_count - len(assembly.props)
     stays = np.asarray((assembly.contacts.parts < bare).all(axis=1))
     contacts = assembly.contacts
-    blocks = np.split(contacts.points, contacts.start[1:-1])
     loads, joints = assembly.loads, assembly.joints
     plain = _replace(
         assembly,
@@ -139,14 +137,7 @@ def keep_props(assembly: Assembly, kept: Sequence[int]) -> Assembly:
         boundary=assembly.boundary[:bare],
         density=assembly.density[:bare],
         mass=MassProperties(**{key: value[:bare] for key, value in vars(assembly.mass).items()}),
-        contacts=_replace(
-            contacts,
-            parts=contacts.parts[stays],
-            frames=contacts.frames[stays],
-            points=np.concatenate([np.empty((0, 3)), *(blocks[k] for k in np.flatnonzero(stays))]),
-            start=np.concatenate([[0], np.cumsum(np.diff(contacts.start)[stays])]).astype(np.int32),
-            areas=contacts.areas[stays],
-        ),
+        contacts=contacts.take(np.flatnonzero(stays)),
         loads=None if loads is None else _replace(loads, wrench=loads.wrench[:bare]),
         joints=None if joints is None else joints.of_points(stays[contacts.contact_of_point]),
         props=(),

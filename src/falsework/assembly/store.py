@@ -145,7 +145,7 @@ def save_assembly(assembly: Assembly, folder: str | Path) -> Path:
     """
     if not isinstance(assembly, Assembly):
         raise InputError(f"save_assembly writes an Assembly, not {type(assembly).__name__}; load_structure makes one")
-    target = Path(folder)
+    target = Path(folder).resolve()  # links stay
     if assembly.contacts_given:
         raise InputError(f"{assembly.name} has given contacts, which a folder of meshes cannot keep; find them instead")
     if target.exists() and not (target.is_dir() and (not any(target.iterdir()) or (target / FILE).is_file())):
@@ -181,7 +181,7 @@ def save_assembly(assembly: Assembly, folder: str | Path) -> Path:
             shutil.rmtree(Path(scratch) / "old", ignore_errors=True)
     except OSError as error:
         raise InputError(f"cannot write {target}: {error.strerror or error}") from error
-    return target
+    return Path(folder)
 
 
 def read_description(source: Path) -> dict[str, Any]:

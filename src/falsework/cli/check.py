@@ -75,6 +75,10 @@ class CheckPlan(JudgingCommand):
     """m/s2."""
     force_bound: float = 1e3
     """Bound on the sum of all normal forces, in weights of the structure."""
+    reserve: Annotated[float, arg(metavar="FACTOR")] = 1.0
+    """Least reserve of the plan: number by which it divides friction."""
+    hold_force: Annotated[float | None, arg(metavar="N", help_behavior_hint="(default: that of the plan)")] = None
+    """Largest force for which the plan may rely on a robot that holds a part, N."""
     margin: Annotated[str | None, arg(metavar="MARGINS", help_behavior_hint="(default: those of the plan)")] = None
     """Margins that every state must keep, such as friction=1.25,tilt=2deg,push=20N; see `falsework plan --help`."""
     replay: bool = False
@@ -92,6 +96,7 @@ class CheckPlan(JudgingCommand):
         from falsework.search.plans.plan_file import load_plan
         from falsework.search.plans.plan_source import structure_to_check
         from falsework.stability import StabilitySettings
+        from falsework.stability.holds import HoldSettings
 
         if self.by != "contact" and not self.replay:
             raise InputError("--by selects the method of a replay; add --replay")
@@ -103,6 +108,8 @@ class CheckPlan(JudgingCommand):
             tolerance=self.tolerance,
             gravity=self.gravity,
             force_bound=self.force_bound,
+            reserve=self.reserve,
+            holds=HoldSettings(force=self.hold_force),
         )
         demands = None if self.margin is None else Demands.parse(self.margin)
         plan = load_plan(self.plan)

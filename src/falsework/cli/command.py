@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from falsework.cli.arguments import parse_load, parse_numbers, split_parts
 from falsework.cli.exit_code import Exit
+from falsework.utils.files.output_file import path_beside
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -114,8 +114,4 @@ class StructureOptions(LoadOptions):
         """
         if not Path(self.spec).exists():
             return {"built_in": self.spec, **self.given()}
-        try:
-            path = os.path.relpath(Path(self.spec).resolve(), beside.resolve().parent)
-        except ValueError:  # on another drive there is no relative path
-            path = str(Path(self.spec).resolve())
-        return {"path": Path(path).as_posix(), **self.given()}
+        return {"path": path_beside(Path(self.spec), beside), **self.given()}

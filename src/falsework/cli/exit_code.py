@@ -14,5 +14,7 @@ class Exit(IntEnum):
     WRONG_INPUT = 2
     CONDITIONAL = 3
     """The answer is yes on conditions that the input sets itself and that the command line does not repeat."""
+    NO_MEMORY = 4
+    """There is too little memory for an answer."""
     INTERRUPTED = 130
     """As shells report it: 128 plus the number of SIGINT."""

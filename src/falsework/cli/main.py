@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import contextlib
+import errno
 import importlib
 import io
 import os
@@ -22,8 +23,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Union, cast, get_args, get_ori
 
 from falsework import __version__
 from falsework.cli.exit_code import Exit
-from falsework.cli.output import Output, printable
+from falsework.cli.output import Output, write_line
 from falsework.errors import FalseworkError
+from falsework.utils.files.output_file import is_standard_output
 
 if TYPE_CHECKING:
     from falsework.cli.command import Command
@@ -60,7 +62,8 @@ Example:
   falsework plan vault --robots 2 --out plan.json
   falsework check plan.json
 
-Exit codes: 0 done, 1 the answer is no, 2 wrong input, 3 yes on conditions that the input sets itself."""
+Exit codes: 0 done, 1 the answer is no, 2 wrong input, 3 yes on conditions that the input sets itself,
+4 out of memory."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -72,6 +75,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         Exit code, see `Exit`; nothing is raised, whatever happens.
     """
+    # Threads of OpenBLAS only get in the way of the solvers' own; where they cannot start, it interrupts the program.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in arguments
     try:
@@ -80,7 +85,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             command = _parse(arguments)
             if command is None:
                 return Exit.DONE
-            code = command.run(Output(machine=command.json))
+            aside = is_standard_output(getattr(command, "out", None) or "-")
+            code = command.run(Output(machine=command.json, aside=aside))
             sys.stdout.flush()
             return code
     except _UsageError as error:
@@ -95,8 +101,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:  # the last handler: one line and an exit code
         if debug:
             for line in traceback.format_exc().splitlines():
-                sys.stderr.write(printable(line) + "\n")
-        return _fail(_explain(error), Exit.WRONG_INPUT)
+                write_line(line, sys.stderr)
+        return _fail(_explain(error), Exit.NO_MEMORY if _lacks_memory(error) else Exit.WRONG_INPUT)
 
 
 _OPTION_INDENT, _HELP_INDENT = 5, 9
@@ -248,17 +254,30 @@ def _choices(found: re.Match[str]) -> str:
 def _explain(error: Exception) -> str:
     """Return one line for an error: known errors say what to do, others get their kind and a way to learn more."""
     text = " ".join(str(error).split())
+    if _lacks_memory(error):
+        return "out of memory; try a smaller structure or search width"
     if isinstance(error, FalseworkError):
         return text
     if isinstance(error, OSError):
         return f"{error.filename}: {error.strerror}" if error.filename and error.strerror else text
-    if isinstance(error, MemoryError):
-        return "out of memory; try a smaller structure or search width"
     return f"unexpected {type(error).__name__}: {text}; this is a defect, --debug shows where"
 
 
+def _lacks_memory(error: BaseException | None) -> bool:
+    """Return whether an error, or one that led to it, is for want of memory, as that to load a library is."""
+    if error is None:
+        return False
+    words = ("failed to map segment", "cannot allocate memory")
+    return (
+        isinstance(error, MemoryError)
+        or (isinstance(error, OSError) and error.errno == errno.ENOMEM)
+        or (isinstance(error, (OSError, ImportError)) and any(word in str(error).lower() for word in words))
+        or _lacks_memory(error.__cause__ or (None if error.__suppress_context__ else error.__context__))
+    )
+
+
 def _fail(text: str, code: Exit) -> Exit:
-    sys.stderr.write(f"falsework: {printable(text)}\n")
+    write_line(f"falsework: {text}", sys.stderr)
     return code
 
 
@@ -268,7 +287,7 @@ def _warn_in_one_line() -> None:
     def show(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
         if not issubclass(category, UserWarning):  # warnings of packages for programmers are not for users
             return
-        sys.stderr.write(f"falsework: warning: {printable(' '.join(str(message).split()))}\n")
+        write_line(f"falsework: warning: {' '.join(str(message).split())}", sys.stderr)
 
     warnings.simplefilter("default")
     warnings.showwarning = show

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
-import re
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
+
+from falsework.utils.files.printable import printable
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -17,17 +18,6 @@ if TYPE_CHECKING:
 
 LOG_EVERY = 30.0
 """Seconds between two lines of progress where the error stream is no terminal."""
-_CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
-"""Control characters, line separators, marks that change the direction of writing, and bytes of file names that are no
-text (lone surrogates), which most streams cannot encode."""
-
-
-def printable(text: str) -> str:
-    r"""Return text on one line in which control characters are escaped, such as `\x1b` and `\n`.
-
-    Names in files come from anywhere; printed raw, they could move the cursor, hide lines or add forged ones.
-    """
-    return _CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
 
 
 def counted(number: int, noun: str) -> str:
@@ -35,23 +25,45 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
+def write_line(text: str, stream: TextIO) -> None:
+    """Write one line of text to a stream; what it must not or cannot show is escaped."""
+    stream.write(_shown(text, stream) + "\n")
+
+
+def _shown(text: str, stream: TextIO) -> str:
+    """Return text as a stream shows it: without control characters, and in its encoding."""
+    encoding = getattr(stream, "encoding", None) or "utf-8"
+    return printable(text).encode(encoding, "backslashreplace").decode(encoding)
+
+
 class Output:
     """Printer of text or, with `--json`, of JSON. Control characters in text, such as in names, are escaped."""
 
-    def __init__(self, *, machine: bool) -> None:
+    def __init__(self, *, machine: bool, aside: bool = False) -> None:
+        """Choose the format.
+
+        Args:
+            machine: print JSON.
+            aside: print to the error stream, since a file is written to standard output.
+        """
         self.machine = machine
+        self._aside = aside
+
+    @property
+    def _stream(self) -> TextIO:
+        return sys.stderr if self._aside else sys.stdout
 
     def record(self, fields: Mapping[str, Any]) -> None:
         """Print one JSON object on a line of its own, for machines only."""
         if self.machine:
             text = json.dumps(fields, allow_nan=False, default=_plain)  # escapes all control characters but one
-            sys.stdout.write(text.replace("\x7f", "\\u007f") + "\n")
-            sys.stdout.flush()
+            write_line(text.replace("\x7f", "\\u007f"), self._stream)
+            self._stream.flush()
 
     def say(self, text: str) -> None:
         """Print a line of a result as text, unless it is printed as a JSON record already."""
         if not self.machine:
-            sys.stdout.write(printable(text) + "\n")
+            write_line(text, self._stream)
 
     def table(self, headings: Sequence[str], rows: Sequence[Sequence[str]], *, dim: str = "") -> None:
         """Print a table as text, unless its rows are printed as JSON records already.
@@ -68,15 +80,15 @@ class Output:
 
         table = Table(box=None, pad_edge=False, header_style="bold")
         for name in headings:
-            table.add_column(Text(printable(name)))
+            table.add_column(Text(_shown(name, self._stream)))
         for row in rows:
             faint = bool(dim) and row[0].startswith(dim)
-            table.add_row(*(Text(printable(cell)) for cell in row), style="dim" if faint else None)
-        self._console(error=False).print(table)
+            table.add_row(*(Text(_shown(cell, self._stream)) for cell in row), style="dim" if faint else None)
+        self._console(error=self._aside).print(table)
 
     def note(self, text: str) -> None:
         """Print a remark beside the result, such as why there is none, on one line of the error stream."""
-        sys.stderr.write(printable(text) + "\n")
+        write_line(text, sys.stderr)
 
     @contextmanager
     def bar(self, title: str) -> Iterator[Callable[[int, int, str], None]]:
@@ -91,10 +103,17 @@ class Output:
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
         console = self._console(error=True)
-        columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[now]}"), TimeElapsedColumn())
+        columns = (
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            TextColumn("{task.fields[now]}", markup=False),
+            TimeElapsedColumn(),
+        )
         with Progress(*columns, console=console, transient=True) as progress:
-            task = progress.add_task(title, total=None, now="")
-            yield lambda done, total, now: progress.update(task, total=total, completed=done, now=printable(now))
+            task = progress.add_task(_shown(title, sys.stderr), total=None, now="")
+            yield lambda done, total, now: progress.update(
+                task, total=total, completed=done, now=_shown(now, sys.stderr)
+            )
 
     def _log(self, title: str) -> Callable[[int, int, str], None]:
         last = time.monotonic()

@@ -12,7 +12,7 @@ from tyro.conf import arg
 from falsework.cli.command import CONE_HINT, UNSET, Command, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.output import counted
-from falsework.cli.planning import HoldOptions, SupportOptions, refuse_unstable, writable
+from falsework.cli.planning import HoldOptions, SupportOptions, lacks_reserve, promise_lines, refuse_unstable, writable
 from falsework.errors import InputError
 
 if TYPE_CHECKING:
@@ -148,18 +148,16 @@ class MakePlan(Command):
         result = planning.result
         cut = "the deadline ended the search" if planning.deadline_passed else "interrupted"
         saved = f"it is saved in {checkpoint}, the same command with --resume continues it"
-        if self.maximise is not None or checkpoint is None:
+        if self.maximise is not None or checkpoint is None or not checkpoint.is_file():
             stronger = self.maximise is not None and planning.found
             saved = f"{'a stronger plan may exist; ' * stronger}the same command begins anew"
         if planning.found:
             self._report(self._save(planning.plans), planning, output)
             if result.interrupted:
                 output.note(f"{cut}; {saved}")
-            kept = planning.plans[0].claim.reserve
-            if kept < stability.reserve:
-                output.note(
-                    f"falsework: no plan was found with the reserve of {stability.reserve:g}; this one keeps {kept:g}"
-                )
+            lacking = lacks_reserve(planning.plans[0], stability.reserve)
+            if lacking:
+                output.note(f"falsework: {lacking}")
                 return Exit.NO
         else:
             failure = explain(assembly, oracle, result)
@@ -217,7 +215,8 @@ class MakePlan(Command):
             path = self.out if number == 1 else self.out.with_stem(f"{self.out.stem}-{number}")
             plan = replace(found, source=self.structure.source(path))
             plan = plan.reverse() if self.assembly_order else plan
-            save_plan(plan, path, proofs=self.proofs)
+            # A plan whose replay fails, which is saved to be looked at, has no proofs of all states.
+            save_plan(plan, path, proofs=self.proofs and (plan.replay is None or plan.replay.stands))
             saved.append((path, plan))
         return saved
 
@@ -260,15 +259,8 @@ class MakePlan(Command):
             f"{path}: {counted(len(first), 'step')} with {counted(first.robots, 'robot')}, every state proven stable "
             f"(criterion {first.claim.criterion}, {seconds:.1f} s, {asked} verdicts)"
         )
-        if first.replay is not None:
-            also = ", under varied settings too" if self.robust else ""
-            kept = first.claim.reserve
-            reserve = f" with the true friction and with friction / {kept:g}" if kept > 1 else ""
-            output.say(f"the replay succeeds{reserve}{also}; parts move by at most {first.replay.moved * 1e3:.3g} mm")
-        pressed = [press.force for presses in first.presses for press in presses]
-        if pressed:
-            count = sum(map(bool, first.presses))
-            output.say(f"robots press in {counted(count, 'step')}, with at most {max(pressed):.4g} N")
+        for line in promise_lines(first, robust=self.robust):
+            output.say(line)
         for prop in first.props:
             place = ", ".join(f"{value:.3f}" for value in prop.at)
             name = first.part_names[prop.part]

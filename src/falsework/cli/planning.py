@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -11,13 +10,16 @@ from tyro.conf import arg
 
 from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET
+from falsework.cli.output import counted
 from falsework.errors import InputError
+from falsework.utils.files.output_file import check_writable
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
     from falsework.search.beam.settings import BeamSettings
     from falsework.search.find import TaskRules
+    from falsework.search.plans.plan import Plan
     from falsework.search.problem.task import Task
     from falsework.stability import Stability, StabilitySettings
     from falsework.stability.problem import Cone
@@ -129,6 +131,24 @@ class HoldOptions:
         return StabilitySettings(criterion=criterion, cone=cone, solver=solver, reserve=reserve, holds=holds)
 
 
+def promise_lines(plan: Plan, *, robust: bool = False) -> list[str]:
+    """Return what a plan promises of its replay, and what it asks of robots, in words.
+
+    Args:
+        plan: as it was found.
+        robust: whether its replay succeeds under varied settings too.
+    """
+    also = ", under varied settings too" if robust else ""
+    stands = plan.replay is not None and plan.replay.stands
+    return [*([replay_text(plan, also)] if stands else []), *filter(None, [press_text(plan)])]
+
+
+def lacks_reserve(plan: Plan, asked: float) -> str:
+    """Return the remark on a plan that keeps less reserve than was asked; empty if it keeps it."""
+    kept = plan.claim.reserve
+    return f"no plan was found with the reserve of {asked:g}; this one keeps {kept:g}" if kept < asked else ""
+
+
 @dataclass(frozen=True, kw_only=True)
 class TaskOptions(RuleOptions):
     """Rules that a plan must obey."""
@@ -170,6 +190,26 @@ class SearchOptions:
         return BeamSettings(self.width, Direction(self.direction), seed=self.seed)
 
 
+def replay_text(plan: Plan, also: str = "") -> str:
+    """Return how the replay of a plan succeeds, in one sentence, with a clause on other replays."""
+    kept, replay = plan.claim.reserve, plan.replay
+    assert replay is not None
+    reserve = f" with the true friction and with friction / {kept:g}" if kept > 1 else ""
+    return f"the replay succeeds{reserve}{also}; parts move by at most {replay.moved * 1e3:.3g} mm"
+
+
+def press_text(plan: Plan, scale: float = 1.0) -> str:
+    """Return in how many steps robots press, and how hard at most; empty if they do not.
+
+    Args:
+        plan: the plan.
+        scale: factor of its forces.
+    """
+    forces = [scale * press.force for presses in plan.presses for press in presses]
+    steps = counted(sum(map(bool, plan.presses)), "step")
+    return f"robots press in {steps}, with at most {max(forces):.4g} N" if forces else ""
+
+
 def writable(path: Path, suffix: str = "") -> None:
     """Check before a long search that its result can be written.
 
@@ -178,16 +218,12 @@ def writable(path: Path, suffix: str = "") -> None:
         suffix: ending by which commands know the file again, if they do.
 
     Raises:
-        InputError: the folder is not there or not writable, the path is a folder, or the name ends otherwise.
+        InputError: the folder is not there or not writable, the path is a folder or a device, or the name ends
+            otherwise.
     """
     if suffix and path.suffix.lower() != suffix:
         raise InputError(f"{path} is written as {suffix}; name such a file")
-    if path.is_dir():
-        raise InputError(f"{path} is a folder; name a file in it")
-    if not path.parent.is_dir():
-        raise InputError(f"cannot write {path}: there is no folder {path.parent}; make it first")
-    if not os.access(path.parent, os.W_OK):
-        raise InputError(f"cannot write {path}: no permission in {path.parent}; choose another place")
+    check_writable(path)
 
 
 def refuse_unstable(

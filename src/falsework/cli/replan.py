@@ -14,7 +14,7 @@ from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET, JudgingCommand, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.output import counted
-from falsework.cli.planning import writable
+from falsework.cli.planning import HoldOptions, lacks_reserve, promise_lines, writable
 from falsework.errors import InputError
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from falsework.replanning.request import Request
     from falsework.replanning.result import ReplanResult
     from falsework.search.plans.plan import Plan
-    from falsework.stability import Stability
+    from falsework.stability import StabilitySettings
 
 SHOWN = 8
 """Number of steps that are printed; `falsework check --steps` shows all."""
@@ -35,7 +35,8 @@ class MakeReplan(JudgingCommand):
 
     STRUCTURE may also be a run, the folder that `falsework train` wrote: its policy then proposes the steps, and
     searches take over where it fails. Every state of the new plan is certified as stable. With --direction assembly the
-    plan adds parts to the state, with disassembly it removes them. Exit code 1 if there is no plan or none was found.
+    plan adds parts to the state, with disassembly it removes them. How the state was reached is not known: it is loaded
+    from rest. Exit code 1 if there is no plan, none was found, or none that keeps the reserve.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -57,6 +58,7 @@ class MakeReplan(JudgingCommand):
     """Parts that must not be held or removed, such as 7."""
     robots: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 2, or those of the run)")] = None
     """Number of robots: parts that can be held at a time."""
+    holds: HoldOptions
     removable_only_if_clear: bool = False
     """Move a part only if it has a collision-free straight exit; always on for a run trained with this rule."""
     alternatives: int = 1
@@ -79,9 +81,8 @@ class MakeReplan(JudgingCommand):
     def run(self, output: Output) -> Exit:
         """Replan, compare, save."""
         from falsework.replanning.plan_diff import difference
-        from falsework.replanning.replanner import Replanner
+        from falsework.replanning.replanner import replan
         from falsework.search.plans.plan_file import load_plan
-        from falsework.stability import Stability, StabilitySettings
 
         writable(self.out)
         old = None if self.compare is None else load_plan(self.compare)
@@ -92,14 +93,16 @@ class MakeReplan(JudgingCommand):
             raise InputError("--confidences needs a policy: give a run, the folder that falsework train wrote")
         request = self._request(assembly, robots, clear)
         request.task(assembly)  # refuse bad input before anything is loaded
-        oracle = Stability(assembly, StabilitySettings(criterion=self.criterion, solver=self.solver))
-        answer = Replanner(assembly, policy, oracle).replan_many([request])[0]
+        stability = self.holds.settings(self.criterion, solver=self.solver)
+        answer = replan(assembly, policy=policy, stability=stability, **vars(request))
         if not answer.found:
-            self._refuse(assembly, oracle, request, answer, output)
+            self._refuse(assembly, stability, request, answer, output)
             return Exit.NO
         paths = self._save(answer, source)
         record = {"plan": str(paths[0]), "alternatives": [str(path) for path in paths[1:]], **answer.to_dict()}
-        record["criterion"] = answer.plans[0].claim.criterion
+        first = answer.plans[0]
+        record["criterion"], record["reserve"] = first.claim.criterion, first.claim.reserve
+        record["presses"] = sum(map(bool, first.presses))
         if self.confidences:
             record["confidences"] = [_probabilities(row, assembly) for row in answer.confidences[0]]
         changes = None if old is None else difference(old, answer.plans[0])
@@ -107,7 +110,10 @@ class MakeReplan(JudgingCommand):
         self._tell(answer, paths, output)
         if changes is not None:
             output.say(f"compared with {self.compare}: {changes.text}")
-        return Exit.DONE
+        remarks = [_replay_remark(answer), lacks_reserve(answer.plans[0], stability.reserve)]
+        for remark in filter(None, remarks):
+            output.note(f"falsework: {remark}")
+        return Exit.NO if any(remarks) else Exit.DONE
 
     def _load(self) -> tuple[Assembly, Any, dict[str, Any], int, bool]:
         """Load the structure, its source, the policy if any, the number of robots, and the exit rule."""
@@ -171,6 +177,8 @@ class MakeReplan(JudgingCommand):
             f"{counted(plan.robots, 'robot')}, every state proven stable (criterion {plan.claim.criterion}, decided by "
             f"{answer.decided_by.value}, {answer.seconds:.2f} s, {answer.verdicts} verdicts)"
         )
+        for line in promise_lines(plan):
+            output.say(line)
         output.say(_first_steps(plan))
         for need in plan.needs:
             output.say(f"{plan.part_names[need.part]} is needed after {need.after_parts} other parts are placed")
@@ -184,15 +192,16 @@ class MakeReplan(JudgingCommand):
             output.note("the deadline ended the search; more time may give more plans, or need missing parts later")
 
     def _refuse(
-        self, assembly: Assembly, oracle: Stability, request: Request, answer: ReplanResult, output: Output
+        self, assembly: Assembly, stability: StabilitySettings, request: Request, answer: ReplanResult, output: Output
     ) -> None:
         """Report why there is no plan, and which parts move where the search ended."""
         from falsework.cli.failure import explain
         from falsework.cli.velocity_text import describe, motions
         from falsework.search.problem.result import Outcome
+        from falsework.stability import Stability
         from falsework.stability.motion import motion_of
 
-        moving = []
+        oracle, moving = Stability(assembly, replace(stability, reserve=1.0)), []
         word = "no plan exists" if answer.outcome is Outcome.PROVED_IMPOSSIBLE else "no plan was found"
         text = f"{word}: {answer.reason}"
         if answer.search is None:  # one of the two ends may be unstable, which ends the work before any search
@@ -210,6 +219,16 @@ class MakeReplan(JudgingCommand):
         if moving and answer.search is None:
             text = f"{text}; {describe(assembly, moving, limit=3)}"
         output.note(f"falsework: {text}")
+
+
+def _replay_remark(answer: ReplanResult) -> str:
+    """Return what the deadline left open of the replay of the first plan; empty if the replay succeeds."""
+    if not answer.replays or answer.replays[0].stands:
+        return ""
+    replayed = answer.replays[0]
+    if replayed.stands is None:
+        return f"the deadline left time to replay {replayed.steps} of the {counted(replayed.of, 'step')} of assembly"
+    return f"the deadline left no time for another plan; the replay of this one fails at step {replayed.steps + 1}"
 
 
 def _first_steps(plan: Plan) -> str:

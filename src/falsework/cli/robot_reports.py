@@ -6,6 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from falsework.cli.output import counted
+from falsework.cli.planning import replay_text
+
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.robots.checks.check import CheckReport
@@ -41,6 +44,27 @@ def times_record(plan: RobotPlan) -> dict[str, Any]:
             for share in arm_shares(plan, graph)
         ],
     }
+
+
+def found_texts(plan: RobotPlan, name: str, statistics: dict[str, Any]) -> list[str]:
+    """Return what is known of a plan that was found, in sentences.
+
+    Args:
+        plan: the robot plan.
+        name: file that it was written to.
+        statistics: of the search.
+    """
+    found = [
+        f"{name}: {counted(len(plan), 'step')} for {counted(len(plan.robots), 'robot')}, {plan.seconds:.0f} s of "
+        f"motion, every state proven stable (criterion {plan.plan.claim.criterion}, {statistics['seconds']:.1f} s)"
+    ]
+    if plan.plan.replay is not None:
+        found.append(replay_text(plan.plan))
+    if plan.schedule is not None:
+        found.append(schedule_text(plan))
+    if statistics.get("search") == "sequential":
+        found.append("no plan with short approaches was found; this one has the approaches of one arm at a time")
+    return found
 
 
 def schedule_text(plan: RobotPlan) -> str:

@@ -14,17 +14,17 @@ from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET, Command, LoadOptions, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.output import counted
-from falsework.cli.planning import refuse_unstable, writable
+from falsework.cli.planning import HoldOptions, lacks_reserve, press_text, refuse_unstable, writable
 from falsework.cli.robot_arguments import parse_grips, parse_holding, parse_joints, parse_now
 from falsework.cli.robot_reports import (
     check_record,
     check_texts,
+    found_texts,
     holds_record,
     holds_text,
     overloads_of,
     runs_record,
     runs_text,
-    schedule_text,
     scope_record,
     scope_text,
     times_record,
@@ -46,10 +46,11 @@ if TYPE_CHECKING:
 class PlanRobots(Command):
     """Plan arm motions that disassemble a structure and, in reverse, assemble it.
 
-    Actions and motions are planned together: every state is stable, a replay in assembly order succeeds, every motion
-    is collision-free. Then motions of different robots are scheduled to take place at the same time wherever that is
-    proven safe, whatever the delays. Exit code 1 if no plan was found; the report lists parts out of reach, obstacles,
-    and the progress of the search. A partial plan is saved, except where an assembly is continued.
+    Actions and motions are planned together: every state is stable, a replay in assembly order succeeds in which
+    robots bear and press no more than their grippers allow, every motion is collision-free. Then motions of different
+    robots are scheduled to take place at the same time wherever that is proven safe, whatever the delays. Exit code 1
+    if no plan was found, or none that keeps the reserve and the limits of grippers; the report lists parts out of
+    reach, obstacles, and the progress of the search. A partial plan is saved, except where an assembly is continued.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -99,6 +100,7 @@ class PlanRobots(Command):
     """One robot moves at a time."""
     proofs: bool = False
     """Write the contact forces that prove each state into the plan."""
+    holds: HoldOptions
     criterion: Literal["contact", "equilibrium"] = "contact"
     """Stability criterion: compliant contacts without prestress bring every part to rest, in every state and in a
     replay of the whole plan; or (paper) contact forces in balance exist."""
@@ -106,11 +108,12 @@ class PlanRobots(Command):
     def run(self, output: Output) -> Exit:
         """Search, save, report."""
         from falsework.robots.cells.cell_file import load_cell
+        from falsework.robots.model.cell_holds import CellScale
         from falsework.robots.planning.end_motions import Continuation
         from falsework.robots.planning.hybrid_planner import plan_robots
         from falsework.robots.planning.hybrid_result import HybridSettings
         from falsework.robots.planning.plan_together import plan_together
-        from falsework.stability import Stability, StabilitySettings
+        from falsework.stability import Stability
 
         writable(self.out)
         cell = load_cell(self.cell)
@@ -121,12 +124,14 @@ class PlanRobots(Command):
         held = parse_holding(self.holding, cell, assembly)
         joints, task = parse_joints(self.joints, cell), self._task(assembly, cell, held)
         grips = parse_grips(self.grips, held, task.target if building else task.start, cell, assembly)
-        oracle = Stability(assembly, StabilitySettings(criterion=self.criterion))
-        if refuse_unstable(assembly, oracle, task, output, building=building):
+        stability = self.holds.settings(self.criterion)
+        if refuse_unstable(
+            assembly, Stability(assembly, replace(stability, reserve=1.0)), task, output, building=building
+        ):
             output.record({"robot_plan": None, "found": False})
             return Exit.NO
         guide = self._guide(assembly, task)
-        given: dict[str, Any] = {"task": task, "oracle": oracle, "guide": guide, "settings": settings}
+        given: dict[str, Any] = {"task": task, "stability": stability, "guide": guide, "settings": settings}
         now: dict[str, Any] = {"configurations": joints, "held": held, "gripped": grips}
         given |= {"continued": Continuation(**now)} if building else now
         assembly_order = self.assembly_order or building
@@ -140,13 +145,16 @@ class PlanRobots(Command):
         if found is not None and assembly_order and not together:
             found = found.reverse()
         done = self._report(result, found, output)
-        heavy = overloads_of(found, assembly, cell) if done is Exit.DONE and found is not None else []
+        if done is not Exit.DONE or found is None:
+            return done
+        if text := press_text(found.plan, CellScale.of(assembly, cell).force):
+            output.say(text)
+        lost, heavy = lacks_reserve(found.plan, stability.reserve), overloads_of(found, assembly, cell)
         if heavy:
             output.record({"overloads": [asdict(problem) for problem in heavy]})
-            for problem in heavy:
-                output.note(f"falsework: {problem}")
-            return Exit.NO
-        return done
+        for text in (*([lost] if lost else []), *heavy):
+            output.note(f"falsework: {text}")
+        return Exit.NO if lost or heavy else Exit.DONE
 
     def _can_schedule(self, output: Output) -> bool:
         from falsework.errors import DependencyError
@@ -199,20 +207,8 @@ class PlanRobots(Command):
                 }
             )
             if result.found:
-                replay = saved.plan.replay
-                output.say(
-                    f"{self.out}: {counted(len(saved), 'step')} for {counted(len(saved.robots), 'robot')}, "
-                    f"{saved.seconds:.0f} s of motion, "
-                    f"every state proven stable (criterion {self.criterion}, {result.statistics['seconds']:.1f} s)"
-                )
-                if replay is not None:
-                    output.say(f"the replay succeeds; parts move by at most {replay.moved * 1e3:.3g} mm")
-                if saved.schedule is not None:
-                    output.say(schedule_text(saved))
-                if result.statistics.get("search") == "sequential":
-                    output.say(
-                        "no plan with short approaches was found; this one has the approaches of one arm at a time"
-                    )
+                for text in found_texts(saved, str(self.out), result.statistics):
+                    output.say(text)
                 return Exit.DONE
             output.note(f"{self.out} has the first {counted(len(saved), 'step')}")
         else:
@@ -365,7 +361,7 @@ class ExportRobots(Command):
     out: Annotated[Path, arg(metavar="FOLDER")]
     """Folder to write into."""
     structure: Annotated[str | None, arg(metavar="STRUCTURE", help_behavior_hint=UNSET)] = None
-    """Structure whose shapes a bag has, instead of the one that the plan names."""
+    """Structure whose shapes a bag has, and whose parts robots press, instead of the one that the plan names."""
     cell: Annotated[str | None, arg(metavar="CELL", help_behavior_hint=UNSET)] = None
     """Cell that the programs are for, instead of the one that the plan names."""
     rate: float = 50.0
@@ -377,6 +373,7 @@ class ExportRobots(Command):
         """Load and write."""
         from falsework.robots.cells.cell_file import load_cell
         from falsework.robots.plans.export import export_plan
+        from falsework.robots.plans.presses import has_presses
         from falsework.robots.plans.robot_plan_file import load_robot_plan
         from falsework.search.plans.plan_source import structure_of_plan
         from falsework.search.problem.task import Direction
@@ -385,11 +382,12 @@ class ExportRobots(Command):
         if self.assembly_order and plan.direction is Direction.DISASSEMBLY:
             plan = plan.reverse()
         cell, shapes = load_cell(self.cell or plan.cell_place(self.plan)), None
-        if self.format == "mcap":
+        pressed = has_presses(plan)
+        if self.format == "mcap" or pressed:
             try:
                 shapes = structure_of_plan(plan.plan, self.plan, self.structure)
             except InputError as error:
-                if self.structure is not None:
+                if self.structure is not None or pressed:
                     raise
                 output.note(f"falsework: the bag has no shapes of parts: {error}")
         paths = export_plan(plan, self.out, self.format, rate=self.rate, structure=shapes, cell=cell)

@@ -10,7 +10,7 @@ from tyro.conf import arg
 
 from falsework.cli.command import UNSET, JudgingCommand, StructureOptions
 from falsework.cli.exit_code import Exit
-from falsework.cli.planning import HoldOptions, SupportOptions, writable
+from falsework.cli.planning import HoldOptions, SupportOptions, promise_lines, writable
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -97,8 +97,10 @@ def report(answer: RobotsNeeded, path: Path | None, output: Output) -> Exit:
         output.say(f"{answer.robots} robot{'s' * (answer.robots > 1)}: a plan was found; {least} ({spent})")
         for line in fewer[-1:] if answer.proven else fewer[answer.least - 2 if answer.least > 1 else 0 :]:
             output.say(line)
-        if path is not None:
+        if path is not None and answer.plan is not None:
             output.say(f"the plan is in {path}")
+            for line in promise_lines(answer.plan):
+                output.say(line)
     elif answer.impossible:
         word = "no number of robots suffices" if answer.certain else "no plan was found with any number of robots"
         output.note(f"falsework: {word}: {answer.impossible}")

@@ -78,6 +78,8 @@ _STIFF = 100.0
 """Area that a stud stands for, in squares of its width. Sticks of bricks deflect by more than the thousandth of their
 length that counts as falling, and are stable nevertheless; the scale of the stiffness changes displacements but no
 force."""
+_MOST_BRICKS, _MOST_STUDS, _DEEPEST = 4000, 200_000, 32
+"""Bounds of a file: pairs of bricks are compared, studs are contact points, and short models may nest to any number."""
 _NUMBER = r"\s*(\d{1,5})\s*"
 _LINE = re.compile(rf"{_NUMBER}x{_NUMBER}\({_NUMBER},{_NUMBER},{_NUMBER}\)\s*", re.ASCII)
 _BEGINNING = re.compile(r"\s*\d+\s*x\s*\d+\s*\(")
@@ -265,7 +267,13 @@ def read_bricks(path: Path | str, *, unit: str | None = None) -> Draft:
 
 
 def _read(path: Path) -> list[Brick]:
-    return _read_text(path) if path.suffix.lower() == ".txt" else _read_ldraw(path)
+    bricks, studs = [], 0
+    for brick in _read_text(path) if path.suffix.lower() == ".txt" else _read_ldraw(path):
+        bricks.append(brick)
+        studs += brick.studs[0] * brick.studs[1]
+        if len(bricks) > _MOST_BRICKS or studs > _MOST_STUDS:
+            raise InputError(f"{path} has more than {_MOST_BRICKS} bricks or {_MOST_STUDS} studs; write fewer")
+    return bricks
 
 
 def _text(path: Path) -> str:
@@ -275,8 +283,7 @@ def _text(path: Path) -> str:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
 
 
-def _read_text(path: Path) -> list[Brick]:
-    bricks = []
+def _read_text(path: Path) -> Iterator[Brick]:
     for number, line in enumerate(_text(path).splitlines(), 1):
         if not line.strip():
             continue
@@ -287,11 +294,10 @@ def _read_text(path: Path) -> list[Brick]:
                 f"{path}, line {number}: {line.strip()[:40]!r} is not a brick such as 2x4 (3,0,1), "
                 "in whole numbers from 0 up"
             )
-        bricks.append(Brick((PITCH * x, PITCH * y, HEIGHT * z), (along, across)))
-    return bricks
+        yield Brick((PITCH * x, PITCH * y, HEIGHT * z), (along, across))
 
 
-def _read_ldraw(path: Path) -> list[Brick]:
+def _read_ldraw(path: Path) -> Iterator[Brick]:
     models: dict[str, list[tuple[int, list[str]]]] = {}
     name: str | None = ""
     drawn = hidden = 0
@@ -313,14 +319,13 @@ def _read_ldraw(path: Path) -> list[Brick]:
         raise InputError(f"{path} has no parts; export the model as LDraw again")
     main = "" if "" in models else next(iter(models))
     used: set[str] = set()
-    bricks = list(_bricks_of(path, models, main, np.eye(4), (), used))
+    yield from _bricks_of(path, models, main, np.eye(4), (), used)
     if drawn:
         warn_of(path, f"lines and faces that are drawn beside bricks were left out: {drawn}")
     if hidden:
         warn_of(path, f"hidden bricks were left out: {hidden}")
     if lost := [model for model in models if model not in (used | {main})]:
         warn_of(path, f"models that the first one does not contain were left out: {listed(lost)}")
-    return bricks
 
 
 def _bricks_of(
@@ -342,6 +347,8 @@ def _bricks_of(
             raise InputError(f"{path}, line {number}: no place and turn of a part; export the model again")
         part, here = " ".join(words[14:]).lower(), place @ own
         if part in models:
+            if len(within) == _DEEPEST:
+                raise InputError(f"{path}, line {number}: models are nested deeper than {_DEEPEST}; write them flat")
             if part in within:
                 raise InputError(f"{path}, line {number}: model {part} contains itself; mend the file")
             used.add(part)

@@ -188,7 +188,7 @@ def _set_edges(results: Any, assembly: Assembly, nodes: list[Any], forces: Array
 
     contacts = assembly.contacts
     point_contact = contacts.contact_of_point
-    vectors = np.einsum("pi,pij->pj", forces, contacts.frames[point_contact])
+    vectors = np.einsum("pi,pij->pj", forces, contacts.point_frames)
     for a, b in np.unique(contacts.parts, axis=0).tolist():
         mine = np.flatnonzero((contacts.parts == (a, b)).all(axis=1))
         rows = np.flatnonzero(np.isin(point_contact, mine))

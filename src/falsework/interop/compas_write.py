@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 
 from falsework.errors import InputError
-from falsework.utils.archive import write_whole
+from falsework.utils.files.output_file import write_whole
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -56,7 +56,7 @@ def write_compas(path: Path | str, assembly: Assembly, kind: CompasKind = "meshe
         InputError: an unknown kind, or the file cannot be written.
     """
     text = json.dumps(compas_of(assembly, kind), ensure_ascii=False, allow_nan=False)
-    write_whole(path, lambda file: file.write(text.encode() + b"\n"))
+    write_whole(path, lambda file: file.write(text.encode("utf-8", "backslashreplace") + b"\n"))
 
 
 class _guids:

@@ -15,6 +15,7 @@ from falsework.interop.gltf import write_gltf
 from falsework.interop.usd import write_usd
 from falsework.robots.cells.cell_file import AnyCell
 from falsework.robots.plans.export import export_plan
+from falsework.robots.plans.presses import has_presses
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import load_robot_plan
 from falsework.search.plans.plan import Plan
@@ -97,7 +98,7 @@ def export(
     Args:
         subject: a structure, plan or robot plan, or what `load_structure`, `load_plan` or `load_robot_plan` read.
         path: file to write, or folder, which must be new or empty.
-        structure: structure of a plan that does not name it.
+        structure: structure of a plan that does not name it; of a robot plan only where robots press.
         format: `folder` (one mesh a part), `glb`, `gltf`, `usd`, `compas`, `compas-assembly` or `compas-dem`; for a
             robot plan `ros2-json`, `ros2-yaml`, `csv`, `rapid`, `urscript` or `mcap`. By the name of the file if not
             given.
@@ -108,13 +109,14 @@ def export(
     Raises:
         InputError: no such format, one that cannot show the subject, or a place that cannot be written.
     """
-    file = subject if isinstance(subject, (str, Path)) else None
+    file, given = subject if isinstance(subject, (str, Path)) else None, structure
     if isinstance(subject, (str, Path)):
         subject, structure = read_exportable(subject, structure, **options)
     if isinstance(subject, RobotPlan):
         if cell is None and file is not None:
             cell = subject.cell_place(file)
-        export_plan(subject, path, format or "ros2-json", cell=cell)
+        pressed = structure_of_plan(subject.plan, file, given, **options) if has_presses(subject) else None
+        export_plan(subject, path, format or "ros2-json", structure=pressed, cell=cell)
         return
     chosen = format_of(path) if format is None else format
     if chosen not in get_args(Format):

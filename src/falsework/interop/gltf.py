@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from falsework import __version__
 from falsework.errors import InputError
 from falsework.interop.tracks import Track, Tracks, tracks_of
-from falsework.utils.archive import write_whole
+from falsework.utils.files.output_file import write_whole
 from falsework.viewer.palette import BOUNDARY, INSTALLED, robot_color, unit_rgb
 from falsework.viewer.timeline import NO_ROBOT
 
@@ -245,7 +245,9 @@ class _Document:
         buffer: dict[str, Any] = {"byteLength": len(self._buffer)}
         if kind == "gltf":
             buffer["uri"] = "data:application/octet-stream;base64," + base64.b64encode(self._buffer).decode()
-        text = json.dumps({**self._json, "buffers": [buffer]}, ensure_ascii=False, allow_nan=False).encode()
+        text = json.dumps({**self._json, "buffers": [buffer]}, ensure_ascii=False, allow_nan=False).encode(
+            "utf-8", "backslashreplace"
+        )
         if kind == "gltf":
             return text + b"\n"
         text += b" " * (-len(text) % 4)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import REMOVED
 from falsework.errors import PlanError
 from falsework.search.problem.task import Direction
-from falsework.utils.archive import write_whole
+from falsework.utils.files.output_file import write_whole
 from falsework.viewer.timeline import NO_ROBOT, Timeline
 
 if TYPE_CHECKING:

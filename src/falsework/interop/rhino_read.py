@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 from falsework.assembly.draft import Block, Draft
 from falsework.assembly.model import Assembly
 from falsework.errors import DependencyError, InputError
+from falsework.geometry.mesh.bounds import check_growth
 from falsework.geometry.mesh.polygon import triangles_of
 from falsework.geometry.mesh.read import unit_length
 from falsework.geometry.mesh.sheets import is_sheet
 from falsework.geometry.mesh.surface import PartSurface, separated, warn_of, warn_of_curves
+from falsework.interop.apart import read_apart
 
 _UNITS = {
     "Microns": 1e-6,
@@ -36,6 +38,10 @@ _FLAT = 1e-6
 """Thickness, as a share of its size, below which an object is a sheet and no part."""
 _SUPPORTS = frozenset({"supports", "boundary"})
 """Layers whose parts are boundary, in small letters."""
+_MESHED = ("Mesh", "Brep", "Extrusion", "SubD")
+"""Objects that are read as their meshes."""
+_DEEPEST = 32
+"""Levels of blocks in blocks."""
 
 
 def is_rhino(path: Path | str) -> bool:
@@ -80,13 +86,20 @@ def read_rhino(path: Path | str, *, unit: str | None = None) -> Draft:
         InputError: no Rhino file, no part in it, an object without a mesh, or a unit without a length.
     """
     try:
-        import rhino3dm
+        import rhino3dm  # noqa: F401 - imported by the other process
     except ImportError:
         raise DependencyError("Rhino files need rhino3dm; pip install 'falsework[rhino]'") from None
-    path = Path(path)
+    return read_apart(_read, Path(path), unit, library="rhino3dm")
+
+
+def _read(path: Path, unit: str | None) -> Draft:
+    """Read a Rhino file in this process, which rhino3dm may hold up for minutes when the file is damaged."""
+    import rhino3dm
+
     model = rhino3dm.File3dm.Read(str(path))
     if model is None:
         raise InputError(f"{path} is not a Rhino file, or is damaged; save it again in Rhino")
+    _check_instances(path, model)
     system = model.Settings.ModelUnitSystem.name
     if unit is None and system not in _UNITS:
         raise InputError(f"{path} has the unit {system}, whose length is not known; name it, such as --unit mm")
@@ -152,6 +165,39 @@ class _Layers:
         return True
 
 
+def _check_instances(path: Path, model: Any) -> None:
+    """Count what the instances of blocks grow to before any is read, since blocks in blocks double and double again.
+
+    Raises:
+        MeshError: more than a file of its size may grow to.
+        InputError: a block that contains itself.
+    """
+    sizes: dict[str, int] = {}
+
+    def size(entry: Any, within: tuple[str, ...]) -> int:
+        kind = type(entry.Geometry).__name__
+        if kind != "InstanceReference":
+            meshes = _meshes(entry.Geometry, kind) if kind in _MESHED else ()
+            return 1 + sum(len(mesh.Vertices) + len(mesh.Faces) for mesh in meshes if mesh is not None)
+        block = str(entry.Geometry.ParentIdefId)
+        if block in within or len(within) == _DEEPEST:
+            raise InputError(f"{path} has blocks that contain themselves or nest too deeply; explode them in Rhino")
+        if block not in sizes:
+            members = _members(model, entry.Geometry)
+            sizes[block] = 1 + sum(size(member, (*within, block)) for member in members)
+        return sizes[block]
+
+    objects: Any = model.Objects
+    check_growth(path, sum(size(entry, ()) for entry in objects if not entry.Attributes.IsInstanceDefinitionObject))
+
+
+def _members(model: Any, instance: Any) -> list[Any]:
+    """Return the objects of the block of an instance; none where the block is in another file."""
+    definition = model.InstanceDefinitions.FindId(instance.ParentIdefId)
+    ids = [] if definition is None else definition.GetObjectIds()
+    return [member for id in ids if (member := model.Objects.FindId(str(id))) is not None]
+
+
 @dataclass(frozen=True, eq=False)
 class _Solid:
     """Object of a model, in place."""
@@ -187,9 +233,7 @@ def _solids(
         yield omitted("surfaces that are not solids")
     elif kind == "InstanceReference":
         inner = place @ np.array(geometry.Xform.ToFloatArray(True), dtype=float).reshape(4, 4)
-        definition = model.InstanceDefinitions.FindId(geometry.ParentIdefId)
-        ids = [] if definition is None else definition.GetObjectIds()
-        members = [member for id in ids if (member := model.Objects.FindId(str(id))) is not None]
+        members = _members(model, geometry)
         if not members:
             raise InputError(f"{path}: instance {name or attributes.Id} is of a block without objects; embed the block")
         solids = [solid for member in members for solid in _solids(path, model, layers, member, inner, words)]
@@ -197,7 +241,7 @@ def _solids(
         for number, solid in enumerate(solids):
             label = name if count == 1 else f"{name}-{solid.name or number}" if name else ""
             yield replace(solid, name=label)
-    elif kind in ("Mesh", "Brep", "Extrusion", "SubD"):
+    elif kind in _MESHED:
         meshes = _meshes(geometry, kind)
         if any(mesh is None for mesh in meshes) or not meshes:
             raise InputError(

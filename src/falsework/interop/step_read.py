@@ -12,6 +12,7 @@ from falsework.assembly.draft import Block, Draft
 from falsework.assembly.model import Assembly
 from falsework.errors import DependencyError, InputError
 from falsework.geometry.mesh.surface import warn_of, warn_of_curves
+from falsework.interop.apart import read_apart
 
 _MILLIMETRE = 1e-3
 """Unit to which Open CASCADE converts coordinates, in metres."""
@@ -55,6 +56,14 @@ def read_step(path: Path | str, *, unit: str | None = None) -> Draft:
         DependencyError: cadquery-ocp is not installed.
         InputError: no STEP file, no solid in it, or a unit.
     """
+    path = Path(path)
+    if unit is not None:
+        raise InputError(f"{path} is a STEP file and says its unit; leave out --unit")
+    return read_apart(_read, path, library="Open CASCADE")
+
+
+def _read(path: Path) -> Draft:
+    """Read the solids of a STEP file in this process, which Open CASCADE may end when the file is damaged."""
     try:
         from OCP.BRepMesh import BRepMesh_IncrementalMesh
         from OCP.IFSelect import IFSelect_RetDone
@@ -63,9 +72,6 @@ def read_step(path: Path | str, *, unit: str | None = None) -> Draft:
         from OCP.TopExp import TopExp_Explorer
     except ImportError:
         raise DependencyError("STEP files need cadquery-ocp; pip install 'falsework[step]'") from None
-    path = Path(path)
-    if unit is not None:
-        raise InputError(f"{path} is a STEP file and says its unit; leave out --unit")
     reader = STEPControl_Reader()
     if reader.ReadFile(str(path)) != IFSelect_RetDone:
         raise InputError(f"{path} is not a STEP file, or is damaged; export it again")

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from falsework import __version__
 from falsework.interop.tracks import Track, Tracks, tracks_of
 from falsework.stability.settings import StabilitySettings
-from falsework.utils.archive import write_whole
+from falsework.utils.files.output_file import write_whole
 from falsework.viewer.palette import BOUNDARY, INSTALLED, robot_color, unit_rgb
 from falsework.viewer.timeline import NO_ROBOT
 
@@ -75,7 +75,7 @@ def write_usd(path: Path | str, assembly: Assembly, plan: Plan | None = None, *,
         PlanError: the plan is for another structure.
         InputError: a step of no length, or the file cannot be written.
     """
-    content = usd_of(assembly, plan, step_seconds=step_seconds).encode()
+    content = usd_of(assembly, plan, step_seconds=step_seconds).encode("utf-8", "backslashreplace")
     write_whole(path, lambda file: file.write(content))
 
 

@@ -1,43 +1,35 @@
-"""Certificates for the states of a route; each state is proven once in the life of a replanner."""
+"""Proofs of the states of a route within the time that is left."""
 
 from __future__ import annotations
 
 import time
-from collections import OrderedDict
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, Mask, States, complete_state
+from falsework.assembly.state import HELD, complete_state
 from falsework.search.find import plan_of
 from falsework.search.plans.plan import Plan
+from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Task
+from falsework.search.problem.timed_replayer import DeadlineReplayer, Replayed
 from falsework.stability.oracle import Stability
-from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
+from falsework.stability.verdict import Proof, Solver, Verdict, Verdicts
 
-_REMEMBERED = 200_000
-"""Number of states whose proofs are cached; less than a hundred megabytes."""
 _PRACTICE = 8
-"""States from which the time of a proof is measured, at least: fewer would not use all cores."""
-_PIECE = 64
-"""States proved at once: their contact forces are in memory together."""
+"""States from which the time of a proof is measured at first."""
 
 
 class Prover:
-    """Converter of routes into plans whose every state has a certificate that the checker accepts."""
+    """Converter of routes into plans whose every state is proven."""
 
     def __init__(self, assembly: Assembly, oracle: Stability) -> None:
         """Prove with `oracle`, which must be one of `assembly`."""
         self.assembly = assembly
         self.oracle = oracle
-        self._residual: OrderedDict[bytes, float] = OrderedDict()
         self._per_state = 1e-3
-
-    def states_to_prove(self, steps: int) -> int:
-        """Return states of a plan of so many steps that need a proof of their own."""
-        return steps // 2 + 2 if self.oracle.holds_keep_stable else steps + 1
 
     def seconds_for(self, states: int) -> float:
         """Estimate the time to prove a number of states from the proofs so far, s."""
@@ -53,71 +45,55 @@ class Prover:
         self.oracle.check(states)
         self._per_state = (time.perf_counter() - begun) / max(len(movable), 1)
 
-    def plan(self, route: Route, task: Task, *, forces: bool = False, seconds: float = np.inf) -> Plan:
+    def plan(
+        self,
+        route: Route,
+        task: Task,
+        replayer: DeadlineReplayer | None = None,
+        *,
+        forces: bool = False,
+        seconds: float = np.inf,
+    ) -> Plan:
         """Return a plan for disassembly along a route.
 
         Args:
             route: states and actions.
             task: task of the route.
-            forces: keep the contact forces that prove the states in the plan.
-            seconds: time that is left. Where it is too short to solve the states again for the checker, the plan rests
-                on the proofs that the solver itself found and checked during the search.
+            replayer: has replayed the route as far as time allowed; None without contact history.
+            forces: keep the certificates in the plan.
+            seconds: time that is left. Where it is too short to replay all states or to verify them, the plan rests on
+                the replay as far as it came, and after that on verdicts from rest.
 
         Raises:
             PlanError: a state that cannot be proved stable.
         """
-        if forces:
-            return plan_of(route, self.assembly, task, self.oracle)
-        if self.seconds_for(self._unproven(route)) > seconds:
-            verdicts = self.oracle.judge(route.states)
-        else:
-            verdicts = self.prove(route.states, route.actions)
-        return Plan.of(route, self.assembly, task, verdicts, self.oracle.settings.claim)
+        replayed = None if replayer is None else replayer.as_time_allows(route.states[::-1])
+        whole = replayed is None or replayed.stands is True
+        if forces or (whole and self.seconds_for(len(route.states)) <= seconds):
+            known, begun = None if replayed is None or not whole else _summary(replayed), time.perf_counter()
+            plan = plan_of(route, self.assembly, task, self.oracle, forces=forces, replay=known)
+            taken = (time.perf_counter() - begun) / len(route.states)
+            self._per_state = max(taken, 0.8 * self._per_state + 0.2 * taken)
+            return plan
+        return self._as_found(route, task, replayed)
 
-    def _unproven(self, route: Route) -> int:
-        """Return states of a route that need a proof and have none yet."""
-        needed = self._needed(route.actions, route.states.shape[1])
-        return sum(state.tobytes() not in self._residual for state in route.states[needed])
+    def _as_found(self, route: Route, task: Task, replayed: Replayed | None) -> Plan:
+        """Return a plan that rests on its replay as far as that came, and else on verdicts from rest."""
+        claim, states = self.oracle.settings.claim, route.states
+        if replayed is None:
+            return Plan.of(route, self.assembly, task, self.oracle.judge(states), claim)
+        claim = replace(claim, holds=claim.holds.resolved(self.assembly, claim.gravity))
+        rest, verdicts = len(states) - len(replayed.residuals), Verdicts.blank(len(states))
+        if rest:
+            verdicts.put(np.arange(rest), self.oracle.judge(states[:rest]))
+        verdicts.verdict[rest:], verdicts.proof[rest:] = Verdict.STABLE, Proof.HISTORY
+        verdicts.residual[rest:], verdicts.decided_by[rest:] = replayed.residuals[::-1], Solver.CPU
+        known = None if replayed.stands is None else _summary(replayed)
+        presses = (*replayed.presses, *[()] * rest)[:0:-1]
+        return replace(Plan.of(route, self.assembly, task, verdicts, claim), presses=presses, replay=known)
 
-    def _needed(self, actions: NDArray[np.int64], parts: int) -> Mask:
-        """Return whether each state of a route needs its own proof, shape (steps + 1,)."""
-        return np.concatenate([[True], (actions >= parts) | (not self.oracle.holds_keep_stable)])
 
-    def prove(self, states: States, actions: NDArray[np.int64]) -> Verdicts:
-        """Prove consecutive states; the verdicts have no certificates.
-
-        Forces that balance a state balance it too once a part is held: under `equilibrium` a hold takes over the proof
-        of the state before, whose residual bounds its own. Under `contact` every state has a displacement of its own.
-
-        Args:
-            states: in disassembly order, shape (steps + 1, parts).
-            actions: between them, shape (steps,).
-        """
-        verdicts = Verdicts.blank(len(states))
-        keys = [state.tobytes() for state in states]
-        needed = self._needed(actions, states.shape[1])
-        for row in np.flatnonzero(needed):
-            if keys[row] in self._residual:
-                self._residual.move_to_end(keys[row])
-        rows = np.array([row for row in np.flatnonzero(needed) if keys[row] not in self._residual], dtype=np.int64)
-        for begin in range(0, len(rows), _PIECE):
-            piece = rows[begin : begin + _PIECE]
-            begun = time.perf_counter()
-            found = self.oracle.check(states[piece]).without_certificates()
-            if len(piece) >= _PRACTICE:
-                taken = (time.perf_counter() - begun) / len(piece)
-                self._per_state = max(taken, 0.8 * self._per_state + 0.2 * taken)
-            verdicts.put(piece, found)
-            for row in piece[found.stable]:
-                self._residual[keys[row]] = float(verdicts.residual[row])
-        last = np.maximum.accumulate(np.where(needed, np.arange(len(states)), 0))
-        for row in range(len(states)):
-            residual = self._residual.get(keys[last[row]])
-            if residual is not None:
-                verdicts.verdict[row] = Verdict.STABLE
-                verdicts.residual[row] = residual
-                verdicts.decided_by[row] = Solver.RULE if verdicts.decided_by[row] == 0 else verdicts.decided_by[row]
-        verdicts.proof[:] = proof_of(verdicts.verdict, self.oracle.settings.criterion)
-        while len(self._residual) > _REMEMBERED:
-            self._residual.popitem(last=False)
-        return verdicts
+def _summary(replayed: Replayed) -> PlanReplay:
+    """Return the summary of a replay that is over."""
+    falls_at = None if replayed.stands else len(replayed.residuals[: replayed.steps + 1])
+    return PlanReplay(replayed.stands is True, replayed.moved, replayed.part, falls_at, replayed.presses)

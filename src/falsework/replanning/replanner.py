@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -26,9 +27,11 @@ from falsework.replanning.result import Stage as Stage
 from falsework.replanning.search_stages import search_on
 from falsework.replanning.session import ReplanContext, ReplanSession
 from falsework.replanning.session import ReplanSettings as ReplanSettings
+from falsework.search.find import FIRST_SHARE, PLANS
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.guide import Guide, SupportGuide
 from falsework.stability.oracle import Stability
+from falsework.stability.settings import StabilitySettings
 
 _END = object()
 Finished = Callable[[int, ReplanResult], None]
@@ -188,6 +191,7 @@ def replan(
     *,
     policy: Any = None,
     oracle: Stability | None = None,
+    stability: StabilitySettings = PLANS,
     settings: ReplanSettings = ReplanSettings(),
     **options: Any,
 ) -> ReplanResult:
@@ -198,6 +202,8 @@ def replan(
         state: current state of the structure, shape (parts,).
         policy: proposes actions, a `torch.nn.Module` as of `load_policy`; None searches alone.
         oracle: decides stability; pass an existing one to reuse its cache.
+        stability: criterion, reserve and robots, where no oracle is given. Where no plan keeps the reserve, half of the
+            deadline is left to look for one without; `Plan.claim` of the answer has its reserve.
         settings: how hard to try.
         options: the other fields of `Request`, such as target, robots, missing and deadline. Loading the structure into
             the solver comes on top of a deadline; a `Replanner` has done that already.
@@ -211,4 +217,19 @@ def replan(
     """
     request, assembly = Request(state, **options), as_assembly(assembly)
     request.task(assembly)  # bad input is refused before anything is loaded
-    return Replanner(assembly, policy, oracle, settings=settings).replan_many([request])[0]
+
+    def ask(oracle: Stability, deadline: float | None) -> ReplanResult:
+        replanner = Replanner(assembly, policy, oracle, settings=settings)
+        return replanner.replan_many([replace(request, deadline=deadline)])[0]
+
+    deadline = request.deadline
+    if oracle is not None or stability.reserve == 1.0:
+        return ask(oracle or Stability(assembly, stability), deadline)
+    answer = ask(Stability(assembly, stability), None if deadline is None else FIRST_SHARE * deadline)
+    left = None if deadline is None else deadline - answer.seconds
+    stands = answer.found and all(replayed.stands is not False for replayed in answer.replays)
+    if stands or (left is not None and left <= 0):
+        return answer
+    again = ask(Stability(assembly, replace(stability, reserve=1.0)), left)
+    best = again if again.found or not answer.found else answer
+    return replace(best, seconds=answer.seconds + again.seconds)

@@ -96,7 +96,7 @@ class ReplanSession:
             None if replayer is None else DeadlineReplayer(replayer, self.clock, lambda: self.yield_control())
         )
         self.oracle = TimedOracle(context.prover.oracle, self.clock, lambda: self.yield_control(), self.replayer)
-        needed = _SAFETY * context.prover.seconds_for(context.prover.states_to_prove(self.task.steps))
+        needed = _SAFETY * context.prover.seconds_for(self.task.steps + 1)
         self.clock.reserve = min(needed, _PROVING * request.deadline) if request.deadline is not None else 0.0
         self.routes: list[Route] = []
         """The best one first."""
@@ -231,9 +231,11 @@ class ReplanSession:
                 try:
                     prover, forces = self.context.prover, self.context.settings.forces
                     for route in chosen.routes:
-                        plans = (*plans, prover.plan(route, self.task, forces=forces, seconds=self.clock.left))
+                        plan = prover.plan(route, self.task, self.replayer, forces=forces, seconds=self.clock.left)
+                        plans = (*plans, plan)
                 except PlanError as error:
-                    self._why, self.outcome, self.decided_by = str(error), Outcome.NOT_FOUND, Stage.NONE
+                    self._why = str(error) if fallen is None else ""
+                    self.outcome, self.decided_by = Outcome.NOT_FOUND, Stage.NONE
         if self.way is Direction.ASSEMBLY:
             plans = tuple(plan.reverse() for plan in plans)
         moving = () if plans else self._moving()
@@ -283,7 +285,7 @@ class ReplanSession:
                 f"steps the structure collapses after step {self.replayer.fell_after}"
             )
         if self.clock.passed:
-            return f"the deadline of {self.request.deadline} s passed; more time may find a plan"
+            return "the deadline passed; more time may find a plan"
         return self.result.limit if self.result is not None and self.result.limit else "the search was limited"
 
     def _moving(self) -> tuple[int, ...]:

@@ -53,7 +53,7 @@ _BOUND_AFTER = 10.0
 """Seconds of processor time without a plan after which a search pauses to try to prove that robots are too few ..."""
 _BOUND_SECONDS = 5.0
 """... for so many seconds at most."""
-_FIRST_SHARE = 0.5
+FIRST_SHARE = 0.5
 """Share of a deadline for plans with the reserve; the rest is for plans without, where there are none."""
 PLANS = StabilitySettings(reserve=1.1)
 """Stability of plans by default: parts come to rest with friction divided by 1.1, and with the true one."""
@@ -158,11 +158,12 @@ def find_plans(
         weaker = replace(stability, reserve=1.0)
         first, begun = Stability(assembly, stability), time.perf_counter()
         again = stability.reserve > 1.0 and first.replayer is not None
-        share = deadline if deadline is None or not again else _FIRST_SHARE * deadline
+        share = deadline if deadline is None or not again else FIRST_SHARE * deadline
         found = find_plans(assembly, task, oracle=first, deadline=share, checkpoint=checkpoint, **more)
-        if found.found or not again or (found.result.interrupted and not found.deadline_passed):
+        left = None if deadline is None else deadline - (time.perf_counter() - begun)
+        late = left is not None and left <= 0
+        if found.found or not again or late or (found.result.interrupted and not found.deadline_passed):
             return found
-        left = None if deadline is None else max(deadline - (time.perf_counter() - begun), _CHOICE_SECONDS)
         return find_plans(assembly, task, oracle=Stability(assembly, weaker), deadline=left, **more)
     clock = Deadline(deadline)
     task = task or task_of(assembly, 2 if robots is None else robots, **rules)
@@ -318,9 +319,7 @@ def _weak_states(route: States, oracle: Stability) -> States:
     if oracle.replayer is None:
         return route[~prove(route, oracle, forces=False)[0].stable]
     states = route[::-1]
-    replay = oracle.replayer.replay(states)
-    failed = Acceptance(oracle.replayer).failure(states, replay.presses) if replay.good else replay
-    row = None if failed is None else failed.falls_at
+    row = Acceptance(oracle.replayer).falls_at(states)
     return states[:0] if row is None else states[min(max(row, 1), max(len(states) - 2, 0))][None]
 
 

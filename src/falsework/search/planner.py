@@ -30,6 +30,7 @@ from falsework.search.problem.result import (
 from falsework.search.problem.task import Direction, Task
 from falsework.search.settings import COMPACT, EDGES, Attempt, PlannerSettings
 from falsework.utils.archive import read_archive, write_archive
+from falsework.utils.files.damage import blamed_on
 
 FORMAT = "falsework.planner/9"
 
@@ -194,10 +195,8 @@ class Planner:
         if (header.get("task"), header.get("settings")) != expected:
             raise InputError(f"{path} belongs to another structure, task or settings; remove it to begin a new search")
         planner = cls(task, oracle, settings, guide=guide)
-        try:
+        with blamed_on(path, "remove it to begin a new search"):
             planner._restore(header, arrays)
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"{path} is damaged ({error}); remove it to begin a new search") from None
         return planner
 
     def _restore(self, header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
@@ -260,20 +259,15 @@ class Planner:
                 return False
         if self._replayer is None:
             return True
+        states = route.states[::-1]
         known = None if self.settings.robust else beam.search.replay_summary()
-        if known is not None:
-            moved, part, presses = known
-            replay = self._acceptance.failure(route.states[::-1], presses)
-            if replay is None:
-                self.replays[route.states.tobytes()] = PlanReplay(True, moved, part, presses=presses)
-                return True
-        else:
-            replay = self._replayer.replay(route.states[::-1])
-            replay = (self._acceptance.failure(route.states[::-1], replay.presses) if replay.good else None) or replay
-        if replay.good:
-            self.replays[route.states.tobytes()] = PlanReplay.of(replay)
+        found = PlanReplay.of(self._replayer.replay(states)) if known is None else PlanReplay(True, *known)
+        if found.stands:
+            found = self._acceptance.failure(states, found.presses) or found
+        if found.stands:
+            self.replays[route.states.tobytes()] = found
             return True
-        row, last = replay.falls_at or 0, len(route.states) - 1
+        row, last = found.falls_at or 0, len(states) - 1
         if self.fallen is None or row > self.fallen[1]:
             self.fallen = route, row
         # Both ends belong to every route, so if one fails, the state next to it is excluded.

@@ -11,7 +11,7 @@ from collections.abc import Awaitable, Callable, MutableMapping
 from typing import Any
 
 from falsework.service.metrics import Metrics
-from falsework.service.settings import HEADER_BYTES, ServiceSettings
+from falsework.service.settings import CONNECTIONS, HEADER_BYTES, ServiceSettings
 from falsework.service.worker import refusal
 
 Scope = MutableMapping[str, Any]
@@ -53,6 +53,7 @@ class ServiceMiddleware:
         self._app = app
         self._settings = settings
         self._metrics = metrics
+        self._served = 0
         self._digest = None if settings.token is None else _digest(settings.token.encode())
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -74,9 +75,11 @@ class ServiceMiddleware:
                 message = {**message, "headers": [*message.get("headers", []), *_HEADERS]}
             await send(message)
 
+        self._served += 1
         try:
             self._check(scope)
-            body = await self._read(scope, receive)
+            # What is answered without a token waits for nothing from the client.
+            body = b"" if scope["path"] in OPEN_PATHS else await self._read(scope, receive)
             await self._app(scope, _again(body, receive), watch)
         except _Refused as refused:
             await _respond(watch, refused.status, str(refused), refused.headers)
@@ -87,6 +90,7 @@ class ServiceMiddleware:
             if not status:
                 await _respond(watch, 500, INSIDE)
         finally:
+            self._served -= 1
             self._metrics.answered(scope["path"], status, time.perf_counter() - begun)
 
     def _check(self, scope: Scope) -> None:
@@ -104,6 +108,8 @@ class ServiceMiddleware:
             if kind.lower() != b"bearer" or not hmac.compare_digest(_digest(token.strip()), self._digest):
                 challenge = (b"www-authenticate", b"Bearer")
                 raise _Refused(401, "this service requires its token: send Authorization: Bearer TOKEN", (challenge,))
+        if self._served > CONNECTIONS and scope["path"] not in OPEN_PATHS:
+            raise _Refused(503, "too many requests at a time; try again in a moment", ((b"retry-after", b"1"),))
 
     async def _read(self, scope: Scope, receive: Receive) -> bytes:
         """Read a whole request within the limits on size and time."""

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
+from falsework.errors import PlanError
+from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_file import plan_from_dict
 from falsework.stability.oracle import Stability
 
@@ -31,6 +35,10 @@ class PictureOrder:
     """Of the camera, degrees."""
     elevation: float
     """Of the camera, degrees."""
+
+
+_UNSEEN = frozenset({"forces", "displacements"})
+"""Entries of a plan that no picture shows; packed in a short text they may take any amount of memory."""
 
 
 def draw_png(oracle: Stability, order: PictureOrder) -> bytes:
@@ -63,7 +71,7 @@ def draw_png(oracle: Stability, order: PictureOrder) -> bytes:
     if order.plan is None:
         timeline = Timeline.from_state(oracle.assembly, order.state)
     else:
-        timeline = Timeline.of(plan_from_dict(order.plan), oracle.assembly)
+        timeline = Timeline.of(_plan(order.plan, oracle.assembly), oracle.assembly)
     place = 0 if order.plan is None else order.step
     usual = CELL if place is None else WHOLE
     width = order.width or usual.width
@@ -86,3 +94,18 @@ def draw_png(oracle: Stability, order: PictureOrder) -> bytes:
     file = io.BytesIO()
     pillow.Image.fromarray(pixels).save(file, format="PNG", optimize=True)
     return file.getvalue()
+
+
+def _plan(values: Mapping[str, Any], assembly: Assembly) -> Plan:
+    """Return the plan of a request, whose states take as much memory as its number of parts says.
+
+    Raises:
+        PlanError: it is malformed or of another number of parts.
+    """
+    structure = values.get("structure")
+    names = structure.get("parts") if isinstance(structure, dict) else None
+    if isinstance(names, list) and len(names) != assembly.part_count:
+        raise PlanError(
+            f"the plan is of {len(names)} parts, {assembly.name} has {assembly.part_count}; send a plan of this service"
+        )
+    return plan_from_dict({key: value for key, value in values.items() if key not in _UNSEEN})

@@ -1,4 +1,4 @@
-"""HTTP server with limits on slow connections."""
+"""HTTP server with limits on slow and idle connections."""
 
 from __future__ import annotations
 
@@ -90,7 +90,6 @@ def server_of(assembly: Assembly, pool: Pool, settings: ServiceSettings, metrics
         proxy_headers=False,
         timeout_keep_alive=settings.idle_seconds,
         timeout_graceful_shutdown=_STOP_SECONDS,
-        limit_concurrency=CONNECTIONS,
         h11_max_incomplete_event_size=HEADER_BYTES,
     )
     return uvicorn.Server(config)
@@ -124,17 +123,26 @@ async def _announce(server: uvicorn.Server, listener: socket.socket, started: Ca
 
 
 def _protocol(settings: ServiceSettings) -> type[H11Protocol]:
-    """Return an HTTP/1.1 protocol with time limits for sending a request and for receiving the answer."""
+    """Return an HTTP/1.1 protocol with limits on the time for a request and its answer, and on idle connections."""
     longest = LONGEST_DEADLINE + settings.body_seconds + STUCK_SECONDS
+    waiting: dict[PatientNoLonger, None] = {}  # connections without a whole header, longest without first
 
     class PatientNoLonger(H11Protocol):
-        """Connection with time limits."""
+        """Connection with time limits, which makes room for others while no request is being answered on it."""
 
         _hang_up: asyncio.TimerHandle | None = None
 
         def connection_made(self, transport: Any) -> None:
             super().connection_made(transport)
             self._within(settings.header_seconds)
+            waiting[self] = None
+            if len(waiting) > CONNECTIONS:
+                next(iter(waiting)).make_room()
+
+        def make_room(self) -> None:
+            """Close an idle connection: clients that only connect must not keep others out."""
+            waiting.pop(self, None)
+            self.transport.abort()
 
         def data_received(self, data: bytes) -> None:
             if self._hang_up is None:
@@ -142,6 +150,7 @@ def _protocol(settings: ServiceSettings) -> type[H11Protocol]:
             active = self._active()
             super().data_received(data)
             if self._active() and not active:
+                waiting.pop(self, None)
                 self._within(longest)
 
         def on_response_complete(self) -> None:
@@ -149,8 +158,11 @@ def _protocol(settings: ServiceSettings) -> type[H11Protocol]:
             super().on_response_complete()
             if self._active():  # the next request was there already
                 self._within(longest)
+            elif not self.transport.is_closing():
+                waiting[self] = None
 
         def connection_lost(self, exc: Exception | None) -> None:
+            waiting.pop(self, None)
             self._within(None)
             super().connection_lost(exc)
 

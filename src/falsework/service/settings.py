@@ -16,7 +16,7 @@ STABILITY_BATCH = 64
 WINDOW = 0.003
 """Time that the first request of a batch waits for others, seconds."""
 CONNECTIONS = 512
-"""Largest number of clients at a time."""
+"""Largest number of idle connections, the oldest of which make room for new ones, and of requests at a time."""
 HEADER_BYTES = 16 * 1024
 """Largest header of a request, bytes."""
 LONGEST_DEADLINE = 60.0

@@ -70,7 +70,7 @@ def geometry_of(contacts: Contacts, mass: MassProperties) -> ContactGeometry:
 
     owner, parts = contacts.contact_of_point, len(mass.mass)
     part_a, part_b = contacts.parts[owner, 0], contacts.parts[owner, 1]
-    axes = contacts.frames[owner]
+    axes = contacts.point_frames
     entries, columns = [], []
     for part, sign in ((part_a, -1.0), (part_b, 1.0)):
         arm = contacts.points - mass.center[part]

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
@@ -27,6 +28,8 @@ PRESS_STIFFNESS = 1e6
 """
 FORCE_WEIGHTS = 10.0
 """Default largest force of a robot, in weights of the heaviest part that it may have to carry."""
+_OFF_SIZE, _OFF_DIRECTION = 0.1, np.radians(5.0)
+"""Share of its size, and angle, by which a robot may miss the force of a press."""
 _LEVER = 2.0
 """Default largest moment of a robot: its largest force at this multiple of the largest radius of gyration of a part."""
 
@@ -39,7 +42,8 @@ class HoldSettings:
     """Stiffness of a hold, N/m; against turning it is this times the square of the radius of gyration, N m/rad.
     Infinite: held parts never move."""
     force: float | None = None
-    """Largest force on a held part, N; ten weights of the heaviest part if not given."""
+    """Largest force on a held part, N; ten weights of the heaviest part if not given. With 0 robots never press, and
+    what they bear has no limit."""
     moment: float | None = None
     """Largest moment about the centre of mass of a held part, N m; if not given, twice the largest force times the
     largest radius of gyration."""
@@ -132,3 +136,17 @@ def pack_presses(presses: Sequence[Sequence[Press]]) -> tuple[NDArray[np.int32],
     flat = [press for some in presses for press in some]
     parts = np.array([press.part for press in flat], dtype=np.int32)
     return start, parts, np.array([press.wrench for press in flat], dtype=np.float64).reshape(-1, 6)
+
+
+def inexact_presses(presses: Sequence[Press]) -> list[tuple[Press, ...]]:
+    """Return presses as robots may carry them out: 10 % off in size, or 5 degrees in direction."""
+
+    def changed(factor: float, axis: int, angle: float) -> tuple[Press, ...]:
+        turn = factor * Rotation.from_rotvec(angle * np.eye(3)[axis]).as_matrix()
+        return tuple(
+            replace(press, wrench=tuple((np.reshape(press.wrench, (2, 3)) @ turn.T).ravel().tolist()))
+            for press in presses
+        )
+
+    sizes = [changed(factor, 0, 0.0) for factor in (1 - _OFF_SIZE, 1 + _OFF_SIZE)]
+    return sizes + [changed(1.0, axis, angle) for axis in range(3) for angle in (-_OFF_DIRECTION, _OFF_DIRECTION)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -249,7 +250,9 @@ class Stability:
 
     @cached_property
     def prober(self) -> Prober:
-        """Solver of single states under modified friction and additional loads."""
+        """Solver of single states under modified friction and additional loads, which count from the true friction."""
+        if self.settings.reserve != 1.0:
+            return Stability(self.assembly, replace(self.settings, reserve=1.0)).prober
         return Prober(self.assembly, self.problem, self.settings, self._cpu)
 
     @cached_property

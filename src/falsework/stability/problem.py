@@ -127,7 +127,7 @@ def build_problem(
     contacts, mass = assembly.contacts, assembly.mass
     owner = contacts.contact_of_point
     part_a, part_b = contacts.parts[owner, 0], contacts.parts[owner, 1]
-    axes = contacts.frames[owner].transpose(0, 2, 1)  # columns n, t1, t2
+    axes = contacts.point_frames.transpose(0, 2, 1)  # columns n, t1, t2
 
     first = np.flatnonzero(np.r_[True, (np.diff(part_a) != 0) | (np.diff(part_b) != 0)]) if len(owner) else []
     pair_start = np.r_[first, len(owner)].astype(np.int32)

@@ -111,6 +111,8 @@ class StabilitySettings:
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
                 raise InputError(f"{name} is {value}; give a positive number")
+        if self.reserve < 1:
+            raise InputError(f"reserve is {self.reserve:g}, which would raise friction; give 1 for none, or more")
         if self.cone is not None and self.cone not in get_args(Cone):
             raise InputError(f"unknown friction cone {self.cone!r}; choose {' or '.join(get_args(Cone))}")
         if self.solver not in get_args(SolverName):

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import secrets
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import IO, Any
 
@@ -15,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
+from falsework.utils.files.output_file import write_whole
 from falsework.utils.json_text import parse_json
 
 _HEADER = "header"
@@ -23,27 +22,6 @@ _ROOM, _EXPANSION = 1 << 28, 256
 few parts are packed to a hundredth, while an archive of zeros could claim a thousand times its size."""
 _PIECE = 1 << 24
 """Bytes that are read at a time, so that no array is in memory twice."""
-
-
-def write_whole(path: Path | str, write: Callable[[IO[bytes]], object]) -> None:
-    """Write a file under a temporary name beside it, then rename it, so that an interruption leaves no partial file.
-
-    Raises:
-        InputError: the folder does not exist or cannot be written to.
-    """
-    path = Path(path)
-    draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-    try:
-        file = draft.open("xb")
-    except OSError as error:
-        raise InputError(f"cannot write {path}: {error.strerror}; choose another place") from None
-    try:
-        with file:
-            write(file)
-        os.replace(draft, path)
-    except BaseException:
-        draft.unlink(missing_ok=True)
-        raise
 
 
 def write_archive(path: Path | str, form: str, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:

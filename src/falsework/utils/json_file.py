@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, ClassVar, NoReturn
 
 from falsework.errors import PlanError
-from falsework.utils.archive import write_whole
+from falsework.utils.files.output_file import write_whole
 from falsework.utils.json_text import parse_json
 
 
@@ -27,7 +27,7 @@ def write_json(path: Path | str, data: Mapping[str, Any], spread: Container[str]
             written = _dump(value)
         lines.append(f" {json.dumps(key)}: {written}")
     text = "{\n" + ",\n".join(lines) + "\n}\n"
-    write_whole(path, lambda file: file.write(text.encode()))
+    write_whole(path, lambda file: file.write(text.encode("utf-8", "backslashreplace")))
 
 
 def _dump(value: Any) -> str:

@@ -20,7 +20,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
-from falsework.utils.cache_folder import read_cache, write_cache
+from falsework.utils.cache.folder import read_cache, write_cache
 
 PACKAGE = Path(__file__).parents[1]
 ARCHIVE = PACKAGE / "kernels.zip"
@@ -97,7 +97,7 @@ def _library(group: str) -> Any:
     machine = target_machine(llvm)
     identity = [content["digest"], content["made"], llvm.llvm_version_info, machine.triple, llvm.get_host_cpu_name()]
     identity.append(llvm.get_host_cpu_features().flatten())
-    name = f"{group}-{hashlib.sha256(repr(identity).encode()).hexdigest()[:24]}.o"
+    name = f"{group}-{hashlib.sha256(repr(identity).encode()).hexdigest()[:24]}.code"
     code = read_cache(name)
     if code is None:
         with zipfile.ZipFile(ARCHIVE) as archive:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from falsework.utils import kernel_code
-from falsework.utils.cache_folder import warn_of_no_cache
+from falsework.utils.cache.folder import warn_of_no_cache
 
 Flat = tuple[str, bytes]
 _ARRAYS = [Struct(f"={5 + 2 * dimensions}q") for dimensions in range(5)]
@@ -55,9 +55,13 @@ class Kernel:
         """The function as numba compiles it."""
         import numba
 
+        from falsework.utils.cache.numba_files import SealedCacheFile
+
         compiler: Any = numba.njit
         try:
-            return compiler(**self.options)(self.py_func)
+            compiled = compiler(**self.options)(self.py_func)
+            SealedCacheFile.replace_in(compiled)
+            return compiled
         except RuntimeError:  # numba has found no folder that it can write
             warn_of_no_cache(str(Path(self.py_func.__code__.co_filename).parent))
             return compiler(**{**self.options, "cache": False})(self.py_func)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import INSTALLED, REMOVED, States
+from falsework.geometry.contact.grouping import segment_sum
 from falsework.viewer.appearance import diagonal
 from falsework.viewer.palette import FORCE, FRICTION, GRAVITY, MOTION, SLIDING
 from falsework.viewer.pictures.render import ColoredSolid
@@ -71,16 +72,15 @@ def arrows_of_forces(assembly: Assembly, state: States, forces: Array) -> dict[s
     a, b = contacts.parts.T
     acts = (state[a] != REMOVED) & (state[b] != REMOVED) & ((state[a] == INSTALLED) | (state[b] == INSTALLED))
     owner = contacts.contact_of_point
-    pressing = np.bincount(owner, forces[:, 0], len(contacts))
     size = np.abs(forces[:, 0])
     weight = np.bincount(owner, size, len(contacts))
     acts &= weight > 0
     center = np.stack([np.bincount(owner, size * contacts.points[:, k], len(contacts)) for k in range(3)], axis=1)
     center /= np.maximum(weight, 1e-300)[:, None]
-    tangent = np.stack([np.bincount(owner, forces[:, k], len(contacts)) for k in (1, 2)], axis=1)
     sign = np.where(state[b] == INSTALLED, 1.0, -1.0)[:, None]
-    pushes = sign * pressing[:, None] * contacts.normals
-    rubs = sign * (tangent[:, :1] * contacts.frames[:, 1] + tangent[:, 1:] * contacts.frames[:, 2])
+    pushes = sign * segment_sum(forces[:, :1] * contacts.point_frames[:, 0], owner, len(contacts))
+    tangent = np.einsum("pi,pij->pj", forces[:, 1:], contacts.point_frames[:, 1:])
+    rubs = sign * segment_sum(tangent, owner, len(contacts))
     free = state == INSTALLED
     weights = assembly.applied_wrench()[free, :3]
     largest = max(

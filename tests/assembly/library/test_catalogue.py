@@ -74,7 +74,6 @@ def test_is_built_in(spec: str, known: bool) -> None:
         ("arch:radius=inf", "give a number from 0.01 to 100 m"),
         ("arch:radius=-1", "give a number from 0.01 to 100 m"),
         ("arch:blocks", "arch: 'blocks' is not name=value, such as blocks=15"),
-        ("arch:", "is not name=value"),
         ("arch:blocks=4,", "is not name=value"),
         ("arch:blocks=4,blocks=5", "arch: blocks is given twice"),
         ("arch:friction=x", "arch: friction is x; give a number"),

@@ -103,7 +103,10 @@ def test_a_structure_on_disk_is_found_beside_the_run(arch: Any, tmp_path: Path) 
         (lambda run: spoil_structure(run, source={"built_in": "arch", "colour": 1}), "has an unknown entry 'colour'"),
         (lambda run: spoil_structure(run, source={"path": 3}), "structure.source.path is '3'"),
         (lambda run: spoil_structure(run, source={"path": "x", "boundary": [[1]]}), r"source.boundary is '\[\[1\]\]'"),
-        (lambda run: (run / "run.json").write_text('{"format": 1, "format": 2}'), "is damaged .*two entries 'format'"),
+        (
+            lambda run: (run / "run.json").write_text('{"format": 1, "format": 2}'),
+            "is damaged .*the entry 'format' twice",
+        ),
         (lambda run: (run / "run.json").write_text("{"), "is damaged"),
         (lambda run: (run / "run.json").unlink(), "is not a run: it has no run.json"),
         (lambda run: (run / "weights.safetensors").unlink(), "there is no file .*weights.safetensors"),

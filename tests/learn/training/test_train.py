@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
+filelock = pytest.importorskip("filelock", reason="filelock is not installed: pip install 'falsework[learn]'")
 safetensors = pytest.importorskip("safetensors.torch", reason="safetensors is not installed")
 
 from falsework.assembly import load_structure, save_assembly  # noqa: E402
@@ -33,7 +34,7 @@ from falsework.learn.training.checkpoint import load_run  # noqa: E402
 from falsework.learn.training.logger import read_progress  # noqa: E402
 from falsework.learn.training.train import TrainResult, train  # noqa: E402
 from falsework.learn.training.trainer import Trainer  # noqa: E402
-from falsework.utils.archive import write_whole  # noqa: E402
+from falsework.utils.files.output_file import write_whole  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("few_tries")
 
@@ -330,6 +331,36 @@ def test_folders_that_are_taken_and_runs_that_are_not_there(arch: Any, tmp_path:
     if not torch.cuda.is_available():
         with pytest.raises(InputError, match="0 CUDA devices were found"):
             train(arch, SMALL, folder=tmp_path / "gpu", device="cuda")
+
+
+@pytest.mark.parametrize("resume", [False, True])
+def test_a_second_training_in_a_folder_is_refused(arch: Any, tmp_path: Path, resume: bool) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    with filelock.FileLock(folder / module.LOCK):
+        with pytest.raises(InputError, match=r"another process trains in .*wait for its end, or choose another folder"):
+            train(arch, SMALL, folder=folder, resume=resume)
+        assert [entry.name for entry in folder.iterdir()] == [module.LOCK]
+
+
+def test_a_killed_training_does_not_keep_the_folder(arch: Any, tmp_path: Path) -> None:
+    (tmp_path / module.LOCK).write_text("")  # of a process that is gone
+    train(arch, replace(SMALL, steps=5), folder=tmp_path)
+    assert not (tmp_path / module.LOCK).exists()
+    with pytest.raises(InputError, match="holds a run already"):
+        train(arch, SMALL, folder=tmp_path)
+
+
+def test_a_training_that_cannot_begin_leaves_no_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arch: Any
+) -> None:
+    def fail(*_: Any) -> None:
+        raise InputError("no room")
+
+    monkeypatch.setattr(module, "Trainer", fail)
+    with pytest.raises(InputError, match="no room"):
+        train(arch, SMALL, folder=tmp_path / "a" / "run")
+    assert not (tmp_path / "a" / "run").exists()
 
 
 def test_a_run_of_an_older_format_is_refused(arch: Any, tmp_path: Path) -> None:

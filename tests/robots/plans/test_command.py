@@ -388,23 +388,37 @@ def test_a_gripper_that_bears_too_little(run: Callable, cell_file: Path, tmp_pat
     """A plan is made, but planning and the check refuse it; with a stronger gripper both accept it."""
     out = tmp_path / "robot_plan.json"
     plan = ("robots", "plan", STACK, "--cell", cell_file, "--out", out, "--json")
-    cell_file.write_text(CELL.replace('kind = "suction"', 'kind = "suction"\nforce = 1.0'))
+    cell_file.write_text(CELL.replace('kind = "suction"', 'kind = "suction"\nmoment = 0.5'))
     code, records, error = run(*plan)
     assert code == 1
-    assert "takes a force of" in error
-    assert "its gripper bears 1 N" in error
+    assert "takes a moment of" in error
+    assert "its gripper bears 0.5 Nm" in error
     assert records[-1]["overloads"]
     code, records, error = run("robots", "check", out, "--json")
     assert code == 1
     assert not records[0]["good"]
-    assert "its gripper bears 1 N" in error
+    assert "its gripper bears 0.5 Nm" in error
     (borne,) = records[0]["holds"]
-    assert borne["limits"]["force"] == 1.0 < borne["force_n"]
-    cell_file.write_text(CELL.replace('kind = "suction"', f'kind = "suction"\nforce = {1.1 * borne["force_n"]}'))
+    assert borne["limits"]["moment"] == 0.5 < borne["moment_nm"]
+    cell_file.write_text(CELL.replace('kind = "suction"', f'kind = "suction"\nmoment = {1.1 * borne["moment_nm"]}'))
     assert run(*plan)[0] == 0
     code, records, error = run("robots", "check", out, "--json")
     assert code == 0, error
     assert records[0]["overloads"] == []
+
+
+def test_a_gripper_that_bears_less_than_a_part_weighs(run: Callable, cell_file: Path, tmp_path: Path) -> None:
+    """No plan is searched for: the robot and the part are named, with the weight in the cell."""
+    plan = ("robots", "plan", STACK, "--cell", cell_file, "--out", tmp_path / "robot_plan.json")
+    weight = 0.5**3 * 200 * 0.3 * 0.3 * 0.15 * 9.81
+    for force, expected in ((0.99 * weight, 2), (10 * weight, 0)):
+        small = CELL.replace("density = 200", "density = 200\nscale = 0.5\nposition = [-0.3, 0.0, 0.0]")
+        cell_file.write_text(small.replace('kind = "suction"', f'kind = "suction"\nforce = {force}'))
+        code, _, error = run(*plan)
+        assert code == expected, error
+        if expected:
+            assert f"the gripper of arm bears {force:.4g} N, less than part" in error
+            assert f"weighs in one arm, {weight:.4g} N; take a stronger gripper" in error
 
 
 @pytest.mark.parametrize("limit", ["force = -1.0", 'moment = "2Nm"'])

@@ -20,8 +20,8 @@ from falsework.robots.model.cell import Cell
 from falsework.robots.planning.end_motions import Continuation
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridSettings
+from falsework.robots.plans.commands import Grip, events_of
 from falsework.robots.plans.loads import load_of, loads_at
-from falsework.robots.plans.programs import Grip, events_of
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import (
     load_robot_plan,

@@ -18,8 +18,8 @@ from falsework.interop import export
 from falsework.robots.kinematics.forward import flange_pose
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
+from falsework.robots.plans.commands import Grip, events_of
 from falsework.robots.plans.export import FORMATS, export_plan
-from falsework.robots.plans.programs import Grip, events_of
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import save_robot_plan
 from tests.robots.plans.bag_reading import corners, planning_scenes

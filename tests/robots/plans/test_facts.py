@@ -26,6 +26,7 @@ from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.robot_plan_file import robot_plan_from_dict, robot_plan_to_dict
 from falsework.robots.plans.robot_record import records_of
 from falsework.search.plans.plan_check import validate_plan
+from falsework.stability.holds import Press
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "robot-plan-checks.md"
 ROWS = re.findall(r"^\| ([^|]+?) \|[^|]*\|[^|]*\| `([^`]+)` \|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
@@ -243,6 +244,17 @@ def taken(case: Case) -> Case:
     return replace(case, plan=replace(case.plan, keyframes=tuple(frames)))
 
 
+def pressing(case: Case, step: int, *, held: bool = False) -> Case:
+    """Let a robot press the cube beside the column with 1 kN in a step; keyframes may say that arm 2 holds it."""
+    presses: list[tuple[Press, ...]] = [()] * len(case.plan.plan)
+    presses[step] = (Press(2, (1000.0, 0.0, 0.0, 0.0, 0.0, 0.0)),)
+    frames = list(case.plan.keyframes)
+    for index in (step, step + 1) if held else ():
+        frames[index] = replace(frames[index], held=(frames[index].held[0], 2))
+    plan = replace(case.plan.plan, presses=tuple(presses))
+    return replace(case, plan=replace(case.plan, plan=plan, keyframes=tuple(frames)))
+
+
 def wrong_numbers(case: Case) -> str:
     data = robot_plan_to_dict(case.plan)
     data["steps"][HOLD]["trajectories"][0]["positions"][0][0] = "0.1"
@@ -347,6 +359,11 @@ FORGED: dict[str, Callable[[Case], Case | str]] = {
     "the cup is not deep in the part": lambda case: gripped_at(case, by=0.004),
     "a part between jaws is no wider than they open": in_jaws,
     "a held part takes no more force or moment than the gripper bears": lambda case: case.armed(force=1.0),
+    "a robot presses only a part that it holds": lambda case: pressing(case, HOLD),
+    "a robot presses only while another lets go of its part": lambda case: pressing(case, REMOVE),
+    "a press takes no more force or moment than the gripper bears": lambda case: pressing(
+        case.armed(force=900.0), HOLD, held=True
+    ),
     "a carried part is within the payload of arm and gripper": lambda case: case.armed(payload=0.5),
     "a motion carries the part of its action": lambda case: case.moved(REMOVE, 1, part=None),
     "a removed part leaves its place": vanished,

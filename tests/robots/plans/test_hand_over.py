@@ -18,8 +18,8 @@ from falsework.assembly.state import HELD, REMOVED
 from falsework.errors import PlanError, StateError
 from falsework.robots.checks.check import CheckReport, check_robot_plan
 from falsework.robots.model.cell import Cell, cell_identity
+from falsework.robots.plans.commands import Begin, Grip, PublishCount, Wait, commands_of
 from falsework.robots.plans.export import export_plan
-from falsework.robots.plans.programs import Begin, Grip, PublishCount, Wait, commands_of
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import (
     load_robot_plan,

@@ -32,9 +32,9 @@ from falsework.robots.model.shapes import block, move
 from falsework.robots.motion.collision_world import CollisionWorld
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
+from falsework.robots.plans.commands import Grip, events_of
 from falsework.robots.plans.export import export_plan
 from falsework.robots.plans.loads import Load, load_of, lying_motions
-from falsework.robots.plans.programs import Grip, events_of
 from falsework.robots.plans.robot_plan import RobotPlan, RobotStep
 from falsework.robots.plans.robot_plan_file import (
     load_robot_plan,

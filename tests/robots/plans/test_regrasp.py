@@ -23,8 +23,8 @@ from falsework.robots.model.shapes import block
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridSettings
 from falsework.robots.planning.solvability import SolvabilityCheck
+from falsework.robots.plans.commands import Begin, Grip, Wait, commands_of
 from falsework.robots.plans.export import export_plan
-from falsework.robots.plans.programs import Begin, Grip, Wait, commands_of
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import (
     load_robot_plan,

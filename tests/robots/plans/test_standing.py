@@ -50,8 +50,8 @@ class Falling:
         stands, history = self.real.step(history, before, after)
         return stands and not (self.inside and self.bad(after)), history
 
-    def replay(self, states: np.ndarray) -> Replay:
-        found = self.real.replay(states)
+    def replay(self, states: np.ndarray, presses: Any = None) -> Replay:
+        found = self.real.replay(states, presses=presses)
         if len(states) == 1:  # where a search begins
             return found
         self.routes.append(states)

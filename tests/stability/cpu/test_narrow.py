@@ -117,7 +117,17 @@ def test_every_pair_that_touches_narrowly_is_warned_of(scenes: Any) -> None:
         assembly = Assembly.from_meshes([*tips, plate], boundary=range(6))
     assert len(assembly.warnings) == 6
     assert [str(one.message) for one in seen][:3] == list(assembly.warnings[:3])
-    assert str(seen[3].message) == "3 more pairs of parts touch along lines or at points only"
+    assert str(seen[3].message) == "3 more pairs of parts touch along lines, on strips or at points only"
     assert len(seen) == 4
     fixed = assembly.replace(boundary=range(7))
     assert fixed.warnings == (), "nothing hangs on contacts between boundary parts"
+
+
+@pytest.mark.parametrize("width", [2e-5, 1e-4, 3e-4])
+@pytest.mark.parametrize("aside", [0.0, 0.3])
+def test_a_beam_rests_on_strips_along_the_rims_of_its_supports(scenes: Any, width: float, aside: float) -> None:
+    supports = [scenes.box((-1.5, -0.5, -0.5), (-0.5, 0.5, 0)), scenes.box((0.5, -0.5, -0.5), (1.5, 0.5, 0))]
+    at = aside * width
+    beam = scenes.box((at - 0.5 - width, -0.25, 0), (at + 0.5 + width, 0.25, 0.2))
+    assert verdict([*supports, beam], [0, 1]) == Verdict.STABLE
+    assert verdict([supports[0], beam], [0]) == Verdict.UNSTABLE

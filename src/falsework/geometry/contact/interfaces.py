@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,80 +11,21 @@ import shapely
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
-from falsework.geometry.contact.creases import expand
+from falsework.geometry.contact.contacts import Contacts, frozen
 from falsework.geometry.contact.grouping import COPLANAR, curved_groups, planes, segment_mean, segment_sum
-from falsework.geometry.contact.joints import JointReport, check_joints, find_joints
-from falsework.geometry.contact.narrow_phase import ContactTolerances, Narrow, merged, narrow_places
+from falsework.geometry.contact.joints import JointReport, check_joints, find_joints, refuse_deep
+from falsework.geometry.contact.narrow_phase import NARROW, ContactTolerances, Narrow, merged, narrow_places
 from falsework.geometry.contact.overlap import Overlaps, find_overlaps
 from falsework.geometry.contact.patches import Patches, face_patches, frames_of
 from falsework.geometry.mesh.mesh import TriangleMesh
 
 Array = NDArray[np.float64]
 
+FLAT = 1e-5
+"""Largest angle between the normals of surfaces and that of a contact which has one normal for all its points, radians:
+a tenth of the residual that a stable state may have, as a share of gravity."""
 _MORE = 1.02
 """Area of a joint, relative to that found within the tolerances, above which the latter is incomplete."""
-
-
-@dataclass(frozen=True, eq=False)
-class Contacts:
-    """Contacts between pairs of parts: planar ones, of which a curved interface is several, and lines and points.
-
-    Lines and points arise where parts touch by an edge or a corner. Real ones have some width, which the meshes do not
-    contain; `areas` assumes the contact tolerance, so that they have a small, nonzero weight wherever contacts are
-    weighted by area.
-    """
-
-    parts: NDArray[np.int32]
-    """Shape (contacts, 2): part `a` and part `b`, `a < b`, sorted."""
-    frames: NDArray[np.float64]
-    """Shape (contacts, 3, 3): rows are normal (from `a` to `b`), first and second tangent; right-handed."""
-    points: NDArray[np.float64]
-    """Contact points, shape (points, 3), metres: per contact the corners of its convex hull, at least three; the two
-    ends of a line; or one point."""
-    start: NDArray[np.int32]
-    """Shape (contacts + 1,): contact `k` owns `points[start[k]:start[k + 1]]`."""
-    areas: NDArray[np.float64]
-    """Shape (contacts,), m2, above zero. Nominal for a line, its length times the contact tolerance, and for a point,
-    the square of the tolerance."""
-    report: JointReport = field(default_factory=JointReport.none)
-    """Joints whose overlap or gap was beyond the tolerance, and was divided between the two parts."""
-
-    def __len__(self) -> int:
-        return len(self.parts)
-
-    def __repr__(self) -> str:
-        return f"<Contacts: {len(self)} with {len(self.points)} points>"
-
-    @property
-    def contact_of_point(self) -> NDArray[np.int32]:
-        """Contact that each contact point belongs to, shape (points,)."""
-        return np.repeat(np.arange(len(self.parts), dtype=np.int32), np.diff(self.start))
-
-    @property
-    def dimension(self) -> NDArray[np.int8]:
-        """2 for contacts with an area, 1 for lines, 0 for points; shape (contacts,)."""
-        return np.minimum(np.diff(self.start) - 1, 2).astype(np.int8)
-
-    @property
-    def normals(self) -> NDArray[np.float64]:
-        """Unit normals from part `a` to part `b`, shape (contacts, 3)."""
-        return self.frames[:, 0]
-
-    def pushes(self, part_count: int) -> NDArray[np.float64]:
-        """Return the area times normal into part `i` of all its contacts with part `j`, m2, shape (parts, parts, 3)."""
-        return self._pushes(part_count, self.areas)
-
-    def narrow_pushes(self, part_count: int) -> NDArray[np.float64]:
-        """Return the normals into part `i` of its lines and points with part `j`, shape (parts, parts, 3)."""
-        return self._pushes(part_count, (self.dimension < 2).astype(np.float64))
-
-    def _pushes(self, part_count: int, weights: NDArray[np.float64]) -> NDArray[np.float64]:
-        push = np.zeros((part_count, part_count, 3))
-        first, second = self.parts.T
-        weighted = weights[:, None] * self.normals
-        np.add.at(push, (first, second), -weighted)
-        np.add.at(push, (second, first), weighted)
-        return push
 
 
 @dataclass(frozen=True)
@@ -115,12 +56,14 @@ class ContactSettings:
 
     def lengths(self, meshes: Sequence[TriangleMesh]) -> tuple[float, float]:
         """Return the gap and overlap in metres for these parts."""
-        if self.gap is None:
-            diagonal = np.median([np.linalg.norm(np.ptp(mesh.bounds, axis=0)) for mesh in meshes])
-            gap = min(float(diagonal) / 2000, min(mesh.thickness for mesh in meshes) / 20)
-        else:
-            gap = self.gap
+        gap = default_gap(meshes) if self.gap is None else self.gap
         return gap, gap if self.overlap is None else self.overlap
+
+
+def default_gap(meshes: Sequence[TriangleMesh]) -> float:
+    """Return the gap that is bridged by default, metres: see `ContactSettings.gap`."""
+    diagonal = np.median([np.linalg.norm(np.ptp(mesh.bounds, axis=0)) for mesh in meshes])
+    return min(float(diagonal) / 2000, min(mesh.thickness for mesh in meshes) / 20)
 
 
 def find_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings | None = None) -> Contacts:
@@ -135,16 +78,19 @@ def find_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings | No
 
     The interface of a pair with more than `grouping.CURVED_FROM` planes is taken as curved: neighbouring
     patches whose normals differ by at most `settings.curvature` from that of the largest among them become
-    one contact, with the mean normal and the true positions of its points.
+    one contact, whose points are corners of patches with the normals of these patches. So all its forces are forces
+    that the patches can transmit, but not the other way round: forces inside the contact are replaced by several at its
+    rim. On a cylinder or a sphere that loses nothing but the width of facets.
 
     Where parts touch by a convex edge or corner alone, the contact is a line or a point: see `narrow_places`. One
     that lies in the hull of a planar contact of the same pair is an edge of that contact, and is left out; so is
-    one where other parts lie against both sides of the edge.
+    one where other parts lie against both sides of the edge. The same goes for planar contacts that are narrower than
+    the default gap; others keep their width, down to `narrow_phase.NARROW` of it, where they become lines.
 
     Parts that overlap by more than the tolerance, and parts that touch nothing, are typical of models whose faces are
     warped, or triangulated differently on both sides. With default lengths, pairs of such parts are given a joint where
-    `find_joints` finds faces that these rules refuse or leave out; its patches are grouped by `settings.curvature`.
-    Given lengths are taken literally.
+    `find_joints` finds faces that these rules refuse or leave out, and the parts meet or are as near as
+    `JointSurfaces.near` says; its patches are grouped by `settings.curvature`. Given lengths are taken literally.
 
     Args:
         meshes: closed meshes that face outwards.
@@ -152,8 +98,8 @@ def find_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings | No
 
     Returns:
         Contacts sorted by their parts, of one pair planar ones first, then lines, then points; their order and
-        points depend on the geometry alone, not on how faces are cut into triangles. Of strips narrower than the
-        tolerance, those along the rims of both faces are left out; others are lines.
+        points depend on the geometry alone, not on how faces are cut into triangles. A larger gap or overlap finds
+        contacts of the same pairs of parts at least, as long as the lengths are given.
 
     Raises:
         AssemblyError: two parts pass through each other; names them and how deep.
@@ -162,8 +108,9 @@ def find_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings | No
     _, overlap = settings.lengths(meshes)
     overlaps = find_overlaps(meshes, overlap, corner=settings.corner)
     if not (settings.gap is None and settings.overlap is None):
-        overlaps.raise_deepest(meshes, range(len(overlaps.parts)))
+        overlaps.raise_first(meshes, range(len(overlaps.parts)))
         return exact_contacts(meshes, settings)
+    refuse_deep(meshes, overlaps)
     contacts = exact_contacts(meshes, settings)
     inexact = np.ones(len(meshes), dtype=bool)
     inexact[contacts.parts.ravel()] = False
@@ -179,16 +126,18 @@ def find_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings | No
 def exact_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings) -> Contacts:
     """Find the contacts of `find_contacts` within the tolerances, without joints and without a check of overlaps."""
     gap, overlap = settings.lengths(meshes)
-    tolerance = max(gap, overlap)
-    patches = face_patches(meshes, gap=gap, overlap=overlap, angle=settings.angle)
-    group = planes(patches, COPLANAR, tolerance)
-    group = curved_groups(patches, group, settings.curvature, tolerance)
-    contacts, slivers = _contacts(patches, group, tolerance)
-    places = narrow_places(meshes, ContactTolerances(gap, overlap, settings.angle), slivers)
+    # What counts as one place depends on the parts alone, so that a larger tolerance never finds less.
+    near = default_gap(meshes)
+    patches = face_patches(meshes, gap=gap, overlap=overlap, angle=settings.angle, least=near / 1000)
+    group = planes(patches, COPLANAR, near)
+    group = curved_groups(patches, group, settings.curvature, near)
+    found, thin, slivers = _contacts(patches, group, near)
+    contacts = _with_thin(found, thin, settings.angle, near)
+    places = narrow_places(meshes, ContactTolerances(gap, overlap, settings.angle, near), slivers)
     if not len(places.parts):
         return contacts
-    places = merged(places, COPLANAR, tolerance)
-    return _with_narrow(contacts, places, settings.angle, tolerance)
+    places, normals = merged(places, COPLANAR, near)
+    return _with_narrow(contacts, places, normals, settings.angle, near)
 
 
 def _with_joints(
@@ -206,37 +155,22 @@ def _with_joints(
     area = np.zeros((2, len(meshes), len(meshes)))
     np.add.at(area[0], tuple(joints.patches.parts.T), joints.patches.areas)
     np.add.at(area[1], tuple(contacts.parts.T), np.where(contacts.dimension == 2, contacts.areas, 0.0))
-    touching = np.concatenate([contacts.parts, overlaps.parts])
-    chosen = (area[0] > _MORE * area[1]) & joints.near(touching, tolerance)
+    chosen = (area[0] > _MORE * area[1]) & joints.near(tolerance)
     chosen[first, second] = joints.bound[first, second] > 0
     joints = joints.take(chosen[tuple(joints.patches.parts.T)])
-    fitted, _ = _contacts(joints.patches, joints.group, tolerance)
-    kept = np.flatnonzero(~chosen[tuple(contacts.parts.T)])
-    return replace(_joined(contacts, kept, fitted), report=JointReport.of(joints.patches))
+    fitted, thin, _ = _contacts(joints.patches, joints.group, tolerance)
+    fitted = _with_thin(fitted, thin, settings.angle, tolerance)
+    both = contacts.take(np.flatnonzero(~chosen[tuple(contacts.parts.T)])).join(fitted)
+    return replace(both.take(np.lexsort(both.parts.T[::-1])), report=JointReport.of(joints.patches))
 
 
-def _joined(contacts: Contacts, kept: NDArray[np.int64], joints: Contacts) -> Contacts:
-    """Return the kept contacts and the joints, sorted by their parts."""
-    both = (contacts, joints)
-    parts = np.concatenate([contacts.parts[kept], joints.parts])
-    frames = np.concatenate([contacts.frames[kept], joints.frames])
-    areas = np.concatenate([contacts.areas[kept], joints.areas])
-    rows = np.concatenate([kept, len(contacts) + np.arange(len(joints))])
-    order = np.lexsort(parts.T[::-1])
-    starts = np.concatenate([contacts.start[:-1], joints.start[:-1] + len(contacts.points)])[rows[order]]
-    sizes = np.concatenate([np.diff(one.start) for one in both])[rows[order]]
-    _, index = expand(starts, starts + sizes)
-    return _frozen(
-        parts[order],
-        frames[order],
-        np.concatenate([one.points for one in both])[index],
-        np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32),
-        areas[order],
-    )
+def _contacts(
+    patches: Patches, group: NDArray[np.int64], tolerance: float
+) -> tuple[Contacts, NDArray[np.bool_], Narrow]:
+    """Return one contact a group of patches: mean frame, hull corners counter-clockwise.
 
-
-def _contacts(patches: Patches, group: NDArray[np.int64], tolerance: float) -> tuple[Contacts, Narrow]:
-    """Return one contact a group of patches: mean frame, hull corners counter-clockwise; and the slivers left out."""
+    Also whether each is narrower than the tolerance, shape (contacts,), and the groups without a width.
+    """
     count = int(group.max()) + 1 if len(group) else 0
     normals = segment_sum(patches.normals * patches.areas[:, None], group, count)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -254,7 +188,7 @@ def _contacts(patches: Patches, group: NDArray[np.int64], tolerance: float) -> t
     hulls: Any = shapely.simplify(shapely.convex_hull(clouds), tolerance / 100, preserve_topology=True)
 
     width = 2 * shapely.area(hulls) / np.maximum(shapely.length(hulls), 1e-300)
-    keep = width >= tolerance
+    keep = width >= NARROW * tolerance
     corners, hull = shapely.get_coordinates(hulls[keep], include_z=True, return_index=True)
     index = np.flatnonzero(keep)
     ring_end = np.append(hull[1:] != hull[:-1], True) if len(hull) else np.zeros(0, bool)
@@ -279,47 +213,106 @@ def _contacts(patches: Patches, group: NDArray[np.int64], tolerance: float) -> t
         np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32),
         areas[index],
     )
-    slivers = _slivers(hulls[~keep], tolerance)
+    curved = _own_frames(patches, group, frames, np.repeat(index, sizes), arrays[2], tolerance / 100)
+    slivers = _slivers(hulls[~keep], NARROW * tolerance)
     rows = np.flatnonzero(~keep)
     ends = origin[rows, None] + np.einsum("pji,pkj->pki", frames[rows], slivers)
     extent = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    return _frozen(*arrays), Narrow(parts[rows], normals[rows], ends, extent)
+    narrow = Narrow(parts[rows], normals[rows], ends, extent)
+    return frozen(*arrays, curved=curved), width[index] < tolerance, narrow
+
+
+def _own_frames(
+    patches: Patches, group: NDArray[np.int64], frames: Array, owner: NDArray[np.int64], points: Array, near: float
+) -> Array | None:
+    """Return the frame of each point with the normal of its own patch, shape (points, 3, 3); None if all are flat.
+
+    A force at a point has to be one that the surface there can bear; the mean normal of the contact would let it lean
+    by half the angle that the contact spans. Where patches of a contact meet in a point, the one that is inclined most
+    counts: together with the other points its normal spans those of the others.
+
+    Args:
+        patches: patches of all contacts.
+        group: contact of each patch, shape (patches,).
+        frames: of the contacts, shape (contacts, 3, 3).
+        owner: contact of each point, shape (points,).
+        points: corners of patches, shape (points, 3), metres.
+        near: distance up to which a corner of a patch is the same point, metres.
+    """
+    leans = np.linalg.norm(patches.normals - frames[group, 0], axis=1)
+    bent = np.zeros(len(frames), dtype=bool)
+    bent[group[leans > FLAT]] = True
+    rows = np.flatnonzero(bent[owner])
+    if not len(rows):
+        return None
+    from scipy.spatial import KDTree
+
+    corners = np.flatnonzero(bent[group[patches.owner]])
+    beside = KDTree(patches.points[corners]).query_ball_point(points[rows], near)
+    # Equal inclinations come in all triangulations in the same order: by direction, not by rounding.
+    rank = np.empty(len(leans), dtype=np.int64)
+    rank[np.lexsort((*np.round(patches.normals, 6).T, np.round(leans, 6)))] = np.arange(len(leans))
+    normals = frames[owner, 0].copy()
+    for row, found in zip(rows.tolist(), beside, strict=True):
+        mine = patches.owner[corners[found]]
+        mine = mine[group[mine] == owner[row]]
+        normals[row] = patches.normals[mine[rank[mine].argmax()]]
+    return frames_of(normals)
+
+
+def _with_thin(contacts: Contacts, thin: NDArray[np.bool_], angle: float, tolerance: float) -> Contacts:
+    """Leave out the contacts narrower than the tolerance that others cover; see `_adds_nothing`."""
+    wide, rows = contacts.take(np.flatnonzero(~thin)), np.flatnonzero(thin)
+    if not len(wide) or not len(rows):
+        return contacts
+    ends = np.empty((len(rows), 2, 3))
+    for place, row in enumerate(rows.tolist()):
+        ends[place] = _farthest(contacts.points[contacts.start[row] : contacts.start[row + 1]])
+    extent = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    places = Narrow(contacts.parts[rows], contacts.normals[rows], ends, extent)
+    covered = np.zeros(len(contacts), dtype=bool)
+    covered[rows[_adds_nothing(wide, places, angle, tolerance)]] = True
+    return contacts.take(np.flatnonzero(~covered))
 
 
 def _slivers(hulls: NDArray, tolerance: float) -> Array:
     """Return the two points of each hull farthest apart, or twice its middle if it is a dot; shape (hulls, 2, 3)."""
     ends = np.zeros((len(hulls), 2, 3))
     for row, hull in enumerate(hulls):
-        corners = shapely.get_coordinates(hull, include_z=True)[:, [2, 0, 1]]
-        apart = np.linalg.norm(corners[:, None] - corners, axis=2)
-        far = np.unravel_index(apart.argmax(), apart.shape)
-        ends[row] = corners[list(far)] if apart.max() > tolerance else corners[list(far)].mean(axis=0)
+        far = _farthest(shapely.get_coordinates(hull, include_z=True)[:, [2, 0, 1]])
+        ends[row] = far if np.linalg.norm(far[1] - far[0]) > tolerance else far.mean(axis=0)
     return ends
 
 
-def _with_narrow(contacts: Contacts, places: Narrow, angle: float, tolerance: float) -> Contacts:
-    """Add lines and points, but for those inside a contact with an area."""
+def _farthest(points: Array) -> Array:
+    """Return the two points farthest apart, shape (2, 3)."""
+    apart = np.linalg.norm(points[:, None] - points, axis=2)
+    return points[list(np.unravel_index(apart.argmax(), apart.shape))]
+
+
+def _with_narrow(contacts: Contacts, places: Narrow, normals: Array, angle: float, tolerance: float) -> Contacts:
+    """Add lines and points, with normals at their ends of shape (places, 2, 3), but for those inside an area."""
     if len(contacts):
-        places = places.take(~_adds_nothing(contacts, places, angle, tolerance))
+        adds = ~_adds_nothing(contacts, places, angle, tolerance)
+        places, normals = places.take(adds), normals[adds]
     if not len(places.parts):
         return contacts
     lines = places.extent > 0
-    points = np.split(contacts.points, contacts.start[1:-1]) if len(contacts) else []
-    points += [ends if line else ends[:1] for ends, line in zip(places.ends, lines.tolist(), strict=True)]
-    parts = np.concatenate([contacts.parts, places.parts])
-    frames = np.concatenate([contacts.frames, frames_of(places.normals)])
-    areas = np.concatenate([contacts.areas, np.where(lines, places.extent * tolerance, tolerance**2)])
+    counts = np.where(lines, 2, 1)
+    each = np.stack([np.ones(len(lines), dtype=bool), lines], axis=1)
+    bent = (np.linalg.norm(normals - places.normals[:, None], axis=2) > FLAT) & each
+    narrow = frozen(
+        places.parts,
+        frames_of(places.normals),
+        places.ends[each],
+        np.concatenate([[0], np.cumsum(counts)]).astype(np.int32),
+        np.where(lines, places.extent * tolerance, tolerance**2),
+        curved=frames_of(normals[each]) if bent.any() else None,
+    )
+    both = contacts.join(narrow)
     kind = np.concatenate([np.zeros(len(contacts)), np.where(lines, 1, 2)])
     middle = np.round(np.concatenate([np.zeros((len(contacts), 3)), places.ends.mean(axis=1)]) / tolerance)
-    order = np.lexsort((*middle.T[::-1], kind, *parts.T[::-1]))
-    sizes = [len(points[index]) for index in order]
-    return _frozen(
-        parts[order],
-        np.ascontiguousarray(frames[order]),
-        np.concatenate([np.zeros((0, 3)), *(points[index] for index in order)]),
-        np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32),
-        areas[order],
-    )
+    return both.take(np.lexsort((*middle.T[::-1], kind, *both.parts.T[::-1])))
 
 
 def _adds_nothing(contacts: Contacts, places: Narrow, angle: float, tolerance: float) -> NDArray[np.bool_]:
@@ -358,9 +351,3 @@ def _adds_nothing(contacts: Contacts, places: Narrow, angle: float, tolerance: f
             sides = sum(bool(apart[one, :one].all()) for one in range(len(group)))
             known[row[group]] |= sides >= np.where(places.extent[row[group]] > 0, 2, 3)
     return known
-
-
-def _frozen(*arrays: Any) -> Contacts:
-    for array in arrays:
-        array.setflags(write=False)
-    return Contacts(*arrays)

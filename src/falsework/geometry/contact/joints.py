@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from falsework.errors import AssemblyError
 from falsework.geometry.contact.grouping import planes
-from falsework.geometry.contact.overlap import Overlaps, depth, vertex_depth
+from falsework.geometry.contact.overlap import Overlaps, coarse_depth, depth, vertex_depth
 from falsework.geometry.contact.patches import Faces, Patches, intersect_faces, opposed_faces
 from falsework.geometry.mesh.collision import inside, interpenetrate
 from falsework.geometry.mesh.mesh import TriangleMesh
@@ -21,7 +21,12 @@ OVERLAP = 1 / 3
 """Largest overlap of a joint, as a share of the extent of the smaller part along the normal: at half the extent the
 far sides of two equal parts are as near to each other as those that should touch."""
 GAP = 1 / 20
-"""Largest gap of a joint, as a share of the same extent."""
+"""Largest gap of a joint whose surfaces meet elsewhere, as a share of the same extent."""
+BRIDGED = 1 / 100
+"""Largest gap of a joint whose surfaces meet nowhere, as a share of the same extent. A part that closes it by tilting
+about its other supports turns by about this angle in radians, which changes the friction that it needs by 0.01."""
+_THROUGH = 0.95
+"""Largest overlap of a joint, as a share of the thickness of the thinner part. Cubes reach `OVERLAP` first."""
 _ANGLE = 30.0
 """Largest angle between surfaces that face each other, degrees: two tessellations of one warped face differ by 20."""
 
@@ -81,22 +86,23 @@ class JointSurfaces:
     bound: Array
     """Largest overlap that is allowed to the joint of two parts, zero for pairs without one, shape (parts, parts),
     metres."""
+    bridged: Array
+    """Largest gap that is bridged between two parts whose surfaces meet nowhere, zero for pairs without a joint, shape
+    (parts, parts), metres."""
 
     def take(self, chosen: NDArray[np.bool_]) -> JointSurfaces:
         """Return the chosen patches alone, shape (patches,)."""
-        return JointSurfaces(
-            self.patches.take(chosen), np.unique(self.group[chosen], return_inverse=True)[1], self.bound
-        )
+        group = np.unique(self.group[chosen], return_inverse=True)[1]
+        return JointSurfaces(self.patches.take(chosen), group, self.bound, self.bridged)
 
-    def near(self, touching: NDArray[np.integer], tolerance: float) -> NDArray[np.bool_]:
+    def near(self, tolerance: float) -> NDArray[np.bool_]:
         """Return whether two parts are so near to each other that a gap between them is an inaccuracy.
 
         A part that is shifted by some length overlaps neighbours on one side by this length, and has a gap on the
-        other; where both parts are shifted, the gap is twice as wide. Wider gaps may be meant, unless a part touches
-        nothing.
+        other; where both parts are shifted, the gap is twice as wide. Wider gaps are meant, as are those of parts that
+        overlap nothing, and a support that is not there must not carry: so is a gap above `BRIDGED`.
 
         Args:
-            touching: pairs of parts that touch within the tolerance or overlap, shape (pairs, 2).
             tolerance: metres.
 
         Returns:
@@ -108,8 +114,8 @@ class JointSurfaces:
         allowed = np.full(len(least), tolerance)
         for parts in pair:
             np.maximum.at(allowed, parts, -2 * self.patches.distance[:, 0])
-        allowed[np.setdiff1d(np.arange(len(least)), touching)] = np.inf
-        return least <= np.maximum(allowed[:, None], allowed)
+        shifted = np.minimum(np.maximum(allowed[:, None], allowed), self.bridged)
+        return least <= np.maximum(shifted, tolerance)
 
 
 def find_joints(
@@ -142,9 +148,9 @@ def find_joints(
     side = planes(patches, _ANGLE, OVERLAP * smaller)
     wide = _widths(patches, side) > np.maximum(_depths(patches, side), narrowest)
     patches, smaller = patches.take(wide[side]), smaller[wide[side]]
-    joint = JointSurfaces(patches, planes(patches, angle, GAP * smaller), np.zeros((len(meshes), len(meshes))))
-    np.maximum.at(joint.bound, tuple(patches.parts.T), OVERLAP * smaller)
-    return joint
+    bound = np.zeros((len(meshes), len(meshes)))
+    np.maximum.at(bound, tuple(patches.parts.T), smaller)
+    return JointSurfaces(patches, planes(patches, angle, GAP * smaller), OVERLAP * bound, BRIDGED * bound)
 
 
 def _widths(patches: Patches, group: NDArray[np.int64]) -> Array:
@@ -182,10 +188,10 @@ def depths_beyond(meshes: Sequence[TriangleMesh], overlaps: Overlaps, bound: Arr
     Returns:
         Shape (pairs,), metres.
     """
-    allowed = np.where(bound > 0, bound, _limits(meshes, overlaps))
+    allowed = np.where(bound > 0, np.minimum(bound, _most(meshes, overlaps)), _limits(meshes, overlaps))
     found = np.zeros(len(allowed))
     for row, (a, b) in enumerate(overlaps.parts.tolist()):
-        measure = vertex_depth if bound[row] else depth
+        measure = coarse_depth if bound[row] else depth
         deep = measure(meshes[a], meshes[b])
         if deep > allowed[row] or _lies_inside(meshes[a], meshes[b]) or _lies_inside(meshes[b], meshes[a]):
             found[row] = deep
@@ -195,14 +201,46 @@ def depths_beyond(meshes: Sequence[TriangleMesh], overlaps: Overlaps, bound: Arr
 def _limits(meshes: Sequence[TriangleMesh], overlaps: Overlaps) -> Array:
     """Return the depth that is allowed to pairs without a joint, shape (pairs,), metres."""
     # Parts that meet along an edge overlap in a strip with parallel sides if one is shifted, and have no joint.
-    thickness = np.array([mesh.thickness for mesh in meshes])[overlaps.parts].min(axis=1)
-    return np.where(overlaps.layer, np.maximum(overlaps.limit, OVERLAP * thickness), overlaps.limit)
+    most = np.maximum(overlaps.limit, OVERLAP * _thickness(meshes, overlaps))
+    return np.where(overlaps.layer, most, overlaps.limit)
+
+
+def _most(meshes: Sequence[TriangleMesh], overlaps: Overlaps) -> Array:
+    """Return the depth that no joint of a pair may have, shape (pairs,), metres.
+
+    Bars that lie in each other are as deep as they are thick, however long they are along what looks like a joint.
+    """
+    return np.maximum(overlaps.limit, _THROUGH * _thickness(meshes, overlaps))
+
+
+def _thickness(meshes: Sequence[TriangleMesh], overlaps: Overlaps) -> Array:
+    """Return the thickness of the thinner part of each pair, shape (pairs,), metres."""
+    thickness: Array = np.array([mesh.thickness for mesh in meshes])[overlaps.parts].min(axis=1)
+    return thickness
+
+
+def refuse_deep(meshes: Sequence[TriangleMesh], overlaps: Overlaps) -> None:
+    """Raise for the first pair that is deeper in each other than any joint may be.
+
+    This takes seconds where parts of many faces lie in each other, and joints between these would take minutes to find.
+
+    Raises:
+        AssemblyError: names the parts and the depth.
+    """
+    for (a, b), allowed in zip(overlaps.parts.tolist(), _most(meshes, overlaps).tolist(), strict=True):
+        deep = coarse_depth(meshes[a], meshes[b], allowed)
+        if deep > allowed:
+            raise AssemblyError(
+                f"parts {meshes[a].name} and {meshes[b].name} pass through each other by {1000 * deep:.3g} mm, and at "
+                f"most {1000 * allowed:.3g} mm is allowed to parts that are so thin; move them apart"
+            )
 
 
 def _lies_inside(one: TriangleMesh, other: TriangleMesh) -> bool:
     (low, high), (least, most) = one.bounds, other.bounds
     enclosed = (low >= least).all() and (high <= most).all()
-    return bool(enclosed and inside(one.vertices, other.triangles).all())
+    # Most parts that do not lie inside show it by their first vertices.
+    return bool(enclosed and all(inside(some, other.triangles).all() for some in (one.vertices[:8], one.vertices)))
 
 
 def check_joints(meshes: Sequence[TriangleMesh], overlaps: Overlaps, bound: Array) -> None:
@@ -222,7 +260,7 @@ def check_joints(meshes: Sequence[TriangleMesh], overlaps: Overlaps, bound: Arra
         for row in np.flatnonzero(bound == 0).tolist()
         if interpenetrate(meshes[overlaps.parts[row, 0]], meshes[overlaps.parts[row, 1]], float(limit[row]))
     ]
-    replace(overlaps, limit=limit).raise_deepest(meshes, doubtful)
+    replace(overlaps, limit=limit).raise_first(meshes, doubtful)
     for (a, b), allowed in zip(overlaps.parts.tolist(), bound.tolist(), strict=True):
         if not allowed:
             continue

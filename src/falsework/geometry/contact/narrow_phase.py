@@ -22,8 +22,10 @@ Index = NDArray[np.int64]
 
 _CHUNK = 200_000
 """Pairs of faces, or pieces and edges, that are compared at once; bounds the memory of very fine meshes."""
-_BESIDE = 1.5
-"""Distance from an edge of a face, in tolerances, up to which a point on the face counts as on its edge."""
+NARROW = 1e-2
+"""Width up to which a strip is a line, and distance from an edge of a face up to which a point on the face is on its
+edge, as a share of the default gap: 5e-6 of the diagonal of a typical part, just above the rounding of coordinates that
+are written with six digits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,10 +59,12 @@ class ContactTolerances:
     gap: float
     overlap: float
     angle: float
+    tolerance: float
+    """Distance up to which places are one: the default gap, whatever gap and overlap are."""
 
     @property
-    def tolerance(self) -> float:
-        """The larger of gap and overlap: narrower contacts have no width."""
+    def reach(self) -> float:
+        """Largest distance between parts that touch."""
         return max(self.gap, self.overlap)
 
     @property
@@ -92,7 +96,7 @@ def narrow_places(meshes: Sequence[TriangleMesh], limits: ContactTolerances, sli
     rims = every.take(every.turn > np.radians(limits.angle))
     found = [slivers.take(_inside_a_rim(slivers, every, limits))]
     corners = surface.corners
-    half = limits.tolerance / 2
+    half = limits.reach / 2
     vertices, first = np.unique(surface.faces.ravel(), return_index=True)
     of_face = _groups(sharp.face, np.arange(len(sharp.face)), len(corners))
     tips = _groups(first // 3, vertices, len(corners))
@@ -136,19 +140,22 @@ def _ordered(first: NDArray[np.int32], second: NDArray[np.int32], normals: Array
     return parts, normals * np.where(first < second, 1.0, -1.0)[:, None]
 
 
-def merged(found: Narrow, coplanar: float, tolerance: float) -> Narrow:
+def merged(found: Narrow, coplanar: float, tolerance: float) -> tuple[Narrow, Array]:
     """Join pieces of one line, and points at one place, that have the same normal; leave out what is too short.
 
     The longest piece that is left of a pair of parts collects those within `coplanar` degrees and `tolerance` metres.
     A point between two pieces of a line is a convex combination of points that touch, so that their outer ends stand
     for all of it.
+
+    Returns:
+        The places with the mean normal of their pieces, and the normals at both ends, shape (places, 2, 3).
     """
     middle = np.round(found.ends.mean(axis=1) / tolerance)
     size = np.round(found.extent / tolerance)
     found = found.take(np.lexsort((*middle.T[::-1], -size, found.extent == 0, *found.parts.T[::-1])))
     limit = np.cos(np.radians(coplanar))
     pairs = np.flatnonzero(np.append(True, (found.parts[1:] != found.parts[:-1]).any(axis=1)))
-    out = [found.take(np.zeros(0, np.int64))]
+    out, outer = [found.take(np.zeros(0, np.int64))], [np.zeros((0, 2, 3))]
     for rest in np.split(np.arange(len(found.parts)), pairs[1:]) if len(found.parts) else []:
         while len(rest):
             start, along = found.ends[rest[0], 0], found.ends[rest[0], 1] - found.ends[rest[0], 0]
@@ -160,16 +167,18 @@ def merged(found: Narrow, coplanar: float, tolerance: float) -> Narrow:
             near &= (found.extent[rest] > 0) == (found.extent[rest[0]] > 0)
             near[0] = True
             one, times = rest[near], times[near]
-            ends = found.ends[one].reshape(-1, 3)[[times.argmin(), times.argmax()]]
+            far = np.array([times.argmin(), times.argmax()])
+            ends, normals = found.ends[one].reshape(-1, 3)[far], found.normals[one[far // 2]]
             extent = min(float(found.extent[one].sum()), float(np.ptp(times)))
             normal = np.average(found.normals[one], axis=0, weights=np.maximum(found.extent[one], 1e-300))
             normal /= np.linalg.norm(normal)
             # From the lower end in x, then y, then z, whichever way the edge ran.
-            ends = ends[np.lexsort(np.round(ends / tolerance).T[::-1])]
+            order = np.lexsort(np.round(ends / tolerance).T[::-1])
             if extent >= tolerance or found.extent[one[0]] == 0:
-                out.append(Narrow(found.parts[one[:1]], normal[None], ends[None], np.array([extent])))
+                out.append(Narrow(found.parts[one[:1]], normal[None], ends[None, order], np.array([extent])))
+                outer.append(normals[None, order])
             rest = rest[~near]
-    return Narrow.join(out)
+    return Narrow.join(out), np.concatenate(outer)
 
 
 def _edges_on_faces(
@@ -233,7 +242,7 @@ def _along_edges(ends: Array, part: NDArray[np.int32], edges: Creases, limits: C
         high = np.minimum(np.maximum(first, second), length)
         middle = origin + ((low + high) / 2)[:, None] * along
         away = np.linalg.norm(np.cross(middle - edges.tail[near], edges.along[near]), axis=1)
-        beside = (away <= _BESIDE * limits.tolerance) & (high > low)
+        beside = (away <= NARROW * limits.tolerance) & (high > low)
         covered += np.bincount(rows[beside], (high - low)[beside], len(ends))
     return covered
 
@@ -259,7 +268,7 @@ def _inside_a_rim(slivers: Narrow, edges: Creases, limits: ContactTolerances) ->
     for side in (0, 1):
         part = slivers.parts[:, side]
         along = slivers.extent - _along_edges(slivers.ends, part, edges, limits) > limits.tolerance
-        inside |= np.where(point, _from_edges(slivers.ends[:, 0], part, edges) > _BESIDE * limits.tolerance, along)
+        inside |= np.where(point, _from_edges(slivers.ends[:, 0], part, edges) > NARROW * limits.tolerance, along)
     return inside
 
 
@@ -291,7 +300,7 @@ def _corners_on_faces(
         inside &= np.einsum("ei,ei->e", point - corners[:, side], inwards) >= -1e-6 * limits.tolerance
     keep = np.flatnonzero(inside)
     keep = keep[rises(surface, vertex[keep], normal[keep], limits.sine)]
-    keep = keep[_from_edges(point[keep], surface.part[face[keep]], rims) > _BESIDE * limits.tolerance]
+    keep = keep[_from_edges(point[keep], surface.part[face[keep]], rims) > NARROW * limits.tolerance]
     middle = point[keep] - height[keep, None] / 2 * normal[keep]
     parts, normals = _ordered(part[keep], surface.part[face[keep]], -normal[keep])
     return Narrow(parts, normals, np.stack([middle, middle], axis=1), np.zeros(len(keep)))

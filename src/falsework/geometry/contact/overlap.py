@@ -18,8 +18,8 @@ Array = NDArray[np.float64]
 
 _OPPOSED = 3.0
 """Largest angle between opposed faces of which an overlap is a mistake and no bevel, degrees."""
-_MEASURED = 20
-"""Pairs whose depth is measured before the deepest is reported."""
+_ASKED = 32
+"""Points of which it is asked at first whether they are inside a part."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,30 +37,25 @@ class Overlaps:
         """Return whether a pair is deeper than allowed, as measured."""
         pairs = zip(self.parts.tolist(), self.limit.tolist(), strict=True)
         return any(
-            vertex_depth(meshes[a], meshes[b]) > limit or depth(meshes[a], meshes[b]) > limit for (a, b), limit in pairs
+            vertex_depth(meshes[a], meshes[b], limit) > limit or depth(meshes[a], meshes[b]) > limit
+            for (a, b), limit in pairs
         )
 
-    def raise_deepest(self, meshes: Sequence[TriangleMesh], among: Sequence[int]) -> None:
-        """Raise for the deepest of the first pairs `among` all that are deeper than allowed; return if none is.
+    def raise_first(self, meshes: Sequence[TriangleMesh], among: Sequence[int]) -> None:
+        """Raise for the first pair `among` all that is deeper than allowed; return if none is.
 
         Raises:
             AssemblyError: names the parts and the depth.
         """
-        worst, pair, allowed = 0.0, (0, 0), 0.0
-        for measured, row in enumerate(among, start=1):
+        for row in among:
             (a, b), limit = self.parts[row].tolist(), float(self.limit[row])
             deep = depth(meshes[a], meshes[b])
-            if deep > max(limit, worst):
-                worst, pair, allowed = deep, (a, b), limit
-            if worst and measured >= _MEASURED:
-                break
-        if worst:
-            a, b = pair
-            raise AssemblyError(
-                f"parts {meshes[a].name} and {meshes[b].name} pass through each other by {1000 * worst:.3g} mm, "
-                f"and {1000 * allowed:.3g} mm is allowed where they have no joint; move them apart, or raise the "
-                'tolerance ("contact": {"overlap": metres} in assembly.json)'
-            )
+            if deep > limit:
+                raise AssemblyError(
+                    f"parts {meshes[a].name} and {meshes[b].name} pass through each other by {1000 * deep:.3g} mm, "
+                    f"and {1000 * limit:.3g} mm is allowed where they have no joint; move them apart, or raise the "
+                    'tolerance ("contact": {"overlap": metres} in assembly.json)'
+                )
 
 
 def find_overlaps(meshes: Sequence[TriangleMesh], tolerance: float, *, corner: float | None) -> Overlaps:
@@ -71,7 +66,7 @@ def find_overlaps(meshes: Sequence[TriangleMesh], tolerance: float, *, corner: f
     bevelled corners often do.
 
     Each part is shrunk by half of what is allowed, so that shallower overlaps vanish; what then still
-    collides, or lies one inside the other, is a candidate, whose depth `Overlaps.raise_deepest` measures.
+    collides, or lies one inside the other, is a candidate, whose depth `Overlaps.raise_first` measures.
 
     Args:
         meshes: closed meshes that face outwards.
@@ -147,33 +142,62 @@ def depth(a: TriangleMesh, b: TriangleMesh) -> float:
     spacing = float(np.linalg.norm(high - low)) / 40
     deepest = 0.0
     for one, other in ((a, b), (b, a)):
-        points = _surface_points(one, low, high, spacing)
-        points = points[inside(points, other.triangles)]
-        if len(points):
-            deepest = max(deepest, float(Body(other.vertices, other.faces).distances(points).max()))
+        deepest = _deepest(_surface_points(one, low, high, spacing), (other,), deepest)
+    return _deepest(_grid(low, high), (a, b), deepest)
+
+
+def coarse_depth(a: TriangleMesh, b: TriangleMesh, least: float = 0.0) -> float:
+    """Return the depth at vertices, or if it is not more than `least`, on a grid over what the parts may share, metres.
+
+    It is fast, and no larger than `depth`, but for `least`, which is returned where it is smaller than that.
+    """
+    low, high = np.maximum(a.bounds[0], b.bounds[0]), np.minimum(a.bounds[1], b.bounds[1])
+    if (low >= high).any():
+        return least
+    found = vertex_depth(a, b, least)
+    return found if found > least else _deepest(_grid(low, high), (a, b), least)
+
+
+def _grid(low: Array, high: Array) -> Array:
+    """Return points inside a box, shape (points, 3), metres."""
     steps = [np.linspace(low[axis], high[axis], 15)[1:-1] for axis in range(3)]
-    grid = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3)
-    grid = grid[inside(grid, a.triangles)]
-    grid = grid[inside(grid, b.triangles)]
-    if len(grid):
-        both = np.minimum(Body(a.vertices, a.faces).distances(grid), Body(b.vertices, b.faces).distances(grid))
-        deepest = max(deepest, float(both.max()))
-    return deepest
+    return np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def vertex_depth(a: TriangleMesh, b: TriangleMesh) -> float:
+def vertex_depth(a: TriangleMesh, b: TriangleMesh, least: float = 0.0) -> float:
     """Return the largest distance to the surface of one part from a vertex of the other inside it, metres.
 
-    It is fast, and no larger than `depth`.
+    It is fast, and no larger than `depth`, but for `least`, which is returned where it is smaller than that.
     """
-    deepest = 0.0
     for one, other in ((a, b), (b, a)):
-        low, high = other.bounds
-        points = one.vertices[((one.vertices >= low) & (one.vertices <= high)).all(axis=1)]
-        points = points[inside(points, other.triangles)]
-        if len(points):
-            deepest = max(deepest, float(Body(other.vertices, other.faces).distances(points).max()))
-    return deepest
+        least = _deepest(one.vertices, (other,), least)
+    return least
+
+
+def _deepest(points: Array, parts: Sequence[TriangleMesh], least: float) -> float:
+    """Return how far the deepest of the points inside all parts is from their surfaces, or `least` if that is more.
+
+    Distances take much less time than the question whether a point is inside: that is asked of the farthest points
+    first, in groups that grow, and the first one inside is the deepest.
+    """
+    # A ball around the point, as large as it is deep, lies in all parts and so in their boxes.
+    low = np.max([part.bounds[0] for part in parts], axis=0) + least
+    high = np.min([part.bounds[1] for part in parts], axis=0) - least
+    points = points[((points > low) & (points < high)).all(axis=1)]
+    if not len(points):
+        return least
+    away = np.min([Body(part.vertices, part.faces).distances(points) for part in parts], axis=0)
+    order = np.argsort(-away, kind="stable")
+    order = order[away[order] > least]
+    first, count = 0, _ASKED
+    while first < len(order):
+        some = order[first : first + count]
+        for part in parts:
+            some = some[inside(points[some], part.triangles)]
+        if len(some):
+            return float(away[some[0]])
+        first, count = first + count, 2 * count
+    return least
 
 
 def _surface_points(mesh: TriangleMesh, low: Array, high: Array, spacing: float) -> Array:

@@ -90,7 +90,9 @@ class Faces:
         return Faces(corners[solid], part[solid], cross[solid] / length[solid, None])
 
 
-def face_patches(meshes: Sequence[TriangleMesh], *, gap: float, overlap: float, angle: float) -> Patches:
+def face_patches(
+    meshes: Sequence[TriangleMesh], *, gap: float, overlap: float, angle: float, least: float | None = None
+) -> Patches:
     """Intersect all pairs of opposed, nearly coplanar faces of different parts.
 
     Two faces are opposed if their outward normals differ from opposite by at most `angle`. They touch where
@@ -101,12 +103,14 @@ def face_patches(meshes: Sequence[TriangleMesh], *, gap: float, overlap: float, 
         gap: largest distance between touching faces, metres; negative to find overlapping ones alone.
         overlap: largest depth to which touching faces may pass through each other, metres.
         angle: degrees.
+        least: side of a square whose area is rounding, metres; None: a thousandth of the larger of gap and overlap.
     """
     faces = Faces.of(meshes)
     reach = np.full(len(faces.part), max(abs(gap), overlap))
+    least = max(gap, overlap) / 1000 if least is None else least
     return Patches.join(
         [
-            intersect_faces(faces, i, j, gap=np.full(len(i), gap), overlap=np.full(len(i), overlap))
+            intersect_faces(faces, i, j, gap=np.full(len(i), gap), overlap=np.full(len(i), overlap), least=least)
             for i, j in opposed_faces(faces, reach, angle)
         ]
     )
@@ -137,7 +141,15 @@ def opposed_faces(
             yield i[chunk : chunk + _CHUNK], j[chunk : chunk + _CHUNK]
 
 
-def intersect_faces(faces: Faces, i: NDArray[np.int64], j: NDArray[np.int64], *, gap: Array, overlap: Array) -> Patches:
+def intersect_faces(
+    faces: Faces,
+    i: NDArray[np.int64],
+    j: NDArray[np.int64],
+    *,
+    gap: Array,
+    overlap: Array,
+    least: float | None = None,
+) -> Patches:
     """Project pairs of faces along their mean normal, intersect them, and keep what is near enough.
 
     Args:
@@ -146,6 +158,7 @@ def intersect_faces(faces: Faces, i: NDArray[np.int64], j: NDArray[np.int64], *,
         j: second face of each pair, shape (pairs,).
         gap: largest distance between the faces of each pair, shape (pairs,), metres.
         overlap: largest depth to which they may pass through each other, shape (pairs,), metres.
+        least: side of a square whose area is rounding, metres; None: a thousandth of the larger of gap and overlap.
     """
     normals = faces.normals[i] - faces.normals[j]
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -165,7 +178,8 @@ def intersect_faces(faces: Faces, i: NDArray[np.int64], j: NDArray[np.int64], *,
     shapes = shapely.intersection(shapely.polygons(a[:, :, 1:]), shapely.polygons(b[:, :, 1:]))
     shapes = _clip_to_band(shapes, slope, level, gap=gap, overlap=overlap)
     areas = np.asarray(shapely.area(shapes))
-    solid = areas > (1e-3 * np.maximum(gap, overlap)) ** 2  # touching edges leave slivers of rounding
+    rounding = np.maximum(gap, overlap) / 1000 if least is None else np.full(len(areas), least)
+    solid = areas > rounding**2  # touching edges leave slivers of rounding
     shapes, areas = shapes[solid], areas[solid]
     kept = np.flatnonzero(near)[solid]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import MeshError
+from falsework.geometry.mesh.bounds import check_growth
 from falsework.geometry.mesh.surface import PartSurface, joined, listed, warn_of
 from falsework.utils.json_text import parse_json
 
@@ -46,8 +47,8 @@ def read_gltf(file: Path) -> list[PartSurface]:
     other scenes and animations are left out with a warning.
 
     Raises:
-        MeshError: a file that is damaged, or whose shape depends on what is not read: skins, morph targets,
-            compression, instancing.
+        MeshError: a file that is damaged, that has too many copies of its meshes (see `check_growth`), or whose shape
+            depends on what is not read: skins, morph targets, compression, instancing.
     """
     try:
         content = file.read_bytes()
@@ -88,7 +89,9 @@ class _Reader:
         shaping = [name for name in used if not name.startswith(_HARMLESS)]
         if shaping:
             self._fail(f"it uses {listed(shaping)}, which may change its shapes", "export it without extensions")
-        surfaces = [surface for root in self._roots() for surface in self._parts(root, np.eye(4), 0, False)]
+        uses = [use for root in self._roots() for use in self._uses(root, np.eye(4), 0, False)]
+        self._check_growth(uses)
+        surfaces = [surface for use in uses if (surface := self._part(*use)) is not None]
         self._report()
         numbers = [-1 if surface.number is None else surface.number for surface in surfaces]
         if sorted(numbers) == list(range(len(numbers))):
@@ -132,26 +135,49 @@ class _Reader:
             warn_of(self._file, f"nodes that are not in scene {chosen} were left out: {names}")
         return roots
 
-    def _parts(self, number: int, above: Array, level: int, hidden: bool) -> Iterator[PartSurface]:
-        """Yield the surfaces of a node and those below it."""
+    def _uses(self, number: int, above: Array, level: int, hidden: bool) -> Iterator[tuple[int, Array, bool]]:
+        """Yield a node and those below it that have a mesh: number, place, and whether it is hidden."""
         self._count += 1
         if level > _LEVELS or self._count > _NODES:
             self._fail("its nodes contain themselves, or are too many", "export it again")
         node = self._entry("nodes", number)
-        name, place = self._name(node, number), above @ _transform(node)
+        place = above @ _transform(node)
         hidden = hidden or (node.get("extensions") or {}).get("KHR_node_visibility", {}).get("visible") is False
         if "mesh" in node:
-            if "skin" in node:
-                self._fail(f"node {name} is deformed by a skin", "apply it and export plain meshes")
-            surface = self._mesh(node["mesh"], name, node)
-            if hidden:
-                self._hidden.append(name)
-            elif surface is not None and not np.linalg.det(place[:3, :3]):
-                self._flat.append(name)
-            elif surface is not None:
-                yield self._placed(surface, node, place)
+            yield number, place, hidden
         for child in node.get("children", []):
-            yield from self._parts(child, place, level + 1, hidden)
+            yield from self._uses(child, place, level + 1, hidden)
+
+    def _check_growth(self, uses: Sequence[tuple[int, Array, bool]]) -> None:
+        """Refuse copies of meshes and claims of arrays beyond the size of the files, before any is read."""
+        accessors = self._json.get("accessors", [])
+        sizes = [
+            sum(
+                max(0, int(accessors[index]["count"]))
+                for primitive in mesh["primitives"]
+                for index in (primitive["attributes"].get("POSITION"), primitive.get("indices"))
+                if index is not None
+            )
+            for mesh in self._json.get("meshes", [])
+        ]
+        beside = {self._beside(uri) for buffer in self._json.get("buffers", []) if (uri := buffer.get("uri"))}
+        size = sum(file.stat().st_size for file in beside if file is not None)
+        check_growth(self._file, sum(sizes[self._json["nodes"][number]["mesh"]] for number, _, _ in uses), beside=size)
+
+    def _part(self, number: int, place: Array, hidden: bool) -> PartSurface | None:
+        """Return the surface of a node in its place; None if it is left out."""
+        node = self._entry("nodes", number)
+        name = self._name(node, number)
+        if "skin" in node:
+            self._fail(f"node {name} is deformed by a skin", "apply it and export plain meshes")
+        surface = self._mesh(node["mesh"], name, node)
+        if hidden:
+            self._hidden.append(name)
+        elif surface is not None and not np.linalg.det(place[:3, :3]):
+            self._flat.append(name)
+        elif surface is not None:
+            return self._placed(surface, node, place)
+        return None
 
     def _placed(self, surface: PartSurface, node: dict[str, Any], place: Array) -> PartSurface:
         points = surface.vertices @ place[:3, :3].T + place[:3, 3]
@@ -235,11 +261,16 @@ class _Reader:
             elif uri.startswith("data:"):
                 self._buffers[index] = base64.b64decode(uri.partition(",")[2], validate=True)
             else:
-                beside = self._file.parent / uri
-                if self._file.suffix.lower() != ".gltf" or Path(uri).name != uri or not beside.is_file():
+                beside = self._beside(uri)
+                if beside is None:
                     self._fail(f"its data are in {uri[:80]!r}, which is no file beside it", "export it as .glb")
                 self._buffers[index] = beside.read_bytes()
         return self._buffers[index]
+
+    def _beside(self, uri: str) -> Path | None:
+        """Return the file beside this one that a buffer names; None if it is no such file."""
+        beside = self._file.parent / Path(uri).name
+        return beside if self._file.suffix.lower() == ".gltf" and beside.name == uri and beside.is_file() else None
 
     def _entry(self, kind: str, index: int) -> dict[str, Any]:
         if index < 0:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import MeshError
+from falsework.geometry.mesh.bounds import LARGEST_POLYGON
 
 Array = NDArray[np.float64]
 
@@ -28,8 +29,13 @@ def triangulate(points: Array) -> list[tuple[int, int, int]]:
 
     Returns:
         Triples of indices into `points`; one fewer than two less than the corners where corners coincide.
+
+    Raises:
+        MeshError: there are more corners than `LARGEST_POLYGON`.
     """
     count = len(points)
+    if count > LARGEST_POLYGON:
+        raise MeshError(_too_many(count))
     if count == 3:
         return [(0, 1, 2)]
     normal = newell_normal(points)
@@ -49,10 +55,12 @@ def triangulate(points: Array) -> list[tuple[int, int, int]]:
         return not any(
             turn(i, j, p) >= 0 and turn(j, k, p) >= 0 and turn(k, i, p) >= 0
             for p in ring
-            if p not in (i, j, k) and (x[p], y[p]) not in ((x[i], y[i]), (x[j], y[j]), (x[k], y[k]))
+            if inward[p] and p not in (i, j, k) and (x[p], y[p]) not in ((x[i], y[i]), (x[j], y[j]), (x[k], y[k]))
         )
 
     ring = list(range(count))
+    # A cut never turns a corner inwards, and only such corners can lie in an ear.
+    inward = [turn(at - 1, at, (at + 1) % count) <= 0 for at in ring]
     triangles: list[tuple[int, int, int]] = []
     while len(ring) > 3:
         at = next((at for at in range(len(ring)) if is_ear(ring, at)), None)
@@ -68,12 +76,12 @@ def triangles_of(file: str, points: Array, polygons: Sequence[Sequence[int]]) ->
     """Return triangles of polygons in their order, shape (triangles, 3).
 
     Args:
-        file: where they are from, for the message.
+        file: where they are from, for messages.
         points: shape (vertices, 3).
         polygons: indices into `points`, three or more each.
 
     Raises:
-        MeshError: a polygon with a vertex that does not exist.
+        MeshError: a polygon with a vertex that does not exist, or with more corners than `LARGEST_POLYGON`.
     """
     if not polygons:
         return np.zeros((0, 3), dtype=np.int64)
@@ -83,5 +91,11 @@ def triangles_of(file: str, points: Array, polygons: Sequence[Sequence[int]]) ->
         return np.array(polygons, dtype=np.int64)
     faces: list[list[int]] = []
     for polygon in polygons:
+        if len(polygon) > LARGEST_POLYGON:
+            raise MeshError(f"{file}: {_too_many(len(polygon))}")
         faces.extend([polygon[corner] for corner in triangle] for triangle in triangulate(points[list(polygon)]))
     return np.array(faces, dtype=np.int64)
+
+
+def _too_many(corners: int) -> str:
+    return f"a face has {corners} corners, at most {LARGEST_POLYGON} are read; cut it into triangles"

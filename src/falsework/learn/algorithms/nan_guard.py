@@ -9,7 +9,7 @@ from pathlib import Path
 import torch
 
 from falsework.errors import TrainingError
-from falsework.utils.archive import write_whole
+from falsework.utils.files.output_file import write_whole
 
 
 class NanGuard:

@@ -26,7 +26,11 @@ _PLAIN_WIDTH = 64
 
 @dataclass(frozen=True, eq=False)
 class SolveReport:
-    """States from which a proven plan was found, and the stage that found it."""
+    """States from which a plan was found, and the stage that found it.
+
+    Every state of the plan is stable from rest; only plans of the last stage are also replayed as they are built, as a
+    `Replanner` does with every plan.
+    """
 
     decided_by: np.ndarray
     """Name of a `Stage` for each start, `Stage.NONE` where no plan was found. Shape (starts,)."""

@@ -26,6 +26,7 @@ from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Criterion
 from falsework.utils.archive import check_header, read_archive, write_archive
 from falsework.utils.distributed import ProcessGroup
+from falsework.utils.files.damage import blamed_on
 from falsework.utils.quantity import check_seed
 from falsework.utils.tensors import choose_device
 
@@ -137,11 +138,12 @@ def load_dataset(path: Path | str, assembly: Assembly) -> Dataset:
     check_header(path, header, _KINDS, "make it anew")
     if header["identity"] != assembly.identity:
         raise InputError(f"{path} is a data set of {header['name']}, not of {assembly.name}; make one for it")
-    task = task_for(assembly, header["robots"], header["removable_only_if_clear"], header["fixed"])
-    task = replace(task, holds_keep_stable=criterion == "equilibrium")
-    found = {name: arrays[name] for name in _SETS}
-    check_states(path, found, task.part_count, "make it anew")
-    settings = DataSettings(header["train_width"], header["test_width"])
+    with blamed_on(path, "make it anew"):
+        task = task_for(assembly, header["robots"], header["removable_only_if_clear"], header["fixed"])
+        task = replace(task, holds_keep_stable=criterion == "equilibrium")
+        found = {name: arrays[name] for name in _SETS}
+        check_states(path, found, task.part_count, "make it anew")
+        settings = DataSettings(header["train_width"], header["test_width"])
     train, test, validation, more = (found[name] for name in _SETS)
     return Dataset(train, test, validation, more, task=task, name=header["name"], settings=settings)
 

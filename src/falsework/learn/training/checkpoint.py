@@ -19,7 +19,8 @@ from falsework.learn.networks import policy as policies
 from falsework.learn.networks.factory import make_policy
 from falsework.learn.networks.policy import Policy
 from falsework.search.plans.plan_source import wrong_source
-from falsework.utils.archive import write_whole
+from falsework.utils.files.damage import blamed_on
+from falsework.utils.files.output_file import write_whole
 from falsework.utils.json_text import parse_json
 
 FORMAT = "falsework.run/2"
@@ -199,14 +200,15 @@ def load_run(folder: Path | str, device: torch.device | str = "cpu", *, assembly
 
     folder = Path(folder)
     where = choose_device(device) if isinstance(device, str) else device
-    metadata = read_run(folder)
-    if assembly is None:
-        assembly = load_structure_of(folder, metadata)
-    else:
-        check_structure(folder, metadata, assembly)
-    settings = settings_of(metadata)
-    policy = make_policy(assembly, settings.policy, where)
-    load_weights(policy, folder / WEIGHTS)
+    with blamed_on(folder, "train again"):
+        metadata = read_run(folder)
+        if assembly is None:
+            assembly = load_structure_of(folder, metadata)
+        else:
+            check_structure(folder, metadata, assembly)
+        settings = settings_of(metadata)
+        policy = make_policy(assembly, settings.policy, where)
+        load_weights(policy, folder / WEIGHTS)
     return Run(folder, assembly, settings, policy.eval(), metadata)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from falsework.errors import DependencyError, InputError
+from falsework.utils.files.output_file import write_whole
 
 PROGRESS = "progress.jsonl"
 TENSORBOARD = "tensorboard"
@@ -41,7 +42,7 @@ class Progress:
         self.path = folder / PROGRESS
         kept = [] if resumed_at is None else [line for line in read_progress(folder) if line["step"] <= resumed_at]
         text = "".join(json.dumps(line) + "\n" for line in kept)
-        self.path.write_text(text, encoding="utf-8")
+        write_whole(self.path, lambda file: file.write(text.encode()))
 
     def write(self, step: int, values: Mapping[str, Any]) -> None:
         """See `Writer`."""

@@ -6,12 +6,13 @@ import os
 import time
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import torch
+from filelock import FileLock, Timeout
 
 from falsework.assembly.load import AnyStructure, as_assembly, means_built_in
 from falsework.assembly.model import Assembly
@@ -24,6 +25,9 @@ from falsework.learn.training.trainer import Report, Trainer
 from falsework.learn.training.trainer import TrainResult as TrainResult
 from falsework.utils.collectives import summed
 from falsework.utils.distributed import init_distributed
+
+LOCK = "run.lock"
+"""File in the folder of a run while a process trains there."""
 
 
 def train(
@@ -64,13 +68,43 @@ def train(
     with init_distributed(device) as (shards, where):
         place = None if folder is None else Path(folder)
         begun = time.perf_counter()
-        kept = _begin(place, assembly, settings, where, resume)
-        # No process writes before all have read the folder.
-        summed([1.0], shards, where)
-        with _repeatable(kept), _threads(kept, where):
-            trainer = Trainer(assembly, kept, place, dict(source or {"built_in": assembly.name}), where, shards)
-            trainer.report = report or trainer.report
-            return trainer.run(begun, resume=resume, logs=logs, dataset=dataset)
+        with _locked(place if shards.is_main_process else None, resume):
+            kept = _begin(place, assembly, settings, where, resume)
+            # No process writes before all have read the folder.
+            summed([1.0], shards, where)
+            with _repeatable(kept), _threads(kept, where):
+                trainer = Trainer(assembly, kept, place, dict(source or {"built_in": assembly.name}), where, shards)
+                trainer.report = report or trainer.report
+                return trainer.run(begun, resume=resume, logs=logs, dataset=dataset)
+
+
+@contextmanager
+def _locked(folder: Path | None, resume: bool) -> Iterator[None]:
+    """Keep other processes from training in a folder, which each would overwrite.
+
+    Raises:
+        InputError: another process trains there.
+    """
+    if folder is None or (not folder.is_dir() if resume else folder.is_file()):
+        yield  # nothing is written there
+        return
+    made = not folder.exists()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(folder / LOCK, blocking=False)
+        lock.acquire()
+    except Timeout:
+        raise InputError(f"another process trains in {folder}; wait for its end, or choose another folder") from None
+    except OSError as error:
+        raise InputError(f"cannot write {folder}: {error.strerror or error}; choose another place") from None
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            (folder / LOCK).unlink()
+        lock.release()
+        if made and not any(folder.iterdir()):
+            folder.rmdir()
 
 
 def _begin(
@@ -84,7 +118,7 @@ def _begin(
     if not resume:
         if (folder / FILE).exists():
             raise InputError(f"{folder} holds a run already; continue it with --resume, or choose another folder")
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        if folder.exists() and (not folder.is_dir() or any(entry.name != LOCK for entry in folder.iterdir())):
             raise InputError(f"{folder} exists and is not a run; choose another folder")
         return settings.resolved(assembly.part_count, device.type)
     metadata = read_run(folder)

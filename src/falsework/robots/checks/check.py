@@ -36,6 +36,7 @@ from falsework.robots.plans.loads import (
 )
 from falsework.robots.plans.motion_limits import check_limits
 from falsework.robots.plans.plan_problem import PlanProblem
+from falsework.robots.plans.presses import press_fault
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.search.problem.task import Direction
 
@@ -172,6 +173,8 @@ class _Checker:
         elif step.put_down is not None:
             for fault, pair in put_down_faults(self.plan, index, self.grips, present):
                 self.say(index, robot, fault, pair=pair)
+        if fault := press_fault(self.plan, index):
+            self.say(index, robot, fault)
         for fault in self.handling.faults(index):
             self.say(index, robot, fault)
         for other, (old, new) in enumerate(zip(before.held, after.held, strict=True)):

@@ -57,6 +57,10 @@ class NextSteps:
         """Note that the first motion of a unit begins where another one ended."""
         self._approaches[last, unit] = unit.legs[0][0]
 
+    def know(self, state: States) -> None:
+        """Note that a state is stable as the plan reaches it."""
+        self._stable[state.tobytes()] = True
+
     def refuse(self, unit: Unit, place: int, state: bytes) -> None:
         """Exclude a step of a unit in a state."""
         self._refused.add((unit, place, state))

@@ -20,6 +20,7 @@ from falsework.robots.interleaving.next_steps import NextSteps
 from falsework.robots.interleaving.partial_order import Partial, UnitStep, beginning, expected, extended, waits
 from falsework.robots.interleaving.work import Unit, Work
 from falsework.robots.keyframes.keyframes import Edge, Node, state_after
+from falsework.search.plans.plan_replay import Acceptance
 from falsework.stability.oracle import Stability
 
 _MERGE_WIDTH = 24
@@ -89,12 +90,16 @@ class OrderSearch:
             legal: actions that the rules of the task allow in a state, releases aside.
             stop: tells when to end with the order found so far.
         """
-        self.work, self.graph, self.oracle = work, work.graph, oracle
+        self.work, self.graph = work, work.graph
         self.root, self.legal, self.stop = root, legal, stop
         self.parts = len(root.state)
         self.units = work.units(root, chain)
         """Of each job the unit that does it in the best order."""
         self.next = NextSteps(work, oracle, self.units, legal)
+        for edge in chain:  # the replay of the plan decides on its states, even those that would slide from rest
+            self.next.know(edge.node.state)
+        self._acceptance = Acceptance(oracle.replayer)
+        """Replays of orders, in which robots press where it is needed, whatever they did in the plan."""
         self._fallen: set[tuple[int, ...]] = set()
         """Last actions of orders that end the replay in assembly order, which carries forces from state to state."""
         holds = [unit.seconds[0] for unit in self.units if unit.movable]
@@ -236,8 +241,7 @@ class OrderSearch:
             states.append(state_after(states[-1], action))
         if not all(self.next.is_stable(after, before) for before, after in pairwise(states)):
             return False
-        replayer = self.oracle.replayer
-        row = None if replayer is None else replayer.replay(np.array(states[::-1], dtype=np.uint8)).falls_at
+        row = self._acceptance.falls_at(np.array(states[::-1], dtype=np.uint8))
         if row is not None:
             # The same state may stand with other forces from before it, so it is the history that is excluded.
             self._fallen.add(tuple(actions[len(actions) - row :]))

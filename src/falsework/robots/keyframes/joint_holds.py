@@ -157,6 +157,12 @@ class HoldingOracle:
             verdicts.put(rows, self._oracle.judge(states[rows], parents=None if parents is None else parents[rows]))
         return verdicts
 
+    def plausible(self, states: States, parents: States) -> Mask:
+        """Return which states a replay may find at rest, see `Stability.plausible`, and can be held; shape (batch,)."""
+        found = self._joint.possible(states)
+        found[found] = self._oracle.plausible(states[found], parents[found])
+        return found
+
     def stable(self, states: States, *, parents: States | None = None) -> Mask:
         """Return whether states are stable and can be held, shape (batch,)."""
         return self.judge(states, parents=parents).stable

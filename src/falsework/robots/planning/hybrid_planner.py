@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from numpy.typing import ArrayLike
 
@@ -13,10 +14,13 @@ from falsework.robots.planning.end_motions import Continuation, Ends, inserted_f
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings, Progress
 from falsework.robots.planning.hybrid_search import HybridSearch
 from falsework.robots.planning.initial_keyframe import given_keyframe, task_in_cell
+from falsework.robots.planning.reserve import keeping_reserve
+from falsework.search.find import PLANS
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.task import Task
 from falsework.stability.oracle import Stability
+from falsework.stability.settings import StabilitySettings
 
 
 def plan_robots(
@@ -29,6 +33,7 @@ def plan_robots(
     gripped: Sequence[ArrayLike | None] | None = None,
     continued: Continuation | None = None,
     oracle: Stability | None = None,
+    stability: StabilitySettings = PLANS,
     guide: Guide | None = None,
     settings: HybridSettings = HybridSettings(),
     progress: Progress | None = None,
@@ -48,16 +53,30 @@ def plan_robots(
         continued: the robots when the target state stands: the plan ends where they are, so that reversed it continues
             an assembly from there; by default it ends where the last action does.
         oracle: decides stability; pass an existing one to reuse its cache.
+        stability: criterion, reserve and robots, where no oracle is given. Limits of the cell's grippers hold as well.
+            Where no order of the parts keeps the reserve, one is searched for that comes to rest under the true
+            friction; `plan.claim` of the result has its reserve.
         guide: action heuristic, such as a trained policy, added to the ease of execution by the arms.
         settings: limits of the search.
         progress: callback, called at intervals.
         graph: keyframe graph of the same structure and cell, whose motions are used again.
 
     Raises:
+        CellError: a gripper bears less than the weight of a part.
         InputError: configurations that do not fit the robots, or in which something collides.
         StateError: held parts that do not go with the start state, or the target state of a continued assembly.
     """
-    assembly, cell, oracle = as_assembly(assembly), as_cell(cell), oracle or Stability(assembly)
+    assembly, cell = as_assembly(assembly), as_cell(cell)
+    if oracle is None:
+        given: dict[str, Any] = {"task": task, "configurations": configurations, "held": held, "gripped": gripped}
+        given |= {"continued": continued, "guide": guide, "progress": progress, "graph": graph}
+        return keeping_reserve(
+            lambda oracle, limits: plan_robots(assembly, cell, oracle=oracle, settings=limits, **given),
+            assembly,
+            cell,
+            stability,
+            settings,
+        )
     needed, clock = parts_of(task, continued), Deadline(settings.deadline)
     graph = graph or KeyframeGraph(assembly, cell, settings=settings.keyframes, seed=settings.seed, **needed)
     task = task_in_cell(assembly, cell, task, graph.exits)

@@ -50,6 +50,8 @@ class HybridResult:
     explanation: Explanation | None
     """Explanation where there is no plan."""
     statistics: dict[str, Any]
+    no_order: bool = False
+    """Whether no order of the parts was found in which the structure stands, whatever the arms."""
 
     @property
     def found(self) -> bool:

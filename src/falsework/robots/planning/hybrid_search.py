@@ -291,6 +291,7 @@ class HybridSearch:
 
     def failed(self, root: Node, outcome: str, limit: str) -> HybridResult:
         """Explain why there is no plan, and return the partial one."""
+        abstract = self.abstract is not None and not self.abstract.found
         why = explain(
             outcome,
             self._done(self.best),
@@ -301,12 +302,13 @@ class HybridSearch:
             self.assembly.names,
             limit=limit,
             unreachable=self.unreachable or [],
-            abstract=self.abstract is not None and not self.abstract.found,
+            abstract=abstract,
         )
         part = None  # the beginning of a disassembly is no beginning of a continued assembly
         if self.best and not self.ends.fixed and self.solvability.falls(route_along(root, self.best)) is None:
             part = self._plan(root, self.best, why)
-        return HybridResult(None, part, why, self._statistics() if part is None else part.statistics)
+        statistics = self._statistics() if part is None else part.statistics
+        return HybridResult(None, part, why, statistics, no_order=abstract)
 
     def _plan(self, root: Node, chain: list[Edge], why: Explanation | None = None) -> RobotPlan:
         statistics = self._statistics() | ({} if why is None else {"failure": why.to_dict()})

@@ -26,10 +26,12 @@ from falsework.robots.planning.around_neighbours import plan_around_neighbours
 from falsework.robots.planning.end_motions import Continuation, parts_of
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings, Progress
+from falsework.robots.planning.reserve import keeping_reserve
 from falsework.robots.planning.second_search import SecondSearch
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.schedule.build import schedule_plan
 from falsework.robots.schedule.solver import import_ortools
+from falsework.search.find import PLANS
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.task import Task
@@ -57,6 +59,7 @@ def plan_together(
     gripped: Sequence[ArrayLike | None] | None = None,
     continued: Continuation | None = None,
     oracle: Stability | None = None,
+    stability: StabilitySettings = PLANS,
     guide: Guide | None = None,
     settings: HybridSettings = HybridSettings(),
     assembly_order: bool = False,
@@ -68,24 +71,35 @@ def plan_together(
     `search`: `together`, or `sequential` where only the lines of `plan_robots` led to a plan.
 
     Args:
-        assembly, cell, task, configurations, held, gripped, continued, oracle, guide, progress: as in `plan_robots`.
+        assembly, cell, task, configurations, held, gripped, continued, oracle, stability, guide, progress: as in
+            `plan_robots`.
         settings: limits of the search.
         assembly_order: schedule the motions in the order of assembly.
 
     Raises:
+        CellError: a gripper bears less than the weight of a part.
         InputError: configurations that do not fit the robots, or in which something collides.
         StateError: held parts that do not go with the start state, or the target state of a continued assembly.
         DependencyError: OR-Tools is missing.
     """
     import_ortools()
     assembly, cell = as_assembly(assembly), as_cell(cell)
-    clock, oracle = Deadline(settings.deadline), oracle or Stability(assembly)
+    start: dict[str, Any] = {"task": task, "configurations": configurations, "held": held}
+    start |= {"gripped": gripped, "continued": continued}
+    if oracle is None:
+        start |= {"guide": guide, "assembly_order": assembly_order, "progress": progress}
+        return keeping_reserve(
+            lambda oracle, limits: plan_together(assembly, cell, oracle=oracle, settings=limits, **start),
+            assembly,
+            cell,
+            stability,
+            settings,
+        )
+    clock = Deadline(settings.deadline)
     lines = replace(settings.keyframes, approaches=_APPROACHES, withdrawals=_WITHDRAWALS)
     short = replace(settings, together=True, keyframes=lines)
     needed = parts_of(task, continued)
     graph = KeyframeGraph(assembly, cell, settings=short.keyframes, seed=settings.seed, **needed)
-    start: dict[str, Any] = {"task": task, "configurations": configurations, "held": held}
-    start |= {"gripped": gripped, "continued": continued}
 
     def search(limits: HybridSettings, graph: KeyframeGraph, seconds: float) -> HybridResult:
         # Even where a long motion has used the time up, a search ends by itself, with what it has.

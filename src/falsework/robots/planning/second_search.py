@@ -14,13 +14,12 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
 from threading import Thread
 from types import TracebackType
 from typing import Any
 
-import falsework
 from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.utils.child_process import child_environment
 
 _POLL = 0.1
 """Seconds between two looks at the time, and at signals, which some systems do not deliver while a thread waits."""
@@ -39,15 +38,13 @@ class SecondSearch:
         """
         self._answer = b""
         self._process: subprocess.Popen[bytes] | None = None
-        paths = [str(Path(falsework.__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
         try:
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-c", _MAIN],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
-                env=environment,
+                env=child_environment(),
             )
         except OSError:  # no interpreter, or no room for another process
             return

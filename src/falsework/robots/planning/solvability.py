@@ -24,6 +24,7 @@ from falsework.robots.keyframes.keyframes import state_after
 from falsework.robots.planning.joining_search import JoiningSearch
 from falsework.search.beam.adaptive import AdaptiveBeam, AdaptiveSettings
 from falsework.search.planner import Planner
+from falsework.search.plans.plan_replay import Acceptance
 from falsework.search.problem.guide import Guide, SupportGuide
 from falsework.search.problem.result import Route, SearchResult, Stop
 from falsework.search.problem.rollout import roll_out
@@ -74,6 +75,7 @@ class SolvabilityCheck:
         """
         self.joint = joint
         self.oracle = oracle if joint is None else HoldingOracle(oracle, joint)
+        self._acceptance = Acceptance(oracle.replayer)
         self.task = task.judged_by(self.oracle)
         self._guide, self._score, self._seed = guide or SupportGuide(assembly), score, seed
         self._touched = ~task.boundary & ~np.isin(np.arange(task.part_count), task.fixed)
@@ -136,10 +138,10 @@ class SolvabilityCheck:
     def falls(self, route: Route) -> int | None:
         """Return the first state in assembly order in which the replay of a route collapses; None if it succeeds.
 
-        Always None under the criterion `equilibrium`, which has no history.
+        It must come to rest with the reserve of the oracle, and under the true friction. Always None under the
+        criterion `equilibrium`, which has no history.
         """
-        replayer = self.oracle.replayer
-        return None if replayer is None else replayer.replay(route.states[::-1]).falls_at
+        return self._acceptance.falls_at(route.states[::-1])
 
     def forbid(self, route: Route, row: int) -> int | None:
         """Forbid the state in which the replay of a route collapses, and all states that continue only through it.

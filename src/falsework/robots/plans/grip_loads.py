@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
+from falsework.assembly.state import HELD
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Cell
+from falsework.robots.model.cell_holds import CellScale
 from falsework.robots.model.shapes import move
 from falsework.robots.plans.plan_problem import PlanProblem
+from falsework.robots.plans.presses import presses_in, pressing_robot
 from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.search.plans.plan import Plan
+from falsework.search.problem.task import Direction
+from falsework.stability.contact.replay import Replayer
+from falsework.stability.history import BuildVerifier
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
 
@@ -30,6 +37,8 @@ class GripLoad:
     """Force of the gripper on the part, N, shape (3,)."""
     moment: Array
     """Moment about the origin of the tool frame, Nm, shape (3,)."""
+    presses: bool = False
+    """Whether this is the wrench alone that the robot adds to the part when it presses."""
 
     @property
     def force_n(self) -> float:
@@ -41,14 +50,26 @@ class GripLoad:
         """Magnitude of the moment, Nm."""
         return float(np.linalg.norm(self.moment))
 
+    def fault(self, plan: RobotPlan, cell: Cell) -> str:
+        """Return what the gripper does not bear; empty if it bears the load, as far as the cell gives limits."""
+        gripper, name = cell.robots[self.robot].gripper, plan.plan.part_names[self.part]
+        does = "pressing" if self.presses else "holding"
+        for what, value, limit, unit in (
+            ("force", self.force_n, gripper.force, "N"),
+            ("moment", self.moment_nm, gripper.moment, "Nm"),
+        ):
+            if value > limit:
+                return f"{does} {name} takes a {what} of {value:.4g} {unit}; its gripper bears {limit:.4g} {unit}"
+        return ""
+
 
 def grip_loads(plan: RobotPlan, assembly: Assembly, cell: Cell) -> list[GripLoad]:
-    """Return the load on each gripper at each keyframe at which it holds a part in a stable state.
+    """Return the load on each gripper at each keyframe at which it holds a part in a stable state, and each press.
 
-    The load is the weight of the part and the forces of its neighbours, as the certificate of the state under the
-    criterion of the plan has them; under `equilibrium` they are one of possibly many sets. In a hand-over each of both
-    grippers is taken to bear all of it. Forces grow with the cube of the structure's scale in the cell, and moments
-    with its fourth power.
+    Under `contact` the load is what the robot bears in the state as it is reached in assembly, with what it has pressed
+    until then; under `equilibrium` the weight of the part and the forces of its neighbours in one of possibly many
+    sets. In a hand-over each of both grippers is taken to bear all of it. A press is listed at the keyframe after its
+    step, alone. Forces grow with the cube of the structure's scale in the cell, and moments with its fourth power.
 
     Args:
         plan: the robot plan.
@@ -59,24 +80,43 @@ def grip_loads(plan: RobotPlan, assembly: Assembly, cell: Cell) -> list[GripLoad
         PlanError: the plan is for another structure or cell.
     """
     plan.check_identity(assembly, cell)
-    placement = cell.placement
-    if placement.density is not None:
-        assembly = assembly.replace(density=placement.density)
-    oracle = Stability(assembly, StabilitySettings(criterion=plan.plan.claim.criterion))
-    found = oracle.margins(plan.plan.states, ("held",))
-    turn, volume = placement.pose[:3, :3], placement.scale**3
-    center = move(placement.pose, placement.scale * assembly.mass.center)
-    loads = []
+    placement, scale = cell.placement, CellScale.of(assembly, cell)
+    turn, center = placement.pose[:3, :3], move(placement.pose, placement.scale * assembly.mass.center)
+
+    def load(keyframe: int, robot: int, part: int, wrench: Array, **more: bool) -> GripLoad:
+        force, moment = scale.force * turn @ wrench[:3], scale.moment * turn @ wrench[3:]
+        tool = tool_pose(cell.robots[robot], plan.keyframes[keyframe].configurations[robot])[:3, 3]
+        return GripLoad(keyframe, robot, part, force, moment + np.cross(center[part] - tool, force), **more)
+
+    borne, loads = _borne(plan.plan, assembly), []
     for number, (frame, row) in enumerate(zip(plan.keyframes, plan.rows.tolist(), strict=True)):
-        borne = {load.part: load for load in found[row].held}
-        for robot, part in enumerate(frame.held):
-            if part is None or part not in borne:
-                continue
-            force = volume * turn @ borne[part].force
-            moment = volume * placement.scale * turn @ borne[part].moment
-            tool = tool_pose(cell.robots[robot], frame.configurations[robot])[:3, 3]
-            loads.append(GripLoad(number, robot, part, force, moment + np.cross(center[part] - tool, force)))
+        held = [(robot, part) for robot, part in enumerate(frame.held) if part is not None]
+        loads += [load(number, robot, part, borne[row][part]) for robot, part in held if part in borne[row]]
+        for press in presses_in(plan, number - 1) if number else ():
+            robot = pressing_robot(plan, number - 1, press.part)
+            if robot is not None:
+                loads.append(load(number, robot, press.part, np.array(press.wrench), presses=True))
     return loads
+
+
+def _borne(plan: Plan, assembly: Assembly) -> list[dict[int, Array]]:
+    """Return for each state the wrench that a robot bears on each held part, about its centre of mass, shape (6,).
+
+    States that are not proven stable have none.
+    """
+    states, settings = plan.states, StabilitySettings(criterion=plan.claim.criterion)
+    if settings.criterion == "equilibrium":
+        found = Stability(assembly, settings).margins(states, ("held",))
+        return [{load.part: np.concatenate([load.force, load.moment]) for load in state.held} for state in found]
+    settings = replace(settings, reserve=plan.claim.reserve, holds=plan.claim.holds)
+    verifier, borne = BuildVerifier(assembly, settings.claim), [dict[int, Array]() for _ in states]
+    steps = Replayer(assembly, settings).certificates(plan.assembly_states, plan.assembly_presses)
+    for row, (state, step) in enumerate(zip(plan.assembly_states, steps, strict=False)):
+        wrenches = verifier.step(state, step).wrenches
+        parts = np.flatnonzero((state == HELD) & ~assembly.immovable).tolist()
+        place = row if plan.direction is Direction.ASSEMBLY else len(states) - 1 - row
+        borne[place] = {part: wrenches[part] for part in parts}
+    return borne
 
 
 def overloads(loads: list[GripLoad], plan: RobotPlan, cell: Cell) -> list[PlanProblem]:
@@ -84,27 +124,21 @@ def overloads(loads: list[GripLoad], plan: RobotPlan, cell: Cell) -> list[PlanPr
 
     A hold without a load, since its state is not stable, is a problem where the gripper has limits.
     """
-    problems, known = [], {(load.keyframe, load.robot) for load in loads}
+    problems, known = [], {(load.keyframe, load.robot) for load in loads if not load.presses}
     for number, frame in enumerate(plan.keyframes):
         for robot, part in enumerate(frame.held):
             if part is not None and cell.robots[robot].gripper.has_limits and (number, robot) not in known:
                 said = f"what holding {plan.plan.part_names[part]} takes is unknown: the state is not stable"
                 problems.append(PlanProblem(max(number - 1, 0), cell.robots[robot].name, said))
     for load in loads:
-        entry, name = cell.robots[load.robot], plan.plan.part_names[load.part]
-        for what, value, limit, unit in (
-            ("force", load.force_n, entry.gripper.force, "N"),
-            ("moment", load.moment_nm, entry.gripper.moment, "Nm"),
-        ):
-            if value > limit:
-                said = f"holding {name} takes a {what} of {value:.4g} {unit}; its gripper bears {limit:.4g} {unit}"
-                problems.append(PlanProblem(max(load.keyframe - 1, 0), entry.name, said))
+        if fault := load.fault(plan, cell):
+            problems.append(PlanProblem(max(load.keyframe - 1, 0), cell.robots[load.robot].name, fault))
     return problems
 
 
 def heaviest(loads: list[GripLoad], robot: int) -> tuple[GripLoad, GripLoad] | None:
     """Return the loads of a robot with the largest force and the largest moment; None if it holds nothing."""
-    mine = [load for load in loads if load.robot == robot]
+    mine = [load for load in loads if load.robot == robot and not load.presses]
     if not mine:
         return None
     return max(mine, key=lambda load: load.force_n), max(mine, key=lambda load: load.moment_nm)

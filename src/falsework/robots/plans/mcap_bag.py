@@ -28,10 +28,11 @@ from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.shapes import inverse_pose, move
 from falsework.robots.plans.loads import Load, load_of, loads_at
+from falsework.robots.plans.presses import TimedPress, flange_of
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.timeline import schedule_of
 from falsework.search.problem.task import Direction
-from falsework.utils.archive import write_whole
+from falsework.utils.files.output_file import write_whole
 
 Array = NDArray[np.float64]
 
@@ -139,13 +140,17 @@ class PlacedParts:
     cell: Cell
 
 
-def write_bag(plan: RobotPlan, path: Path, placed: PlacedParts | None = None) -> int:
+def write_bag(
+    plan: RobotPlan, path: Path, placed: PlacedParts | None = None, presses: Sequence[TimedPress] = ()
+) -> int:
     """Write the motions of a robot plan as an MCAP bag, and return the number of messages.
 
     Args:
         plan: robot plan; without a schedule its motions are sequential.
         path: file to write.
         placed: the parts with their shapes; without them the planning scene has only their names.
+        presses: of the plan, at the times of its schedule: set points of the wrench at the flange of an arm, zero from
+            the end of a press on.
 
     Raises:
         DependencyError: mcap or rosbags is missing.
@@ -188,9 +193,24 @@ def write_bag(plan: RobotPlan, path: Path, placed: PlacedParts | None = None) ->
             gone = step.transit or (last and plan.direction is Direction.DISASSEMBLY)
             bag.write("/planning_scene", _difference(bag, plan, robot, part, end, None, gone=gone), end)
             count += 1
+    for press in presses:
+        name, wrench = plan.robots[press.robot].name, press.wrench_in(flange_of(press, plan))
+        for moment, values in ((press.start, wrench), (press.end, np.zeros(6))):
+            bag.write(f"/{name}/wrench_setpoint", _wrench(bag, f"{name}_tool0", moment, values), moment)
+            count += 1
     data = bag.finish()
     write_whole(path, lambda file: file.write(data))
     return count
+
+
+def _wrench(bag: _Bag, frame: str, now: float, values: Array) -> Any:
+    """Return a wrench in a frame, about its origin, N and Nm, shape (6,)."""
+    force, torque = (
+        bag.make("geometry_msgs/msg/Vector3", **dict(zip("xyz", part, strict=True)))
+        for part in values.reshape(2, 3).tolist()
+    )
+    wrench = bag.make("geometry_msgs/msg/Wrench", force=force, torque=torque)
+    return bag.make("geometry_msgs/msg/WrenchStamped", header=bag.header(frame, now), wrench=wrench)
 
 
 def _trajectory(bag: _Bag, plan: RobotPlan, robot: int, trajectory: Trajectory, now: float) -> Any:

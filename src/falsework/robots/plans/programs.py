@@ -1,147 +1,51 @@
 """Programs for robot controllers, ABB RAPID and URScript, that keep the order of a robot plan across robots.
 
-Each arm counts the motions that it has finished, and others wait for its count. Controllers share the counts by their
-own means: RAPID by group signals, URScript by the Modbus registers of each controller. A motion that the schedule
-starts during another arm's motion starts at its end here: that adds waiting and keeps the order of all motions.
+Controllers share the counts of `commands_of` by their own means: RAPID by group signals, URScript by the Modbus
+registers of each controller.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
-from falsework.robots.plans.loads import lying_motions
-from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
-from falsework.robots.plans.timeline import nodes_of, schedule_of
-from falsework.search.problem.task import Direction
+from falsework.robots.plans.commands import COUNT_FROM, Begin, Grip, Pressing, PublishCount, Wait, commands_of
+from falsework.robots.plans.presses import TimedPress
+from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.plans.timeline import nodes_of
 
 Array = NDArray[np.float64]
 
-COUNT_FROM = 3
-"""Count of an arm that has not finished any motion; 1 and 2 are handshake values before all arms are ready."""
 MOST_COUNT = 65535
 """Largest 16-bit count."""
 REGISTER = 128
 """First general-purpose Modbus register of a UR controller."""
+_UR_LIMITS = (0.005, 0.005, 0.01, 0.05, 0.05, 0.05)
+"""Largest deviation across a press, m and rad, and largest speed along it, m/s, in force mode."""
 
 
-@dataclass(frozen=True)
-class Wait:
-    """Command to wait until another arm reaches a count."""
-
-    robot: int
-    count: int
-
-
-@dataclass(frozen=True)
-class Grip:
-    """Command to close or open the gripper."""
-
-    close: bool
-
-
-@dataclass(frozen=True)
-class PublishCount:
-    """Command to publish the count of this arm."""
-
-    count: int
-
-
-@dataclass(frozen=True)
-class Begin:
-    """Command that begins a step of the plan."""
-
-    step: int
-
-
-Command = Wait | Grip | PublishCount | Begin | Trajectory
-
-
-def events_of(plan: RobotPlan, step: int) -> Iterator[Trajectory | Grip]:
-    """Yield the motions of a step and the gripper actions before or after them, in time."""
-    grip, apart = plan.grip(step), plan.direction is Direction.DISASSEMBLY
-    robot, moves = plan.steps[step].robot, plan.steps[step].trajectories
-    before, after = plan.keyframes[step].load(robot) is not None, plan.keyframes[step + 1].load(robot) is not None
-    if plan.steps[step].transit:
-        has = [before, *(leg.part is not None for leg in moves), after]
-        for k, leg in enumerate((*moves, None)):
-            if has[k] != has[k + 1]:
-                yield Grip(has[k + 1])
-            if leg is not None:
-                yield leg
-        return
-    # Disassembly: hold = approach, close; release = open, retreat; remove = leave, carry, open. Assembly mirrors it.
-    # A hand-over is a hold by one robot, then a release by the other. A part put down is gripped again on the way.
-    # A part that is carried at a keyframe was gripped before, or stays in the gripper.
-    first = not apart if grip is None else grip == "open"
-    closes = not apart if grip is None else grip == "close"
-    if first and not before:
-        yield Grip(closes)
-    lying = lying_motions(plan, step)
-    for number, trajectory in enumerate(moves):
-        if number in (lying.start, lying.stop) and lying:
-            yield Grip(number == lying.stop)
-        yield trajectory
-    if not first and not after:
-        yield Grip(closes)
-
-
-def commands_of(plan: RobotPlan, robot: int) -> Iterator[Command]:
-    """Yield the commands of one arm in order: motions, gripper actions, waits and counts."""
-    graph = schedule_of(plan)
-    own = {node: COUNT_FROM + 1 + k for k, node in enumerate(graph.of_robot(robot))}
-    counts = {node: COUNT_FROM + 1 + k for r in range(graph.robots) for k, node in enumerate(graph.of_robot(r))}
-    heard, awaited = dict.fromkeys(range(graph.robots), COUNT_FROM), set()
-    waits: dict[int, list[Wait]] = {}
-    for edge in graph.edges:
-        before, after = graph.nodes[edge.before].robot, graph.nodes[edge.after].robot
-        if before != after and after == robot:
-            waits.setdefault(edge.after, []).append(Wait(before, counts[edge.before]))
-        elif before != after and before == robot:
-            awaited.add(edge.before)
-    step = -1
-    left: list[Trajectory | Grip] = []
-    for node in own:
-        if graph.nodes[node].step != step:
-            yield from left
-            step = graph.nodes[node].step
-            left = list(events_of(plan, step))
-            yield Begin(step)
-        for wait in sorted(waits.get(node, []), key=lambda entry: (entry.robot, -entry.count)):
-            if wait.count > heard[wait.robot]:
-                heard[wait.robot] = wait.count
-                yield wait
-        while left:  # a grip without a node in the graph belongs to the motion before or after it
-            event = left.pop(0)
-            yield event
-            if isinstance(event, Grip) == (graph.nodes[node].trajectory is None):
-                break
-        if node in awaited:
-            yield PublishCount(own[node])
-    yield from left
-
-
-def rapid_modules(plan: RobotPlan) -> Iterator[tuple[str, str]]:
+def rapid_modules(plan: RobotPlan, presses: Sequence[TimedPress] = ()) -> Iterator[tuple[str, str]]:
     """Yield file names and RAPID modules, one for each arm.
 
     Knots become joint targets in degrees for `MoveAbsJ` with the durations of the plan. An arm sets the
-    group output `go_NAME_count`, and reads those of others as `gi_NAME_count`.
+    group output `go_NAME_count`, and reads those of others as `gi_NAME_count`. An arm that presses moves its set point
+    by force and moment over its stiffness, on a slow line from where it holds the part, and stays there.
 
     Raises:
         InputError: an arm with another number of joints than 6 or 7, or too many motions for 16 bits.
     """
-    names = _names(plan)
+    names = _names(plan, presses)
     for robot, name in enumerate(names):
         record = plan.robots[robot]
         if len(record.joint_names) not in (6, 7):
             raise InputError(f"RAPID supports robots of 6 or 7 joints; {record.name} has {len(record.joint_names)}")
         about = f"{_ascii(plan.plan.name)}: {plan.direction.value} with {_ascii(record.model)}, {len(plan)} steps"
         targets: list[str] = []
+        offset = np.zeros(6)  # of what the arm has pressed since it last moved
         body: list[str] = []
         run = [f"    MoveAbsJ {_jointtarget(plan.keyframes[0].configurations[robot])}, v200, fine, {name}_tool;"]
         others = [other for other in names if other != name]
@@ -151,7 +55,7 @@ def rapid_modules(plan: RobotPlan) -> Iterator[tuple[str, str]]:
             run += [f"    SetGO go_{name}_count, 2;"]
             run += [f"    WaitUntil GInput(gi_{other}_count)<>1;" for other in others]
             run += [f"    SetGO go_{name}_count, {COUNT_FROM};"]
-        for command in commands_of(plan, robot):
+        for command in commands_of(plan, robot, presses):
             if isinstance(command, Begin):
                 if body:
                     body.append("  ENDPROC")
@@ -163,7 +67,17 @@ def rapid_modules(plan: RobotPlan) -> Iterator[tuple[str, str]]:
                 body.append(f"    SetGO go_{name}_count, {command.count};")
             elif isinstance(command, Grip):
                 body.append(f"    {name}_gripper {'TRUE' if command.close else 'FALSE'};")
+            elif isinstance(command, Pressing):
+                body.append(f"    ! {_press_in_words(plan, command)}")
+                if command.begins:
+                    offset = offset + command.press.offset
+                    target = f"{name}_p{len(targets) + 1}"
+                    held = plan.keyframes[command.press.step].configurations[robot]
+                    targets.append(f"  CONST jointtarget {target} := {_jointtarget(held)};")
+                    place = f"RelTool(CalcRobT({target}, {name}_tool), {_shift(offset)})"
+                    body += [f"    MoveL {place}, v5, fine, {name}_tool;", "    WaitTime\\InPos, 0.5;"]
             else:
+                offset = np.zeros(6)
                 last = len(command.times) - 1
                 for knot in range(1, last + 1):
                     target = f"{name}_j{len(targets) + 1}"
@@ -199,20 +113,23 @@ def rapid_modules(plan: RobotPlan) -> Iterator[tuple[str, str]]:
         )
 
 
-def ur_scripts(plan: RobotPlan, rate: float) -> Iterator[tuple[str, str]]:
+def ur_scripts(plan: RobotPlan, rate: float, presses: Sequence[TimedPress] = ()) -> Iterator[tuple[str, str]]:
     """Yield file names and URScript programs, one for each arm.
 
     Motions are positions at a fixed rate for `servoj`, with a `movej` to the last of each. An arm writes its count to
-    register 128 of its controller; others read it there over Modbus TCP, at the address in the first lines.
+    register 128 of its controller; others read it there over Modbus TCP, at the address in the first lines. An arm that
+    presses controls the force along its direction, from what the sensor measures before on, and keeps its position
+    across it; moments are not commanded.
 
     Args:
         plan: the robot plan.
         rate: positions per second.
+        presses: of the plan.
 
     Raises:
         InputError: an arm with another number of joints than 6, or too many motions for 16 bits.
     """
-    names = _names(plan)
+    names = _names(plan, presses)
     for robot, name in enumerate(names):
         record = plan.robots[robot]
         if len(record.joint_names) != 6:
@@ -244,7 +161,7 @@ def ur_scripts(plan: RobotPlan, rate: float) -> Iterator[tuple[str, str]]:
             lines.append(f"  write_port_register({REGISTER}, 2)")
             lines += [line for other in others for line in _until(f"{other}_count() != 1")]
             lines.append(f"  write_port_register({REGISTER}, {COUNT_FROM})")
-        for command in commands_of(plan, robot):
+        for command in commands_of(plan, robot, presses):
             if isinstance(command, Begin):
                 lines.append(f"  # step {command.step + 1}: {_ascii(plan.does(command.step))}")
             elif isinstance(command, Wait):
@@ -253,6 +170,9 @@ def ur_scripts(plan: RobotPlan, rate: float) -> Iterator[tuple[str, str]]:
                 lines.append(f"  write_port_register({REGISTER}, {command.count})")
             elif isinstance(command, Grip):
                 lines.append(f"  gripper({'True' if command.close else 'False'})")
+            elif isinstance(command, Pressing):
+                lines.append(f"  # {_press_in_words(plan, command)}")
+                lines += _ur_press(command.press) if command.begins else ["  end_force_mode()"]
             else:
                 count = max(int(np.ceil(command.seconds * rate)), 1)
                 step = command.seconds / count
@@ -263,12 +183,43 @@ def ur_scripts(plan: RobotPlan, rate: float) -> Iterator[tuple[str, str]]:
         yield f"{name}.script", "\n".join([*lines, "end", ""])
 
 
+def _press_in_words(plan: RobotPlan, command: Pressing) -> str:
+    press, part = command.press, _ascii(plan.plan.part_names[command.press.part])
+    if not command.begins:
+        return f"stay where the press of {part} has ended"
+    force = ", ".join(f"{value:.1f}" for value in press.wrench[:3])
+    return f"press {part} with {press.force:.1f} N, ({force}) N in the cell, at {press.stiffness:.4g} N/m"
+
+
+def _shift(offset: Array) -> str:
+    """Return a displacement along and about the axes of a tool, m and rad, as arguments of `RelTool`."""
+    turn = "".join(f"\\R{axis}:={value:.5f}" for axis, value in zip("xyz", np.degrees(offset[3:]), strict=True))
+    return ", ".join(f"{1000 * value:.4f}" for value in offset[:3]) + turn
+
+
+def _ur_press(press: TimedPress) -> list[str]:
+    """Return commands that control the force along z of a frame at the tool, whose z is the direction of the press."""
+    from scipy.spatial.transform import Rotation
+
+    frame = np.eye(4)
+    if press.force > 0:
+        way = press.wrench_in(press.tool)[:3] / press.force
+        frame[:3, :3] = Rotation.align_vectors(way[None], np.array([[0.0, 0.0, 1.0]]))[0].as_matrix()
+    limits = ", ".join(f"{value:g}" for value in _UR_LIMITS)
+    return [
+        "  zero_ftsensor()",
+        f"  force_mode(pose_trans(get_target_tcp_pose(), {_ur_pose(frame)}), [0, 0, 1, 0, 0, 0], "
+        f"[0, 0, {press.force:.3f}, 0, 0, 0], 2, [{limits}])",
+        "  sleep(0.5)",
+    ]
+
+
 def _until(condition: str) -> list[str]:
     return [f"  while not ({condition}):", "    sync()", "  end"]
 
 
-def _names(plan: RobotPlan) -> list[str]:
-    if COUNT_FROM + len(nodes_of(plan)[0]) > MOST_COUNT:
+def _names(plan: RobotPlan, presses: Sequence[TimedPress]) -> list[str]:
+    if COUNT_FROM + len(nodes_of(plan)[0]) + 2 * len(presses) > MOST_COUNT:
         raise InputError(f"the plan has more motions than a 16-bit count holds, {MOST_COUNT}; split it")
     return _distinct([_identifier(robot.name) for robot in plan.robots])
 

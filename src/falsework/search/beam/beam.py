@@ -56,7 +56,9 @@ class BeamSearch(LevelSearch):
             guide: scores actions; without it only diversity decides.
         """
         task = task.judged_by(oracle)
-        replayer = getattr(oracle, "replayer", None) if settings.direction is Direction.ASSEMBLY else None
+        # Only a beam that looks ahead confirms the ways to its states; one that judges whole levels has no histories.
+        histories = settings.direction is Direction.ASSEMBLY and settings.lookahead > 0
+        replayer = getattr(oracle, "replayer", None) if histories else None
         if replayer is not None:
             task = replace(task, holds_keep_stable=True)  # with a history, a part that is fixed changes no force
         super().__init__(task, settings)
@@ -114,7 +116,7 @@ class BeamSearch(LevelSearch):
         rng = np.random.default_rng((settings.seed, self._retried, len(self.levels)))
         how = settings.diversity == "k-means", settings.pool, rng
         selector = Selector(frontier, scores, *how, self._ways.stable_before(), self._failures)
-        confirmed = self._ways.confirmation(frontier)
+        confirmed, sliding = self._ways.confirmation(frontier), self._judge.sliding
         if settings.lookahead > 0:
             choice = selector.most_promising(
                 self._judge,
@@ -134,8 +136,14 @@ class BeamSearch(LevelSearch):
             self._farthest = len(self.levels)
             self._deepest = level.states[:_REPORTED_STATES]
             self._rejected = frontier.states(choice.rejected[:_REPORTED_STATES])
-        # A state refused because of the way to it may be reached by another, which was merged with this one.
-        whole = choice.exhaustive and not confirmed.refused and not left_out
+        # A state refused because of the way to it may be reached by another, which was merged with this one, unless it
+        # is unstable however it is reached.
+        whole = choice.exhaustive and not left_out
+        if whole and confirmed.refused:
+            rejected = choice.rejected
+            whole = self._judge.unstable(frontier.states(rejected), level.states[frontier.parent(rejected)])
+            if whole:
+                self._judge.sliding = sliding
         self._whole = [*self._whole[: len(self.levels) - 1], whole]
         if self._dead:
             return False
@@ -180,7 +188,7 @@ class BeamSearch(LevelSearch):
             moved = draw.uniform(-settings.disorder, settings.disorder, self.task.part_count)
         return Scores(frontier, before, guide, tuple(fixed), moved)
 
-    def replay_summary(self) -> tuple[float, int, tuple[tuple[Press, ...], ...]] | None:
+    def replay_summary(self) -> tuple[float, int, None, tuple[tuple[Press, ...], ...]] | None:
         """Return the replay of the route found, see `Histories.summary`; None where no histories are kept."""
         replays = self._ways.replays
         return None if replays is None or not self.found else replays.histories.summary(0)

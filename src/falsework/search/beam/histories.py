@@ -85,12 +85,12 @@ class Histories:
         """Forget all levels after `level`."""
         del self._known[level + 1 :], self._known_steps[level + 1 :]
 
-    def summary(self, row: int) -> tuple[float, int, tuple[tuple[Press, ...], ...]] | None:
+    def summary(self, row: int) -> tuple[float, int, None, tuple[tuple[Press, ...], ...]] | None:
         """Return the replay of the way to a state of the last level.
 
         Returns:
-            How far a part moves at most, m, that part, and the presses of the step to each state; None where a state on
-            the way does not come to rest.
+            How far a part moves at most, m, that part, None since no state falls, and the presses of the step to each
+            state, as `PlanReplay` takes them; None where a state on the way does not come to rest.
         """
         level = len(self._levels) - 1
         if self.of(level, row) is None:
@@ -101,7 +101,7 @@ class Histories:
             most = max(most, (moved, part))
             presses.append(pressed)
             row = int(self._levels[number].parent[row])
-        return most[0], most[1], tuple(presses[::-1])
+        return most[0], most[1], None, tuple(presses[::-1])
 
     def _way(self, level: int, row: int) -> list[int]:
         """Return the rows, level by level, from a state back to one whose history is known, or to the first level."""

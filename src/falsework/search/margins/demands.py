@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -145,7 +145,7 @@ class Demands:
 
 
 class DemandingStability(Stability):
-    """Stability oracle for searches in which states must keep margins.
+    """Stability oracle for searches in which states must keep margins, which count from the true friction.
 
     `judge`, which searches call, counts a state that does not keep them as sliding, or as unstable where a velocity
     proves it; `check` proves states as they are. Pushes and loads on single parts are checked near the parts in which a
@@ -157,7 +157,8 @@ class DemandingStability(Stability):
     ) -> None:
         super().__init__(assembly, settings)
         self.demands = demands
-        self._variants = [(name, Stability(changed, settings)) for name, changed in demands.variants(assembly)]
+        true = replace(settings, reserve=1.0)
+        self._variants = [(name, Stability(changed, true)) for name, changed in demands.variants(assembly)]
         self._known: dict[bytes, int] = {}
         self._start: tuple[bytes, Answer] | None = None
         near = np.eye(assembly.part_count, dtype=bool)

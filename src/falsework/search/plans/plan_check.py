@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,29 +11,27 @@ from numpy.typing import NDArray
 
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, States, action_mask, apply_actions, held_count, undo_actions, undo_mask
 from falsework.errors import InputError, PlanError
 from falsework.search.margins.demands import DemandingStability, Demands
+from falsework.search.plans.build import carried_steps, check_build, row_of_build
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_report import (
     PROOF_NAMES,
     CheckedPlan,
     PlanReport,
     comparable,
+    place_in_words,
+    unstable_in_words,
     unverified_claims,
     weaker_claim,
 )
+from falsework.search.plans.plan_rules import broken_rule
 from falsework.search.plans.plan_source import structure_of_plan
-from falsework.search.problem.support_moves import SupportMoves
-from falsework.search.problem.task import Direction, Task
 from falsework.stability.certificate import StabilityCriterion, residuals_in_order, verify_certificates
-from falsework.stability.contact.replay import Replayer
-from falsework.stability.history import BuildVerifier, StepCertificate
-from falsework.stability.oracle import Stability
+from falsework.stability.history import BuildVerifier
 from falsework.stability.reference.clarabel import ExactSolver
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.state_arrays import StateArrays
-from falsework.stability.verdict import Verdict, Verdicts
 
 
 def check_identity(plan: Plan, assembly: Assembly) -> None:
@@ -75,43 +73,6 @@ def check_identity(plan: Plan, assembly: Assembly) -> None:
                 f"the plan has a prop under part {said.part} from {said.floor:g} m up to {said.at[2]:g} m, but in "
                 f"{assembly.name} it is under part {prop.part}, from {prop.floor:g} m to {prop.at[2]:g} m; plan again"
             )
-
-
-def broken_rule(plan: Plan, assembly: Assembly | None = None) -> tuple[int, str] | None:
-    """Return the first state that the rules do not allow, and why; None if all are allowed.
-
-    Args:
-        plan: plan to check.
-        assembly: needed to check that removed parts have a way out; that is left out without it.
-    """
-    states, parts, boundary = plan.states, len(plan.boundary), plan.boundary
-    held = int(held_count(states[:1], plan.immovable)[0])
-    if held > plan.robots:
-        return 0, f"{held} parts are held at first, with {plan.robots} robots"
-    if plan.support:
-        allowed = SupportMoves(_task_of(plan)).legal(states[:-1], plan.direction)
-    else:
-        legal = action_mask if plan.direction is Direction.DISASSEMBLY else undo_mask
-        allowed = legal(states[:-1], boundary, plan.robots)
-    kept = np.isin(plan.actions % parts, plan.fixed)
-    for step, action in enumerate(plan.actions.tolist()):
-        if not allowed[step, action]:
-            return step + 1, f"step {step + 1} ({plan.describe(step)}) is against the rules: {_why(plan, step)}"
-        if kept[step]:
-            return step + 1, f"step {step + 1} ({plan.describe(step)}) touches a fixed part"
-    if not np.array_equal(_follow(plan), states[1:]):
-        return 1, "the actions do not lead through the states of the plan"
-    if plan.removable_only_if_clear and assembly is not None:
-        # A part is removed from the state in which it is still there.
-        route = plan.route
-        removals = np.flatnonzero(route.actions >= parts)
-        clear = assembly.clearance.can_leave(route.states[removals])
-        blocked = removals[~clear[np.arange(len(removals)), route.actions[removals] - parts]]
-        if len(blocked):
-            disassembly = plan.direction is Direction.DISASSEMBLY
-            step = int(blocked[0]) if disassembly else len(plan) - 1 - int(blocked[-1])
-            return step + 1, f"step {step + 1} ({plan.describe(step)}) finds no straight way past the other parts"
-    return None
 
 
 def validate_plan(
@@ -162,7 +123,7 @@ def validate_plan(
     count = len(plan.states) if broken is None else broken[0]
     if settings.criterion == "contact":
         if broken is None:
-            report = _build(report, plan, assembly, settings, carried and not misfit, progress)
+            report = check_build(report, plan, assembly, settings, carried and not misfit, progress)
         else:
             report = replace(report, checked=broken[0])
     else:
@@ -170,7 +131,7 @@ def validate_plan(
         report = _solve(report, plan, assembly, settings, count, proven, progress)
     weak = _weak(plan, assembly, settings, demands) if report.good and broken is None else None
     if weak is not None:
-        report = replace(report, checked=weak[0], reason=f"{weak[1]} {_place(plan, weak[0])}")
+        report = replace(report, checked=weak[0], reason=f"{weak[1]} {place_in_words(plan, weak[0])}")
     if report.good:
         report = replace(report, reason=misfit if broken is None else broken[1])
     return replace(report, seconds=time.perf_counter() - begun)
@@ -216,7 +177,7 @@ def _solve(
             verdict = solver.check(here)
             residual = float(verdict.residual[0])
             if not (verdict.stable[0] and verify_certificates(assembly, here, verdict, claim)[0]):
-                wrong = _unstable(plan, row, verdict)
+                wrong = unstable_in_words(plan, row, verdict)
             elif proven is not None and not proven[row] <= claim.tolerance:
                 wrong, verdict = _unproven(plan, row, float(proven[row]), claim), None
             if wrong:
@@ -227,71 +188,6 @@ def _solve(
         if progress is not None:
             progress(row + 1, report.states)
     return replace(report, checked=count, residual=largest, certified=certified)
-
-
-def _build(
-    report: PlanReport,
-    plan: Plan,
-    assembly: Assembly,
-    settings: StabilitySettings,
-    carried: bool,
-    progress: Callable[[int, int], None] | None,
-) -> PlanReport:
-    """Check under `contact` the stability of states as they are reached in assembly, up to the first bad one.
-
-    Args:
-        report: report so far.
-        plan, assembly, settings: as for `validate_plan`, with the reserve and the robots of the plan.
-        carried: the plan carries a certificate for each of its states.
-        progress: as for `validate_plan`.
-    """
-    states, presses = plan.assembly_states, plan.assembly_presses
-    largest, cases = 0.0, [settings] if settings.reserve == 1.0 else [settings, replace(settings, reserve=1.0)]
-    for number, case in enumerate(cases):
-        verifier, row, wrong = BuildVerifier(assembly, case.claim), -1, ""
-        under = f" with friction divided by {case.reserve:g}" if case.reserve != 1.0 else ""
-        steps = _carried(plan) if carried and number == 0 else Replayer(assembly, case).certificates(states, presses)
-        with np.errstate(over="ignore", invalid="ignore"):
-            for row, certificate in enumerate(steps):
-                proof = verifier.step(states[row], certificate)
-                if not proof.residual <= case.tolerance:
-                    why = proof.reason or f"its forces leave {proof.residual:.3g} of gravity"
-                    carries = "the displacements in the plan prove nothing: " if steps is not None and carried else ""
-                    wrong = f"{_built(plan, row)} is not proven{under}: {carries * (number == 0)}{why}"
-                    break
-                largest = max(largest, proof.residual)
-                if progress is not None and number == 0:
-                    progress(row + 1, len(states))
-        if not wrong and row + 1 < len(states):
-            row, wrong = row + 1, f"the structure does not come to rest{under} at {_built(plan, row + 1)}"
-        if wrong:
-            bad = _row(plan, row)
-            verdict = Stability(assembly, replace(case, reserve=1.0)).check(plan.states[bad])
-            if verdict.unstable[0]:
-                wrong = _unstable(plan, bad, verdict)
-            return replace(report, reason=wrong, checked=bad, residual=largest, verdict=verdict)
-    count = len(states)
-    return replace(report, checked=count, residual=largest, certified=count * carried)
-
-
-def _carried(plan: Plan) -> Iterator[StepCertificate]:
-    """Yield the certificates that a plan carries, in the order of assembly."""
-    forward = plan if plan.direction is Direction.ASSEMBLY else plan.reverse()
-    assert forward.displacement is not None
-    for row, presses in enumerate(forward.assembly_presses):
-        torn = np.zeros(0, dtype=bool) if forward.torn is None else forward.torn[row]
-        yield StepCertificate(forward.displacement[row], torn, presses)
-
-
-def _row(plan: Plan, row: int) -> int:
-    """Return the row in the plan of a state counted in the order of assembly."""
-    return row if plan.direction is Direction.ASSEMBLY else len(plan.states) - 1 - row
-
-
-def _built(plan: Plan, row: int) -> str:
-    """Name a state by the assembly step that leads to it."""
-    forward = plan if plan.direction is Direction.ASSEMBLY else plan.reverse()
-    return f"assembly step {row} ({forward.describe(row - 1)})" if row else "the beginning of assembly"
 
 
 def _settled(claim: StabilityCriterion) -> float:
@@ -326,15 +222,15 @@ def _residuals_of_proofs(plan: Plan, assembly: Assembly, claim: StabilityCriteri
         if claim.criterion == "equilibrium":
             return residuals_in_order(assembly, plan.states, proofs, claim)
         verifier, found = BuildVerifier(assembly, claim), np.empty(len(plan.states))
-        for row, (state, step) in enumerate(zip(plan.assembly_states, _carried(plan), strict=True)):
-            found[_row(plan, row)] = verifier.step(state, step).residual
+        for row, (state, step) in enumerate(zip(plan.assembly_states, carried_steps(plan), strict=True)):
+            found[row_of_build(plan, row)] = verifier.step(state, step).residual
         return found
 
 
 def _unproven(plan: Plan, row: int, residual: float, claim: StabilityCriterion) -> str:
     name = PROOF_NAMES[claim.criterion]
     return (
-        f"the {name} in the plan for the state {_place(plan, row)} leave {residual:.3g} of gravity, above "
+        f"the {name} in the plan for the state {place_in_words(plan, row)} leave {residual:.3g} of gravity, above "
         f"{claim.tolerance:g}, and prove nothing"
     )
 
@@ -387,51 +283,3 @@ def validate_proofs(plan: Plan, assembly: Assembly, settings: StabilitySettings 
         reason = _unproven(plan, count, float(residual[count]), claim)
     largest, seconds = float(residual[:count].max(initial=0.0)), time.perf_counter() - begun
     return replace(report, checked=count, reason=reason, residual=largest, certified=count, seconds=seconds)
-
-
-def _unstable(plan: Plan, row: int, verdict: Verdicts) -> str:
-    hangs = ", which depends on the tolerance" if verdict.on_tolerance[0] else ""
-    return f"the structure {Verdict(verdict.verdict[0]).words} {_place(plan, row)}{hangs}"
-
-
-def _place(plan: Plan, row: int) -> str:
-    return f"after step {row} ({plan.describe(row - 1)})" if row else "at the beginning"
-
-
-def _follow(plan: Plan) -> States:
-    """Return the states that the actions of a plan lead to, each from the state before."""
-    if plan.support:
-        return SupportMoves(_task_of(plan)).follow(plan.states[:-1], plan.actions)
-    step = apply_actions if plan.direction is Direction.DISASSEMBLY else undo_actions
-    return step(plan.states[:-1], plan.actions)
-
-
-def _task_of(plan: Plan) -> Task:
-    """Return the task of a plan with repeated holds, without a rule on exits."""
-    start, target = plan.states[[0, -1]] if plan.direction is Direction.DISASSEMBLY else plan.states[[-1, 0]]
-    return Task.create(
-        plan.boundary,
-        plan.robots,
-        start=start,
-        target=target,
-        fixed=plan.fixed,
-        support=True,
-        props=[prop.part for prop in plan.props],
-        prop_limit=plan.prop_limit,
-    )
-
-
-def _why(plan: Plan, step: int) -> str:
-    action, parts = int(plan.actions[step]), len(plan.boundary)
-    part, state = action % parts, plan.states[step]
-    if plan.boundary[part]:
-        return "it is boundary"
-    held = int(held_count(state[None], plan.immovable)[0])
-    if part >= parts - len(plan.props):
-        return f"{plan.prop_limit} props may stand at a time, each under a part that is there"
-    if action >= parts and any(prop.part == part and state[k - len(plan.props)] for k, prop in enumerate(plan.props)):
-        return "a prop stands under it"
-    takes_robot = plan.support or (action < parts) is (plan.direction is Direction.DISASSEMBLY)
-    if takes_robot and held >= plan.robots and state[part] != HELD:
-        return f"all {plan.robots} robots are holding"
-    return f"the part is {('removed', 'installed', 'held')[int(state[part])]}"

@@ -13,7 +13,8 @@ import numpy as np
 from falsework.errors import InputError, PlanError
 from falsework.search.plans.packed_proofs import pack_proofs
 from falsework.search.plans.plan import Plan
-from falsework.search.plans.plan_reader import FORMAT, PROOF_ARRAYS, PROOF_WORDS, PlanReader
+from falsework.search.plans.plan_reader import FORMAT, PROOF_ARRAYS, PROOF_WORDS, UNPROVEN, PlanReader
+from falsework.stability.verdict import Verdict
 from falsework.utils.json_file import write_json
 
 
@@ -49,7 +50,8 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
     parts = len(plan.boundary)
     proof = PROOF_WORDS[plan.claim.criterion]
     judged = [
-        {"verdict": "stable", "proof": proof, "residual": float(f"{residual:.6g}")} for residual in plan.residuals
+        {"verdict": "stable", "proof": proof, "residual": float(f"{residual:.6g}")} if stable else dict(UNPROVEN)
+        for residual, stable in zip(plan.residuals, plan.verdicts == Verdict.STABLE, strict=True)
     ]
 
     def pressed(row: int) -> dict[str, Any]:

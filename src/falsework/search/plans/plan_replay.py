@@ -62,11 +62,11 @@ class Acceptance:
 
     def __init__(self, replayer: VariableReplayer | None) -> None:
         """Prepare the test; without a replayer there is none."""
-        self._plain = replayer
+        self._replayer, self._plain = replayer, replayer
         if replayer is not None and replayer.settings.reserve != 1.0:
             self._plain = replayer.vary(replace(replayer.settings, reserve=1.0), ReplaySettings())
 
-    def failure(self, states: States, presses: tuple[tuple[Press, ...], ...]) -> Replay | None:
+    def failure(self, states: States, presses: tuple[tuple[Press, ...], ...]) -> PlanReplay | None:
         """Return the replay of a route that fails under the true friction, or in which a state tips; None if none does.
 
         Args:
@@ -77,13 +77,23 @@ class Acceptance:
             return None
         found = self._plain.replay(states, presses=presses)
         if not found.good:
-            return found
+            return PlanReplay.of(found)
         tips = self._plain.first_tipping(states, found.histories)
-        if tips is None:
+        return None if tips is None else replace(PlanReplay.of(found), stands=False, falls_at=tips)
+
+    def falls_at(self, states: States) -> int | None:
+        """Return the first state that does not come to rest, with presses chosen anew, or tips.
+
+        Args:
+            states: in assembly order, shape (steps + 1, parts).
+
+        Returns:
+            None if all stand, with the reserve of the replayer and under the true friction; always without a replayer.
+        """
+        if self._replayer is None:
             return None
-        stands = found.stands.copy()
-        stands[tips], stands[tips + 1 :] = -1, 0
-        return replace(found, stands=stands)
+        found = PlanReplay.of(self._replayer.replay(states))
+        return ((self.failure(states, found.presses) if found.stands else None) or found).falls_at
 
 
 def replayer_of(oracle: Oracle, settings: PlannerSettings) -> AnyReplayer | None:

@@ -11,7 +11,7 @@ from falsework.assembly.model import Assembly
 from falsework.search.margins.demands import Demands
 from falsework.search.plans.plan import Plan
 from falsework.stability.certificate import StabilityCriterion
-from falsework.stability.verdict import Verdicts
+from falsework.stability.verdict import Verdict, Verdicts
 
 PROOF_NAMES = {"contact": "displacements", "equilibrium": "contact forces"}
 """Certificates of stable states under each criterion."""
@@ -152,3 +152,14 @@ def unverified_claims(plan: Plan, asked: StabilityCriterion, demands: Demands | 
 def comparable(claimed: StabilityCriterion, asked: StabilityCriterion) -> bool:
     """Return whether certificates under one criterion can prove another."""
     return (claimed.criterion, claimed.cone) == (asked.criterion, asked.cone)
+
+
+def unstable_in_words(plan: Plan, row: int, verdict: Verdicts) -> str:
+    """Say why a state of a plan is not stable, and where it is in the plan."""
+    hangs = ", which depends on the tolerance" if verdict.on_tolerance[0] else ""
+    return f"the structure {Verdict(verdict.verdict[0]).words} {place_in_words(plan, row)}{hangs}"
+
+
+def place_in_words(plan: Plan, row: int) -> str:
+    """Say where a state is in a plan."""
+    return f"after step {row} ({plan.describe(row - 1)})" if row else "at the beginning"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import warnings
 from collections.abc import Mapping
 from dataclasses import replace
@@ -16,6 +15,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.props import with_props
 from falsework.errors import InputError, PlanError
 from falsework.search.plans.plan import Plan
+from falsework.utils.files.output_file import path_beside
 
 PLACES = ("built_in", "path")
 """Entries of a source that say where the structure is; all others are options of `load_structure`."""
@@ -128,9 +128,4 @@ def moved_source(plan: Plan, file: Path, beside: Path) -> Mapping[str, Any] | No
     """
     if plan.source is None or "path" not in plan.source:
         return plan.source
-    place = file.resolve().parent / plan.source["path"]
-    try:
-        path = os.path.relpath(place.resolve(), beside.resolve().parent)
-    except ValueError:  # on another drive there is no relative path
-        path = str(place.resolve())
-    return {**plan.source, "path": Path(path).as_posix()}
+    return {**plan.source, "path": path_beside(file.resolve().parent / plan.source["path"], beside)}

@@ -25,8 +25,8 @@ _EDGE = 1.0
 _ROW, _STRICT_ROW = 0.3, 3.0
 """Shares of support that each row nearer to the edge counts as: with few robots, where a row that does not close waits
 for what is behind it, and with many, which would hold the ends of all these rows."""
-_FEWEST_ROBOTS, _MANY_ROBOTS = 3, 5
-"""Robots from which on free edges are closed first, and from which on rows are."""
+_MANY_ROBOTS = 5
+"""Robots from which on rows are closed strictly in order."""
 _LARGE = 300
 """Parts from which free edges are closed first under `equilibrium`; in smaller structures that saves no time."""
 _BESIDE_HELD = 0.15
@@ -93,13 +93,10 @@ class SupportGuide:
     def edges_first(self, task: Task) -> EdgeGuide | None:
         """Return a heuristic that closes free edges first; None where it is of no use for a task.
 
-        Where contact histories matter, two robots are too few to close the edge of a large shell before anything else.
-        Under `equilibrium`, where they do not, two suffice, and this order saves time in large shells. An edge that
-        stands already need not be closed.
+        Two robots suffice: where contact histories matter, one of them presses while the other lets go. Under
+        `equilibrium` this order saves time in large shells only. An edge that stands already need not be closed.
         """
-        useful = task.robots >= _FEWEST_ROBOTS
-        if task.holds_keep_stable:
-            useful = task.robots > 1 and task.part_count >= _LARGE
+        useful = task.robots > 1 and (not task.holds_keep_stable or task.part_count >= _LARGE)
         if not useful or (task.target[~task.boundary] != REMOVED).any():
             return None
         rows, strict = self._rows, task.holds_keep_stable or task.robots >= _MANY_ROBOTS

@@ -75,3 +75,13 @@ class CountingOracle:
         self.rejected += int((~stable).sum())
         self.seconds += time.perf_counter() - begun
         return stable
+
+    def unstable(self, states: States, parents: States) -> bool:
+        """Return whether all of some states are proven unstable, however they are reached."""
+        for begin in range(0, len(states), self._batch):
+            rows = slice(begin, begin + self._batch)
+            found = self.oracle.judge(states[rows], parents=parents[rows])
+            self.asked += len(found)
+            if not found.unstable.all():
+                return False
+        return True

@@ -18,6 +18,7 @@ from falsework.search.problem.result import Route
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Criterion
 from falsework.utils.archive import check_header, read_archive, write_archive
+from falsework.utils.files.damage import blamed_on
 
 FORMAT = "falsework.graph/1"
 
@@ -243,29 +244,30 @@ def load_state_graph(path: Path | str) -> StateGraph:
     boundary = arrays["boundary"]
     if boundary.ndim != 1 or boundary.dtype != bool or len(header["postponed"]) != len(header["missing"]):
         raise InputError(f"{path} is damaged (boundary or postponed parts have another form); build the graph again")
-    try:
-        task = Task.create(
-            boundary,
-            header["robots"],
-            start=arrays["start_state"],
-            target=arrays["target_state"],
-            fixed=header["fixed"],
-            missing=header["missing"],
-            identity=header["identity"],
-        ).postpone(header["postponed"])
-        task = replace(task, holds_keep_stable=criterion == "equilibrium")
-    except (InputError, TypeError, ValueError) as error:
-        raise InputError(f"{path} is damaged ({error}); build the graph again") from None
-    graph = StateGraph(
-        arrays["states"],
-        arrays["source"],
-        arrays["action"],
-        arrays["target"],
-        task,
-        header["name"],
-        header["removable_only_if_clear"],
-    )
-    _check(graph, path)
+    with blamed_on(path, "build the graph again"):
+        try:
+            task = Task.create(
+                boundary,
+                header["robots"],
+                start=arrays["start_state"],
+                target=arrays["target_state"],
+                fixed=header["fixed"],
+                missing=header["missing"],
+                identity=header["identity"],
+            ).postpone(header["postponed"])
+            task = replace(task, holds_keep_stable=criterion == "equilibrium")
+        except InputError as error:
+            raise InputError(f"{path} is damaged ({error}); build the graph again") from None
+        graph = StateGraph(
+            arrays["states"],
+            arrays["source"],
+            arrays["action"],
+            arrays["target"],
+            task,
+            header["name"],
+            header["removable_only_if_clear"],
+        )
+        _check(graph, path)
     return graph
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,12 @@ class Replayed:
     """Steps of the plan."""
     moved: float
     """Largest movement of a part in these steps since it was placed, m."""
+    part: int = -1
+    """The part that moved that far, -1 if none moved."""
+    residuals: tuple[float, ...] = ()
+    """Residual of each state that came to rest, shares of gravity."""
+    presses: tuple[tuple[Press, ...], ...] = ()
+    """Presses of the step to each of these states."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the replay as a JSON object."""
@@ -63,6 +69,16 @@ class _Progress:
         return self.fell or self.reached == len(self.result)
 
 
+@dataclass(eq=False)
+class _Falls:
+    """What replays that failed, or that the clock cut short, leave for the search."""
+
+    unfinished: States | None = None
+    fallen: States | None = None
+    fell_after: int = 0
+    ruled_out: set[bytes] = field(default_factory=set)
+
+
 class DeadlineReplayer:
     """Replayer that checks the deadline between steps and replays no sequence twice.
 
@@ -72,18 +88,32 @@ class DeadlineReplayer:
 
     def __init__(self, replayer: Replayer, clock: Deadline, between: Callable[[], None] = lambda: None) -> None:
         """Replay until `clock` has run out; call `between` before each few steps."""
-        self.unfinished: States | None = None
-        """The last sequence whose replay the clock cut short, in the order of assembly."""
-        self.fallen: States | None = None
-        """Failing sequence that gets farthest."""
-        self.fell_after = 0
-        """Number of its steps that come to rest."""
-        self.ruled_out: set[bytes] = set()
-        """States between the ends at which sequences failed."""
         self._replayer = replayer
         self._clock = clock
         self._between = between
-        self._known: dict[bytes, _Progress] = {}
+        self._known: dict[tuple[bytes, Presses | None], _Progress] = {}
+        self._varied: dict[tuple[StabilitySettings, ReplaySettings], DeadlineReplayer] = {}
+        self._falls = _Falls()
+
+    @property
+    def unfinished(self) -> States | None:
+        """The last sequence whose replay the clock cut short, in the order of assembly."""
+        return self._falls.unfinished
+
+    @property
+    def fallen(self) -> States | None:
+        """Failing sequence that gets farthest."""
+        return self._falls.fallen
+
+    @property
+    def fell_after(self) -> int:
+        """Number of its steps that come to rest."""
+        return self._falls.fell_after
+
+    @property
+    def ruled_out(self) -> set[bytes]:
+        """States between the ends at which sequences failed, also those of replayers under other settings."""
+        return self._falls.ruled_out
 
     @property
     def problem(self) -> Problem:
@@ -97,7 +127,12 @@ class DeadlineReplayer:
 
     def vary(self, settings: StabilitySettings, replay: ReplaySettings) -> DeadlineReplayer:
         """Return a replayer of the same structure under other settings, with the same clock."""
-        return DeadlineReplayer(self._replayer.vary(settings, replay), self._clock, self._between)
+        key = settings, replay
+        if key not in self._varied:
+            varied = DeadlineReplayer(self._replayer.vary(settings, replay), self._clock, self._between)
+            varied._falls = self._falls
+            self._varied[key] = varied
+        return self._varied[key]
 
     def first_tipping(self, states: States, histories: Sequence[History]) -> int | None:
         """Return the first state that a small motion leaves, see `Replayer.first_tipping`."""
@@ -119,13 +154,13 @@ class DeadlineReplayer:
             DeadlineExceeded: the deadline passed; `unfinished` then is this sequence.
         """
         sequence = np.asarray(states, dtype=np.uint8)
-        if history is not None or presses is not None or len(sequence) < 2:
+        if history is not None or len(sequence) < 2:
             self._look()
             with self._clock.timed("replays"):
                 return self._replayer.replay(sequence, history, presses)
-        progress = self._go_on(sequence)
+        progress = self._go_on(sequence, presses)
         if not progress.over:
-            self.unfinished = sequence
+            self._falls.unfinished = sequence
             raise DeadlineExceeded
         result = progress.result.copy()
         if progress.fell:
@@ -143,24 +178,40 @@ class DeadlineReplayer:
         with self._clock.timed("replays"):
             return self._replayer.step(history, before, after)
 
-    def as_time_allows(self, states: States) -> Replayed:
-        """Replay a sequence, or as much of it as the deadline allows.
+    def as_time_allows(self, states: States, presses: Presses | None = None) -> Replayed:
+        """Replay a sequence, or as much of it as the deadline allows; with a reserve, under the true friction too.
 
         Args:
             states: in the order of assembly, shape (steps + 1, parts).
+            presses: of the steps that lead to each state; chosen where they are needed if not given.
         """
-        progress = self._go_on(np.asarray(states, dtype=np.uint8))
+        progress = self._go_on(np.asarray(states, dtype=np.uint8), presses)
+        at_rest = slice(progress.reached)
         stands = False if progress.fell else True if progress.over else None
-        moved = float(progress.moved[: progress.reached].max(initial=0.0))
-        return Replayed(stands, max(progress.reached - 1, 0), len(states) - 1, moved)
+        moved, done = progress.moved[at_rest], tuple(progress.presses)
+        most = int(np.argmax(moved)) if len(moved) else -1
+        found = Replayed(
+            stands,
+            max(progress.reached - 1, 0),
+            len(states) - 1,
+            float(moved[most]) if most >= 0 else 0.0,
+            int(progress.part[most]) if most >= 0 else -1,
+            tuple(progress.residual[at_rest].tolist()),
+            done,
+        )
+        if stands and self.settings.reserve != 1.0:
+            plain = self.vary(replace(self.settings, reserve=1.0), ReplaySettings()).as_time_allows(states, done)
+            found = replace(found, stands=plain.stands, steps=plain.steps)
+        return found
 
     def _look(self) -> None:
         self._between()
         if self._clock.passed:
             raise DeadlineExceeded
 
-    def _go_on(self, states: States) -> _Progress:
-        progress = self._known.setdefault(states.tobytes(), _Progress.begin(len(states)))
+    def _go_on(self, states: States, presses: Presses | None) -> _Progress:
+        given = None if presses is None else tuple(map(tuple, presses))
+        progress = self._known.setdefault((states.tobytes(), given), _Progress.begin(len(states)))
         while not progress.over:
             self._between()
             if self._clock.passed:
@@ -168,7 +219,7 @@ class DeadlineReplayer:
             first = max(progress.reached - 1, 0)  # the last state at rest, whose history is known
             rows = slice(first, first + _PIECE + 1)
             with self._clock.timed("replays"):
-                found = self._replayer.replay(states[rows], progress.history)
+                found = self._replayer.replay(states[rows], progress.history, given and given[rows])
             done = int(np.argmin(np.append(found.stands == RESTS, False)))
             fresh = slice(progress.reached, first + done)
             skipped = progress.reached - first
@@ -187,11 +238,12 @@ class DeadlineReplayer:
 
     def _note(self, states: States, row: int) -> None:
         """Record that a sequence fails in state `row`."""
-        if self.fallen is None or row - 1 > self.fell_after:
-            self.fallen, self.fell_after = states, max(row - 1, 0)
+        falls = self._falls
+        if falls.fallen is None or row - 1 > falls.fell_after:
+            falls.fallen, falls.fell_after = states, max(row - 1, 0)
         inner = _inner(row, len(states))
         if inner is not None:
-            self.ruled_out.add(states[inner].tobytes())
+            falls.ruled_out.add(states[inner].tobytes())
 
 
 def _inner(row: int, count: int) -> int | None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from falsework.stability.contact.hold_kernel import set_holds
 from falsework.stability.contact.newton import evaluate, make_contact_scratch
-from falsework.stability.contact.replay_kernel import load_history, set_holds
+from falsework.stability.contact.replay_kernel import load_history
 from falsework.stability.contact.tangent import assemble_tangent
 from falsework.stability.cpu.elimination import lay_out_panels
 from falsework.stability.cpu.layout import make_scratch, pair_velocity, point_velocity

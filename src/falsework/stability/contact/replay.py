@@ -10,13 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
-from scipy.spatial.transform import Rotation
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states
@@ -28,7 +27,7 @@ from falsework.stability.contact.replay_kernel import replay_range
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.cpu.layout import COMPILED_LAYOUT
 from falsework.stability.history import StepCertificate
-from falsework.stability.holds import Press, pack_presses
+from falsework.stability.holds import Press, inexact_presses, pack_presses
 from falsework.stability.problem import build_problem
 from falsework.stability.second_order.growing_motion import SecondOrder
 from falsework.stability.second_order.springs import springs_at
@@ -45,8 +44,6 @@ _LONGER_STEP = 1e4
 """Factor on the first time step of the whole structure after the parts near the change came to rest."""
 _SET = 1_000_000
 """Age in steps of joints that exist before the first state."""
-_OFF_SIZE, _OFF_DIRECTION = 0.1, np.radians(5.0)
-"""Share of its size, and angle, by which a robot may miss the force of a press."""
 _TRACKED = 64
 """Steps whose certificates are in memory at once."""
 Presses = Sequence[Sequence[Press]]
@@ -386,20 +383,6 @@ def _joined(parts: list[Replay], count: int) -> Replay:
         histories += replay.histories
     presses = tuple(history.presses for history in histories)
     return Replay(stands, moved, most, residual, parts[0].size, tuple(histories), presses)
-
-
-def inexact_presses(presses: Sequence[Press]) -> list[tuple[Press, ...]]:
-    """Return presses as robots may carry them out: 10 % off in size, or 5 degrees in direction."""
-
-    def changed(factor: float, axis: int, angle: float) -> tuple[Press, ...]:
-        turn = factor * Rotation.from_rotvec(angle * np.eye(3)[axis]).as_matrix()
-        return tuple(
-            replace(press, wrench=tuple((np.reshape(press.wrench, (2, 3)) @ turn.T).ravel().tolist()))
-            for press in presses
-        )
-
-    sizes = [changed(factor, 0, 0.0) for factor in (1 - _OFF_SIZE, 1 + _OFF_SIZE)]
-    return sizes + [changed(1.0, axis, angle) for axis in range(3) for angle in (-_OFF_DIRECTION, _OFF_DIRECTION)]
 
 
 def replay_plans(replayer: Replayer, plans: Sequence[States]) -> list[Replay]:

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 
 from falsework.assembly.state import States
 from falsework.stability.contact.newton import FIRST_STEP
-from falsework.stability.contact.replay import History, Presses, Replay, ReplaySettings, inexact_presses
+from falsework.stability.contact.replay import History, Presses, Replay, ReplaySettings
+from falsework.stability.holds import inexact_presses
 from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.cores import core_count

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from falsework.errors import DependencyError, InputError, SolverError
-from falsework.utils.cache_folder import read_cache, write_cache
+from falsework.utils.cache.folder import read_cache, write_cache
 
 SOURCES = (
     "common.cuh",

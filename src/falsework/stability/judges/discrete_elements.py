@@ -158,7 +158,7 @@ def _replay(
     """Build a structure with springs of one stiffness, up to the first state that collapses."""
     answers, points = _Answers(size), len(model.local)
     gap, friction = np.zeros(points), np.zeros((points, 2))
-    ends = model.parts[assembly.contacts.contact_of_point]
+    ends = model.parts[np.repeat(np.arange(len(model.parts)), np.diff(model.start))]
     for row, state in enumerate(states):
         gone = (state[ends] == REMOVED).any(axis=1)
         gap[gone], friction[gone] = 0.0, 0.0
@@ -212,7 +212,7 @@ def _models(assembly: Assembly) -> tuple[float, list[Model]]:
     """Return the size of a typical part, metres, and models in units of it, with soft and with stiff springs."""
     if assembly.joints is not None:
         raise InputError("the discrete-element method does not support joints; replay by the contact law instead")
-    contacts, mass = assembly.contacts, assembly.mass
+    contacts, mass = assembly.contacts.flat(), assembly.mass
     boxes = np.array([np.ptp(mesh.bounds, axis=0) for mesh in assembly.meshes])
     size = float(np.median(boxes.max(axis=1)))
     typical = _typical_weight(assembly)

@@ -1,4 +1,7 @@
-"""Guard of the viewer's web server: only requests that name the served address can open and control the page."""
+"""Guard of the viewer's web server: only requests that name the served address can open and control the page.
+
+Answers carry the content security policy.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +16,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from falsework.errors import DependencyError
+from falsework.viewer.page.content_policy import content_policy
 
 LOCAL = ("localhost", "127.0.0.1", "::1")
 """Names of this machine that are unreachable from others."""
@@ -61,9 +65,9 @@ class OriginGuard:
 
 
 def start_server(viser: Any, host: str, port: int, guard: OriginGuard) -> Any:
-    """Start viser's server behind a guard.
+    """Start viser's server behind a guard, with a content security policy.
 
-    viser has no setting for this, so `websockets.asyncio.server.serve` is replaced while the server starts.
+    viser has no settings for these, so `websockets.asyncio.server.serve` is replaced while the server starts.
 
     Raises:
         OSError: the address cannot be listened at.
@@ -72,7 +76,7 @@ def start_server(viser: Any, host: str, port: int, guard: OriginGuard) -> Any:
     from websockets.asyncio import server as sockets
 
     _check_address(host)
-    plain, guarded = sockets.serve, False
+    policy, plain, guarded = content_policy(viser), sockets.serve, False
 
     def serve(*arguments: Any, process_request: Callable[..., Any] | None = None, **options: Any) -> Any:
         nonlocal guarded
@@ -82,7 +86,11 @@ def start_server(viser: Any, host: str, port: int, guard: OriginGuard) -> Any:
             refusal = guard.refusal(request.headers.get_all("Host"), request.headers.get_all("Origin"))
             if refusal is not None:
                 return connection.respond(HTTPStatus.FORBIDDEN, f"{refusal}\n")
-            return None if process_request is None else process_request(connection, request)
+            response = None if process_request is None else process_request(connection, request)
+            if response is not None:
+                response.headers["Content-Security-Policy"] = policy
+                response.headers["X-Content-Type-Options"] = "nosniff"
+            return response
 
         return plain(*arguments, process_request=checked, **options)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import html
 import io
 import threading
 import time
@@ -14,6 +13,7 @@ import numpy as np
 
 from falsework.errors import DependencyError, FalseworkError, InputError
 from falsework.search.problem.task import Direction
+from falsework.utils.files.printable import printable
 from falsework.viewer.appearance import bounds_of
 from falsework.viewer.arms import bounds_with_arms
 from falsework.viewer.arrows import KINDS
@@ -21,6 +21,7 @@ from falsework.viewer.margin_strip import margin_strip
 from falsework.viewer.page.disruption import ClickMode
 from falsework.viewer.page.gantt_strip import GanttStrip
 from falsework.viewer.page.graph_tab import add_graph_tab
+from falsework.viewer.page.markup import markdown_text
 from falsework.viewer.page.origin_guard import LOCAL, WILDCARDS, OriginGuard, start_server
 from falsework.viewer.page.page_text import about_text, legend_text, marked_text, where_text
 from falsework.viewer.page.scene import SIZE, ViserScene
@@ -134,7 +135,7 @@ class Page:
     def _arrange(self) -> None:
         gui, scene = self.server.gui, self.server.scene
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="large", brand_color=(0, 114, 178))
-        gui.set_panel_label(f"falsework: {self.model.assembly.name}")
+        gui.set_panel_label(f"falsework: {printable(self.model.assembly.name)}")
         scene.set_up_direction("+z")
         scene.configure_environment_map(None)
         scene.configure_default_lights(enabled=True, cast_shadow=self.model.assembly.part_count <= 400)
@@ -213,8 +214,8 @@ class Page:
         try:
             act()
         except FalseworkError as error:
-            text = " ".join(str(error).split())
-            self._answer.content = f"**{text}**"
+            text = printable(" ".join(str(error).split()))
+            self._answer.content = f"**{markdown_text(text)}**"
             client = getattr(event, "client", None)
             if client is not None:
                 client.add_notification("Request failed", text, color="orange", auto_close_seconds=8.0)
@@ -270,7 +271,7 @@ class Page:
         self._answer.content = "planning ..."
         try:
             answer = self.model.replan()
-            self._answer.content = html.escape(answer.words, quote=False)
+            self._answer.content = markdown_text(answer.words)
             self._plan_changed()
         finally:
             self._replan_button.disabled = False

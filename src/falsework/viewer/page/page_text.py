@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Collection
 
 from falsework.viewer.arrows import KINDS
+from falsework.viewer.page.markup import html_text, markdown_text
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.palette import BOUNDARY, FIXED, INSTALLED, MISSING, RAMP, ROBOTS, SELECTED, SLIDING, robot_color
 from falsework.viewer.timeline import NO_ROBOT
@@ -20,20 +20,20 @@ def where_text(model: ViewerState, *, ask: bool) -> str:
     """
     steps = len(model.timeline)
     position = model.step
-    doing = f": **{model.timeline.words(position - 1)}**" if position and steps else ""
-    lines = [f"step {position} of {steps}{doing}" if steps else f"**{model.assembly.name}**"]
+    doing = f": **{markdown_text(model.timeline.words(position - 1))}**" if position and steps else ""
+    lines = [f"step {position} of {steps}{doing}" if steps else f"**{markdown_text(model.assembly.name)}**"]
     if model.clock is not None:
         lines[0] = f"{model.seconds:.1f} s of {model.clock.makespan:.1f} s, {lines[0]}"
     # A plan has proven its states; states changed by marks have no verdict yet.
     if ask or not model.disruption.empty or not steps:
-        lines.append(f"*{model.proof().words}*")
+        lines.append(f"*{markdown_text(model.proof().words)}*")
     return "<br/>".join(lines)
 
 
 def marked_text(model: ViewerState) -> str:
     """Describe the parts marked as missing, already there or not to be touched."""
     words = model.disruption.words(model.assembly)
-    return f"Marked {words}." if words else "Nothing is marked: choose the effect of a click."
+    return f"Marked {markdown_text(words)}." if words else "Nothing is marked: choose the effect of a click."
 
 
 def about_text(model: ViewerState) -> str:
@@ -41,8 +41,8 @@ def about_text(model: ViewerState) -> str:
     if model.selected is None:
         return "<div style='margin:0.5em 1em;color:#666'>Click a part to see its data.</div>"
     rows = "".join(
-        f"<tr><td style='color:#666;padding-right:1em;vertical-align:top'>{html.escape(name)}</td>"
-        f"<td>{html.escape(value)}</td></tr>"
+        f"<tr><td style='color:#666;padding-right:1em;vertical-align:top'>{html_text(name)}</td>"
+        f"<td>{html_text(value)}</td></tr>"
         for name, value in model.about(model.selected)
     )
     return f"<table id='falsework-part' style='margin:0.5em 1em;font-size:0.85em'>{rows}</table>"
@@ -66,7 +66,7 @@ def legend_text(model: ViewerState, shown: Collection[str]) -> str:
         entries.append((SLIDING, "would slide"))
     boxes = "".join(
         f"<div><span style='display:inline-block;width:1.2em;height:0.8em;background:{color};"
-        f"border:1px solid #999;margin-right:0.5em'></span>{html.escape(words)}</div>"
+        f"border:1px solid #999;margin-right:0.5em'></span>{html_text(words)}</div>"
         for color, words in entries
     )
     if model.show_probabilities:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.geometry.mesh.mesh import triangle_normals
+from falsework.utils.files.printable import printable
 from falsework.viewer.appearance import Appearance, bounds_of, diagonal
 from falsework.viewer.arms import ArmPoses, Arms, wxyz_of
 from falsework.viewer.arrows import KINDS, Arrows
@@ -276,7 +277,7 @@ class ViserScene:
         for part, words in labels.items():
             if part not in self._labels:
                 at = self.place(self.assembly.mass.center[part] + appearance.shift[part])
-                self._labels[part] = (words, self._scene.add_label(f"/labels/{part}", words, position=at))
+                self._labels[part] = (words, self._scene.add_label(f"/labels/{part}", printable(words), position=at))
 
     def _fresh(self, name: str, key: bytes) -> bool:
         """Return whether a node must be sent; one that is only hidden is shown again."""

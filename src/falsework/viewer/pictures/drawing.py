@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from falsework.errors import InputError
 from falsework.geometry.mesh.mesh import triangle_normals
-from falsework.utils.archive import write_whole
+from falsework.utils.files.output_file import write_whole
 from falsework.viewer.appearance import appearance_at
 from falsework.viewer.arrows import Arrows
 from falsework.viewer.palette import INK
@@ -167,7 +167,7 @@ def write_svg(path: Path | str, text: str) -> None:
     Raises:
         InputError: it cannot be written.
     """
-    write_whole(path, lambda file: file.write(text.encode()))
+    write_whole(path, lambda file: file.write(text.encode("utf-8", "backslashreplace")))
 
 
 def _is_prism(triangles: Array, axis: int) -> bool:

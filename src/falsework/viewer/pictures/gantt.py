@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from falsework.errors import DependencyError, InputError
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import schedule_of
-from falsework.utils.archive import write_whole
+from falsework.utils.files.output_file import write_whole
 from falsework.viewer.palette import INK, rgb, robot_color
 from falsework.viewer.pictures.graph_picture import figure_pixels
 
@@ -103,7 +103,7 @@ class GanttChart:
             color, alpha = robot_color(bar.robot), _ALPHA[bar.does]
             thick = 0.4 if bar.does == "moves" else 0.7
             axes.barh(bar.robot, bar.end - bar.begin, left=bar.begin, height=thick, color=color, alpha=alpha, **edge)
-        axes.set_yticks(range(rows), [robot.name for robot in plan.robots])
+        axes.set_yticks(range(rows), [robot.name for robot in plan.robots], parse_math=False)
         axes.set_ylim(rows - 0.5, -0.5)
         axes.set_xlim(0.0, max(plan.makespan, 1e-3))
         for side in ("top", "right"):
@@ -115,7 +115,7 @@ class GanttChart:
         else:
             axes.set_xlabel(f"seconds; {KEY}")
             times = f"{plan.makespan:.1f} s, one after the other {plan.seconds:.1f} s"
-            axes.set_title(title or f"{plan.plan.name}: {times}")
+            axes.set_title(title or f"{plan.plan.name}: {times}", parse_math=False)
         return cls(figure, len(bars), plan.makespan)
 
     @cached_property

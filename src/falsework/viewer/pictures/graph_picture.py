@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import States
 from falsework.errors import DependencyError
 from falsework.search.problem.state_graph import StateGraph
-from falsework.utils.archive import write_whole
+from falsework.utils.files.output_file import write_whole
 from falsework.viewer.appearance import appearance_at
 from falsework.viewer.palette import INK, ROBOTS
 from falsework.viewer.timeline import Timeline

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import DependencyError, InputError
-from falsework.utils.archive import write_whole
+from falsework.utils.files.output_file import write_whole
 from falsework.viewer.appearance import bounds_of
 from falsework.viewer.arms import Arms, bounds_with_arms
 from falsework.viewer.palette import BOUNDARY, INSTALLED, ROBOTS, SLIDING, rgb

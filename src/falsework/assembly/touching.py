@@ -1,0 +1,71 @@
+"""Parts that touch nothing, and pairs of parts that touch on less than a face."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.errors import AssemblyError
+from falsework.geometry.contact.interfaces import Contacts, ContactSettings, default_gap
+from falsework.geometry.mesh.collision import nearest
+from falsework.geometry.mesh.mesh import TriangleMesh
+
+
+def contact_warnings(
+    meshes: Sequence[TriangleMesh], boundary: NDArray[np.bool_], contacts: Contacts
+) -> tuple[str, ...]:
+    """Return one line for all joints that were resolved, and one for each pair that touches on less than a face."""
+    names = [mesh.name for mesh in meshes]
+    pairs, pair = np.unique(contacts.parts, axis=0, return_inverse=True)
+    widest = np.zeros(len(pairs), dtype=np.int8)
+    np.maximum.at(widest, pair.ravel(), contacts.dimension)
+    width, least = np.zeros(len(pairs)), default_gap(meshes)
+    np.maximum.at(width, pair.ravel(), contacts.width)
+    lines = [contacts.report.line(names)] if len(contacts.report) else []
+    for number in np.flatnonzero((width < least) & ~boundary[pairs].all(axis=1)).tolist():
+        a, b = (names[part] for part in pairs[number].tolist())
+        if widest[number] == 2:
+            lines.append(
+                f"parts {a} and {b} touch on a strip {1000 * width[number]:.2g} mm wide: verdicts may depend on it"
+            )
+            continue
+        count = int(np.sum(pair.ravel() == number))
+        where = ("at a point", "along a line")[widest[number]]
+        if count > 1:
+            where = ("at points", "along lines")[widest[number]]
+        lines.append(f"parts {a} and {b} touch {where} only: verdicts may depend on it")
+    return tuple(lines)
+
+
+def check_touching(
+    meshes: Sequence[TriangleMesh], boundary: NDArray[np.bool_], contacts: Contacts, settings: ContactSettings
+) -> None:
+    """Raise for a part without contacts; boundary parts may stand alone, as obstacles do."""
+    alone = ~boundary
+    alone[contacts.parts.ravel()] = False
+    if alone.any():
+        part = int(np.argmax(alone))
+        other, gap = nearest(part, meshes)
+        touches = f"part {meshes[part].name} touches no other part"
+        if other < 0:
+            raise AssemblyError(f"{touches}, and there is none; add the parts that carry it")
+        where = f"{touches}; part {meshes[other].name} is nearest, {1000 * gap:.3g} mm away"
+        allowed = settings.lengths(meshes)[0]
+        if gap <= allowed:
+            raise AssemblyError(
+                f"{where}, within the gap of {1000 * allowed:.3g} mm that is allowed, but no faces look at each other "
+                f"there to within {settings.angle:g} degrees; move it into place, or raise that angle "
+                '("contact": {"angle": degrees} in assembly.json)'
+            )
+        raise AssemblyError(
+            f"{where}, and {1000 * allowed:.3g} mm is allowed; move it into place, or allow the gap if it is meant to "
+            f'be filled ("contact": {{"gap": {_above(gap)}}} in assembly.json)'
+        )
+
+
+def _above(length: float) -> str:
+    """Return a length with two digits, rounded up by 2 to 12 percent."""
+    digits = int(np.floor(np.log10(length))) - 1
+    return f"{(np.ceil(1.02 * length / 10.0**digits)) * 10.0**digits:.2g}"

@@ -1,0 +1,153 @@
+"""Presses of a robot plan: which robot presses which part, with which wrench in the cell, from when to when.
+
+Robots press in assembly, while another robot lets go of its part. All exports read the presses from here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.model import Assembly
+from falsework.errors import PlanError
+from falsework.robots.kinematics.forward import tool_pose
+from falsework.robots.model.cell import Cell
+from falsework.robots.model.cell_holds import CellScale
+from falsework.robots.model.shapes import inverse_pose, move
+from falsework.robots.plans.robot_plan import RobotPlan, acts
+from falsework.robots.plans.temporal_graph import TemporalPlanGraph
+from falsework.robots.plans.timeline import event_times
+from falsework.search.problem.task import Direction
+from falsework.stability.holds import PRESS_STIFFNESS, Press
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class TimedPress:
+    """Press of one robot in the world frame of the cell."""
+
+    step: int
+    """Step of the robot plan in which another robot lets go of its part."""
+    robot: int
+    part: int
+    wrench: Array
+    """Wrench that the robot adds: force in N, and moment about the part's centre of mass in Nm, shape (6,)."""
+    center: Array
+    """Centre of mass of the part, shape (3,)."""
+    tool: Array
+    """Pose of the tool frame, shape (4, 4)."""
+    stiffness: float
+    """Stiffness of the robot while it presses, N/m."""
+    turning: Array
+    """Stiffness against turning about the centre of mass, Nm/rad, shape (3, 3)."""
+    start: float
+    """Time at which the other robot opens its gripper, seconds; the wrench must act then."""
+    end: float
+    """Time at which the other robot has withdrawn, or this one does its next action, seconds."""
+
+    @property
+    def force(self) -> float:
+        """Size of the force, N."""
+        return float(np.linalg.norm(self.wrench[:3]))
+
+    def wrench_in(self, frame: Array) -> Array:
+        """Return the wrench in a frame, with the moment about its origin, N and Nm, (4, 4) to (6,)."""
+        force, moment = self.wrench[:3], self.wrench[3:]
+        moment = moment + np.cross(self.center - frame[:3, 3], force)
+        return np.concatenate([force @ frame[:3, :3], moment @ frame[:3, :3]])
+
+    @property
+    def offset(self) -> Array:
+        """Displacement of the set point of the tool frame that adds the wrench, along and about its axes, m and rad.
+
+        Shape (6,).
+        """
+        angle = np.linalg.solve(self.turning, self.wrench[3:])
+        shift = self.wrench[:3] / self.stiffness + np.cross(angle, self.tool[:3, 3] - self.center)
+        return np.concatenate([shift @ self.tool[:3, :3], angle @ self.tool[:3, :3]])
+
+
+def has_presses(plan: RobotPlan) -> bool:
+    """Return whether robots press when they carry out a plan."""
+    return plan.direction is Direction.ASSEMBLY and any(plan.plan.presses)
+
+
+def presses_in(plan: RobotPlan, step: int) -> tuple[Press, ...]:
+    """Return the presses of a step as it is done in assembly, in the structure's units."""
+    presses = plan.plan.presses
+    return presses[int(plan.rows[step])] if presses and acts(plan.steps[step]) else ()
+
+
+def pressing_robot(plan: RobotPlan, step: int, part: int) -> int | None:
+    """Return the robot that holds a part before and after a step; None without one."""
+    pairs = zip(plan.keyframes[step].held, plan.keyframes[step + 1].held, strict=True)
+    return next((robot for robot, held in enumerate(pairs) if held == (part, part)), None)
+
+
+def press_fault(plan: RobotPlan, step: int) -> str:
+    """Return why the presses of a step cannot be carried out; empty if they can."""
+    apart = plan.direction is Direction.DISASSEMBLY
+    for press in presses_in(plan, step):
+        name = plan.plan.part_names[press.part]
+        if plan.grip(step) != ("close" if apart else "open"):
+            return f"{name} is pressed while no other part is let go of"
+        if pressing_robot(plan, step, press.part) is None:
+            return f"{name} is pressed, but no robot holds it all the time"
+    return ""
+
+
+def timed_presses(plan: RobotPlan, assembly: Assembly, cell: Cell, graph: TemporalPlanGraph) -> tuple[TimedPress, ...]:
+    """Return the presses of a plan in the order of its steps; none for disassembly, in which robots do not press.
+
+    Args:
+        plan: the robot plan.
+        assembly: its structure.
+        cell: its cell.
+        graph: schedule that the times refer to.
+
+    Raises:
+        PlanError: the plan is for another structure or cell, or its presses cannot be carried out.
+    """
+    if not has_presses(plan):
+        return ()
+    plan.check_identity(assembly, cell)
+    scale, placement, holds = CellScale.of(assembly, cell), cell.placement, plan.plan.claim.holds
+    turn, centers = placement.pose[:3, :3], move(placement.pose, placement.scale * assembly.mass.center)
+    stiffness = scale.stiffness * min(holds.stiffness, PRESS_STIFFNESS)
+    starts, released = graph.starts(), event_times(plan, graph)
+    found = []
+    for step in range(len(plan)):
+        if fault := press_fault(plan, step):
+            raise PlanError(f"step {step + 1} of the robot plan: {fault}; plan again")
+        for press in presses_in(plan, step):
+            robot = pressing_robot(plan, step, press.part)
+            assert robot is not None
+            wrench, inertia = np.array(press.wrench), assembly.mass.inertia[press.part]
+            own = inertia / assembly.mass.mass[press.part] * placement.scale**2
+            withdrawn = max(
+                start + node.seconds for start, node in zip(starts, graph.nodes, strict=True) if node.step == step
+            )
+            following = (starts[node] for node in graph.of_robot(robot) if graph.nodes[node].step > step)
+            found.append(
+                TimedPress(
+                    step,
+                    robot,
+                    press.part,
+                    np.concatenate([scale.force * turn @ wrench[:3], scale.moment * turn @ wrench[3:]]),
+                    centers[press.part],
+                    tool_pose(cell.robots[robot], plan.keyframes[step].configurations[robot]),
+                    stiffness,
+                    stiffness * turn @ own @ turn.T,
+                    float(released[step]),
+                    float(min(withdrawn, next(following, np.inf))),
+                )
+            )
+    return tuple(found)
+
+
+def flange_of(press: TimedPress, plan: RobotPlan) -> Array:
+    """Return the pose of the flange of the robot that presses, shape (4, 4)."""
+    return press.tool @ inverse_pose(plan.robots[press.robot].tool)

@@ -1,0 +1,215 @@
+"""Robots that press, and the reserve of plans, on the command line: what works with them, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from falsework.assembly import load_structure
+from falsework.assembly.state import HELD
+from falsework.errors import InputError
+from falsework.search.plans.plan_check import validate_plan
+from falsework.search.plans.plan_file import load_plan
+from falsework.stability import StabilitySettings
+from falsework.stability.holds import HoldSettings
+
+Run = Callable[..., Any]
+ARCH = "arch:blocks=9"
+SOFT = ("--hold-stiffness", "1e5")
+"""Robots so soft that an arch of nine blocks cannot be built unless they press."""
+
+
+def refused(finished: Any, *words: str) -> None:
+    """One line for a person that contains every word."""
+    assert finished.code == 2, finished.error
+    assert finished.error.startswith("falsework: ")
+    assert finished.error.count("\n") == 1, finished.error
+    for word in words:
+        assert word in finished.error
+
+
+@pytest.fixture
+def pressing(falsework: Run, tmp_path: Path) -> Path:
+    """A plan in which robots press."""
+    out = tmp_path / "pressing.json"
+    done = falsework("plan", ARCH, *SOFT, "--direction", "assembly", "--out", out)
+    assert done.code == 0, done.error
+    assert "with the true friction and with friction / 1.1" in done.out
+    assert "robots press in " in done.out
+    return out
+
+
+def presses(data: dict[str, Any]) -> list[dict[str, Any]]:
+    """Steps of a plan file in which robots press."""
+    return [step for step in data["steps"] if step.get("presses")]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--alternatives", 2),
+        ("--missing", 4, "--width", 4),
+        ("--margin", "friction=1.2,tilt=1deg"),
+        ("--support",),
+        ("--assembly-order", "--proofs"),
+        ("--robots", "auto", "--deadline", 20),
+    ],
+    ids=lambda options: options[0],
+)
+def test_every_kind_of_plan_presses(falsework: Run, tmp_path: Path, options: tuple[Any, ...]) -> None:
+    """Each is built anew by the check, with its presses and its reserve."""
+    out = tmp_path / "plan.json"
+    done = falsework("plan", ARCH, *SOFT, *options, "--out", out)
+    assert done.code == 0, done.error
+    assert "robots press in " in done.out
+    data = json.loads(out.read_text())
+    assert presses(data)
+    assert data["stability"]["reserve"] == 1.1
+    checked = falsework("check", out, "--reserve", 1.1)
+    assert checked.code == 0, checked.error
+
+
+def test_without_presses_there_is_no_plan(falsework: Run, tmp_path: Path) -> None:
+    done = falsework("plan", ARCH, *SOFT, "--no-press", "--width", 4, "--out", tmp_path / "plan.json")
+    assert done.code == 1
+    assert "no plan was found" in done.error
+
+
+@pytest.mark.parametrize("direction", ["assembly", "disassembly"])
+def test_replan_presses(falsework: Run, tmp_path: Path, direction: str) -> None:
+    out, state = tmp_path / "plan.json", "empty" if direction == "assembly" else "complete"
+    options = ("--state", state, "--direction", direction, "--out", out)
+    done = falsework("replan", ARCH, *SOFT, *options)
+    assert done.code == 0, done.error
+    assert "with the true friction and with friction / 1.1" in done.out
+    assert "robots press in " in done.out
+    plan = load_plan(out)
+    assert plan.direction == direction
+    assert any(plan.presses)
+    assert plan.claim.holds.stiffness == 1e5
+    assert validate_plan(plan, load_structure(ARCH), StabilitySettings(reserve=1.1)).good
+    (record,) = falsework("replan", ARCH, *SOFT, *options, "--json").records
+    assert record["reserve"] == 1.1
+    assert record["presses"] == sum(map(bool, plan.presses))
+
+
+def test_the_reserve_that_no_plan_keeps(falsework: Run, tmp_path: Path) -> None:
+    """The best plan is delivered with what it keeps, and the exit code says so."""
+    for command in ("plan", "replan"):
+        out = tmp_path / f"{command}.json"
+        done = falsework(command, "arch:blocks=5", "--reserve", 5, "--out", out)
+        assert done.code == 1
+        assert "no plan was found with the reserve of 5; this one keeps 1" in done.error
+        assert json.loads(out.read_text())["stability"]["reserve"] == 1.0
+        assert falsework("check", out).code == 0
+        asked = falsework("check", out, "--reserve", 1.2)
+        assert asked.code == 1
+        assert "the plan claims a reserve of 1; 1.2 is asked" in asked.error
+
+
+@pytest.mark.parametrize("command", ["plan", "replan", "robots-needed"])
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--hold-force=-1",), "the largest force of holds is -1 N; give 0 or more"),
+        (("--hold-force=nan",), "the largest force of holds is nan N"),
+        (("--hold-force=1",), "with at most 1 N cannot carry part voussoir-0, which weighs"),
+        (("--hold-stiffness=0",), "the stiffness of holds is 0 N/m; give a positive number, inf for rigid"),
+        (("--hold-stiffness=-1",), "the stiffness of holds is -1 N/m"),
+        (("--hold-stiffness=nan",), "the stiffness of holds is nan N/m"),
+        (("--reserve=0.9",), "--reserve is 0.9; give 1 for none, or more"),
+        (("--reserve=nan",), "--reserve is nan"),
+        (("--criterion=equilibrium", "--no-press"), "leave out the options of holds"),
+        (("--criterion=equilibrium", "--hold-force=1e4"), "leave out the options of holds"),
+    ],
+)
+def test_wrong_options(falsework: Run, tmp_path: Path, command: str, options: tuple[str, ...], words: str) -> None:
+    out = () if command == "robots-needed" else ("--out", tmp_path / "plan.json")
+    refused(falsework(command, "arch:blocks=5", *options, *out), words)
+    assert not list(tmp_path.iterdir())
+
+
+def test_robots_of_no_force_never_press(falsework: Run, tmp_path: Path) -> None:
+    out = tmp_path / "plan.json"
+    done = falsework("plan", "arch:blocks=5", "--hold-force", 0, "--out", out)
+    assert done.code == 0, done.error
+    assert "press" not in done.out
+    assert json.loads(out.read_text())["stability"]["holds"]["press"] is False
+
+
+def test_wrong_settings() -> None:
+    wrong = (("force", -1.0), ("force", math.nan), ("moment", -1.0), ("stiffness", 0.0), ("stiffness", math.nan))
+    for name, value in wrong:
+        options: dict[str, Any] = {name: value}
+        with pytest.raises(InputError, match="of holds is"):
+            HoldSettings(**options)
+    for reserve in (0.9, 0.0, math.nan):
+        with pytest.raises(InputError, match="reserve is"):
+            StabilitySettings(reserve=reserve)
+
+
+def test_the_check_limits_robots(falsework: Run, pressing: Path) -> None:
+    """A plan for stronger robots than allowed is refused, whatever its own claim is changed to."""
+    limited = falsework("check", pressing, "--hold-force", 900)
+    assert limited.code == 1
+    assert "the plan is for robots that hold with up to" in limited.error
+    assert "900 N is allowed" in limited.error
+    data = json.loads(pressing.read_text())
+    data["stability"]["holds"]["force"] = 900
+    pressing.write_text(json.dumps(data))
+    assert falsework("check", pressing).code == 1  # its presses are no longer within its claim
+    data["stability"]["holds"]["force"] = 1
+    pressing.write_text(json.dumps(data))
+    refused(falsework("check", pressing), "cannot carry part voussoir-0")
+    refused(falsework("check", pressing, "--hold-force=-1"), "the largest force of holds is -1 N")
+    refused(falsework("check", pressing, "--reserve=0.5"), "reserve is 0.5")
+
+
+@pytest.mark.parametrize(
+    ("part", "wrench", "code", "words"),
+    [
+        ("free", [0, 0, 10, 0, 0, 0], 1, ", which it does not hold"),
+        ("boundary", [0, 0, 10, 0, 0, 0], 1, "a robot presses abutment-9, which it does not hold"),
+        (99, [0, 0, 10, 0, 0, 0], 2, "name part 99, but parts are numbered 0 to 10"),
+        ("held", [0, 0, 1e6, 0, 0, 0], 1, "assembly step"),
+        ("held", [0, 0, math.nan, 0, 0, 0], 2, "must be six finite numbers"),
+        ("held", [0, 0, math.inf, 0, 0, 0], 2, "must be six finite numbers"),
+        ("held", [0, 0, "1", 0, 0, 0], 2, "must be six finite numbers"),
+        ("held", [0, 0, 1], 2, "must be six finite numbers"),
+    ],
+)
+def test_wrong_presses_in_a_plan(
+    falsework: Run, pressing: Path, part: str | int, wrench: list[Any], code: int, words: str
+) -> None:
+    data = json.loads(pressing.read_text())
+    step = presses(data)[0]
+    held = step["presses"][0]["part"]
+    number = {"free": step["part"], "boundary": 9, "held": held}.get(part, part) if isinstance(part, str) else part
+    step["presses"] = [{"part": number, "wrench": wrench}]
+    pressing.write_text(json.dumps(data))
+    finished = falsework("check", pressing)
+    assert finished.code == code, finished.error
+    assert finished.error.count("\n") == 1
+    assert words in finished.error
+
+
+def test_presses_against_the_rules(falsework: Run, pressing: Path) -> None:
+    """One robot presses once, and only while a part is released."""
+    plan, text = load_plan(pressing), pressing.read_text()
+    data = json.loads(text)
+    presses(data)[0]["presses"] *= 2
+    pressing.write_text(json.dumps(data))
+    assert "a robot presses a part twice" in falsework("check", pressing).error
+    data, held = json.loads(text), plan.states == HELD
+    both = held[:-1] & held[1:] & ~plan.boundary
+    step = next(row for row, action in enumerate(plan.actions) if action >= len(plan.boundary) and both[row].any())
+    data["steps"][step]["presses"] = [{"part": int(both[step].argmax()), "wrench": [0, 0, 1, 0, 0, 0]}]
+    pressing.write_text(json.dumps(data))
+    finished = falsework("check", pressing)
+    assert finished.code == 1
+    assert "robots press, but no part is released" in finished.error
