@@ -130,6 +130,18 @@ TABLES = {
         benchmark="judges plans",
         where=lambda record: not record.get("robust"),
     ),
+    "builds": Table(
+        "judges",
+        (*STRUCTURE_AND_ROBOTS, ("reserve asked for", "{asked_reserve}")),
+        (
+            ("states", "{states}"),
+            ("presses", "{presses}"),
+            ("contacts as of the criterion: stand, open, fall", "{alike.stands}, {alike.open}, {alike.falls}"),
+            ("stiff contacts", "{stiff.stands}, {stiff.open}, {stiff.falls}"),
+            ("soft contacts", "{soft.stands}, {soft.open}, {soft.falls}"),
+        ),
+        benchmark="judges builds",
+    ),
     "robust": Table(
         "judges",
         STRUCTURE,

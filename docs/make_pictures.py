@@ -28,6 +28,7 @@ def main() -> None:
         "slope": diagrams.slope,
         "two-walls": diagrams.two_walls,
         "equilibrium-plan": commands.equilibrium_plan,
+        "press": commands.press,
         "arch-stands.svg": commands.arch_that_stands,
         "arch-falls.svg": commands.arch_that_falls,
         "state-graph": commands.state_graph,

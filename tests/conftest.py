@@ -11,13 +11,19 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
 from falsework.assembly.model import Assembly, ContactWarning
+from falsework.assembly.state import HELD, INSTALLED
 from falsework.geometry import TriangleMesh
+from falsework.search import Plan
+from falsework.search.problem.task import Direction
+from falsework.stability.holds import Press
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -161,3 +167,25 @@ def run_processes(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Non
         assert codes == [0] * processes, "\n".join([f"they ended with {codes}", *(path.read_text() for path in said)])
 
     return run
+
+
+@pytest.fixture(scope="session")
+def press_once() -> Callable[..., tuple[Plan, int, int]]:
+    """Add a press to the first step of a plan in which a part is released while a robot holds another one.
+
+    Returns:
+        The plan in the order of assembly, the number of the step from 1, and the part that is pressed.
+    """
+
+    def change(plan: Plan, wrench: tuple[float, ...]) -> tuple[Plan, int, int]:
+        plan = plan if plan.direction is Direction.ASSEMBLY else plan.reverse()
+        for step, (before, after) in enumerate(pairwise(plan.states)):
+            held = (before == HELD) & (after == HELD) & ~plan.boundary
+            if held.any() and ((before == HELD) & (after == INSTALLED)).any():
+                part = int(held.argmax())
+                presses: list[tuple[Press, ...]] = [()] * len(plan)
+                presses[step] = (Press(part, wrench),)
+                return replace(plan, presses=tuple(presses)), step + 1, part
+        raise AssertionError("no robot holds a part while another one is released")
+
+    return change

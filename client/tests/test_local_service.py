@@ -80,6 +80,9 @@ class Started(unittest.TestCase):
         service = LocalService(pair(), unit="m")
         self.assertEqual(len(list(self.temporary.iterdir())), 1)
         local_service.ask(service.url + "/health")
+        end = time.monotonic() + 10.0
+        while not service.warnings and time.monotonic() < end:  # another thread reads them
+            time.sleep(0.01)
         self.assertEqual(service.warnings, ["part 0 was mended"])
         service.stop()
         service.stop()

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from falsework.cli.main import main
+from falsework.search import load_plan
 
 BUILT_IN = {
     "arch": "arch:blocks=11",
@@ -46,6 +47,16 @@ def vault_plan(path: Path) -> None:
         plan = str(Path(folder) / "plan.json")
         run("plan", "vault", "--robots", "2", "--width", "256", "--out", plan)
         run("picture", plan, "--out", str(path))
+
+
+def press(path: Path) -> None:
+    """First step of a plan for the built-in vault in which a robot presses, with all forces."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "plan.json"
+        run("plan", "vault", "--robots", "2", "--out", str(file))
+        step = next(step for step, presses in enumerate(load_plan(file).assembly_presses) if presses)
+        options = ("--step", str(step), "--forces", "--azimuth", "-40", "--elevation", "35")
+        run("picture", str(file), *options, "--out", str(path))
 
 
 def equilibrium_plan(path: Path) -> None:

@@ -140,6 +140,17 @@ def test_between_two_steps_the_scene_is_the_state(reverse: bool, kind: Any, arch
                 robots.pop(part, None)
 
 
+def test_presses_are_extras_in_the_axes_of_the_file(
+    arch: Assembly, plan: Plan, press_once: Callable[..., tuple[Plan, int, int]]
+) -> None:
+    pressed, step, part = press_once(plan, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
+    wrench = [1.0, 3.0, -2.0, 4.0, 6.0, -5.0]
+    for shown, number in ((pressed, step), (pressed.reverse(), len(plan) + 1 - step)):
+        about = Scene(gltf_of(arch, shown)).json["extras"]["plan"]
+        assert about["presses"] == [{"step": number, "part": part, "wrench": wrench}]
+    assert "presses" not in Scene(gltf_of(arch, plan)).json["extras"]["plan"]
+
+
 def test_parts_leave_without_passing_through_others(arch: Assembly, plan: Plan) -> None:
     """Halfway out, a part is where its clearance says that nothing is: along a direction that nobody blocks."""
     scene = Scene(gltf_of(arch, plan))

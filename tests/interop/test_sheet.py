@@ -7,6 +7,7 @@ import io
 import re
 import shutil
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +64,18 @@ def test_a_plan_that_starts_and_ends_half_way(arch: Assembly) -> None:
     assert [part for part, _ in sheet.holding(0)] == [2, 4]
     assert sheet.steps[0].place
     assert sheet.steps[0].part == 3
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+def test_a_press_is_said_where_the_other_part_is_released(
+    reverse: bool, arch: Assembly, plan: Plan, press_once: Callable[..., tuple[Plan, int, int]]
+) -> None:
+    pressed, step, part = press_once(plan, (885.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    lines = table(pressed.reverse() if reverse else pressed, arch)
+    (said,) = [line for line in lines if line["press"]]
+    assert (int(said["step"]), said["do"]) == (step, "release")
+    support = said["hold"].partition("(")[2].rstrip(")")
+    assert said["press"] == f"{arch.names[part]} with 885 N from -x by {support}"
 
 
 def test_missing_parts_are_marked(arch: Assembly) -> None:

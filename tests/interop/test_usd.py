@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -89,6 +90,23 @@ def test_a_plan_moves_and_the_validators_have_nothing_to_say(
             if seen:
                 place = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time).ExtractTranslation()
                 assert np.allclose(place, arch.mass.center[part], atol=1e-5)
+
+
+def test_presses_are_attributes_of_the_part(
+    arch: Assembly, plan: Plan, press_once: Callable[..., tuple[Plan, int, int]], tmp_path: Path
+) -> None:
+    pressed, step, part = press_once(plan, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
+    stage = opened(usd_of(arch, pressed), tmp_path)
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    assert [error.GetMessage() for error in UsdValidation.ValidationContext(validators).Validate(stage)] == []
+    for number, prim in enumerate(parts_of(stage)):
+        found = {name: prim.GetAttribute(f"falsework:press{name}").Get() for name in ("Steps", "Forces", "Moments")}
+        if number == part:
+            assert list(found["Steps"]) == [step]
+            assert [tuple(value) for value in found["Forces"]] == [(1.0, 2.0, 3.0)]
+            assert [tuple(value) for value in found["Moments"]] == [(4.0, 5.0, 6.0)]
+        else:
+            assert set(found.values()) == {None}
 
 
 def test_names_that_usd_does_not_allow(tmp_path: Path) -> None:

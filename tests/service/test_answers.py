@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any
 
 import jsonschema
@@ -61,6 +62,26 @@ def test_a_plan_leads_where_it_shall_and_every_state_stands(
     assert np.array_equal(plan.states[-1], words[last])
     assert plan.source is None
     assert validate_plan(plan, live.assembly).good
+
+
+def test_robots_and_reserve_are_those_of_the_request(live: Any) -> None:
+    """Requests for different robots that come together each get theirs; what is left out is as by default."""
+    usual = {"state": "empty", "direction": "assembly", "deadline": 60_000}
+    force = 20 * 9.81 * float(live.assembly.mass.mass.max())
+    asked = [
+        {},
+        {"holds": {"force": force, "stiffness": None, "press": False}, "reserve": 1.1},
+        {"holds": {"stiffness": 2e6}},
+    ]
+    with ThreadPoolExecutor(len(asked)) as pool:
+        replies = list(pool.map(lambda entries: live.post("/replan", {**usual, **entries}), asked))
+    usual_robots, strong, soft = (plans_of(reply.json())[0] for reply in replies)
+    assert (usual_robots.claim.reserve, strong.claim.reserve, soft.claim.reserve) == (1.0, 1.1, 1.0)
+    assert (strong.claim.holds.force, strong.claim.holds.stiffness) == (force, np.inf)
+    assert not strong.claim.holds.press
+    assert soft.claim.holds == replace(usual_robots.claim.holds, stiffness=2e6)
+    for plan in (usual_robots, strong, soft):
+        assert validate_plan(plan, live.assembly).good
 
 
 def test_alternatives_differ(live: Any) -> None:

@@ -13,9 +13,11 @@ pytest.importorskip("fastapi", reason="the service needs fastapi; pip install 'f
 
 from falsework.assembly import Assembly
 from falsework.assembly.library.blocks import box, gather
-from falsework.service.schema import components, models_of
+from falsework.errors import InputError
+from falsework.service.schema import components, models_of, read_holds
 from falsework.service.settings import ServiceSettings
 from falsework.service.worker import Item, WorkerConfig, _Judge, _Planner
+from falsework.stability.holds import HoldSettings
 
 
 class Pipe:
@@ -69,3 +71,17 @@ def test_plans(criterion: Any, clamp: Assembly, monkeypatch: pytest.MonkeyPatch)
     schemas = components(models_of(clamp, ServiceSettings()))
     jsonschema.validate(answer, {**schemas["ReplanAnswer"], "components": {"schemas": schemas}})
     assert [plan["stability"]["criterion"] for plan in answer["plans"]] == ["equilibrium"] * len(answer["plans"])
+
+
+def test_robots_have_limits_under_contact_alone(clamp: Assembly) -> None:
+    model = models_of(clamp, ServiceSettings()).replan
+    for given, holds in (
+        ({}, HoldSettings()),
+        ({"holds": {}}, HoldSettings()),
+        ({"holds": {"force": 1e6, "press": False}}, HoldSettings(force=1e6, press=False)),
+        ({"holds": {"stiffness": None, "force": None}}, HoldSettings(np.inf, np.inf)),
+    ):
+        assert read_holds(model.model_validate(given), clamp, "contact") == holds
+    assert read_holds(model.model_validate({}), clamp, "equilibrium") == HoldSettings()
+    with pytest.raises(InputError, match="holds: under equilibrium robots hold with any force"):
+        read_holds(model.model_validate({"holds": {"press": False}}), clamp, "equilibrium")

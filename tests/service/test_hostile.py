@@ -76,6 +76,17 @@ def pids(live: Any, kind: str) -> list[int]:
         (b'{"\\u001b[31m\\n": 1}', ()),
         (b'{"target": "complete", "direction": "disassembly", "state": "empty"}', ("part",)),
         (b'{"direction": "sideways"}', ("direction",)),
+        (b'{"reserve": 0.9}', ("reserve",)),
+        (b'{"reserve": 1e400}', ("reserve",)),
+        (b'{"holds": 5}', ("holds: give an object", "stiffness")),
+        (b'{"holds": null}', ("holds: give an object",)),
+        (b'{"holds": {"stiffness": 0}}', ("holds stiffness",)),
+        (b'{"holds": {"stiffness": NaN}}', ("holds stiffness",)),
+        (b'{"holds": {"force": -1}}', ("holds force",)),
+        (b'{"holds": {"moment": "5"}}', ("holds moment",)),
+        (b'{"holds": {"press": 1}}', ("holds press",)),
+        (b'{"holds": {"strength": 1}}', ("there is no entry 'strength' in holds",)),
+        (b'{"holds": {"force": 1}}', ("holds:", "cannot carry part voussoir-", "weighs")),
     ],
 )
 def test_malformed_requests_for_plans(content: bytes, hints: tuple[str, ...], live: Any) -> None:

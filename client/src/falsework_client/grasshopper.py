@@ -118,7 +118,7 @@ def assemble(
     first = len(blocks or ())
     held = [part for part in range(first) if state[part] == HELD]
     placed = [part for part in range(len(items)) if state[part] != REMOVED and part not in held]
-    lines = [f"{number}: {done.do} {done.name}" for number, done in enumerate(plan.steps, 1)]
+    lines = [f"{number}: {done.words}" for number, done in enumerate(plan.steps, 1)]
     picture = _saved(structure.picture(plan=plan.plan, step=None if step is None else place)) if draw else None
     return Assembly("found", lines, [items[part] for part in placed], [items[part] for part in held], picture)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -47,6 +48,21 @@ class Verdict:
 
 
 @dataclass(frozen=True)
+class Press:
+    """Wrench that a robot adds to a part that it holds while another is released."""
+
+    part: int
+    name: str
+    wrench: tuple[float, ...]
+    """Force in N, and moment in N m about the centre of mass."""
+
+    @property
+    def force(self) -> float:
+        """Size of the force, N."""
+        return math.sqrt(sum(value * value for value in self.wrench[:3]))
+
+
+@dataclass(frozen=True)
 class Step:
     """Action of a plan."""
 
@@ -56,6 +72,14 @@ class Step:
     name: str
     state: tuple[int, ...]
     """After the step, one value a part: 0 removed, 1 installed, 2 held."""
+    presses: tuple[Press, ...] = ()
+    """Parts that robots press meanwhile."""
+
+    @property
+    def words(self) -> str:
+        """The step in words, such as `release v2; robot presses v3 with 1290 N`."""
+        presses = [f"robot presses {press.name} with {press.force:.0f} N" for press in self.presses]
+        return "; ".join([f"{self.do} {self.name}", *presses])
 
 
 @dataclass(frozen=True)
@@ -161,6 +185,8 @@ class Structure:
         missing: Sequence[int] = (),
         fixed: Sequence[int] = (),
         removable_only_if_clear: bool = False,
+        holds: dict[str, Any] | None = None,
+        reserve: float | None = None,
         seconds: float = 30.0,
     ) -> Plan:
         """Plan from a state to another.
@@ -172,6 +198,9 @@ class Structure:
             missing: parts that are not delivered yet.
             fixed: parts that must not be held or removed.
             removable_only_if_clear: whether parts move along free straight lines only.
+            holds: what robots that hold parts can do: any of `stiffness` in N/m, `force` in N, `moment` in N m and
+                `press`, whether they may press; the defaults of the service if None.
+            reserve: number by which friction is divided; 1 if None.
             seconds: until the answer, 60 at most.
 
         Raises:
@@ -186,6 +215,7 @@ class Structure:
             "removable_only_if_clear": removable_only_if_clear,
             "deadline": round(1000 * seconds),
         }
+        question.update({name: value for name, value in (("holds", holds), ("reserve", reserve)) if value is not None})
         answer = self._ask("/replan", question, seconds + _GRACE)
         record = answer["plans"][0] if answer["plans"] else None
         start = () if record is None else tuple(record["start"]["state"])
@@ -193,7 +223,11 @@ class Structure:
         now: list[int] = list(start)
         for step in [] if record is None else record["steps"]:
             now[step["part"]] = _AFTER[step["do"]]
-            steps.append(Step(step["do"], step["part"], self.names[step["part"]], tuple(now)))
+            presses = tuple(
+                Press(press["part"], self.names[press["part"]], tuple(press["wrench"]))
+                for press in (step.get("presses", []) if record["direction"] == "assembly" else [])
+            )
+            steps.append(Step(step["do"], step["part"], self.names[step["part"]], tuple(now), presses))
         return Plan(answer["outcome"], answer["reason"], record, tuple(steps), start, tuple(answer["moving"]))
 
     def picture(

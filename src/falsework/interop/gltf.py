@@ -43,7 +43,8 @@ def gltf_of(assembly: Assembly, plan: Plan | None = None, *, kind: Kind = "glb",
 
     Without a plan every part is a node with its mesh. With a plan there is an animation besides: each part is a node
     that moves in or out along a straight path; it carries one mesh for the free part and one for each robot that holds
-    it, in the robot's colour, of which one is visible at a time.
+    it, in the robot's colour, of which one is visible at a time. The presses of robots are extras of the file: step,
+    part, and wrench in N and N m about the part's node, in the axes of the file.
 
     Args:
         assembly: the structure.
@@ -117,7 +118,14 @@ class _Document:
 
     def animate(self, plan: Plan, times: Tracks) -> None:
         """Add all parts and their animation."""
-        self._json["extras"] = {"plan": {"direction": plan.direction.value, "steps": len(plan), "robots": plan.robots}}
+        about: dict[str, Any] = {"direction": plan.direction.value, "steps": len(plan), "robots": plan.robots}
+        presses = [(step, press) for step, some in enumerate(plan.presses, 1) for press in some]
+        if presses:
+            about["presses"] = [
+                {"step": step, "part": press.part, "wrench": _y_up(np.reshape(press.wrench, (2, 3))).ravel().tolist()}
+                for step, press in presses
+            ]
+        self._json["extras"] = {"plan": about}
         animation: dict[str, Any] = {"name": plan.direction.value, "channels": [], "samplers": []}
         for part, track in enumerate(times.tracks):
             if track.path or track.is_held or (track.appears and track.at_first):

@@ -13,7 +13,8 @@ import numpy as np
 from falsework.errors import DependencyError
 from falsework.interop.instruction_table import AssemblyInstruction, AssemblyInstructions, way_in_words
 from falsework.viewer.appearance import appearance_at
-from falsework.viewer.palette import INK, mix, robot_color
+from falsework.viewer.arrows import arrows_of_step
+from falsework.viewer.palette import INK, PRESS, mix, robot_color
 from falsework.viewer.pictures.contact_sheet import draw
 from falsework.viewer.pictures.render import Camera
 
@@ -34,6 +35,8 @@ _COLUMNS = (0.0, 13.0 * _POINT, 76.0 * _POINT, 126.0 * _POINT)
 """Left edges of the columns: number, picture, action, parts to hold."""
 _LISTED_PARTS = 12
 """Names of parts in one line; the rest is a number."""
+_LISTED_PRESSES = 2
+"""Presses of one step for which there is room."""
 CAMERA = Camera(width=480, height=304, zoom=0.96)
 """Default camera of the pictures."""
 _REGULAR, _BOLD = "FalseworkSans", "FalseworkSans-Bold"
@@ -106,6 +109,10 @@ def _head(canvas: Canvas, sheet: AssemblyInstructions) -> None:
         "where the model has them.",
         "Axes: x to the right in plan, y away, z up. Dark parts are fixed. Pictures show the state after the step.",
     ]
+    if any(step.presses for step in sheet.steps):
+        lines.append(
+            "PRESS: a support pushes its part with the force given while the other part is released, then stays there."
+        )
     if sheet.start:
         lines.append(f"There before step 1: {_shortened(sheet, sheet.start)}.")
     if sheet.holding(0):
@@ -149,6 +156,13 @@ def _row(canvas: Canvas, sheet: AssemblyInstructions, step: AssemblyInstruction,
         _text(canvas, x, top - 59, f"and is held by support {step.support + 1}", _REGULAR, 8.3, width=width)
     else:
         _text(canvas, x, top - 47, f"support {step.support + 1} lets go and is free", _REGULAR, 8.3, width=width)
+        presses = sheet.pressing(step)
+        for number, (what, how) in enumerate(presses[:_LISTED_PRESSES]):
+            more = len(presses) - _LISTED_PRESSES if number + 1 == _LISTED_PRESSES else 0
+            how += f", and {more} more" if more > 0 else ""
+            line = top - 59 - 22 * number
+            _text(canvas, x, line, f"PRESS {what}", _BOLD, 8.3, color=PRESS, width=width)
+            _text(canvas, x, line - 10, how, _REGULAR, 8.3, color=PRESS, width=width)
     if step.needed:
         _text(canvas, x, top - 72, "was late: is it there?", _BOLD, 8.3, width=width)
     _text(
@@ -191,7 +205,8 @@ def _picture(sheet: AssemblyInstructions, step: AssemblyInstruction, camera: Cam
 
     marks = {} if step.place else {step.part: mix(robot_color(step.support), "#ffffff", 0.55)}
     look = appearance_at(sheet.timeline, step.number, marks=marks, travelling=False)
-    pixels = np.rint(255 * draw(sheet.assembly, look, camera, samples=2)).astype(np.uint8)
+    arrows = list(arrows_of_step(sheet.timeline, step.number).values())
+    pixels = np.rint(255 * draw(sheet.assembly, look, camera, arrows=arrows, samples=2)).astype(np.uint8)
     # JPEG goes into the page as it is, a fifth of the size of what the page would make of the pixels.
     file = io.BytesIO()
     Image.fromarray(pixels).save(file, "JPEG", quality=88, subsampling=0)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import REMOVED
 from falsework.errors import PlanError
 from falsework.search.problem.task import Direction
+from falsework.stability.holds import Press, describe_force
 from falsework.utils.files.output_file import write_whole
 from falsework.viewer.timeline import NO_ROBOT, Timeline
 
@@ -34,6 +35,7 @@ COLUMNS = (
     "mass_kg",
     "support",
     "hold",
+    "press",
     "way",
     "way_x",
     "way_y",
@@ -45,7 +47,8 @@ COLUMNS = (
     "needed",
     "margins",
 )
-"""Of the table in CSV: metres and kilograms; `hold` names all parts that must be held when the step is done."""
+"""Of the table in CSV: metres and kilograms; `hold` names all parts that must be held when the step is done, `press`
+those that are pressed while a part is released."""
 _LEANS = 0.35
 """Components of a direction below this, the sine of about 20 degrees, are omitted."""
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
@@ -65,6 +68,8 @@ class AssemblyInstruction:
     """Support that holds or releases it, from 0."""
     hold: tuple[tuple[int, int], ...]
     """Part and support of everything that must be held when the step is done."""
+    presses: tuple[Press, ...]
+    """Presses of supports while the part is released."""
     way: NDArray[np.float64] | None
     """Unit vector along which the part comes in, shape (3,); None for a release."""
     placed: int
@@ -109,6 +114,16 @@ class AssemblyInstructions:
         """Return the part and support of everything that is held after so many steps."""
         return _holding(self.timeline, place)
 
+    def pressing(self, step: AssemblyInstruction) -> list[tuple[str, str]]:
+        """Describe the presses of a step, such as `block-3 with 885 N` and `from -x by support 2`."""
+        supports = dict(step.hold)
+        described = []
+        for press in step.presses:
+            way = way_in_words(np.array(press.wrench[:3]) / max(press.force, 1e-300))
+            what = f"{self.name(press.part)} with {describe_force(press.force)}"
+            described.append((what, f"{way} by support {supports[press.part] + 1}"))
+        return described
+
 
 def assembly_instructions(plan: Plan, assembly: Assembly) -> AssemblyInstructions:
     """Return the sheet of a plan, in the order of assembly.
@@ -136,6 +151,7 @@ def assembly_instructions(plan: Plan, assembly: Assembly) -> AssemblyInstruction
                 place=place,
                 support=int(timeline.holders[after if place else before, part]),
                 hold=_holding(timeline, number),
+                presses=timeline.presses_at(number),
                 way=-timeline.ways[part] if place else None,
                 placed=int(((timeline.states[after] != REMOVED) & ~assembly.boundary).sum()),
                 needed=place and part in missing,
@@ -185,6 +201,7 @@ def _rows(sheet: AssemblyInstructions) -> Iterator[dict[str, Any]]:
             "mass_kg": f"{assembly.mass.mass[step.part]:.6g}",
             "support": step.support + 1,
             "hold": hold,
+            "press": "; ".join(map(" ".join, sheet.pressing(step))),
             "way": "" if step.way is None else way_in_words(step.way),
             **dict(zip(("way_x", "way_y", "way_z"), way, strict=True)),
             **{f"center_{axis}": f"{assembly.mass.center[step.part][i]:.6g}" for i, axis in enumerate("xyz")},

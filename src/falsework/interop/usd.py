@@ -38,7 +38,8 @@ def usd_of(assembly: Assembly, plan: Plan | None = None, *, step_seconds: float 
 
     Every part is an `Xform` at its centre of mass with mass, inertia and a collision mesh; boundary parts are fixed
     colliders, the others rigid bodies. One physics material carries the friction. With a plan, parts follow it as
-    kinematic bodies, appear and disappear, and take the colour of the robot that holds them.
+    kinematic bodies, appear and disappear, and take the colour of the robot that holds them. Custom attributes of a
+    part give the presses on it: steps, forces in N and moments in N m about its centre of mass.
 
     Args:
         assembly: the structure.
@@ -58,7 +59,8 @@ def usd_of(assembly: Assembly, plan: Plan | None = None, *, step_seconds: float 
     lines += _indent(_material(assembly.friction))
     for part, name in enumerate(parts):
         track = None if times is None else times.tracks[part]
-        lines += _indent(_body(assembly, part, name, root, track))
+        presses = [] if plan is None else _presses(plan, part)
+        lines += _indent(_body(assembly, part, name, root, track, presses))
     return "\n".join([*lines, "}", ""])
 
 
@@ -117,8 +119,22 @@ def _material(friction: float) -> list[str]:
     ]
 
 
-def _body(assembly: Assembly, part: int, name: str, root: str, track: Track | None) -> list[str]:
-    """Return one part: its pose, mass and surface."""
+def _presses(plan: Plan, part: int) -> list[str]:
+    """Return the attributes of the presses on a part; none if no robot presses it."""
+    mine = [(step, press) for step, some in enumerate(plan.presses, 1) for press in some if press.part == part]
+    if not mine:
+        return []
+    lines = [f"    custom int[] falsework:pressSteps = [{', '.join(str(step) for step, _ in mine)}]"]
+    for name, rows in (("Forces", slice(3)), ("Moments", slice(3, 6))):
+        values = ", ".join(_tuple(press.wrench[rows]) for _, press in mine)
+        lines.append(f"    custom double3[] falsework:press{name} = [{values}]")
+    return lines
+
+
+def _body(
+    assembly: Assembly, part: int, name: str, root: str, track: Track | None, presses: Sequence[str] = ()
+) -> list[str]:
+    """Return one part: its pose, mass, presses and surface."""
     fixed = bool(assembly.boundary[part])
     schemas = "" if fixed else '    prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsMassAPI"]\n'
     center = assembly.mass.center[part]
@@ -126,6 +142,7 @@ def _body(assembly: Assembly, part: int, name: str, root: str, track: Track | No
         f'def Xform "{name}" (\n    displayName = {_text(assembly.names[part])}\n    kind = "component"\n{schemas})',
         "{",
         f"    custom int falsework:part = {part}",
+        *presses,
     ]
     if not fixed:
         moments, axes = _principal(assembly.mass.inertia[part])

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.assembly.state import describe_step
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.result import Outcome, SearchResult
 from falsework.search.problem.task import Direction
@@ -105,7 +106,9 @@ class ReplanResult:
             if len(self.replays) > 1:
                 record["replays"] = [replayed.to_dict() for replayed in self.replays]
         if self.plans:
-            record["actions"] = [self.plans[0].describe(step) for step in range(len(self.plans[0]))]
+            plan = self.plans[0]
+            pairs = zip(plan.states[:-1], plan.states[1:], strict=True)
+            record["actions"] = [describe_step(before, after, plan.part_names) for before, after in pairs]
             record["needs"] = [asdict(need) for need in self.plans[0].needs]
             if len(self.plans) > 1:
                 record["distances"] = np.round(self.distance, 4).tolist()

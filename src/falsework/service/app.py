@@ -95,6 +95,7 @@ def _add_questions(
             return wanted
         payload = wanted.model_dump(exclude={"deadline"})
         try:
+            payload["holds"] = description.read_holds(wanted, assembly, pool.settings.criterion)
             for name in ("state", "target"):
                 if payload[name] is not None:
                     payload[name] = description.read_state(payload[name], assembly)

@@ -66,6 +66,8 @@ def _operation(path: str, method: str, operation: dict[str, Any], document: dict
 
 def _row(name: str, entry: dict[str, Any], schema: dict[str, Any]) -> str:
     about = entry.get("description", "")
+    if model := _name(entry):
+        about += f", see {model}"
     if name in schema.get("required", []):
         about += " (required)"
     elif "default" in entry:

@@ -53,6 +53,7 @@ def draw_png(oracle: Stability, order: PictureOrder) -> bytes:
         PlanError: the plan is malformed or of another structure.
         InputError: a step that the plan does not have.
     """
+    from falsework.viewer.arrows import PRESSES, arrows_of_step
     from falsework.viewer.pictures.contact_sheet import (
         CELL,
         WHOLE,
@@ -64,14 +65,15 @@ def draw_png(oracle: Stability, order: PictureOrder) -> bytes:
         one_state,
     )
     from falsework.viewer.pictures.render import Camera
-    from falsework.viewer.proof import proof_of_state
+    from falsework.viewer.proof import BuildProofs, proof_of_state
     from falsework.viewer.timeline import Timeline
 
     pillow = import_pillow()
-    if order.plan is None:
+    plan = None if order.plan is None else _plan(order.plan, oracle.assembly)
+    if plan is None:
         timeline = Timeline.from_state(oracle.assembly, order.state)
     else:
-        timeline = Timeline.of(_plan(order.plan, oracle.assembly), oracle.assembly)
+        timeline = Timeline.of(plan, oracle.assembly)
     place = 0 if order.plan is None else order.step
     usual = CELL if place is None else WHOLE
     width = order.width or usual.width
@@ -80,14 +82,22 @@ def draw_png(oracle: Stability, order: PictureOrder) -> bytes:
         pixels = contact_sheet(timeline, frames=order.frames, camera=camera)
     else:
         check_places(timeline, [place])
-        proof = proof_of_state(oracle, timeline.states[timeline.row(place)]) if order.proof else None
-        shown = {} if proof is None else {kind: some for kind, some in proof.arrows.items() if len(some)}
+        row, proof = timeline.row(place), None
+        if order.proof and plan is not None and oracle.settings.criterion == "contact":
+            proof = BuildProofs(plan, oracle).at(row)
+        elif order.proof:
+            proof = proof_of_state(oracle, timeline.states[row])
+        drawn = arrows_of_step(timeline, place) | ({} if proof is None else proof.arrows)
+        shown = {kind: some for kind, some in drawn.items() if len(some)}
+        key = legend(timeline, pressing=PRESSES in shown)
+        if proof is not None and shown:
+            key = [(some.color, kind) for kind, some in shown.items()]
         pixels = one_state(
             timeline,
             place,
             camera,
             arrows=list(shown.values()),
-            key=[(some.color, kind) for kind, some in shown.items()] or legend(timeline),
+            key=key,
             words=caption(timeline, place, proof),
             marks=None if proof is None else proof.marks,
         )

@@ -12,15 +12,17 @@ from pydantic.json_schema import models_json_schema
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States, as_states, complete_state, empty_state
-from falsework.errors import StateError
+from falsework.errors import InputError, StateError
 from falsework.search.plans.plan_file import plan_schema
 from falsework.service.settings import LONGEST_DEADLINE, ServiceSettings
 from falsework.service.worker import NOT_YET
+from falsework.stability.holds import FORCE_WEIGHTS, STIFFNESS, HoldSettings, limits_of
 from falsework.stability.verdict import Criterion
 
 SHORTEST_DEADLINE = 10
 """Milliseconds."""
 MOST_ROBOTS, MOST_ALTERNATIVES = 64, 8
+MOST_RESERVE = 100.0
 MOST_FRAMES, NARROWEST, WIDEST = 24, 80, 1600
 """States of a contact sheet, and pixels across each."""
 _SHOWN = 160
@@ -46,10 +48,33 @@ def _degrees(most: float) -> Any:
     return Annotated[float, Field(ge=-most, le=most, allow_inf_nan=False)]
 
 
+def _by_structure() -> None:
+    """Return the default of a limit that depends on the structure; the description shows no default of a function."""
+
+
 class Strict(BaseModel):
     """Base of request models that forbid unknown fields."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class Holds(Strict):
+    """What robots that hold parts can do, as in plan files; under the criterion contact."""
+
+    stiffness: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = Field(
+        default=STIFFNESS, description="of a hold, N/m; null for robots that never give way"
+    )
+    force: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = Field(
+        default_factory=_by_structure,
+        description=f"largest force on a held part, N; by default {FORCE_WEIGHTS:g} weights of the heaviest part, null "
+        "for no limit",
+    )
+    moment: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = Field(
+        default_factory=_by_structure,
+        description="largest moment about the centre of mass of a held part, N m; by default twice the force times the "
+        "largest radius of gyration, null for no limit",
+    )
+    press: bool = Field(default=True, description="whether robots may press held parts while another is released")
 
 
 @dataclass(frozen=True)
@@ -101,6 +126,11 @@ def models_of(assembly: Assembly, settings: ServiceSettings) -> Models:
         "removable_only_if_clear": (
             bool,
             Field(default=False, description="move parts along collision-free straight lines only"),
+        ),
+        "holds": (Holds, Field(default_factory=Holds, description="what robots that hold parts can do")),
+        "reserve": (
+            Annotated[float, Field(ge=1, le=MOST_RESERVE, allow_inf_nan=False)],
+            Field(default=1.0, description="number by which friction is divided"),
         ),
         "seed": (whole(0, 2**31 - 1), Field(default=0, description="same seed, same answer")),
         "deadline": (
@@ -177,6 +207,24 @@ def read_states(values: list[Any], assembly: Assembly) -> States:
     return np.stack(rows)
 
 
+def read_holds(request: BaseModel, assembly: Assembly, criterion: Criterion) -> HoldSettings:
+    """Return what robots of a request for a plan can do.
+
+    Raises:
+        InputError: robots that cannot carry a part, or limits under a criterion that has none.
+    """
+    values: dict[str, Any] = request.model_dump(include={"holds"}, exclude_unset=True).get("holds", {})
+    if values and criterion != "contact":
+        raise InputError(f"holds: under {criterion} robots hold with any force; leave the entry out")
+    given: dict[str, Any] = {name: np.inf if value is None else value for name, value in values.items()}
+    holds = HoldSettings(**given)
+    try:
+        limits_of(assembly, holds)
+    except InputError as error:
+        raise InputError(f"holds: {error}") from None
+    return holds
+
+
 def complaint(error: ValidationError, parts: int) -> str:
     """Return the first thing that is wrong with a request, in one line."""
     first = error.errors(include_url=False, include_context=False, include_input=False)[0]
@@ -184,7 +232,10 @@ def complaint(error: ValidationError, parts: int) -> str:
     if not place:
         return f"the request is not a valid JSON object: {first['msg'][:_SHOWN]}; /docs says what it may hold"
     if first["type"] == "extra_forbidden":
-        return f"there is no entry {ascii(place[0])[:_SHOWN]} in this request; /docs lists those that there are"
+        inside = place[-2] if len(place) > 1 else "this request"
+        return f"there is no entry {ascii(place[-1])[:_SHOWN]} in {inside}; /docs lists those that there are"
+    if place == ["holds"]:
+        return "holds: give an object with any of stiffness, force, moment and press"
     if place == ["states"]:
         return f"states: give a list of states ({first['msg'][:_SHOWN]})"
     if place[0] in ("state", "target", "states"):

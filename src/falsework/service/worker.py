@@ -10,8 +10,10 @@ import json
 import logging
 import os
 import signal
+import time
+from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -37,6 +39,8 @@ NOT_YET = "not_yet"
 """Outcome of a request whose deadline passed before a plan was found; it proves nothing."""
 REMEMBERED = 400_000
 """Verdicts after which a worker empties its caches, to bound its memory."""
+_KEPT = 4
+"""Replanners that a worker keeps, each for other robots or another reserve."""
 _BACKGROUND = 5
 """Niceness of the planning processes, so that the process that answers clients goes first."""
 _MOVES = 0.05
@@ -78,8 +82,8 @@ class Item:
 
     number: int
     payload: Any
-    """Fields of `falsework.replanning.request.Request`, or of `falsework.service.picture.PictureOrder`, or for
-    stability `(states, explain)`."""
+    """Fields of `falsework.replanning.request.Request` with the `holds` and the `reserve` of the settings of stability,
+    or of `falsework.service.picture.PictureOrder`, or for stability `(states, explain)`."""
     seconds: float
     """Time that is left for it."""
 
@@ -178,24 +182,41 @@ class _Planner:
     def __init__(self, config: WorkerConfig) -> None:
         os.nice(_BACKGROUND)
         self._assembly, self._settings = config.assembly, one_thread(config.criterion)
-        policy, self.policy = _load_policy(config)
-        self._replanner = self._make(policy)
+        self._policy, self.policy = _load_policy(config)
+        self._replanners: OrderedDict[StabilitySettings, Replanner] = OrderedDict()
+        self._replanner(self._settings)
 
-    def _make(self, policy: Any) -> Replanner:
+    def _replanner(self, settings: StabilitySettings) -> Replanner:
+        """Return the replanner for some robots and a reserve; the last few are kept."""
         from falsework.replanning.replanner import Replanner
 
-        return Replanner(self._assembly, policy, Stability(self._assembly, self._settings))
+        replanner = self._replanners.pop(settings, None)
+        if replanner is None or replanner.oracle.counters.cpu + replanner.oracle.counters.exact > REMEMBERED:
+            replanner = Replanner(self._assembly, self._policy, Stability(self._assembly, settings))
+        self._replanners[settings] = replanner
+        while len(self._replanners) > _KEPT:
+            self._replanners.popitem(last=False)
+        return replanner
 
     def answer(self, items: Sequence[Item], pipe: Connection) -> None:
+        """Answer the requests for the same robots and reserve together."""
+        begun = time.monotonic()
+        groups: dict[StabilitySettings, list[Item]] = {}
+        for item in items:
+            stability = {name: item.payload[name] for name in ("holds", "reserve") if name in item.payload}
+            groups.setdefault(replace(self._settings, **stability), []).append(item)
+        for settings, some in groups.items():
+            replanner, passed = self._replanner(settings), time.monotonic() - begun
+            self._answer(replanner, [replace(item, seconds=item.seconds - passed) for item in some], pipe)
+
+    def _answer(self, replanner: Replanner, items: Sequence[Item], pipe: Connection) -> None:
         """Answer the requests together, or each by itself if one of them breaks the batch."""
         from falsework.replanning.request import Request
 
-        counters = self._replanner.oracle.counters
-        if counters.cpu + counters.exact > REMEMBERED:
-            self._replanner = self._make(self._replanner.policy)
         good: list[tuple[Item, Request]] = []
         for item in items:
-            request = Request(**item.payload, deadline=max(item.seconds, 0.001))
+            asked = {name: value for name, value in item.payload.items() if name not in ("holds", "reserve")}
+            request = Request(**asked, deadline=max(item.seconds, 0.001))
             try:
                 request.task(self._assembly)
             except InputError as error:
@@ -211,7 +232,7 @@ class _Planner:
             pipe.send(Done(item.number, 200, body, answer.decided_by.value))
 
         try:
-            self._replanner.replan_many([request for _, request in good], finished=finished)
+            replanner.replan_many([request for _, request in good], finished=finished)
         except Exception as error:
             if len(items) == 1:
                 log.exception("a request failed")
@@ -221,7 +242,7 @@ class _Planner:
                 return
             for item, _ in good:
                 if item.number in open_items:
-                    self.answer([item], pipe)
+                    self._answer(replanner, [item], pipe)
 
 
 class _Painter:

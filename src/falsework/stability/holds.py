@@ -122,6 +122,18 @@ def limits_of(assembly: Assembly, settings: HoldSettings, gravity: float = 9.81)
     return HoldLimits(np.full(parts, force or np.inf), np.full(parts, moment or np.inf))
 
 
+def describe_force(force: float) -> str:
+    """Return a force in N as text, such as `885 N` or `3.9 kN`."""
+    if force < 999.5:
+        return f"{force:.3g} N"
+    return f"{force / 1e3:.1f} kN" if force < 99.95e3 else f"{force / 1e3:.0f} kN"
+
+
+def describe_presses(presses: Sequence[Press], names: Sequence[str]) -> str:
+    """Describe presses, such as `robot presses block-25 with 3.9 kN`; empty if there are none."""
+    return ", ".join(f"robot presses {names[press.part]} with {describe_force(press.force)}" for press in presses)
+
+
 def pack_presses(presses: Sequence[Sequence[Press]]) -> tuple[NDArray[np.int32], NDArray[np.int32], Array]:
     """Return presses in the layout of the kernel.
 

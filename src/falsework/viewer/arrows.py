@@ -1,8 +1,9 @@
-"""Arrows for a certificate: contact forces, friction and weight of a stable state, motion of an unstable one."""
+"""Arrows for presses and for certificates: forces in a stable state, motion of an unstable one."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,12 +11,14 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import INSTALLED, REMOVED, States
 from falsework.geometry.contact.grouping import segment_sum
+from falsework.stability.holds import Press
 from falsework.viewer.appearance import diagonal
-from falsework.viewer.palette import FORCE, FRICTION, GRAVITY, MOTION, SLIDING
+from falsework.viewer.palette import FORCE, FRICTION, GRAVITY, MOTION, PRESS, SLIDING
 from falsework.viewer.pictures.render import ColoredSolid
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
+    from falsework.viewer.timeline import Timeline
 
 Array = NDArray[np.float64]
 
@@ -27,9 +30,18 @@ MOTION_SHARE = 0.06
 """Displacement of the fastest point where motion is shown, in diagonals of the structure."""
 SIDES = 8
 """Of the shaft of an arrow."""
-KINDS = {"contact forces": FORCE, "friction": FRICTION, "gravity": GRAVITY, "motion": MOTION, "sliding": SLIDING}
+PRESSES = "presses"
+"""Kind of the arrows that belong to a step, not to the proof of a state."""
+KINDS = {
+    "contact forces": FORCE,
+    "friction": FRICTION,
+    "gravity": GRAVITY,
+    "motion": MOTION,
+    "sliding": SLIDING,
+    PRESSES: PRESS,
+}
 """Quantities that arrows show, and their colours."""
-_BREADTH = {"gravity": 1.5}
+_BREADTH = {"gravity": 1.5, PRESSES: 2.0}
 """Thickness beside that of other arrows: weights often lie on the line of a contact force, and are seen around it."""
 
 
@@ -42,6 +54,8 @@ class Arrows:
     color: str
     breadth: float = 1.0
     """Thickness beside that of other arrows."""
+    inside: bool = True
+    """Whether they lie inside parts, which are then drawn pale."""
 
     def __len__(self) -> int:
         return len(self.ends)
@@ -56,8 +70,10 @@ class Arrows:
         return [ColoredSolid(*arrow_mesh(tail, tip, thickness * self.breadth), color) for tail, tip in self.ends]
 
 
-def arrows_of_forces(assembly: Assembly, state: States, forces: Array) -> dict[str, Arrows]:
-    """Return the contact forces, friction and gravity in one state, all on one scale.
+def arrows_of_forces(
+    assembly: Assembly, state: States, forces: Array, presses: Sequence[Press] = ()
+) -> dict[str, Arrows]:
+    """Return the contact forces, friction, gravity and presses in one state, all on one scale.
 
     The force of each contact is drawn as it acts on the part of the two that is free to move (on the second if both
     are), split into normal force and friction, at the centre of pressure; where part of it is tension, at the mean of
@@ -67,6 +83,7 @@ def arrows_of_forces(assembly: Assembly, state: States, forces: Array) -> dict[s
         assembly: the structure.
         state: shape (parts,).
         forces: `(n, t1, t2)` in N, shape (points, 3).
+        presses: of the step that leads to the state; drawn as `arrows_of_step` does.
     """
     contacts = assembly.contacts
     a, b = contacts.parts.T
@@ -83,15 +100,26 @@ def arrows_of_forces(assembly: Assembly, state: States, forces: Array) -> dict[s
     rubs = sign * segment_sum(tangent, owner, len(contacts))
     free = state == INSTALLED
     weights = assembly.applied_wrench()[free, :3]
-    largest = max(
-        float(np.linalg.norm(vectors, axis=1).max(initial=0.0)) for vectors in (pushes[acts], rubs[acts], weights)
-    )
+    pressed = np.array([press.wrench[:3] for press in presses]).reshape(-1, 3)
+    shown = (pushes[acts], rubs[acts], weights, pressed)
+    largest = max(float(np.linalg.norm(vectors, axis=1).max(initial=0.0)) for vectors in shown)
     scale = LONGEST * diagonal(assembly) / max(largest, 1e-300)
     return {
         "contact forces": _arrows(center[acts], pushes[acts] * scale, "contact forces", assembly),
         "friction": _arrows(center[acts], rubs[acts] * scale, "friction", assembly),
         "gravity": _arrows(assembly.mass.center[free], weights * scale, "gravity", assembly),
+        **_press_arrows(assembly, presses, scale),
     }
+
+
+def arrows_of_step(timeline: Timeline, place: int) -> dict[str, Arrows]:
+    """Return the presses of the step that leads to a place, without the forces of its proof.
+
+    The tip is at the centre of mass of the part that the robot holds; empty if no robot presses.
+    """
+    presses = timeline.presses_at(place)
+    largest = max((press.force for press in presses), default=0.0)
+    return _press_arrows(timeline.assembly, presses, LONGEST * diagonal(timeline.assembly) / max(largest, 1e-300))
 
 
 def arrows_of_motion(assembly: Assembly, state: States, velocity: Array, kind: str = "motion") -> Arrows:
@@ -159,6 +187,14 @@ def arrow_mesh(tail: Array, tip: Array, thickness: float) -> tuple[Array, NDArra
         faces.append(np.stack([low + here, high + there, high + here], axis=1))
     faces.append(np.stack([third + here, third + there, np.full_like(here, last)], axis=1))
     return vertices, np.concatenate(faces)
+
+
+def _press_arrows(assembly: Assembly, presses: Sequence[Press], scale: float) -> dict[str, Arrows]:
+    if not presses:
+        return {}
+    vectors = scale * np.array([press.wrench[:3] for press in presses])
+    tips = assembly.mass.center[[press.part for press in presses]]
+    return {PRESSES: replace(_arrows(tips - vectors, vectors, PRESSES, assembly), inside=False)}
 
 
 def _arrows(tails: Array, vectors: Array, kind: str, assembly: Assembly) -> Arrows:

@@ -1,17 +1,26 @@
-"""Verdicts on states with their proofs, as text, arrows and marks."""
+"""Verdicts on states with their proofs, as text, arrows and marks.
+
+Under the criterion `contact` there are two: a state of a plan is judged as it is reached in assembly, any other state
+from rest, all its loads at once. The text says which.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, States
+from falsework.search.plans.plan import Plan
+from falsework.stability.contact.replay import Replayer
+from falsework.stability.history import BuildVerifier
+from falsework.stability.holds import Press
 from falsework.stability.motion import motion_of
 from falsework.stability.oracle import Stability
+from falsework.stability.state_arrays import StateArrays
 from falsework.stability.verdict import Verdicts
 from falsework.viewer.arrows import Arrows, arrows_of_forces, arrows_of_motion, moved_parts
 from falsework.viewer.palette import MOTION, SLIDING
@@ -19,6 +28,7 @@ from falsework.viewer.palette import MOTION, SLIDING
 _NAMED = 3
 _TIPS = "forces balance every part, but a small motion grows"
 _WHY = "balancing forces exist, but the contacts do not develop them"
+_REST, _REACHED = "from rest", "as reached in assembly"
 _AT_ONCE = 64
 """States whose contact forces are in memory at the same time."""
 
@@ -32,13 +42,15 @@ class StateProof:
     words: str
     """Summary in one line."""
     arrows: dict[str, Arrows]
-    """Arrows by kind: contact forces, friction, gravity; or motion; or sliding."""
+    """Arrows by kind: contact forces, friction, gravity, presses; or motion; or sliding."""
     moved: dict[int, NDArray[np.float64]] = field(default_factory=dict)
     """For a state that is not stable: displaced vertices of the moving parts; by part, shape (vertices, 3)."""
     slides: bool = False
     """Whether forces in equilibrium exist although parts move: only under the criterion `contact`."""
     tips: bool = False
     """Whether they move because the equilibrium is unstable."""
+    forces: NDArray[np.float64] | None = None
+    """Contact forces `(n, t1, t2)` of a stable state, N, shape (points, 3)."""
 
     @property
     def verdict(self) -> str:
@@ -59,7 +71,7 @@ class StateProof:
 
 
 def proof_of_state(oracle: Stability, state: States) -> StateProof:
-    """Request the verdict on a state and convert its proof into arrows.
+    """Request the verdict on a state, under `contact` from rest, and convert its proof into arrows.
 
     Args:
         oracle: decides stability.
@@ -68,7 +80,7 @@ def proof_of_state(oracle: Stability, state: States) -> StateProof:
     Raises:
         StateError: not a state of the oracle's structure.
     """
-    return _proof(oracle.assembly, state, oracle.check(state), 0)
+    return proofs_of_states(oracle, state[None])[0]
 
 
 def proofs_of_states(oracle: Stability, states: States) -> list[StateProof]:
@@ -81,24 +93,89 @@ def proofs_of_states(oracle: Stability, states: States) -> list[StateProof]:
     Raises:
         StateError: not states of the oracle's structure.
     """
+    how = _REST if oracle.settings.criterion == "contact" else ""
     proofs = []
     for first in range(0, len(states), _AT_ONCE):
         some = states[first : first + _AT_ONCE]
         verdicts = oracle.check(some)
-        proofs += [_proof(oracle.assembly, state, verdicts, row) for row, state in enumerate(some)]
+        proofs += [_proof(oracle.assembly, state, verdicts, row, how) for row, state in enumerate(some)]
     return proofs
 
 
-def _proof(assembly: Assembly, state: States, verdicts: Verdicts, row: int) -> StateProof:
+class BuildProofs:
+    """Proofs of the states of a plan under `contact`, as they are reached in assembly.
+
+    The plan is built step by step, with its presses, up to the last state that is asked for; each step once. Whether a
+    state at rest tips was asked when the plan was accepted, and is not asked again.
+    """
+
+    def __init__(self, plan: Plan, oracle: Stability) -> None:
+        """Begin before the first step.
+
+        Args:
+            plan: in either direction.
+            oracle: of its structure, under `contact`; judges from rest what the build does not reach.
+        """
+        settings = replace(oracle.settings, reserve=plan.claim.reserve, holds=plan.claim.holds)
+        assembly = oracle.assembly
+        self._assembly, self._oracle, self._tolerance = assembly, oracle, settings.tolerance
+        self._states, self._presses = plan.assembly_states, plan.assembly_presses
+        self._verifier = BuildVerifier(assembly, settings.claim)
+        self._certificates = Replayer(assembly, settings).certificates(self._states, self._presses)
+        self._forces = StateArrays(len(self._states), len(assembly.contacts.points), 3)
+        self._reached = 0
+        self._ended = ""
+
+    def at(self, row: int) -> StateProof:
+        """Return the proof of a state, counted in the order of disassembly."""
+        place = len(self._states) - 1 - row
+        self._build(place)
+        state = self._states[place]
+        if place < self._reached:
+            return _stable(self._assembly, state, self._forces[place], _REACHED, self._presses[place])
+        rest = proof_of_state(self._oracle, state)
+        if place > self._reached or not rest.stable:
+            return rest
+        why = f"slides: parts do not come to rest {_REACHED}{self._ended}, only {_REST}"
+        return replace(rest, stable=False, words=why, arrows={}, slides=True, forces=None)
+
+    def _build(self, place: int) -> None:
+        """Go on to a state in the order of assembly, or to the first that does not come to rest."""
+        while self._reached <= place and not self._ended:
+            certificate = next(self._certificates, None)
+            if certificate is None:
+                self._ended = " (the build ends there)"
+                return
+            proof = self._verifier.step(self._states[self._reached], certificate)
+            if not proof.residual <= self._tolerance:
+                self._ended = f" ({proof.reason or f'forces leave {proof.residual:.3g} of gravity'})"
+                return
+            self._forces[np.array([self._reached])] = proof.forces[None]
+            self._reached += 1
+
+
+def _stable(
+    assembly: Assembly, state: States, forces: NDArray[np.float64], how: str, presses: Sequence[Press] = ()
+) -> StateProof:
+    free = int((state == INSTALLED).sum())
+    words = f"stable: contact forces balance {free} free parts" if free else "stable: every part is held"
+    arrows = arrows_of_forces(assembly, state, forces, presses)
+    return StateProof(True, True, words + _said(how), arrows, forces=forces)
+
+
+def _said(how: str) -> str:
+    """Return in brackets how a state was judged."""
+    return f" ({how})" if how else ""
+
+
+def _proof(assembly: Assembly, state: States, verdicts: Verdicts, row: int, how: str) -> StateProof:
     if verdicts.stable[row]:
         assert verdicts.forces is not None
-        free = int((state == INSTALLED).sum())
-        words = f"stable: contact forces balance {free} free parts" if free else "stable: every part is held"
-        return StateProof(True, True, words, arrows_of_forces(assembly, state, verdicts.forces[row]))
+        return _stable(assembly, state, verdicts.forces[row], how)
     tips = bool(verdicts.tips[row])
     slides = bool(verdicts.slides[row]) or tips
     if not (slides or verdicts.unstable[row]):
-        return StateProof(False, False, "neither stable nor unstable could be proven", {})
+        return StateProof(False, False, f"neither stable nor unstable could be proven{_said(how)}", {})
     motion = motion_of(assembly, verdicts, row)
     moved: dict[int, NDArray[np.float64]] = {} if motion is None else moved_parts(assembly, state, motion)
     weighed = state.copy()
@@ -106,14 +183,15 @@ def _proof(assembly: Assembly, state: States, verdicts: Verdicts, row: int) -> S
         weighed[list(moved)] = HELD
     arrows = {"gravity": arrows_of_forces(assembly, weighed, np.zeros((len(assembly.contacts.points), 3)))["gravity"]}
     if motion is None:  # a state that slides which the exact solver decided
-        return StateProof(False, True, f"slides: {_WHY}", arrows, moved, slides)
+        return StateProof(False, True, f"slides: {_WHY}{_said(how)}", arrows, moved, slides)
     kind = "sliding" if slides else "motion"
     arrows[kind] = arrows_of_motion(assembly, state, motion, kind)
     speed = np.linalg.norm(motion[:, :3], axis=1)
     named = _named(assembly, sorted(moved, key=lambda part: -speed[part]))
-    words = f"slides: {named} would slide; {_WHY}" if slides else f"unstable: {named} would move"
+    # Velocities that prove a state unstable do so however it was reached.
+    words = f"slides: {named} would slide; {_WHY}{_said(how)}" if slides else f"unstable: {named} would move"
     if tips:
-        words = f"tips: {named} would move; {_TIPS}"
+        words = f"tips: {named} would move; {_TIPS}{_said(how)}"
     return StateProof(False, True, words, arrows, moved, slides, tips)
 
 

@@ -15,10 +15,10 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import States, check_robots
 from falsework.errors import InputError
 from falsework.search.problem.deadline import check_deadline
+from falsework.stability.holds import describe_presses
 from falsework.stability.margins.nearness import nearness_to_limit
-from falsework.stability.oracle import Stability
-from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Criterion
+from falsework.viewer.arrows import PRESSES, Arrows, arrows_of_step
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.pictures.contact_sheet import (
     caption,
@@ -185,9 +185,11 @@ def picture(
         check_places(timeline, [single])
     places = [single] if single is not None else list(interesting(timeline, frames))
     proofs = shown.proofs(places, criterion) if forces or verdicts else {}
-    kinds = list(proofs[single].arrows.items()) if single is not None and forces else []
-    arrows = [some for _, some in kinds if len(some)]
-    key = [(some.color, kind) for kind, some in kinds if len(some)] if forces else None
+    arrows_by_kind: dict[str, Arrows] = {}
+    if single is not None:
+        arrows_by_kind = arrows_of_step(timeline, single) | (proofs[single].arrows if forces else {})
+    arrows = [some for some in arrows_by_kind.values() if len(some)]
+    key = [(some.color, kind) for kind, some in arrows_by_kind.items() if len(some)] if forces else None
     shares = None if shown.policy is None or single is None else _model(shown, single).action_probabilities()
     if limits:
         if single is None or path.suffix.lower() == ".svg":
@@ -208,7 +210,7 @@ def picture(
             single,
             camera(1200, 2 / 3),
             arrows=arrows,
-            key=legend(timeline, proof is not None and proof.slides) if key is None else key,
+            key=legend(timeline, proof is not None and proof.slides, PRESSES in arrows_by_kind) if key is None else key,
             words=title or caption(timeline, single, proof),
             marks=None if proof is None else proof.marks,
             arms=shown.arms,
@@ -221,6 +223,8 @@ def picture(
         sheet = contact_sheet(timeline, places=places, columns=columns, camera=view_of_all, title=title, proofs=proofs)
         write_png(path, sheet)
     shows = f"{len(places)} of {len(timeline) + 1} states" if len(timeline) else f"{shown.assembly.name}"
+    if single is not None and timeline.presses_at(single):
+        shows += f"; {describe_presses(timeline.presses_at(single), shown.assembly.names)}"
     if not proofs:
         return PictureReport(shows, tuple(places))
     fallen = _unstable(proofs)
@@ -231,11 +235,10 @@ def picture(
 def _nearness(shown: Viewable, place: int, criterion: Criterion) -> NDArray[np.float64]:
     """Return how near the free parts of a stable state are to their limits, NaN elsewhere, shape (parts,)."""
     state = shown.timeline.states[shown.timeline.row(place)]
-    verdicts = Stability(shown.assembly, StabilitySettings(criterion=criterion)).check(state)
-    if not verdicts.stable[0]:
+    forces = shown.proofs([place], criterion)[place].forces
+    if forces is None:
         raise InputError("the state is not stable, so its parts are beyond their limits; draw it with --verdicts")
-    assert verdicts.forces is not None
-    return nearness_to_limit(shown.assembly, state, verdicts.forces[0])
+    return nearness_to_limit(shown.assembly, state, forces)
 
 
 def check_sizes(width: int, frames: int, columns: int) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from falsework.assembly.state import HELD, REMOVED, Mask, States, as_states, describe_step
 from falsework.search.plans.plan_check import check_identity
 from falsework.search.problem.task import Direction
-from falsework.stability.state_arrays import StateArrays
+from falsework.stability.holds import Press, describe_presses
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -47,8 +47,8 @@ class Timeline:
     """Order in which it is shown."""
     robots: int
     """Robots that there are."""
-    forces: Array | StateArrays | None = None
-    """Contact forces in each state, shape (steps + 1, points, 3), N."""
+    presses: tuple[tuple[Press, ...], ...] = ()
+    """Presses of robots in each step as it is done in assembly, one entry a step; empty where there are none."""
 
     @classmethod
     def of(
@@ -76,7 +76,7 @@ class Timeline:
             who = holders(plan.states, assembly.immovable)
             who = who if plan.direction is Direction.DISASSEMBLY else who[::-1]
         shown = plan.direction if direction is None else direction
-        return cls(assembly, apart.states, apart.actions, who, shown, plan.robots, apart.forces)
+        return cls(assembly, apart.states, apart.actions, who, shown, plan.robots, apart.presses)
 
     @classmethod
     def from_state(cls, assembly: Assembly, state: ArrayLike, robots: int = 2) -> Timeline:
@@ -90,7 +90,7 @@ class Timeline:
 
     def turned(self, direction: Direction) -> Timeline:
         """Return the same, shown in the order of assembly or disassembly."""
-        return Timeline(self.assembly, self.states, self.actions, self.holders, direction, self.robots, self.forces)
+        return replace(self, direction=direction)
 
     def at(self, position: float) -> float:
         """Return steps of disassembly done at a place in the order shown; whole numbers are states."""
@@ -103,10 +103,18 @@ class Timeline:
             return int(np.floor(self.at(position)))
         return int(np.ceil(self.at(position)))
 
+    def presses_at(self, place: int) -> tuple[Press, ...]:
+        """Return the presses of the step that leads to a place; robots press in the order of assembly alone."""
+        if not self.presses or self.direction is Direction.DISASSEMBLY or not 0 < place <= len(self):
+            return ()
+        return self.presses[self.row(place)]
+
     def words(self, step: int) -> str:
-        """Describe a step, counted from 0 in the order shown, such as `hold block-3`."""
+        """Describe a step, counted from 0 in the order shown, such as `hold block-3`, with the presses of robots."""
         before, after = self.states[self.row(step)], self.states[self.row(step + 1)]
-        return describe_step(before, after, self.assembly.names)
+        names = self.assembly.names
+        presses = describe_presses(self.presses_at(step + 1), names)
+        return "; ".join(filter(None, (describe_step(before, after, names), presses)))
 
     @cached_property
     def removal_step(self) -> NDArray[np.int64]:
@@ -186,12 +194,16 @@ def way_out(assembly: Assembly, state: States, part: int) -> Array:
 
 
 def interesting(timeline: Timeline, frames: int) -> Sequence[int]:
-    """Return places spread evenly, each moved to a neighbour where the robots hold most."""
+    """Return places spread evenly, each moved to a neighbour where robots press, or else where they hold most."""
     steps = len(timeline)
     chosen = set()
     for position in np.linspace(0, steps, min(frames, steps + 1)).round().astype(int).tolist():
         near = (
             [p for p in (position, position - 1, position + 1) if 0 < p < steps] if 0 < position < steps else [position]
         )
-        chosen.add(max(near, key=lambda p: int((timeline.holders[timeline.row(p)] != NO_ROBOT).sum())))
+        chosen.add(max(near, key=lambda p: (len(timeline.presses_at(p)), _held(timeline, p))))
     return sorted(chosen)
+
+
+def _held(timeline: Timeline, place: int) -> int:
+    return int((timeline.holders[timeline.row(place)] != NO_ROBOT).sum())

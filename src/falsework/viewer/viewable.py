@@ -27,7 +27,7 @@ from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Criterion
 from falsework.utils.json_file import read_format
 from falsework.viewer.arms import Arms
-from falsework.viewer.proof import StateProof, proofs_of_states
+from falsework.viewer.proof import BuildProofs, StateProof, proofs_of_states
 from falsework.viewer.timeline import Timeline, holders
 
 if TYPE_CHECKING:
@@ -62,11 +62,17 @@ class Viewable:
         return replace(self, policy=policy)
 
     def proofs(self, places: Iterable[int], criterion: Criterion = "contact") -> dict[int, StateProof]:
-        """Decide the stability of some states of the timeline, by place."""
+        """Decide the stability of some states of the timeline, by place.
+
+        Under `contact`, states of a plan are judged as they are reached in assembly.
+        """
         chosen = list(places)
         oracle = Stability(self.assembly, StabilitySettings(criterion=criterion))
-        states = self.timeline.states[[self.timeline.row(place) for place in chosen]]
-        return dict(zip(chosen, proofs_of_states(oracle, states), strict=True))
+        rows = [self.timeline.row(place) for place in chosen]
+        if self.plan is not None and criterion == "contact":
+            build = BuildProofs(self.plan, oracle)
+            return {place: build.at(row) for place, row in zip(chosen, rows, strict=True)}
+        return dict(zip(chosen, proofs_of_states(oracle, self.timeline.states[rows]), strict=True))
 
 
 Showable = Viewable | Plan | RobotPlan | StateGraph | Assembly | str | Path | ArrayLike

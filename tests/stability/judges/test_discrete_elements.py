@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import falsework.stability.judges
 from falsework.assembly import library, load_structure
@@ -17,9 +18,12 @@ from falsework.assembly.state import complete_state
 from falsework.errors import InputError, StateError
 from falsework.search import find_plans
 from falsework.stability import Stability, StabilitySettings, Verdict
+from falsework.stability.holds import HoldSettings, Press
 from falsework.stability.judges import DiscreteElementSettings, Settling, replay_by_discrete_elements, settle
 
 STANDS, OPEN, FALLS = 1, 0, -1
+RIGID = HoldSettings(stiffness=np.inf)
+STIFF_CONTACTS = DiscreteElementSettings(sinks=(2e-7,))
 SINK = 2e-5  # what a typical part sinks on eight typical points, in sizes of it
 
 
@@ -123,9 +127,115 @@ def test_a_part_that_is_held_again_stays_pressed(scenes: Any) -> None:
 
 def test_a_replay_ends_at_the_first_fall(scenes: Any) -> None:
     """The cube between two walls stands while a robot holds it, and what comes later is not asked."""
-    replay = replay_by_discrete_elements(scenes.clamp(friction=0.55), [[0, 2, 2], [2, 2, 2], [1, 2, 2], [0, 2, 2]])
+    steps = [[0, 2, 2], [2, 2, 2], [1, 2, 2], [0, 2, 2]]
+    replay = replay_by_discrete_elements(scenes.clamp(friction=0.55), steps, holds=RIGID)
     assert replay.stands.tolist() == [STANDS, STANDS, FALLS]
     assert replay.part.tolist() == [-1, -1, 0]
+
+
+@pytest.mark.parametrize("density", [1.0, 2000.0])
+def test_a_held_part_settles_by_weight_over_stiffness(scenes: Any, density: float) -> None:
+    """A cube put down on a held one in the air: both sink by `w / k`; the robot bears the held one from the start."""
+    tower = scenes.tower(3, density=density)
+    weight = 9.81 * density
+    steps = [[0, 2, 0, 2], [0, 2, 2, 2], [0, 2, 1, 2]]
+    found = replay_by_discrete_elements(tower, steps, STIFF_CONTACTS, holds=HoldSettings(stiffness=1e3 * weight))
+    assert found.stands.tolist() == [STANDS] * 3
+    assert found.moved[:2].tolist() == [0.0, 0.0]
+    assert found.moved[2] == pytest.approx(1e-3, rel=2e-3)
+    rigid = replay_by_discrete_elements(tower, steps, STIFF_CONTACTS, holds=RIGID)
+    assert rigid.moved[2] < 1e-6
+
+
+def test_a_held_part_turns_by_moment_over_stiffness(scenes: Any) -> None:
+    """A cube put down on the end of a held beam: the beam turns by `w e / (k r^2)`, r^2 = (4^2 + 1^2) / 12."""
+    beam, cube = scenes.box([0, 0, 2], [4, 1, 3], "beam"), scenes.box([3, 0, 3], [4, 1, 4], "cube")
+    assembly = scenes.make([beam, cube, scenes.box([0, 0, 0], [1, 1, 1], "ground")], [2])
+    stiffness = 1e4 * 9.81 * assembly.mass.mass[1]
+    holds = HoldSettings(stiffness=stiffness)
+    found = replay_by_discrete_elements(assembly, [[2, 2, 2], [2, 1, 2]], STIFF_CONTACTS, holds=holds)
+    turn = 1e-4 * 1.5 / (17 / 12)
+    of_cube = np.hypot(turn * 1.0, 1e-4 + turn * 1.5) + turn * np.sqrt(3) / 2
+    of_beam = 1e-4 + turn * np.linalg.norm([4, 1, 1]) / 2
+    assert found.stands.tolist() == [STANDS] * 2
+    assert found.moved[1] == pytest.approx(max(of_cube, of_beam), rel=0.01)
+
+
+def test_what_a_held_part_bears_has_a_history(scenes: Any) -> None:
+    """A cube on a held one is taken away again: the robot's spring lifts the held one back by what it had sunk."""
+    tower = scenes.tower(3)
+    holds = HoldSettings(stiffness=1e3 * 9.81 * tower.mass.mass[0])
+    steps = [[0, 2, 2, 2], [0, 2, 1, 2], [0, 2, 0, 2], [0, 2, 0, 2]]
+    found = replay_by_discrete_elements(tower, steps, STIFF_CONTACTS, holds=holds)
+    assert found.moved[[1, 2]] == pytest.approx(1e-3, rel=2e-3)
+    assert found.moved[3] == 0.0
+
+
+@pytest.fixture
+def pressed(scenes: Any) -> tuple[Assembly, float, NDArray[np.float64]]:
+    """Two plates on a slope steeper than friction; the press on the upper one that the lower one needs, and its normal.
+
+    The lower plate slides on the slab and under the upper one, which a robot holds: both contacts resist. It stands if
+    and only if `w sin a <= mu (w cos a + N) + mu N`.
+    """
+    angle, friction = 0.7, 0.5
+    turn = scenes.about_y(angle)
+    plates = [scenes.box([-0.5, -0.5, 0.05 * k], [0.5, 0.5, 0.05 * (k + 1)], f"plate-{k}", turn) for k in range(2)]
+    assembly = scenes.make([*plates, scenes.box([-1, -1, -0.1], [1, 1, 0], "slab", turn)], [2], friction=friction)
+    weight = 9.81 * assembly.mass.mass[0]
+    least = weight * (np.sin(angle) - friction * np.cos(angle)) / (2 * friction)
+    return assembly, least, turn @ [0.0, 0.0, 1.0]
+
+
+@pytest.mark.parametrize("stiffness", [1e8, np.inf])
+def test_a_press_holds_a_block_on_a_slope(pressed: tuple[Assembly, float, Any], stiffness: float) -> None:
+    """Just enough force holds it, a little less does not; when the robot lets go as well, both slide."""
+    assembly, least, normal = pressed
+    steps = [[0, 0, 2], [2, 0, 2], [2, 2, 2], [1, 2, 2], [1, 1, 2]]
+    holds = HoldSettings(stiffness=stiffness)
+    for share, expected in ((1.03, [STANDS] * 4 + [FALLS]), (0.97, [STANDS] * 3 + [FALLS])):
+        press = Press(1, (*(-share * least * normal).tolist(), 0.0, 0.0, 0.0))
+        presses = [(), (), (), (press,), ()]
+        found = replay_by_discrete_elements(assembly, steps, STIFF_CONTACTS, presses=presses, holds=holds)
+        assert found.stands.tolist() == expected
+    unpressed = replay_by_discrete_elements(assembly, steps, STIFF_CONTACTS, holds=holds)
+    assert unpressed.stands.tolist() == [STANDS] * 3 + [FALLS]
+
+
+@pytest.mark.parametrize(
+    ("presses", "message"),
+    [
+        ([()], "presses are given for 1 states; expected 3"),
+        ([(), (Press(1, (0.0,) * 6),), ()], "a robot presses block-1 in the step to state 1, but does not hold it"),
+        ([(Press(0, (0.0,) * 6),), (), ()], "a robot presses block-0 in the step to state 0, but does not hold it"),
+        ([(), (Press(2, (0.0,) * 6),), ()], "a robot presses ground in the step to state 1, but does not hold it"),
+    ],
+)
+def test_presses_are_checked(scenes: Any, presses: list[tuple[Press, ...]], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        replay_by_discrete_elements(scenes.tower(2), [[2, 0, 2], [2, 2, 2], [1, 2, 2]], presses=presses)
+
+
+def test_a_plan_with_presses_can_be_built(shared_assembly: Callable[[str], Path]) -> None:
+    """Every state of it stands, with robots as stiff as planned."""
+    vault = load_structure(str(shared_assembly("vault-62")))
+    plan = find_plans(vault, forces=False).plans[0]
+    assert any(plan.presses)
+    found = replay_by_discrete_elements(
+        vault, plan.assembly_states, STIFF_CONTACTS, presses=plan.assembly_presses, holds=plan.claim.holds
+    )
+    assert found.stands.tolist() == [STANDS] * len(plan.states)
+
+
+def test_robots_that_press_may_be_rigid_otherwise() -> None:
+    """Held parts are fixed again after each press: every state of a plan with presses stands."""
+    vault = library.build("vault")
+    plan = find_plans(vault, forces=False).plans[0]
+    assert any(plan.presses)
+    found = replay_by_discrete_elements(
+        vault, plan.assembly_states, STIFF_CONTACTS, presses=plan.assembly_presses, holds=RIGID
+    )
+    assert found.stands.tolist() == [STANDS] * len(plan.states)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
@@ -176,6 +286,8 @@ def test_too_few_steps_leave_a_state_open(scenes: Any) -> None:
         ({"friction_share": -0.1}, "friction_share is -0.1; give a number from 0 to 1"),
         ({"ramp": 0}, "ramp is 0 steps; give at least 1"),
         ({"steps": 0}, "steps is 0 steps; give at least 1"),
+        ({"sinks": ()}, r"sinks of springs are \(\); give positive numbers"),
+        ({"sinks": (0.0,)}, r"sinks of springs are \(0.0,\); give positive numbers"),
     ],
 )
 def test_settings_are_checked(values: dict[str, Any], message: str) -> None:
@@ -211,9 +323,10 @@ def test_states_are_checked(scenes: Any) -> None:
 
 
 def test_the_judges_share_nothing_with_the_solvers() -> None:
-    """Of this package they import what describes a structure, and nothing that decides or proves."""
+    """Of this package they import what describes structures and holds, and nothing that decides or proves."""
     folder = Path(falsework.stability.judges.__file__).parent
-    allowed = ("falsework.assembly.", "falsework.geometry.", "falsework.errors", "falsework.stability.judges.")
+    described = ("falsework.assembly.", "falsework.geometry.", "falsework.errors", "falsework.stability.holds")
+    allowed = (*described, "falsework.stability.judges.")
     for path in folder.glob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []

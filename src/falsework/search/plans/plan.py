@@ -17,7 +17,7 @@ from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.certificate import StabilityCriterion
-from falsework.stability.holds import Press
+from falsework.stability.holds import Press, describe_presses
 from falsework.stability.state_arrays import StateArrays
 from falsework.stability.verdict import Verdicts
 
@@ -199,8 +199,10 @@ class Plan:
         return needs_of(self.actions, self.direction, len(self.boundary), self.missing)
 
     def describe(self, step: int) -> str:
-        """Describe an action, such as `hold 7` or `insert keystone`."""
-        return describe_step(self.states[step], self.states[step + 1], self.part_names)
+        """Describe a step, such as `hold 7` or `insert keystone`, in assembly with the presses of robots."""
+        action = describe_step(self.states[step], self.states[step + 1], self.part_names)
+        presses = self.presses[step] if self.presses and self.direction is Direction.ASSEMBLY else ()
+        return "; ".join(filter(None, (action, describe_presses(presses, self.part_names))))
 
     def reverse(self) -> Plan:
         """Return the plan in the other direction: assembly from disassembly, or back."""

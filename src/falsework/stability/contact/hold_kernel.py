@@ -61,29 +61,6 @@ def hold_wrench(structure, state, part, springs, torn, set_share, out):
 
 
 @njit(cache=True)
-def lose_carriers(structure, before, state, springs, torn, set_share, lost):
-    """Write the whitened wrenches by which parts that a step removes carry parts that stay held, shape (parts, 6).
-
-    Args:
-        structure, before, state, springs, torn, set_share: as in `settle_step`, with the history of the state before.
-        lost: out, shape (parts, 6).
-    """
-    removes, whole = False, np.empty(6)
-    for part in range(len(state)):
-        removes = removes or (before[part] != 0 and state[part] == 0)
-        for r in range(6):
-            lost[part, r] = 0.0
-    if not removes:
-        return
-    for part in range(len(state)):
-        if before[part] == 2 and state[part] == 2 and structure.elimination.position[part] >= 0:
-            hold_wrench(structure, before, part, springs, torn, set_share, whole)
-            hold_wrench(structure, state, part, springs, torn, set_share, lost[part])
-            for r in range(6):
-                lost[part, r] -= whole[r]
-
-
-@njit(cache=True)
 def overloaded(structure, contact_structure, state, springs, torn, set_share):
     """Return the first part whose robot bears more than it can, or -1."""
     wrench = np.empty(6)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from falsework.stability.contact.hold_kernel import lose_carriers, overloaded, set_holds
+from falsework.stability.contact.hold_kernel import hold_wrench, overloaded, set_holds
 from falsework.stability.contact.kernel import NEAR_RINGS, lacks_contact, move_far_parts
 from falsework.stability.contact.law import contact_force
 from falsework.stability.contact.newton import (
@@ -123,6 +123,29 @@ def place_new(structure, before, state, noise, displacement, springs, torn):
             for j in range(structure.pair_start[q], structure.pair_start[q + 1]):
                 springs[j, 0], springs[j, 1], springs[j, 2] = 0.0, noise[j, 0], noise[j, 1]
                 torn[j] = False
+
+
+@njit(cache=True)
+def lose_carriers(structure, before, state, springs, torn, set_share, lost):
+    """Write the whitened wrenches by which parts that a step removes carry parts that stay held, shape (parts, 6).
+
+    Args:
+        structure, before, state, springs, torn, set_share: as in `settle_step`, with the history of the state before.
+        lost: out, shape (parts, 6).
+    """
+    removes, whole = False, np.empty(6)
+    for part in range(len(state)):
+        removes = removes or (before[part] != 0 and state[part] == 0)
+        for r in range(6):
+            lost[part, r] = 0.0
+    if not removes:
+        return
+    for part in range(len(state)):
+        if before[part] == 2 and state[part] == 2 and structure.elimination.position[part] >= 0:
+            hold_wrench(structure, before, part, springs, torn, set_share, whole)
+            hold_wrench(structure, state, part, springs, torn, set_share, lost[part])
+            for r in range(6):
+                lost[part, r] -= whole[r]
 
 
 @njit(cache=True)

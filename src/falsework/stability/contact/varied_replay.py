@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Protocol, Self
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from falsework.assembly.state import States
@@ -84,6 +85,12 @@ def variations(settings: StabilitySettings, draws: int) -> list[tuple[str, Stabi
         ("thicker medium", settings, replace(plain, first_step=FIRST_STEP / 30)),
         ("thinner medium", settings, replace(plain, first_step=FIRST_STEP * 30)),
     ]
+    stiffness = settings.holds.stiffness
+    if np.isfinite(stiffness):
+        varied += [
+            (f"holds {word}", replace(settings, holds=replace(settings.holds, stiffness=factor * stiffness)), plain)
+            for word, factor in (("3 times softer", 1 / 3), ("3 times stiffer", 3.0))
+        ]
     varied += [
         (f"friction at the start, draw {seed + 1}", settings, replace(plain, friction_noise=1.0, seed=seed))
         for seed in range(draws)

@@ -8,29 +8,33 @@ degree of freedom gets half the row sum of its stiffness, so that a unit time st
 rest is reached within a few thousand steps. A state at rest is in equilibrium under its true weight; a state that does
 not come to rest moves on until it has collapsed.
 
-The method shares only the assembly with the solvers of this package: no optimisation, no linear algebra, no
-criterion but rest. Lengths are divided by the size of a typical part and forces by its weight, so neither scale
-nor density matters.
+A robot that holds a part is a spring too, of the stiffness that it has, and bears what balances the part when it takes
+it. Where it presses, a wrench is added slowly to what it bears. A rigid hold fixes its part.
+
+The method shares only the assembly, and the description of holds, with the solvers of this package: no optimisation, no
+linear algebra, no criterion but rest. Lengths are divided by the size of a typical part and forces by its weight, so
+neither scale nor density matters; the stiffness of robots is that of the holds, in these units.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import REMOVED, States, as_states
+from falsework.assembly.state import HELD, REMOVED, States, as_states
 from falsework.errors import InputError
-from falsework.stability.judges.relaxation import FALLS, STANDS, Model, relax
+from falsework.stability.holds import PRESS_STIFFNESS, HoldSettings, Press
+from falsework.stability.judges.relaxation import FALLS, STANDS, Grip, Model, relax
 
 Array = NDArray[np.float64]
 
-_SINKS = (2e-5, 2e-7)
+SOFT, STIFF = 2e-5, 2e-7
 """Settlement of a typical part under its weight on eight typical contact points, in part sizes: soft and stiff springs.
-Between joints nearly parallel to the load, parts slip by thousands of times this settlement before they jam. A state
-that collapses on the soft springs, which need the fewest steps, is therefore checked again on the stiff ones."""
+"""
 _GRAVITY = 9.81
 """m/s2; only loads depend on it, since weights are measured in that of a typical part."""
 _POINTS = 8
@@ -43,12 +47,18 @@ _LEAST_AREA = 1e-3
 class DiscreteElementSettings:
     """Springs, damping, and the number of steps."""
 
+    sinks: tuple[float, ...] = (SOFT, STIFF)
+    """Springs of contacts to try in turn until a structure does not collapse on them: the settlement of a typical part
+    under its weight on eight typical contact points, in part sizes. Between joints nearly parallel to the load, parts
+    slip by thousands of times this settlement before they jam. What collapses on the soft springs, which need the
+    fewest steps, is therefore checked again on the stiff ones."""
     tangential: float = 0.7
     """Ratio of tangential to normal stiffness; Mindlin's theory of elastic spheres gives 0.67 to 1."""
     damping: float = 0.7
     """Coefficient of local damping: share of the unbalanced force that opposes the velocity."""
     ramp: int = 2000
-    """Steps over which an unbalanced force, such as gravity on the unstressed structure, is ramped up."""
+    """Steps over which an unbalanced force, such as gravity on the unstressed structure, is ramped up; more where the
+    springs of robots are so soft that held parts would swing."""
     steps: int = 30000
     """Steps after which a state that has neither come to rest nor collapsed is left undecided."""
     friction_share: float = 0.0
@@ -58,6 +68,8 @@ class DiscreteElementSettings:
     """Seed of these draws."""
 
     def __post_init__(self) -> None:
+        if not self.sinks or not all(np.isfinite(sink) and sink > 0 for sink in self.sinks):
+            raise InputError(f"sinks of springs are {self.sinks}; give positive numbers such as {STIFF}")
         if not (np.isfinite(self.tangential) and self.tangential > 0):
             raise InputError(f"tangential stiffness ratio is {self.tangential}; give a positive number such as 0.7")
         for name, value in (("damping", self.damping), ("friction_share", self.friction_share)):
@@ -101,7 +113,7 @@ def settle(
         StateError: states of the wrong shape or with wrong values.
     """
     batch = as_states(states, assembly.boundary)
-    size, models = _models(assembly)
+    size, models = _models(assembly, settings)
     answers = _Answers(size)
     points = len(assembly.contacts.points)
     begin = (
@@ -112,10 +124,11 @@ def settle(
     for row, state in enumerate(batch):
         for model in models:
             gap, friction = -begin[row, :, 0] / model.stiffness, begin[row, :, 1:].copy()
-            answer = relax(model, state, gap, friction, *_numbers(settings))
+            grip = _no_grip(assembly)
+            answer = relax(model, state, gap, friction, grip, *_numbers(settings))
             if settings.friction_share and answer[0] == STANDS:
                 _redraw(model, gap, friction, settings, row)
-                answer = relax(model, state, gap, friction, *_numbers(settings))
+                answer = relax(model, state, gap, friction, grip, *_numbers(settings))
             if answer[0] != FALLS:
                 break
         answers.add(answer)
@@ -123,7 +136,12 @@ def settle(
 
 
 def replay_by_discrete_elements(
-    assembly: Assembly, states: ArrayLike, settings: DiscreteElementSettings = DiscreteElementSettings()
+    assembly: Assembly,
+    states: ArrayLike,
+    settings: DiscreteElementSettings = DiscreteElementSettings(),
+    *,
+    presses: Sequence[Sequence[Press]] | None = None,
+    holds: HoldSettings = HoldSettings(),
 ) -> Settling:
     """Build a structure state by state, keeping compression and slip of every contact point.
 
@@ -134,40 +152,81 @@ def replay_by_discrete_elements(
     Args:
         assembly: the structure.
         states: in assembly order, shape (steps + 1, parts); the first one has no history.
-        settings: springs, damping and step limit.
+        settings: springs of contacts, damping and step limit.
+        presses: those of the step that leads to each state, one entry a state; none by default.
+        holds: stiffness of the robots; that of one that presses is at most `PRESS_STIFFNESS`. Their limits are not
+            checked.
 
     Returns:
         An entry for each state up to the first that collapses, which is the last entry; an undecided one does not end
         the replay. `moved` is relative to the previous state.
 
     Raises:
+        InputError: presses of the wrong number, or on a part that is not held before and after its step.
         StateError: states of the wrong shape or with wrong values.
     """
     batch = as_states(states, assembly.boundary)
-    size, models = _models(assembly)
+    added = _added(assembly, batch, presses)
+    size, models = _models(assembly, settings)
     for model in models:
-        found = _replay(assembly, batch, model, size, settings)
+        found = _replay(assembly, batch, model, size, settings, added, holds.stiffness)
         if found.last != FALLS:
             break
     return found.settling()
 
 
 def _replay(
-    assembly: Assembly, states: States, model: Model, size: float, settings: DiscreteElementSettings
+    assembly: Assembly,
+    batch: States,
+    model: Model,
+    size: float,
+    settings: DiscreteElementSettings,
+    added: Sequence[dict[int, Array]],
+    stiffness: float,
 ) -> _Answers:
-    """Build a structure with springs of one stiffness, up to the first state that collapses."""
+    """Build a structure with contact springs of one stiffness, up to the first state that collapses."""
     answers, points = _Answers(size), len(model.local)
     gap, friction = np.zeros(points), np.zeros((points, 2))
     ends = model.parts[np.repeat(np.arange(len(model.parts)), np.diff(model.start))]
-    for row, state in enumerate(states):
+    typical, grip = _typical_weight(assembly), _no_grip(assembly)
+    for row, (state, press) in enumerate(zip(batch, added, strict=True)):
         gone = (state[ends] == REMOVED).any(axis=1)
         gap[gone], friction[gone] = 0.0, 0.0
         if settings.friction_share:
             _redraw(model, gap, friction, settings, row)
-        answers.add(relax(model, state, gap, friction, *_numbers(settings)))
+        held = (state == HELD) & ~assembly.immovable
+        spring = np.where(held & np.isfinite(stiffness), stiffness, 0.0)
+        spring[list(press)] = min(stiffness, PRESS_STIFFNESS)
+        fresh = grip.stiffness == 0.0
+        wrench = np.where((held & ~fresh)[:, None], grip.wrench, 0.0)
+        for part, more in press.items():
+            wrench[part] += more / (typical * np.repeat([1.0, size], 3))
+        grip = Grip(spring * size / typical, fresh, wrench)
+        answers.add(relax(model, state, gap, friction, grip, *_numbers(settings)))
         if answers.last == FALLS:
             break
     return answers
+
+
+def _added(assembly: Assembly, batch: States, presses: Sequence[Sequence[Press]] | None) -> list[dict[int, Array]]:
+    """Return the wrenches that robots add in the step to each state, by part, N and N m."""
+    if presses is None:
+        return [{} for _ in batch]
+    if len(presses) != len(batch):
+        raise InputError(f"presses are given for {len(presses)} states; expected {len(batch)}, one entry a state")
+    for row, some in enumerate(presses):
+        for press in some:
+            held = row and (batch[row - 1 : row + 1, press.part] == HELD).all()
+            if not held or assembly.immovable[press.part]:
+                name = assembly.names[press.part]
+                raise InputError(f"a robot presses {name} in the step to state {row}, but does not hold it throughout")
+    return [{press.part: np.asarray(press.wrench, float) for press in some} for some in presses]
+
+
+def _no_grip(assembly: Assembly) -> Grip:
+    """Return the springs of robots where none holds a part that can move."""
+    parts = assembly.part_count
+    return Grip(np.zeros(parts), np.ones(parts, bool), np.zeros((parts, 6)))
 
 
 class _Answers:
@@ -208,8 +267,8 @@ def _typical_weight(assembly: Assembly) -> float:
     return float(_GRAVITY * assembly.mass.mass[loose if loose.any() else slice(None)].mean())
 
 
-def _models(assembly: Assembly) -> tuple[float, list[Model]]:
-    """Return the size of a typical part, metres, and models in units of it, with soft and with stiff springs."""
+def _models(assembly: Assembly, settings: DiscreteElementSettings) -> tuple[float, list[Model]]:
+    """Return the size of a typical part, metres, and models in units of it, one for each stiffness of springs."""
     if assembly.joints is not None:
         raise InputError("the discrete-element method does not support joints; replay by the contact law instead")
     contacts, mass = assembly.contacts.flat(), assembly.mass
@@ -224,17 +283,18 @@ def _models(assembly: Assembly) -> tuple[float, list[Model]]:
     middle /= np.maximum(count, 1)[:, None]
     area = (contacts.areas / np.maximum(count, 1))[owner]
     mean = area.mean() if len(area) else 1.0
-    soft = Model(
+    unit = Model(
         parts=np.ascontiguousarray(contacts.parts, np.int32),
         start=np.ascontiguousarray(contacts.start, np.int32),
         frames=np.ascontiguousarray(contacts.frames),
         arm_a=(middle - mass.center[contacts.parts[:, 0]]) / size,
         arm_b=(middle - mass.center[contacts.parts[:, 1]]) / size,
         local=np.einsum("pij,pj->pi", contacts.frames[owner], contacts.points - middle[owner]) / size,
-        stiffness=np.maximum(area / mean, _LEAST_AREA) / (_POINTS * _SINKS[0]),
+        stiffness=np.maximum(area / mean, _LEAST_AREA) / _POINTS,
         weight=np.ascontiguousarray(weight),
         applied=assembly.applied_wrench(_GRAVITY) / (typical * np.repeat([1.0, size], 3)),
         radius=np.linalg.norm(boxes, axis=1) / (2 * size),
+        gyration=mass.inertia / (mass.mass[:, None, None] * size**2),
         friction=float(assembly.friction),
     )
-    return size, [soft._replace(stiffness=soft.stiffness * _SINKS[0] / sink) for sink in _SINKS]
+    return size, [unit._replace(stiffness=unit.stiffness / sink) for sink in settings.sinks]

@@ -8,7 +8,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import HELD, INSTALLED, REMOVED
+from falsework.assembly.state import INSTALLED, REMOVED
 
 Array = NDArray[np.float64]
 
@@ -21,6 +21,8 @@ _REST = 1e-4
 """Largest unbalanced force of a part at rest, in weights of the part; moments are divided by the typical size."""
 _EVERY = 100
 """Steps between two checks for rest or collapse."""
+_PERIODS = 10.0
+"""Least length of a ramp, in periods of a held part on the spring of its robot: a shorter one would swing the part."""
 
 
 class Model(NamedTuple):
@@ -45,11 +47,25 @@ class Model(NamedTuple):
     """Weight and other loads, shape (parts, 6)."""
     radius: Array
     """Shape (parts,)."""
+    gyration: Array
+    """Inertia by mass, about the centre of mass, shape (parts, 3, 3)."""
     friction: float
 
 
+class Grip(NamedTuple):
+    """Held parts that can move: each hangs on the spring of its robot."""
+
+    stiffness: Array
+    """Stiffness against translation, zero for parts that nothing holds or that a rigid hold fixes, shape (parts,).
+    Against rotation it is this times the inertia by mass."""
+    fresh: NDArray[np.bool_]
+    """Parts that a robot takes as they are: it bears at first what balances them, and `wrench`, shape (parts,)."""
+    wrench: Array
+    """What each robot bears, in: before its part moves; out: after that, shape (parts, 6)."""
+
+
 @nb.njit(cache=True, nogil=True)
-def relax(model, state, gap, friction, tangential, damping, ramp, steps):
+def relax(model, state, gap, friction, grip, tangential, damping, ramp, steps):
     """Integrate until a state comes to rest or collapses; time step and unit of mass are one.
 
     Args:
@@ -57,20 +73,21 @@ def relax(model, state, gap, friction, tangential, damping, ramp, steps):
         state: shape (parts,).
         gap: in and out: opening of each contact point, negative where compressed, shape (points,).
         friction: in and out: tangential forces on part `b`, shape (points, 2).
-        tangential, damping, ramp, steps: as in `DiscreteElementSettings`.
+        grip: springs of the robots; a wrench that they do not balance at the start is ramped up like any other.
+        tangential, damping, ramp, steps: as in `DiscreteElementSettings`; soft robots lengthen ramp and steps.
 
     Returns:
         Result, largest displacement since the start, and the part with it.
     """
     slot = np.empty(len(state), np.int64)
-    free = np.flatnonzero(state == INSTALLED)
+    free = np.flatnonzero((state == INSTALLED) | (grip.stiffness > 0.0))
     bodies = len(free)
     if bodies == 0:
         return STANDS, 0.0, -1
     slot[:] = bodies  # one more body that never moves represents all fixed parts
     for body in range(bodies):
         slot[free[body]] = body
-    active, points = _active(model, state)
+    active, points = _active(model, state, slot, bodies)
     index = np.empty(points, np.int64)
     first = np.zeros(len(active) + 1, np.int64)
     for k in range(len(active)):
@@ -82,11 +99,14 @@ def relax(model, state, gap, friction, tangential, damping, ramp, steps):
     frames, arm_a, arm_b = model.frames[active], model.arm_a[active], model.arm_b[active]
     local, stiff = model.local[index], model.stiffness[index]
     open_, slide = gap[index], friction[index]
-    inertia = _inertia(bodies, side_a, side_b, first, frames, arm_a, arm_b, local, stiff, tangential)
+    hold, turn = grip.stiffness[free], model.gyration[free]
+    inertia = _inertia(bodies, side_a, side_b, first, frames, arm_a, arm_b, local, stiff, tangential, hold, turn)
     for body in range(bodies):
         if inertia[body, 0] == 0.0:
             return FALLS, np.inf, free[body]
-    weight, applied, radius = model.weight[free], model.applied[free], model.radius[free]
+    slow = _slow_ramp(inertia, hold, turn, ramp)
+    ramp, steps = slow, steps + slow - ramp
+    weight, applied, radius = model.weight[free], model.applied[free] + grip.wrench[free], model.radius[free]
     motion, moved = np.zeros((bodies + 1, 6)), np.zeros((bodies + 1, 6))
     load, missing = np.zeros((bodies + 1, 6)), np.zeros((bodies, 6))
     answer, largest, part = OPEN, 0.0, free[0]
@@ -99,6 +119,12 @@ def relax(model, state, gap, friction, tangential, damping, ramp, steps):
                 motion[side_a[k]], motion[side_b[k]], load[side_a[k]], load[side_b[k]], frames[k], arm_a[k], arm_b[k],
                 local, stiff, open_, slide, first[k], first[k + 1], tangential, model.friction,
             )  # fmt: skip
+        for body in range(bodies):
+            if hold[body] > 0.0:
+                if step == 0 and grip.fresh[free[body]]:
+                    applied[body] -= load[body] - grip.wrench[free[body]]
+                    load[body] = grip.wrench[free[body]]
+                _pull(hold[body], turn[body], moved[body], load[body])
         if step == 0:
             missing[:] = load[:bodies]
         if step % _EVERY == 0:
@@ -123,17 +149,41 @@ def relax(model, state, gap, friction, tangential, damping, ramp, steps):
     for j in range(points):
         gap[index[j]] = open_[j]
         friction[index[j]] = slide[j]
+    for body in range(bodies):
+        if hold[body] > 0.0:
+            grip.wrench[free[body]] = applied[body] - model.applied[free[body]]
+            _pull(hold[body], turn[body], moved[body], grip.wrench[free[body]])
     return answer, largest, part
 
 
 @nb.njit(cache=True, nogil=True)
-def _active(model, state):
-    """Return the acting contacts, both parts present and one of them free, and their number of points."""
+def _slow_ramp(inertia, hold, turn, ramp):
+    """Return the steps over which to ramp up a load where robots are springs, at least `ramp`."""
+    for body in range(len(hold)):
+        if hold[body] > 0.0:
+            for i in range(3):
+                shift, swing = inertia[body, i], inertia[body, 3 + i] / turn[body, i, i]
+                ramp = max(ramp, int(_PERIODS * 2.0 * np.pi * np.sqrt(max(shift, swing) / hold[body])))
+    return ramp
+
+
+@nb.njit(cache=True, nogil=True)
+def _pull(hold, turn, moved, load):
+    """Add the wrench of a robot's spring to the load of its part."""
+    for i in range(3):
+        load[i] -= hold * moved[i]
+        for k in range(3):
+            load[3 + i] -= hold * turn[i, k] * moved[3 + k]
+
+
+@nb.njit(cache=True, nogil=True)
+def _active(model, state, slot, bodies):
+    """Return the acting contacts, both parts present and one of them a body, and their number of points."""
     active = np.empty(len(model.parts), np.int64)
     count, points = 0, 0
     for c in range(len(model.parts)):
-        a, b = state[model.parts[c, 0]], state[model.parts[c, 1]]
-        if a != REMOVED and b != REMOVED and not (a == HELD and b == HELD):
+        a, b = model.parts[c]
+        if state[a] != REMOVED and state[b] != REMOVED and min(slot[a], slot[b]) < bodies:
             active[count] = c
             count += 1
             points += model.start[c + 1] - model.start[c]
@@ -141,7 +191,7 @@ def _active(model, state):
 
 
 @nb.njit(cache=True, nogil=True)
-def _inertia(bodies, side_a, side_b, first, frames, arm_a, arm_b, local, stiff, tangential):
+def _inertia(bodies, side_a, side_b, first, frames, arm_a, arm_b, local, stiff, tangential, hold, turn):
     """Return masses that make a unit step stable, shape (bodies, 6).
 
     With row sums of the absolute stiffness as masses, all squared frequencies would be at most 1. A unit step is stable
@@ -168,6 +218,9 @@ def _inertia(bodies, side_a, side_b, first, frames, arm_a, arm_b, local, stiff, 
                 inertia[side_a[k]] += 0.5 * spring * total * row[0]
                 inertia[side_b[k]] += 0.5 * spring * total * row[1]
     for body in range(bodies):
+        inertia[body, :3] += 0.5 * hold[body]
+        for i in range(3):
+            inertia[body, 3 + i] += 0.5 * hold[body] * np.abs(turn[body, i]).sum()
         # A rotation that no spring resists, as about the normal through a single point, still needs some mass.
         inertia[body, 3:] = np.maximum(inertia[body, 3:], 1e-6 * inertia[body, :3].max())
     return inertia[:bodies]

@@ -16,7 +16,7 @@ from falsework.search.problem.task import Direction
 from falsework.utils.files.printable import printable
 from falsework.viewer.appearance import bounds_of
 from falsework.viewer.arms import bounds_with_arms
-from falsework.viewer.arrows import KINDS
+from falsework.viewer.arrows import KINDS, PRESSES, Arrows, arrows_of_step
 from falsework.viewer.margin_strip import margin_strip
 from falsework.viewer.page.disruption import ClickMode
 from falsework.viewer.page.gantt_strip import GanttStrip
@@ -179,7 +179,7 @@ class Page:
             self._toggles = {}
             for kind in KINDS:
                 name = _TOGGLES.get(kind, kind.capitalize())
-                self._toggles[kind] = gui.add_checkbox(name, initial_value=False)
+                self._toggles[kind] = gui.add_checkbox(name, initial_value=kind == PRESSES)
                 self._toggles[kind].on_update(lambda event: self._guard(event, self.refresh))
             if model.policy is not None:
                 self._chances = gui.add_checkbox("Probabilities of the policy", initial_value=model.show_probabilities)
@@ -332,23 +332,32 @@ class Page:
     # Texts.
 
     def _shown(self) -> list[str]:
-        return [kind for kind, toggle in self._toggles.items() if toggle.value]
+        """Return the kinds of arrows that belong to a proof and are chosen."""
+        return [kind for kind, toggle in self._toggles.items() if toggle.value and kind != PRESSES]
+
+    def _presses(self) -> dict[str, Arrows]:
+        """Return the arrows of the present step, if they are chosen and its state is not marked otherwise."""
+        model = self.model
+        shown = self._toggles[PRESSES].value and model.disruption.empty
+        return arrows_of_step(model.timeline, model.step) if shown else {}
 
     def _show_proof(self) -> None:
-        kinds = self._shown()
+        kinds, presses = self._shown(), self._presses()
         if not kinds:
-            self.scene.show_arrows({}, {})
-            self.scene.see_through(False)
+            self.scene.show_arrows(presses, {})
+            self.scene.see_through(bool(presses))
             return
         proof = self.model.proof()
-        chosen = {kind: some for kind, some in proof.arrows.items() if kind in kinds}
+        if presses:
+            kinds.append(PRESSES)
+        chosen = presses | {kind: some for kind, some in proof.arrows.items() if kind in kinds}
         self.scene.see_through(bool(chosen))
         moved = proof.moved if ("sliding" if proof.slides else "motion") in kinds else {}
         self.scene.show_arrows(chosen, moved, proof.motion_color)
 
     def _say(self) -> None:
-        model, shown = self.model, self._shown()
-        self._where.content = where_text(model, ask=bool(shown))
+        model, shown = self.model, [*self._shown(), *self._presses()]
+        self._where.content = where_text(model, ask=bool(self._shown()))
         self._marked.content = marked_text(model)
         self._margins.content = margin_strip(
             model.plan, model.direction, round(model.position) if model.clock is None else model.step

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, REMOVED, States, action_mask
 from falsework.search.problem.task import Direction
+from falsework.stability.holds import describe_force
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Criterion
@@ -21,8 +21,9 @@ from falsework.viewer.appearance import Appearance, appearance_at, pick
 from falsework.viewer.arms import ArmPoses, Arms, look_with_arms
 from falsework.viewer.clock import Clock
 from falsework.viewer.page.disruption import ClickMode, Disruption, chance_of_parts
+from falsework.viewer.page.proof_cache import ProofCache
 from falsework.viewer.palette import FIXED, SELECTED
-from falsework.viewer.proof import StateProof, proof_of_state
+from falsework.viewer.proof import StateProof
 from falsework.viewer.timeline import NO_ROBOT, Timeline
 
 if TYPE_CHECKING:
@@ -30,9 +31,6 @@ if TYPE_CHECKING:
     from falsework.replanning.policy_guide import PolicyGuide
     from falsework.search.plans.plan import Plan
     from falsework.search.problem.state_graph import StateGraph
-
-_PROOFS = 64
-"""Number of proofs of states that are cached."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +86,8 @@ class ViewerState:
         self.deadline = deadline
         self.lock = threading.RLock()
         self._oracle = oracle
-        self._criterion: Criterion = criterion
-        self._proofs: OrderedDict[bytes, StateProof] = OrderedDict()
+        self._criterion: Criterion = criterion if oracle is None else oracle.settings.criterion
+        self._proofs = ProofCache(contact=self._criterion == "contact")
         self._replanner: Any = None
         self._guide: PolicyGuide | None = None
         self._before: list[tuple[Timeline, Plan | None, Disruption, float, Arms | None]] = []
@@ -198,10 +196,13 @@ class ViewerState:
         return [int(part) for part in np.flatnonzero(self.site == REMOVED) if part not in self.disruption.missing]
 
     def labels(self, appearance: Appearance) -> dict[int, str]:
-        """Return short labels of parts: holder, selection and marks."""
+        """Return short labels of parts: holder, press, selection and marks."""
         labels = {
             int(part): f"R{appearance.holder[part] + 1}" for part in np.flatnonzero(appearance.holder != NO_ROBOT)
         }
+        for press in self.timeline.presses_at(self.step):
+            if press.part in labels:
+                labels[press.part] += f" presses {describe_force(press.force)}"
         if self.selected is not None:
             name = self.assembly.names[self.selected]
             labels[self.selected] = f"{name}, {labels[self.selected]}" if self.selected in labels else name
@@ -289,23 +290,23 @@ class ViewerState:
         return facts
 
     def proof(self) -> StateProof:
-        """Return the verdict on the marked state, with its proof."""
-        site = self.site
-        key = site.tobytes()
+        """Return the verdict on the marked state, with its proof.
+
+        Under `contact`, a state of the plan is judged as it is reached in assembly, a marked one from rest.
+        """
         with self.lock:
-            known = self._proofs.get(key)
-            if known is None:
-                known = proof_of_state(self.oracle, site)
-                self._proofs[key] = known
-                while len(self._proofs) > _PROOFS:
-                    self._proofs.popitem(last=False)
-            return known
+            return self._proofs.prove(self.oracle, *self._shown)
+
+    @property
+    def _shown(self) -> tuple[Plan | None, int, States]:
+        """The plan, unless marks change its state; row of the state in the timeline; the marked state."""
+        return self.plan if self.disruption.empty else None, self.timeline.row(self.position), self.site
 
     @property
     def sliding(self) -> dict[int, str]:
         """Colours of the parts that slide in the marked state, by part; empty unless `proof` was called."""
         with self.lock:
-            known = self._proofs.get(self.site.tobytes())
+            known = self._proofs.find(*self._shown)
             return {} if known is None else known.marks
 
     def action_probabilities(self) -> NDArray[np.float64]:

@@ -13,8 +13,8 @@ from falsework.errors import DependencyError, InputError
 from falsework.utils.files.output_file import write_whole
 from falsework.viewer.appearance import TRAVEL, Appearance, appearance_at, bounds_of, diagonal
 from falsework.viewer.arms import Arms, bounds_with_arms, look_with_arms, solids_of_arms
-from falsework.viewer.arrows import Arrows
-from falsework.viewer.palette import BOUNDARY, INK, INSTALLED, ROBOTS, SLIDING, hex_of, ramp, robot_color
+from falsework.viewer.arrows import Arrows, arrows_of_step
+from falsework.viewer.palette import BOUNDARY, INK, INSTALLED, PRESS, ROBOTS, SLIDING, hex_of, ramp, robot_color
 from falsework.viewer.pictures.render import Camera, ColoredSolid, Image, render
 from falsework.viewer.proof import StateProof
 from falsework.viewer.timeline import NO_ROBOT, Timeline, interesting
@@ -64,7 +64,7 @@ def draw(
         appearance: how its parts are seen.
         camera: view of them.
         bounds: box that the picture shows, shape (2, 3); the structure if not given.
-        arrows: drawn as well; the parts become pale and see-through so that they are seen.
+        arrows: drawn over the parts, which become pale if any of them lie inside.
         extra: other meshes, such as arms.
         samples: pixels are averaged over `samples` squared.
     """
@@ -73,12 +73,12 @@ def draw(
     image = render(solids, camera, box, samples=samples)
     if not any(len(some) for some in arrows):
         return image
-    # Arrows lie inside the parts: the parts are drawn pale, the arrows over them.
     thickness = _ARROW * diagonal(assembly)
     inside = [solid for some in arrows for solid in some.solids(thickness)]
     over = render(inside, camera, box, floor=False, samples=samples)
     there = (over < 0.999).any(axis=2, keepdims=True)
-    return np.where(there, over, 0.55 * image + 0.45)
+    pale = any(some.inside and len(some) for some in arrows)
+    return np.where(there, over, 0.55 * image + 0.45 if pale else image)
 
 
 def contact_sheet(
@@ -115,7 +115,8 @@ def contact_sheet(
     rows = -(-len(chosen) // columns)
     head, cell = (_LINE + 6 if title else 0), camera.height + _LINE
     proofs = proofs or {}
-    entries = legend(timeline, any(proofs[position].slides for position in chosen if position in proofs))
+    sliding = any(proofs[position].slides for position in chosen if position in proofs)
+    entries = legend(timeline, sliding, any(timeline.presses_at(position) for position in chosen))
     sheet = pillow.Image.new("RGB", (columns * camera.width, head + rows * cell + _LINE + 14), "white")
     pen = pillow.ImageDraw.Draw(sheet)
     if title:
@@ -124,7 +125,8 @@ def contact_sheet(
         left, top = (number % columns) * camera.width, head + (number // columns) * cell
         proof = proofs.get(position)
         appearance = appearance_at(timeline, position, marks=None if proof is None else proof.marks, travelling=False)
-        picture = to_pixels(draw(timeline.assembly, appearance, camera))
+        arrows = list(arrows_of_step(timeline, position).values())
+        picture = to_pixels(draw(timeline.assembly, appearance, camera, arrows=arrows))
         sheet.paste(pillow.Image.fromarray(picture), (left, top + _LINE))
         _write(pen, pillow, (left + camera.width / 2, top + _LINE / 2 + 4), caption(timeline, position, proof), 14)
     _write_legend(pen, pillow, sheet.width, sheet.height - _LINE / 2 - 5, entries)
@@ -176,7 +178,7 @@ def one_state(
         appearance, extra = look_with_arms(appearance, arm_poses), solids_of_arms(arms, arm_poses, timeline.assembly)
         box = bounds_with_arms(arms, bounds_of(timeline.assembly)) if bounds is None else bounds
     tips = [some.ends.reshape(-1, 3) for some in arrows if len(some)]
-    if tips:
+    if tips and bounds is None:
         points = np.concatenate([box, *tips])
         box = np.stack([points.min(axis=0), points.max(axis=0)])
         box[0, 2] = bounds_of(timeline.assembly)[0, 2]
@@ -196,13 +198,21 @@ def one_state(
     return np.asarray(image)
 
 
-def legend(timeline: Timeline, sliding: bool = False) -> list[tuple[str, str]]:
-    """Return the colour and words of all that a timeline shows; `sliding` if parts are marked that slide."""
+def legend(timeline: Timeline, sliding: bool = False, pressing: bool = False) -> list[tuple[str, str]]:
+    """Return the colour and words of all that a timeline shows.
+
+    Args:
+        timeline: gives the robots.
+        sliding: parts are marked that slide.
+        pressing: arrows show presses.
+    """
     entries = [(BOUNDARY, "boundary"), (INSTALLED, "installed")]
     for robot in range(min(int(timeline.holders.max(initial=NO_ROBOT)) + 1, len(ROBOTS))):
         entries.append((robot_color(robot), f"held by robot {robot + 1}"))
     if sliding:
         entries.append((SLIDING, "would slide"))
+    if pressing:
+        entries.append((PRESS, "robot presses"))
     return entries
 
 

@@ -14,7 +14,7 @@ from falsework.errors import InputError
 from falsework.geometry.mesh.mesh import triangle_normals
 from falsework.utils.files.output_file import write_whole
 from falsework.viewer.appearance import appearance_at
-from falsework.viewer.arrows import Arrows
+from falsework.viewer.arrows import Arrows, arrows_of_step
 from falsework.viewer.palette import INK
 from falsework.viewer.pictures.contact_sheet import caption, check_places, legend
 from falsework.viewer.proof import StateProof
@@ -87,7 +87,7 @@ def drawing(
         places: states to show.
         columns: drawings in a row.
         width: of each, pixels.
-        arrows: drawn into each.
+        arrows: drawn into each, instead of the presses of its step.
         key: the legend, colour and words; of the timeline if not given.
         proofs: verdicts on states, by place; sliding parts are marked, and verdicts other than stable are written
             above.
@@ -101,8 +101,9 @@ def drawing(
     assembly = timeline.assembly
     axis = flat_axis(assembly)
     lines = outlines(assembly, axis)
+    drawn = {place: list(arrows) or list(arrows_of_step(timeline, place).values()) for place in places}
     seen = [line for part in lines for line in part]
-    seen += [some.ends[:, :, [1 - axis, 2]].reshape(-1, 2) for some in arrows]
+    seen += [some.ends[:, :, [1 - axis, 2]].reshape(-1, 2) for shown in drawn.values() for some in shown]
     points = np.concatenate(seen)
     low, high = points.min(axis=0), points.max(axis=0)
     scale = (width - 2 * _MARGIN) / max(float((high - low).max()), 1e-12)
@@ -110,7 +111,8 @@ def drawing(
     columns = min(columns, len(places))
     rows = -(-len(places) // columns)
     proofs = proofs or {}
-    entries = legend(timeline, any(proof.slides for proof in proofs.values())) if key is None else key
+    sliding, pressing = any(proof.slides for proof in proofs.values()), any(map(timeline.presses_at, places))
+    entries = legend(timeline, sliding, pressing) if key is None else key
     whole = max(columns * width, sum(40 + 6.6 * len(words) for _, words in entries))
     left_edge = (whole - columns * width) / 2
     body = []
@@ -133,7 +135,7 @@ def drawing(
                 f'stroke="{INK}" stroke-width="0.9" stroke-linejoin="round"><title>{escape(assembly.names[part])}'
                 "</title></path>"
             )
-        for some in arrows:
+        for some in drawn[place]:
             kept = [1 - axis, 2]
             for ends in some.ends[:, :, kept]:
                 if np.linalg.norm(ends[1] - ends[0]) * scale > 1.0:
@@ -148,9 +150,9 @@ def drawing(
         body.append(_text(x + 30, top + 4.5, words, anchor="start"))
         x += 40 + 6.6 * len(words)
     tips = "".join(
-        f'<marker id="tip{some.color[1:]}" viewBox="0 0 8 8" refX="6" refY="4" markerWidth="5" markerHeight="5" '
-        f'orient="auto"><path d="M0,0L8,4L0,8Z" fill="{some.color}"/></marker>'
-        for some in arrows
+        f'<marker id="tip{color[1:]}" viewBox="0 0 8 8" refX="6" refY="4" markerWidth="5" markerHeight="5" '
+        f'orient="auto"><path d="M0,0L8,4L0,8Z" fill="{color}"/></marker>'
+        for color in dict.fromkeys(some.color for shown in drawn.values() for some in shown)
     )
     size = f"{whole:.0f} {top + _LINE / 2 + 4:.0f}"
     wide, tall = size.split()

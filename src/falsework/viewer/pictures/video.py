@@ -15,6 +15,7 @@ from falsework.errors import DependencyError, InputError
 from falsework.utils.files.output_file import write_whole
 from falsework.viewer.appearance import bounds_of
 from falsework.viewer.arms import Arms, bounds_with_arms
+from falsework.viewer.arrows import arrows_of_step
 from falsework.viewer.palette import BOUNDARY, INSTALLED, ROBOTS, SLIDING, rgb
 from falsework.viewer.pictures.contact_sheet import Pixels, bounds_with_ways, caption, import_pillow, legend, one_state
 from falsework.viewer.pictures.gantt import strip_of
@@ -68,7 +69,8 @@ def frames_of(
             camera,
             bounds=box,
             words=caption(timeline, step, proof) if time is None else f"{time:.1f} s, {caption(timeline, step, proof)}",
-            key=legend(timeline, sliding),
+            arrows=list(arrows_of_step(timeline, step).values()),
+            key=legend(timeline, sliding, any(timeline.presses)),
             arms=arms,
             time=time,
             marks=marks,
