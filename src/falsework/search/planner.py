@@ -285,13 +285,14 @@ class Planner:
         """Keep the states of a search for another plan, and continue with the next."""
         if result.found:
             self.states = np.concatenate([self.states, beam.search.states()])
-            if self._stands(result.routes[0], beam):
-                self.routes.append(result.routes[0])
-                self._drop_beams()
-            else:
-                self._attempt += 1
+        if result.found and self._stands(result.routes[0], beam):
+            self.routes.append(result.routes[0])
+            self._drop_beams()
+        elif result.found and self._falls < _MOST_FALLS:
+            self._falls += 1
+            beam.search.forbid(self._forbidden)
         else:
-            self._attempt += 1
+            self._attempt, self._falls = self._attempt + 1, 0
         if len(self.routes) == self.settings.alternatives or self._last_attempt_failed():
             self._finish()
 
