@@ -221,8 +221,8 @@ class Planner:
         name = attempt.beam
         if name not in self._beams:
             narrowest = min(_NOVEL_WIDTH if self._stage == "alternatives" else 1, self.settings.width)
-            base = narrowest, name == COMPACT, self.settings.seed
-            edges, task = name == EDGES, self.task.postpone(self._trial)
+            base, edges = (narrowest, name == COMPACT, self.settings.seed), name == EDGES
+            task = self.task.postpone(self._trial)
             settings = AdaptiveSettings(attempt.direction, *base, edges, edges and task.holds_keep_stable)
             self._beams[name] = AdaptiveBeam(task, self._oracle, settings, guide=self._beam_guide(name))
         beam = self._beams[name]
@@ -283,15 +283,15 @@ class Planner:
 
     def _gather(self, beam: AdaptiveBeam, result: SearchResult) -> None:
         """Keep the states of a search for another plan, and continue with the next."""
-        if result.found:
-            self.states = np.concatenate([self.states, beam.search.states()])
-            if self._stands(result.routes[0], beam):
-                self.routes.append(result.routes[0])
-                self._drop_beams()
-            else:
-                self._attempt += 1
+        self.states = np.concatenate([self.states, *([beam.search.states()] if result.found else [])])
+        if result.found and self._stands(result.routes[0], beam):
+            self.routes.append(result.routes[0])
+            self._drop_beams()
+        elif result.found and self._falls < _MOST_FALLS:
+            self._falls += 1
+            beam.search.forbid(self._forbidden)
         else:
-            self._attempt += 1
+            self._attempt, self._falls = self._attempt + 1, 0
         if len(self.routes) == self.settings.alternatives or self._last_attempt_failed():
             self._finish()
 

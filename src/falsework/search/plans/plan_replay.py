@@ -14,7 +14,7 @@ from falsework.stability.holds import Press
 if TYPE_CHECKING:
     from falsework.search.problem.oracle import Oracle
     from falsework.search.settings import PlannerSettings
-    from falsework.stability.contact.replay import Replay
+    from falsework.stability.contact.replay import History, Replay
     from falsework.stability.contact.varied_replay import AnyReplayer, VariableReplayer
 
 _REPEATS, _LEAST = 1.1, 1e-9
@@ -57,6 +57,17 @@ class PlanReplay:
         return ""
 
 
+def _histories(
+    replayer: VariableReplayer, states: States, presses: tuple[tuple[Press, ...], ...]
+) -> tuple[History, ...]:
+    """Return the histories along a route that stands, step by step: a replayer with a deadline keeps none of them."""
+    found = list(replayer.replay(states[:1], presses=presses[:1]).histories)
+    for row in range(1, len(states)):
+        step = replayer.replay(states[row - 1 : row + 1], found[-1], [(), presses[row]])
+        found.append(step.histories[-1])
+    return tuple(found)
+
+
 class Acceptance:
     """Last test of a route: it comes to rest under the true friction too, and no state of it tips."""
 
@@ -78,7 +89,8 @@ class Acceptance:
         found = self._plain.replay(states, presses=presses)
         if not found.good:
             return PlanReplay.of(found)
-        tips = self._plain.first_tipping(states, found.histories)
+        histories = found.histories or _histories(self._plain, states, presses)
+        tips = self._plain.first_tipping(states, histories)
         return None if tips is None else replace(PlanReplay.of(found), stands=False, falls_at=tips)
 
     def falls_at(self, states: States) -> int | None:
