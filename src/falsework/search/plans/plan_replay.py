@@ -86,6 +86,7 @@ class Acceptance:
         """
         if self._plain is None:
             return None
+        presses = (*presses, *((),) * (len(states) - len(presses)))  # of states that a replay did not reach
         found = self._plain.replay(states, presses=presses)
         if not found.good:
             return PlanReplay.of(found)

@@ -28,7 +28,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, States, as_states
 from falsework.errors import InputError
 from falsework.stability.holds import PRESS_STIFFNESS, HoldSettings, Press
-from falsework.stability.judges.relaxation import FALLS, STANDS, Grip, Model, relax
+from falsework.stability.judges.relaxation import FALLS, STANDS, JudgedHolds, Model, relax
 
 Array = NDArray[np.float64]
 
@@ -201,7 +201,7 @@ def _replay(
         wrench = np.where((held & ~fresh)[:, None], grip.wrench, 0.0)
         for part, more in press.items():
             wrench[part] += more / (typical * np.repeat([1.0, size], 3))
-        grip = Grip(spring * size / typical, fresh, wrench)
+        grip = JudgedHolds(spring * size / typical, fresh, wrench)
         answers.add(relax(model, state, gap, friction, grip, *_numbers(settings)))
         if answers.last == FALLS:
             break
@@ -223,10 +223,10 @@ def _added(assembly: Assembly, batch: States, presses: Sequence[Sequence[Press]]
     return [{press.part: np.asarray(press.wrench, float) for press in some} for some in presses]
 
 
-def _no_grip(assembly: Assembly) -> Grip:
+def _no_grip(assembly: Assembly) -> JudgedHolds:
     """Return the springs of robots where none holds a part that can move."""
     parts = assembly.part_count
-    return Grip(np.zeros(parts), np.ones(parts, bool), np.zeros((parts, 6)))
+    return JudgedHolds(np.zeros(parts), np.ones(parts, bool), np.zeros((parts, 6)))
 
 
 class _Answers:

@@ -52,7 +52,7 @@ class Model(NamedTuple):
     friction: float
 
 
-class Grip(NamedTuple):
+class JudgedHolds(NamedTuple):
     """Held parts that can move: each hangs on the spring of its robot."""
 
     stiffness: Array
