@@ -22,7 +22,9 @@ from falsework.errors import InputError
 Array = NDArray[np.float64]
 
 STIFFNESS = 1e7
-"""Default stiffness of a hold, N/m: that of a medium industrial arm at its tool, gripper included."""
+"""Least default stiffness of a hold, N/m: that of a medium industrial arm at its tool, gripper included."""
+SAG = 1e-4
+"""Deflection of a robot under the heaviest part by default, m: arms for heavy parts are stiffer."""
 PRESS_STIFFNESS = 1e6
 """Largest stiffness of a robot while it presses, N/m: a stiffer one would turn errors of position into errors of force.
 """
@@ -38,9 +40,10 @@ _LEVER = 2.0
 class HoldSettings:
     """What robots that hold parts can do."""
 
-    stiffness: float = STIFFNESS
+    stiffness: float | None = None
     """Stiffness of a hold, N/m; against turning it is this times the square of the radius of gyration, N m/rad.
-    Infinite: held parts never move."""
+    Infinite: held parts never move. If not given, 1e7, or more where a robot would deflect by more than 0.1 mm under
+    the heaviest part."""
     force: float | None = None
     """Largest force on a held part, N; ten weights of the heaviest part if not given. With 0 robots never press, and
     what they bear has no limit."""
@@ -64,10 +67,11 @@ class HoldSettings:
         """Return the settings with the limits that they mean for a structure."""
         limits = limits_of(assembly, self, gravity)
         force, moment = float(limits.force.max(initial=0.0)), float(limits.moment.max(initial=0.0))
-        return replace(self, force=force, moment=moment, press=self.presses)
+        stiffness = stiffness_of(assembly, self, gravity)
+        return replace(self, stiffness=stiffness, force=force, moment=moment, press=self.presses)
 
     def __post_init__(self) -> None:
-        if not self.stiffness > 0:
+        if self.stiffness is not None and not self.stiffness > 0:
             raise InputError(f"the stiffness of holds is {self.stiffness:g} N/m; give a positive number, inf for rigid")
         for name, unit in (("force", "N"), ("moment", "N m")):
             value = getattr(self, name)
@@ -98,6 +102,13 @@ class HoldLimits:
     """Largest force on each part, N, shape (parts,)."""
     moment: Array
     """Largest moment about its centre of mass, N m, shape (parts,)."""
+
+
+def stiffness_of(assembly: Assembly, settings: HoldSettings, gravity: float = 9.81) -> float:
+    """Return the stiffness of the holds of a structure, N/m."""
+    if settings.stiffness is not None:
+        return settings.stiffness
+    return max(STIFFNESS, gravity * float(assembly.mass.mass[~assembly.immovable].max(initial=0.0)) / SAG)
 
 
 def limits_of(assembly: Assembly, settings: HoldSettings, gravity: float = 9.81) -> HoldLimits:

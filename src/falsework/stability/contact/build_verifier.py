@@ -21,7 +21,7 @@ from falsework.assembly.state import HELD, REMOVED, States
 from falsework.stability.certificate import residual_of_forces
 from falsework.stability.contact_geometry import geometry_of
 from falsework.stability.criterion import StabilityCriterion
-from falsework.stability.holds import PRESS_STIFFNESS, Press, limits_of
+from falsework.stability.holds import PRESS_STIFFNESS, Press, limits_of, stiffness_of
 from falsework.stability.second_order.springs import into_cone
 from falsework.stability.stiffness import MOVEMENT, normal_stiffness, structure_size
 from falsework.stability.strength import Strength, strength_of
@@ -73,9 +73,10 @@ class BuildVerifier:
             assembly: the structure.
             claim: cone, gravity, tolerance, reserve, and the stiffness and limits of robots.
         """
-        self._assembly, self._claim, self._holds = assembly, claim, claim.holds
+        self._assembly, self._claim = assembly, claim
         self._law = _Law(assembly, claim)
         self._limits = limits_of(assembly, claim.holds, claim.gravity)
+        self._stiffness = stiffness_of(assembly, claim.holds, claim.gravity)
         self._limit = MOVEMENT * structure_size(assembly)
         self._before: States | None = None
         self._springs = np.zeros((self._law.points, 3))
@@ -124,7 +125,7 @@ class BuildVerifier:
             step: displacement of the parts in the step, shape (parts, 6).
             borne: wrenches on the held parts, shape (parts, 6).
         """
-        assembly, holds, limits = self._assembly, self._holds, self._limits
+        assembly, limits = self._assembly, self._limits
         added = {press.part: np.asarray(press.wrench) for press in presses}
         mass, inertia, gyration = assembly.mass.mass, assembly.mass.inertia, assembly.mass.gyration
         held = (state == HELD) & (before == HELD) & ~assembly.immovable
@@ -140,7 +141,7 @@ class BuildVerifier:
                 return f"the robot that holds {name} bears {force:.4g} N and {moment:.4g} N m, more than it can"
             if not held[part]:
                 continue  # it came with its robot, or its robot takes it as it is
-            stiffness = min(holds.stiffness, PRESS_STIFFNESS) if part in added else holds.stiffness
+            stiffness = min(self._stiffness, PRESS_STIFFNESS) if part in added else self._stiffness
             if np.isinf(stiffness):
                 if np.abs(step[part]).max() > 0.0:
                     return f"the certificate moves {name}, which a rigid hold fixes"

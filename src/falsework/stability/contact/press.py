@@ -78,7 +78,7 @@ class PressPlanner:
         compliance = 1.0 / contact.normal[index]
         # What a rigid hold would bear keeps soft arms where they are, and is the least that a press may be.
         still = _within(np.linalg.lstsq(moves[1:].T, -moves[0], rcond=None)[0], contact.force_limit[held])
-        seen = [np.zeros_like(still) if np.isinf(self._solver.settings.holds.stiffness) else still]
+        seen = [still if contact.grip[held].any() else np.zeros_like(still)]
         if seen[0].any():
             yield self._presses(held, still)
         for safety in _SAFETY:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -151,7 +151,7 @@ class Replayer:
             solver: solver of the assembly under these settings, whose layout is then shared.
         """
         self.assembly = assembly
-        self.settings = settings
+        self.settings = replace(settings, holds=settings.holds.resolved(assembly, settings.gravity))
         self.replay_settings = replay
         if solver is None:
             problem = build_problem(

@@ -86,7 +86,7 @@ def variations(settings: StabilitySettings, draws: int) -> list[tuple[str, Stabi
         ("thinner medium", settings, replace(plain, first_step=FIRST_STEP * 30)),
     ]
     stiffness = settings.holds.stiffness
-    if np.isfinite(stiffness):
+    if stiffness is not None and np.isfinite(stiffness):
         varied += [
             (f"holds {word}", replace(settings, holds=replace(settings.holds, stiffness=factor * stiffness)), plain)
             for word, factor in (("3 times softer", 1 / 3), ("3 times stiffer", 3.0))
