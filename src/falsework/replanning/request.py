@@ -39,7 +39,7 @@ class Request:
     robots: int = 2
     """Parts that can be held at a time."""
     missing: Sequence[int | str] = ()
-    """Numbers or names of parts not delivered yet: assembly defers them as long as possible."""
+    """Numbers or names of parts not delivered yet; assembly defers them as long as possible."""
     fixed: Sequence[int | str] = ()
     """Numbers or names of parts that are neither held nor released, neither inserted nor removed."""
     alternatives: int = 1
