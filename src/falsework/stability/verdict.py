@@ -87,9 +87,9 @@ class Verdicts:
     decided_by: NDArray[np.int8]
     """`Solver` of each state, shape (batch,)."""
     on_tolerance: NDArray[np.bool_]
-    """Whether the verdict depends on the tolerance, shape (batch,). An unstable state does where the proven bound on the
-    residual of all admissible forces is not above the tolerance, a stable one where no forces were found whose residual
-    is well below it, and no proof that there are none."""
+    """Whether the verdict depends on the tolerance, shape (batch,). That of an unstable state does where the bound that
+    is proven on the residual is not above the tolerance, that of a stable one where neither forces were found whose
+    residual is well below it, nor a proof that there are none."""
     forces: NDArray[np.float64] | None = None
     """Contact forces `(n, t1, t2)` in N, shape (batch, points, 3); only meaningful where stable or sliding."""
     velocity: NDArray[np.float64] | None = None
