@@ -58,7 +58,7 @@ def load_rhino(path: Path | str, *, unit: str | None = None, **options: Any) -> 
     boundary. If a layer `Blocks` holds any, the parts are those on `Blocks` and the layers of supports; otherwise
     those on all layers. Sublayers count as their layers. Surfaces among supports are given a thickness. What is hidden,
     on a layer that is hidden, in a layout or on a layer `Interfaces`, other surfaces, curves and points are left out.
-    Each is told by a warning.
+    A warning names each.
 
     Args:
         path: the file.
