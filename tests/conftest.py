@@ -9,12 +9,14 @@ import subprocess
 import sys
 import threading
 import time
+import tracemalloc
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -134,6 +136,22 @@ def start_command() -> Iterator[Callable[..., subprocess.Popen[str]]]:
         limit.cancel()
         process.kill()
         process.communicate()
+
+
+@pytest.fixture(scope="session")
+def peak() -> Callable[[Callable[[], Any]], int]:
+    """Run code and return the largest memory that it has at a time, bytes."""
+
+    def measure(read: Callable[[], Any]) -> int:
+        tracemalloc.start()
+        try:
+            read()
+        finally:
+            size = tracemalloc.get_traced_memory()[1]
+            tracemalloc.stop()
+        return size
+
+    return measure
 
 
 @pytest.fixture(scope="session")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import tracemalloc
 import warnings
 import zipfile
 from collections.abc import Callable
@@ -19,6 +18,8 @@ from falsework.utils import archive
 from falsework.utils.archive import check_header, read_archive, read_array, write_archive
 from falsework.utils.json_file import Reader, read_format
 from falsework.utils.json_text import parse_json
+
+Peak = Callable[[Callable[[], Any]], int]
 
 FORM = "some/1"
 
@@ -36,16 +37,6 @@ def write(path: Path, entries: dict[str, bytes], header: str = json.dumps({"form
             out.writestr(name, content)
 
 
-def peak(read: Callable[[], Any]) -> int:
-    tracemalloc.start()
-    try:
-        read()
-    finally:
-        size = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-    return size
-
-
 @pytest.mark.parametrize(
     "values",
     [np.arange(6).reshape(2, 3), np.asfortranarray(np.arange(6.0).reshape(2, 3)), np.zeros((0, 4)), np.array(3)],
@@ -61,7 +52,7 @@ def test_arrays_come_back(tmp_path: Path, values: Any) -> None:
     assert np.array_equal(read_array(tmp_path / "some.npy"), values)
 
 
-def test_an_array_that_nobody_asked_for_is_not_read(tmp_path: Path) -> None:
+def test_an_array_that_nobody_asked_for_is_not_read(tmp_path: Path, peak: Peak) -> None:
     path = tmp_path / "some.npz"
     write(path, {"values.npy": numbers([1.0]), "more.npy": numbers(np.zeros(20_000_000, np.uint8))})
 
@@ -74,7 +65,9 @@ def test_an_array_that_nobody_asked_for_is_not_read(tmp_path: Path) -> None:
     assert peak(read) < 2_000_000
 
 
-def test_arrays_far_larger_than_the_file_are_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_arrays_far_larger_than_the_file_are_not_read(
+    tmp_path: Path, peak: Peak, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "some.npz"
     write(path, {"values.npy": numbers(np.zeros(20_000_000, np.uint8))})
     assert len(read_archive(path, FORM)[1]["values"]) == 20_000_000
@@ -110,7 +103,7 @@ def test_entries_that_are_no_arrays(tmp_path: Path, entries: dict[str, bytes]) -
 
 
 @pytest.mark.parametrize("claimed", [(1 << 31, 7), (10**12,), (3,)])
-def test_an_array_has_the_size_that_it_claims(tmp_path: Path, claimed: tuple[int, ...]) -> None:
+def test_an_array_has_the_size_that_it_claims(tmp_path: Path, peak: Peak, claimed: tuple[int, ...]) -> None:
     out = io.BytesIO()
     np.lib.format.write_array_header_1_0(out, {"descr": "|i1", "fortran_order": False, "shape": claimed})
     (tmp_path / "states.npy").write_bytes(out.getvalue() + b"\0" * 7)

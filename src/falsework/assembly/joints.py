@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 Setting = tuple[tuple[float, float], ...]
 """Increasing numbers of steps since both parts were placed, and the increasing shares of strength of the joint then."""
 
+SET = 1_000_000
+"""Age in steps of joints that exist before the first state."""
 _VALUES = ("friction", "cohesion", "tension")
 _ENTRIES = {"between", "parts", "sets", "ductile", *_VALUES}
 _UNITS = {"friction": "", "cohesion": " Pa", "tension": " Pa"}

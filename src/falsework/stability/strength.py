@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 
 FORCE_BOUND = 1e3
 """Default bound on the sum of all normal forces, in weights of the structure (the paper bounds forces too)."""
+TEARS = 1.0 + 1e-6
+"""A contact point breaks at this multiple of its tensile strength; the excess over 1 covers rounding of the solvers."""
 
 
 class Strength(NamedTuple):

@@ -6,7 +6,6 @@ import base64
 import copy
 import json
 import re
-import tracemalloc
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -42,6 +41,8 @@ from falsework.search.problem.result import Route
 from falsework.stability import Stability
 from falsework.stability.holds import HoldSettings
 from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
+
+Peak = Callable[[Callable[[], Any]], int]
 
 DOCS = Path(__file__).resolve().parents[3] / "docs" / "files.md"
 SPEC = "arch:blocks=3"
@@ -584,17 +585,7 @@ def packed(data: bytes) -> str:
     return base64.b64encode(zlib.compress(data, 9)).decode()
 
 
-def peak(read: Callable[[], Any]) -> int:
-    tracemalloc.start()
-    try:
-        read()
-    finally:
-        size = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-    return size
-
-
-def test_displacements_of_other_parts_are_not_unpacked(data: dict[str, Any]) -> None:
+def test_displacements_of_other_parts_are_not_unpacked(data: dict[str, Any], peak: Peak) -> None:
     states, parts = len(data["steps"]) + 1, 100_000
     entry = {"parts": parts, "increments": 1, "zlib_base64": packed(b"\0" * (states * parts * 48))}
 
@@ -607,7 +598,7 @@ def test_displacements_of_other_parts_are_not_unpacked(data: dict[str, Any]) -> 
 
 @pytest.mark.parametrize("entry", ["zlib_base64", "changes_zlib_base64"])
 def test_forces_take_no_more_than_their_text_allows(
-    plan: Plan, data: dict[str, Any], entry: str, monkeypatch: pytest.MonkeyPatch
+    plan: Plan, data: dict[str, Any], entry: str, peak: Peak, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With limits a hundredth of the real ones: claims beyond them are refused, wherever the size is claimed."""
     monkeypatch.setattr(packed_proofs, "_ROOM", 1 << 21)

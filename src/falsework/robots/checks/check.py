@@ -34,7 +34,7 @@ from falsework.robots.plans.loads import (
     put_down_fault,
     transit_fault,
 )
-from falsework.robots.plans.motion_limits import check_limits
+from falsework.robots.plans.motion_limits import OUTSIDE, check_limits
 from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.presses import press_fault
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
@@ -49,8 +49,6 @@ _OVERLAP = 0.001
 own meshes overlap by more at that place, this is doubled until they do not."""
 _SAME_JOINT = 1e-5
 """Joint values that differ by no more are equal, rad or m."""
-_OUTSIDE = 1e-6
-"""Amount by which a joint may exceed a position limit, rad or m."""
 _MAX_PROBLEMS = 20
 """Number of problems after which the check stops."""
 
@@ -198,7 +196,7 @@ class _Checker:
         frame, present = self.plan.keyframes[index], self.plan.states[index] != REMOVED
         loads = loads_at(self.plan, index)
         for robot, values in enumerate(frame.configurations):
-            if not self.cell.robots[robot].model.within_limits(values, _OUTSIDE):
+            if not self.cell.robots[robot].model.within_limits(values, OUTSIDE):
                 self.say(min(index, len(self.plan) - 1), robot, f"at the {when} a joint is outside its limits")
             others = {other: load for other, load in loads.items() if other != robot}
             given = {"touches": frame.held[robot], "load": loads.get(robot), "loads": others}
@@ -261,7 +259,7 @@ class _Checker:
         if len(samples) > 1:
             self.largest_step = max(self.largest_step, float(np.abs(np.diff(samples, axis=0)).max()))
         model = self.cell.robots[robot].model
-        outside = ~model.within_limits(samples, _OUTSIDE)
+        outside = ~model.within_limits(samples, OUTSIDE)
         if outside.any():
             row = int(np.argmax(outside))
             beyond = np.maximum(samples[row] - model.upper, model.lower - samples[row])

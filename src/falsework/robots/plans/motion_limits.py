@@ -19,8 +19,8 @@ TURNED = 0.01
 """Largest rotation of the tool on a straight line, rad."""
 LIMIT_EXCESS = 0.01
 """Share by which rounded knots may exceed a velocity or acceleration limit."""
-_OUTSIDE = 1e-6
-"""Amount by which rounded knots may exceed a position limit, rad or m."""
+OUTSIDE = 1e-6
+"""Amount by which a joint may exceed a position limit, rad or m."""
 _AT_REST = 1e-6
 """Speed below which a joint is at rest, rad/s or m/s."""
 _SAMPLED = 10.0
@@ -67,7 +67,7 @@ def check_limits(trajectory: Trajectory, model: RobotModel, speed: float) -> Lim
     if not trajectory.seconds <= longest:
         faults.append(f"a motion takes {trajectory.seconds:.4g} s; this arm needs no more than {longest:.4g} s")
     beyond = np.maximum(trajectory.positions - model.upper, model.lower - trajectory.positions).max(axis=0)
-    if not (beyond <= _OUTSIDE).all():
+    if not (beyond <= OUTSIDE).all():
         faults.append(f"{model.joint_names[int(np.argmax(beyond))]} is outside its limits")
     with np.errstate(all="ignore"):  # knots that nearly coincide give numbers that are not finite, and are refused
         fastest, strongest = trajectory.peaks()

@@ -66,7 +66,7 @@ class BeamSearch(LevelSearch):
         self._whole: list[bool] = []
         """For each level after the first, and for the attempt at the next if dead: no stable state was left out."""
         self._judge = CountingOracle(oracle)
-        if replayer is not None and settings.lookahead > 0:  # candidates are replayed: see `Selector.most_promising`
+        if replayer is not None:  # candidates are replayed: see `Selector.most_promising`
             self._judge.screen = getattr(oracle, "plausible", None)
         self._ways = BeamWays(self.levels, self._judge, replayer)
         self._failures = None if task.neighbours is None else FailureMemory(task.neighbours)

@@ -10,7 +10,6 @@ from falsework.stability.holds import Press
 if TYPE_CHECKING:
     from falsework.stability.contact.replay import History
     from falsework.stability.contact.varied_replay import AnyReplayer
-    from falsework.stability.holds import Press
     from falsework.stability.problem import Problem
 
 _HISTORY_BYTES = 256 << 20

@@ -1,6 +1,6 @@
 """Certificate of a build: the displacements in the increments of its steps, evaluated in float64.
 
-Whoever has them follows the contact law from state to state: springs take up the displacements, friction limits them,
+The verifier follows the contact law from state to state: springs take up the displacements, friction limits them,
 what slid keeps its force. So the forces of each state are a consequence of the displacements, inside the friction cones
 by construction, and what is left to check are sums: the forces balance every part that nothing holds, each robot bears
 what its spring and its presses give it, within its limits, and parts move little. This module shares no code with the
@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.assembly.joints import SET
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, States
 from falsework.stability.certificate import residual_of_forces
@@ -24,14 +25,10 @@ from falsework.stability.criterion import StabilityCriterion
 from falsework.stability.holds import PRESS_STIFFNESS, Press, limits_of, stiffness_of
 from falsework.stability.second_order.springs import into_cone
 from falsework.stability.stiffness import MOVEMENT, normal_stiffness, structure_size
-from falsework.stability.strength import Strength, strength_of
+from falsework.stability.strength import TEARS, Strength, strength_of
 
 Array = NDArray[np.float64]
 
-_TEARS = 1.0 + 1e-6
-"""A contact point breaks at this multiple of its tensile strength; the excess over 1 covers rounding of the solvers."""
-_SET = 1_000_000
-"""Age in steps of joints that exist before the first state."""
 _CLOSE = 1e-6
 """Rounding that is allowed in movements and wrenches of robots, as a share of their limits."""
 
@@ -80,7 +77,7 @@ class BuildVerifier:
         self._limit = MOVEMENT * structure_size(assembly)
         self._before: States | None = None
         self._springs = np.zeros((self._law.points, 3))
-        self._age = np.full(self._law.points, _SET, np.int32)
+        self._age = np.full(self._law.points, SET, np.int32)
         self._moved, self._borne = np.zeros((assembly.part_count, 6)), np.zeros((assembly.part_count, 6))
 
     def step(self, state: States, certificate: StepCertificate) -> StepProof:
@@ -188,7 +185,7 @@ class _Law:
         """Return the spring forces after an increment, and whether no point breaks that is called whole."""
         change = self._stiffness * self.geometry.relative(step[None])[0]
         trial = springs - np.where(there[:, None], change, 0.0)
-        breaks = strength.tears & ~torn & (strength.pull > 0) & (trial[:, 0] < -_TEARS * strength.pull)
+        breaks = strength.tears & ~torn & (strength.pull > 0) & (trial[:, 0] < -TEARS * strength.pull)
         force = into_cone(trial[None], strength, self._cone)[0][0]
         return np.column_stack([trial[:, 0], force[:, 1:]]), not breaks.any()
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
+from falsework.assembly.joints import SET
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states
 from falsework.errors import InputError
@@ -42,8 +43,6 @@ _NEAR_STEPS, _WARM_STEPS = 32, 64
 whole is solved again from where it was."""
 _LONGER_STEP = 1e4
 """Factor on the first time step of the whole structure after the parts near the change came to rest."""
-_SET = 1_000_000
-"""Age in steps of joints that exist before the first state."""
 _TRACKED = 64
 """Steps whose certificates are in memory at once."""
 Presses = Sequence[Sequence[Press]]
@@ -350,7 +349,7 @@ class Replayer:
         """
         there = (states[:, self.problem.part_a] != REMOVED) & (states[:, self.problem.part_b] != REMOVED)
         ages = np.zeros(there.shape, np.int32)
-        ages[0] = _SET if age is None else age
+        ages[0] = SET if age is None else age
         for row in range(1, len(states)):
             ages[row] = np.where(there[row] & there[row - 1], ages[row - 1] + 1, 0)
         return ages

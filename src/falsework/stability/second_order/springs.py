@@ -12,15 +12,13 @@ from falsework.assembly.state import States
 from falsework.stability.contact_geometry import geometry_of
 from falsework.stability.criterion import StabilityCriterion
 from falsework.stability.stiffness import MOVEMENT, normal_stiffness, structure_size
-from falsework.stability.strength import Strength, strength_of
+from falsework.stability.strength import TEARS, Strength, strength_of
 
 Array = NDArray[np.float64]
 
 ROUNDING = 1e-9
 """Largest distance of a force from its cone, as a share of the force and of the structure's weight; such a force
 is moved into the cone before the residual is computed."""
-_TEARS = 1.0 + 1e-6
-"""A contact point breaks at this multiple of its tensile strength; the excess over 1 covers rounding of the solvers."""
 
 
 class Springs(NamedTuple):
@@ -74,7 +72,7 @@ def springs_at(assembly: Assembly, states: States, springs: Array, claim: Stabil
     geometry, stiffness = geometry_of(assembly.contacts, assembly.mass), normal_stiffness(assembly, claim.gravity)
     strength = strength_of(assembly, claim.gravity, claim.reserve)
     normal, tangent = springs[..., 0], springs[..., 1:]
-    whole = ~strength.tears | (normal >= -_TEARS * strength.pull)
+    whole = ~strength.tears | (normal >= -TEARS * strength.pull)
     tangential = claim.stiffness_ratio * stiffness
     forces, outside = into_cone(springs, strength, claim.cone)
     acts = geometry.acts(states)
