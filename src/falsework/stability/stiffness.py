@@ -16,7 +16,10 @@ SETTLEMENT = 1e-6
 """Share of its height by which a prismatic block settles into the joint below it under its own weight. For concrete
 this is a joint stiffness of 24 GPa/m."""
 MOVEMENT = 1e-3
-"""Largest movement of a part of a stable structure, as a share of the structure's diagonal."""
+"""Largest movement of a part of a stable structure, as a share of the structure's diagonal ..."""
+SETTLEMENTS = 100.0
+"""... or, where that is more, as a multiple of the largest compression of a contact point. What small bearings settle
+is no sign of collapse. Displacements are inversely proportional to stiffness; this ratio does not depend on it."""
 _LEAST_AREA = 1e-3
 """Least tributary area of a contact point, as a share of the mean."""
 
@@ -37,6 +40,16 @@ def normal_stiffness(assembly: Assembly, gravity: float = 9.81) -> NDArray[np.fl
     movable = ~immovable if not immovable.all() else immovable
     mass, density = assembly.mass.mass[movable], assembly.density[movable]
     return area * (gravity * mass.sum() / (mass / density).sum() / SETTLEMENT)
+
+
+def movement_limit(size: float, compression: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the largest movement of a part of stable states, m, shape (states,).
+
+    Args:
+        size: diagonal of the structure, m.
+        compression: largest compression of a contact point in each state, m, shape (states,).
+    """
+    return np.maximum(MOVEMENT * size, SETTLEMENTS * compression)
 
 
 def structure_size(assembly: Assembly) -> float:

@@ -24,7 +24,7 @@ from falsework.stability.contact_geometry import geometry_of
 from falsework.stability.criterion import StabilityCriterion
 from falsework.stability.holds import PRESS_STIFFNESS, Press, limits_of, stiffness_of
 from falsework.stability.second_order.springs import into_cone
-from falsework.stability.stiffness import MOVEMENT, normal_stiffness, structure_size
+from falsework.stability.stiffness import movement_limit, normal_stiffness, structure_size
 from falsework.stability.strength import TEARS, Strength, strength_of
 
 Array = NDArray[np.float64]
@@ -74,7 +74,7 @@ class BuildVerifier:
         self._law = _Law(assembly, claim)
         self._limits = limits_of(assembly, claim.holds, claim.gravity)
         self._stiffness = stiffness_of(assembly, claim.holds, claim.gravity)
-        self._limit = MOVEMENT * structure_size(assembly)
+        self._size = structure_size(assembly)
         self._before: States | None = None
         self._springs = np.zeros((self._law.points, 3))
         self._age = np.full(self._law.points, SET, np.int32)
@@ -104,12 +104,13 @@ class BuildVerifier:
             ((state == HELD) & ~assembly.immovable)[:, None], -(law.geometry.wrenches(forces[None])[0] + loads), 0.0
         )
         farthest = float(np.abs(moved[:, :3]).max(initial=0.0))
+        limit = float(movement_limit(self._size, law.compression(springs)))
         reason = self._broken(before, state, certificate.presses, steps.sum(axis=0), borne)
         if not sound:
             reason = "the certificate is damaged, or calls a contact whole that breaks"
-        elif farthest > self._limit * (1 + _CLOSE):
+        elif farthest > limit * (1 + _CLOSE):
             part = assembly.names[int(np.abs(moved[:, :3]).max(axis=1).argmax())]
-            reason = f"{part} moves by {1e3 * farthest:.3g} mm, more than the limit of {1e3 * self._limit:.3g} mm"
+            reason = f"{part} moves by {1e3 * farthest:.3g} mm, more than the limit of {1e3 * limit:.3g} mm"
         self._before, self._springs, self._moved, self._borne = state, springs, moved, borne
         return StepProof(residual if not reason else np.inf, forces, borne, farthest, reason)
 
@@ -166,6 +167,10 @@ class _Law:
         """Return the contact points whose parts are both there, shape (points,)."""
         there = state != REMOVED
         return there[self.geometry.part_a] & there[self.geometry.part_b]
+
+    def compression(self, springs: Array) -> Array:
+        """Return the largest compression of a contact point at spring forces of shape (points, 3), m, shape ()."""
+        return (springs[:, 0] / self._stiffness[:, 0]).max(initial=0.0)
 
     def strength(self, torn: NDArray[np.bool_], age: NDArray[np.int32]) -> Strength:
         """Return the strength of the contact points at their age."""

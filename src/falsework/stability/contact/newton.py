@@ -18,6 +18,7 @@ from falsework.stability.contact.tangent import assemble_tangent
 from falsework.stability.cpu.elimination import lay_out_panels
 from falsework.stability.cpu.layout import FAST, add_pair_wrench, pair_velocity, point_velocity
 from falsework.stability.cpu.panels import factor_panels, solve_panels
+from falsework.stability.stiffness import SETTLEMENTS
 from falsework.utils.kernels import njit
 
 RESTS, MOVES_AWAY, OPEN, OVERLOADS = 1, -1, 0, -2
@@ -78,7 +79,7 @@ class ContactArrays(NamedTuple):
     reach: NDArray[np.float64]
     """Radius of gyration of each part, m: converts rotations to movements, shape (parts,)."""
     limit: float
-    """Movement of a part beyond which the structure counts as collapsing, m."""
+    """Movement of a part up to which a structure never counts as collapsing, m."""
     grip: NDArray[np.float64]
     """Scaled stiffness of a robot's hold on each part, zero where holds are rigid, shape (parts,). The stiffness of a
     hold is a multiple of the mass matrix of its part, so one number is enough."""
@@ -244,10 +245,21 @@ def largest_movement(structure, contact_structure, work, displacement):
 
 
 @njit(cache=True)
-def _at_rest(structure, contact_structure, work, displacement):
+def moves_far(contact_structure, work, contact, pairs, moved):
+    """Return whether a movement in m exceeds the limit at the trial forces of a state, as `movement_limit`."""
+    if moved <= contact_structure.limit:
+        return False
+    settles = 0.0
+    for j in range(work.start[pairs]):
+        settles = max(settles, contact.trial[j, 0] / (contact.normal[j] * work.force_scale[j]))
+    return moved > SETTLEMENTS * settles * contact_structure.scale
+
+
+@njit(cache=True)
+def _at_rest(structure, contact_structure, work, contact, pairs, displacement):
     """Return `RESTS`, or `MOVES_AWAY` where parts came to rest only beyond the displacement limit."""
     moved = largest_movement(structure, contact_structure, work, displacement)
-    return MOVES_AWAY if moved > contact_structure.limit else RESTS
+    return MOVES_AWAY if moves_far(contact_structure, work, contact, pairs, moved) else RESTS
 
 
 @njit(fastmath=FAST, cache=True)
@@ -272,7 +284,7 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
     time, before = first_step, 0.0
     for iteration in range(steps):
         if worst <= tolerance:
-            return _at_rest(structure, contact_structure, work, now), worst, iteration
+            return _at_rest(structure, contact_structure, work, contact, pairs, now), worst, iteration
         if iteration == 0:
             lay_out_panels(structure, free, panels)
         assemble_tangent(structure, contact_structure, work, contact, pairs, 1.0 / time)
@@ -321,10 +333,11 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
             for k in range(3):
                 contact.trial[j, k] = contact.next_trial[j, k]
         worst = largest_residual(structure, work, residual)
-        if largest_movement(structure, contact_structure, work, now) > _FAR * contact_structure.limit:
+        moved = largest_movement(structure, contact_structure, work, now)
+        if moves_far(contact_structure, work, contact, pairs, moved / _FAR):
             return MOVES_AWAY, worst, iteration + 1
     if worst <= tolerance:
-        return _at_rest(structure, contact_structure, work, now), worst, steps
+        return _at_rest(structure, contact_structure, work, contact, pairs, now), worst, steps
     return OPEN, worst, steps
 
 

@@ -26,6 +26,7 @@ from falsework.stability.contact.newton import (
     find_rest,
     make_contact_scratch,
     mend,
+    moves_far,
 )
 from falsework.stability.cpu.layout import make_scratch, restrict, set_gravity
 from falsework.stability.cpu.neighbourhood import hold_far_parts
@@ -290,7 +291,7 @@ def settle_step(
             moved = _movement(contact_structure, displacement, i)
             if moved > movement:
                 part, movement = i, moved
-    if result == RESTS and movement > contact_structure.limit:
+    if result == RESTS and moves_far(contact_structure, work, contact, pairs, movement):
         result = MOVES_AWAY
     if result == RESTS:
         strained = overloaded(structure, contact_structure, state, springs, torn, set_share)

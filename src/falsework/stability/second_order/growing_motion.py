@@ -146,11 +146,11 @@ class SecondOrder:
         """
         bears, pull = springs.closed[0], springs.pull[0]
         law = np.zeros((len(bears), 3, 3))
-        law[:, 0, 0] = np.where(bears | closed, springs.normal, 0.0)
+        law[:, 0, 0] = np.where(bears | closed, springs.normal[0], 0.0)
         along = pull[:, :, None] * pull[:, None, :]
         across = np.where(gripped, 1.0, springs.across[0])[:, None, None] * (np.eye(2) - along)
         lateral = across + np.where(gripped, 1.0, 0.0)[:, None, None] * along
-        law[:, 1:, 1:] = np.where(bears, springs.tangential, 0.0)[:, None, None] * lateral
+        law[:, 1:, 1:] = np.where(bears, springs.tangential[0], 0.0)[:, None, None] * lateral
         each = self._motion.transpose(0, 2, 1) @ (law @ self._motion) + lean
         return np.add.reduceat(each, self._first, axis=0)
 
@@ -164,7 +164,7 @@ class SecondOrder:
         if not slips.any():
             return None
         law = np.zeros((len(slips), 3, 3))
-        law[slips, 1:, 0] = (friction * springs.normal)[slips, None] * springs.pull[0, slips]
+        law[slips, 1:, 0] = (friction * springs.normal[0])[slips, None] * springs.pull[0, slips]
         each = self._motion.transpose(0, 2, 1) @ (law @ self._motion)
         return np.add.reduceat(each, self._first, axis=0)
 

@@ -58,8 +58,8 @@ def growth_of_motion(
     tangent = relative[..., 1:]
     along = (springs.pull * tangent).sum(axis=2, keepdims=True)
     friction = strength_of(assembly, claim.gravity, claim.reserve).friction[:, None]
-    stuck = -springs.tangential[:, None] * tangent
-    dragged = springs.across[..., None] * (stuck + (springs.tangential[:, None] * along) * springs.pull)
+    stuck = -springs.tangential[..., None] * tangent
+    dragged = springs.across[..., None] * (stuck + (springs.tangential[..., None] * along) * springs.pull)
     dragged -= (springs.normal * normal)[..., None] * friction * springs.pull
     change = np.empty_like(relative)
     change[..., 0] = -springs.normal * normal

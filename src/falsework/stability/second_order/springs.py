@@ -11,7 +11,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.stability.contact_geometry import geometry_of
 from falsework.stability.criterion import StabilityCriterion
-from falsework.stability.stiffness import MOVEMENT, normal_stiffness, structure_size
+from falsework.stability.stiffness import MOVEMENT, SETTLEMENT, normal_stiffness, structure_size
 from falsework.stability.strength import TEARS, Strength, strength_of
 
 Array = NDArray[np.float64]
@@ -27,9 +27,13 @@ class Springs(NamedTuple):
     forces: Array
     """Contact forces `(n, t1, t2)` in N, shape (batch, points, 3)."""
     normal: Array
-    """Normal stiffness of each point where it is closed, N/m, shape (points,)."""
+    """Normal stiffness of each point where it is closed, for small further motions, N/m, shape (batch, points).
+
+    At least that at which the point settles by `SETTLEMENT` of the structure: how much small bearings settle must not
+    decide whether parts on them tip.
+    """
     tangential: Array
-    """Tangential stiffness of each point where it sticks, N/m, shape (points,)."""
+    """Tangential stiffness of each point where it sticks, N/m, shape (batch, points)."""
     closed: NDArray[np.bool_]
     """Whether each point bears more than the tolerance times the weight of the lighter part, shape (batch, points)."""
     open: NDArray[np.bool_]
@@ -73,7 +77,6 @@ def springs_at(assembly: Assembly, states: States, springs: Array, claim: Stabil
     strength = strength_of(assembly, claim.gravity, claim.reserve)
     normal, tangent = springs[..., 0], springs[..., 1:]
     whole = ~strength.tears | (normal >= -TEARS * strength.pull)
-    tangential = claim.stiffness_ratio * stiffness
     forces, outside = into_cone(springs, strength, claim.cone)
     acts = geometry.acts(states)
     forces = np.where((acts & whole)[:, :, None], forces, 0.0)
@@ -86,8 +89,9 @@ def springs_at(assembly: Assembly, states: States, springs: Array, claim: Stabil
     )
     share = np.divide(size, trial, out=np.zeros_like(size), where=trial > 0)
     across = np.where(slips, np.minimum(share, 1.0 - ROUNDING), 1.0)
+    firm = np.maximum(stiffness, forces[..., 0] / (SETTLEMENT * structure_size(assembly)))
     gap = -normal / stiffness
-    return Springs(forces, stiffness, tangential, closed, acts & ~closed, gap, pull, across)
+    return Springs(forces, firm, claim.stiffness_ratio * firm, closed, acts & ~closed, gap, pull, across)
 
 
 def closing_points(assembly: Assembly, springs: Springs, motion: Array, relative: Array) -> NDArray[np.bool_]:

@@ -202,6 +202,24 @@ PHASE void write_tangent(const Structure& s, const State& a, const Newton& q) {
 constexpr int kMovesAway = -1;
 constexpr double kGrowth = 4, kShortest = 0.1, kCut = 0.1, kLongestStep = 1e14;
 constexpr double kFar = 10;  // times the displacement limit at which iterations end: they may overshoot
+constexpr double kSettlements = 100;  // movement up to which a structure stands, as `SETTLEMENTS` of stiffness.py
+
+// Returns whether a movement in m exceeds the limit at the trial forces, as `moves_far` on the CPU.
+DEVICE bool moves_far(const Structure& s, const State& a, const Newton& q, double moved) {
+  if (moved <= s.limit) return false;  // the same for all threads
+  double settles[1] = {};
+  for (int t = TID; t < a.groups; t += THREADS) {
+    int g = a.group[t], count = load(s.group_count + g);
+    for (int i = 0; i < count; i++) {
+      Point<double> p = point_of(s, i, g, 0.0);
+      double scale = sqrt(p.axis[0] * p.axis[0] + p.axis[3] * p.axis[3] + p.axis[6] * p.axis[6]);
+      settles[0] = fmax(settles[0], q.trial[i * 3 * a.groups + t] / (load(s.stiffness + i * s.groups + g) * scale));
+    }
+  }
+  reduce<1, 0>(settles);
+  SYNC;
+  return moved > kSettlements * settles[0] * s.unit;
+}
 
 // Iterates from rest until the parts come to rest (kStable), move away (kMovesAway) or steps run out (kUndecided).
 DEVICE int find_rest(const Structure& s, const State& a, const Options& o, Newton& q, double& residual, int& steps) {
@@ -247,9 +265,10 @@ DEVICE int find_rest(const Structure& s, const State& a, const Options& o, Newto
     kept = q.trial, q.trial = q.ahead_trial, q.ahead_trial = kept;
     double moved = progress.v[1] * s.unit;
     bool rests = residual <= (1 - kMargin) * o.resolution;
-    if (rests || moved > kFar * s.limit) {
+    bool far = moves_far(s, a, q, rests ? moved : moved / kFar);
+    if (rests || far) {
       steps++;
-      return rests && moved <= s.limit ? kStable : kMovesAway;
+      return far ? kMovesAway : kStable;
     }
   }
   return kUndecided;
