@@ -60,6 +60,12 @@ def exhaustive(runs: Runs, _: Runs) -> str:
     return ", ".join("open" if robots is None else str(robots) for robots in answers.values())
 
 
+def how_runs_ended(runs: Runs, _: Runs) -> str:
+    """Write how often searches ended otherwise than with a plan."""
+    ended = runs[-1]["ended"]
+    return ", ".join(f"{count} {name}" for name, count in ended.items() if name != "found")
+
+
 STRUCTURE = (("structure", "{structure}"),)
 STRUCTURE_AND_ROBOTS = (("structure", "{structure}"), ("robots", "{robots}"))
 SEARCHES_COMPARED = (
@@ -74,6 +80,17 @@ SEARCHES_COMPARED = (
     ("plans found", "{found}"),
     ("before", "{before.found}"),
     ("memory, GiB", "{memory_gib}"),
+)
+
+LUCK = (
+    ("solved, %", "{solved:%}"),
+    ("not all alike, % of the cases", "{mixed:%}"),
+    ("spread of the cost", "{spread}"),
+    ("cost, median", "{cost.median}"),
+    ("90 %", "{cost.ninety}"),
+    ("without the reserve, %", "{without_reserve:%}"),
+    ("other ends", how_runs_ended),
+    ("CPU time, s", "{processor_seconds}"),
 )
 
 TABLES = {
@@ -283,6 +300,18 @@ TABLES = {
         SEARCHES_COMPARED,
         benchmark="search_compare plans",
         where=lambda record: record.get("criterion") == "equilibrium",
+    ),
+    "luck": Table(
+        "luck",
+        (("measured commit", "{source}"), ("half", "{half}"), ("criterion", "{criterion}")),
+        (("structures", "{structures}"), ("cases", "{cases}"), ("runs", "{runs}"), *LUCK),
+        benchmark="luck halves",
+    ),
+    "luck-cases": Table(
+        "luck",
+        (*STRUCTURE_AND_ROBOTS, ("criterion", "{criterion}")),
+        (("half", "{half}"), ("parts", "{parts}"), *(column for column in LUCK if "cases" not in column[0])),
+        benchmark="luck cases",
     ),
     "search-bound": Table(
         "search",

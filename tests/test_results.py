@@ -30,6 +30,7 @@ SMOKE = {
     "search": ["plan", "--structures", "arch:blocks=5"],
     "support": ["--structures", "arch:blocks=5", "--deadline", "5"],
     "search_compare": ["--structures", "arch:blocks=5", "--seeds", "1"],
+    "luck": ["--structures", "arch:blocks=5", "--perturbations", "2", "--criterion", "equilibrium"],
     "stability": ["--structures", "arch:blocks=5", "--states", "8"],
     "contact": ["all", "--structures", "arch:blocks=5", "--seeds", "1", "--repeat", "1"],
     "judges": ["plans", "--structures", "arch:blocks=5", "--draws", "1"],

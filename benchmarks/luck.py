@@ -1,0 +1,560 @@
+"""Benchmark of luck: how often searches find a plan, what it costs, and how much that depends on chance.
+
+    python benchmarks/luck.py --runs out/luck.jsonl --processes 16 --out benchmarks/results/luck.jsonl
+    python benchmarks/luck.py --runs out/before.jsonl --source ../before --half tuned
+    python benchmarks/luck.py --structures vault-62 cube-17 --robots 2 --perturbations 2
+
+Twenty structures of 12 to 500 parts, each with two numbers of robots, none proven to be too few, under both criteria.
+Each case is searched for a plan ten times: as it is, and in nine perturbations that change nothing that matters. Each
+perturbation draws from a random generator of its own the seed of the search, factors of 1 ± 1e-12 on the weights, the
+numbers of the parts, and an angle by which the structure is turned about the vertical.
+
+A run costs verdicts, repeated ones included as searches count them, and replayed steps, of which there are some only
+under `contact`. It ends with a plan (`found`), with nothing left to try (`exhausted`, `impossible`), after `--budget`
+times as many verdicts and steps as the structure has parts (`budget`), or after `--limit` seconds of processor time
+(`limit`), which depends on the machine. Loading, compilation and the proofs of the plan do not count. The proof that
+robots are too few, which a search tries after some seconds, is left out, since it depends on time too. Searches have
+the default reserve: under `contact` a plan that does without it does not count as solved, but in `without_reserve`.
+Each run is a process of its own that keeps to one core.
+
+Half of the structures are held out: they are of the same kinds and sizes as the others, and nothing is tuned on them.
+Change neither half; compare their scores from commit to commit.
+
+Each run is a line of the file `--runs`, and is skipped where it is there already: the same command goes on with an
+interrupted benchmark, also after `--minutes`. Once all are there, records follow: scores of each half and of both
+(`luck halves`), with costs per part, and of each case (`luck cases`). `spread` is the cost that 90 % of the solved
+perturbations keep over that of 10 %, of several cases the median; `mixed` is the share of cases of which some
+perturbations are solved and others are not. Real structures are found by FALSEWORK_DATA, see `states.py`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import resource
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import wraps
+from inspect import signature
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+from record import report, spread, write_to
+
+if TYPE_CHECKING:
+    from falsework.assembly import Assembly
+    from falsework.search import Planning
+
+Half = Literal["tuned", "held-out"]
+Criterion = Literal["contact", "equilibrium"]
+Run = dict[str, Any]
+"""Figures of one search."""
+
+TUNED: dict[str, tuple[int, ...]] = {
+    "bottle-12": (1, 2),
+    "tetris-14": (1, 2),
+    "cube-17": (1, 2),
+    "dog-35": (1, 2),
+    "vault-62": (2, 3),
+    "dome:rings=6,blocks=14": (2, 3),
+    "barrel-vault-121": (2, 3),
+    "crossvault-184": (2, 3),
+    "vault:parts=250": (2, 3),
+    "armadillo-399": (3, 4),
+}
+"""Structures that searches may be tuned on, with numbers of robots."""
+HELD_OUT: dict[str, tuple[int, ...]] = {
+    "tetris-13": (1, 2),
+    "tetris-17": (1, 2),
+    "polycube:pieces=20,seed=1": (1, 2),
+    "dome-37": (2, 3),
+    "dome-72": (2, 3),
+    "dome-90": (3, 4),
+    "genevault-110": (2, 3),
+    "vault:parts=190,span=5,rise=1.6,thickness=0.16": (2, 3),
+    "pavilion-vault-387": (2, 3),
+    "vault:parts=480,span=6,rise=1.5,thickness=0.15": (3, 4),
+}
+"""Structures that nothing is tuned on, never."""
+
+_REAL = {name for name in (*TUNED, *HELD_OUT) if ":" not in name}
+"""Those that come from files."""
+_KEY = ("source", "structure", "robots", "criterion", "perturbation", "budget", "limit")
+"""What tells a run from all others."""
+_WEIGHT = 1e-12
+"""Largest relative change of a weight."""
+_SOURCE = Path(__file__).resolve().parents[1]
+_GRACE = 120.0
+"""Seconds after which a process is killed, in addition to five times its limit: to load and to prove."""
+_NUMBA_AND_BLAS = ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class Options:
+    """Cases, effort and files."""
+
+    runs: Path | None = None
+    """File to which each run is appended, and whose runs are not repeated; use one for each state of the code."""
+    out: Path | None = None
+    """File to which the records are appended once all runs are there."""
+    structures: tuple[str, ...] = ()
+    """Names among those of the benchmark, or any others; all of the benchmark if not given."""
+    half: Half | None = None
+    """Only this half of the structures."""
+    robots: tuple[int, ...] = ()
+    """Numbers of robots, in place of those of each structure."""
+    criterion: tuple[Criterion, ...] = ("contact", "equilibrium")
+    """Criteria of the plans."""
+    perturbations: int = 10
+    """Perturbations of each case; number 0 is the structure as it is, with seed 0."""
+    budget: float = 50.0
+    """Verdicts and replayed steps of a search, as a multiple of the number of parts."""
+    limit: float = 40.0
+    """Seconds of processor time of a search."""
+    processes: int = 1
+    """Searches at the same time, each on a core of its own (Linux)."""
+    minutes: float | None = None
+    """Minutes after which no more runs begin."""
+    source: Path = _SOURCE
+    """Source tree whose searches are measured, such as a worktree of another commit."""
+    source_name: str = ""
+    """Name of this tree in the runs and records; its commit if not given."""
+    child: str = ""
+    """Make the run that this JSON object describes in this process, and print its figures."""
+
+
+@dataclass(frozen=True)
+class Perturbation:
+    """Change of a structure that changes no verdict, and a seed."""
+
+    seed: int
+    """Of the search."""
+    order: NDArray[np.int64]
+    """Present number of each part in its new order, shape (parts,)."""
+    weights: NDArray[np.float64]
+    """Factors on the weights of the parts in their present order, shape (parts,)."""
+    angle: float
+    """By which the structure is turned about the vertical, radians."""
+
+    @classmethod
+    def draw(cls, number: int, parts: int) -> Perturbation:
+        """Return a perturbation of a structure of some parts, always the same; number 0 changes nothing."""
+        if number == 0:
+            return cls(0, np.arange(parts), np.ones(parts), 0.0)
+        rng = np.random.default_rng((number, parts))
+        seed, order = int(rng.integers(2**31)), rng.permutation(parts)
+        return cls(seed, order, 1.0 + rng.uniform(-_WEIGHT, _WEIGHT, parts), float(rng.uniform(0.0, 2 * np.pi)))
+
+    def of(self, assembly: Assembly) -> Assembly:
+        """Return the perturbed structure, whose contacts are found anew.
+
+        Raises:
+            ValueError: a structure with given contacts, loads, joints or props, which are not perturbed.
+        """
+        from falsework.assembly import Assembly
+        from falsework.geometry import TriangleMesh
+
+        if assembly.contacts_given or assembly.props or not (assembly.loads is None and assembly.joints is None):
+            raise ValueError(f"{assembly.name} has more than parts and dry contacts; leave it out")
+        cos, sin = np.cos(self.angle), np.sin(self.angle)
+        turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        parts = [assembly.meshes[part] for part in self.order]
+        return Assembly.from_meshes(
+            [TriangleMesh.from_arrays(part.name, part.vertices @ turn.T, part.faces) for part in parts],
+            boundary=assembly.boundary[self.order],
+            density=(assembly.density * self.weights)[self.order],
+            friction=assembly.friction,
+            name=assembly.name,
+            contact_settings=assembly.contact_settings,
+        )
+
+
+class _Spent(KeyboardInterrupt):
+    """Budget or limit used up in the middle of a level: searches end in good order, as when interrupted."""
+
+
+class Meter:
+    """Count of the verdicts and replayed steps of a search, which ends it when they are used up."""
+
+    def __init__(self, budget: float, limit: float) -> None:
+        """Begin with nothing, at the present processor time."""
+        self.verdicts = self.replayed = 0
+        self.ended = ""
+        """What is used up, `budget` or `limit`; empty if nothing is."""
+        self.running = True
+        """Whether calls count."""
+        self._budget, self._limit = budget, limit
+        self._begun, self._uncounted = time.process_time(), 0.0
+        self._inside = threading.local()
+        self._lock = threading.Lock()
+
+    @property
+    def cost(self) -> int:
+        """Verdicts and replayed steps."""
+        return self.verdicts + self.replayed
+
+    @property
+    def seconds(self) -> float:
+        """Processor time since the beginning, that of `without` left out."""
+        return time.process_time() - self._begun - self._uncounted
+
+    def spent(self) -> bool:
+        """Return whether budget or limit are used up; remember which was first."""
+        if not self.ended and self.running:
+            self.ended = "budget" if self.cost >= self._budget else "limit" if self.seconds >= self._limit else ""
+        return bool(self.ended)
+
+    def watch_all(self, oracle: type, replayer: type) -> None:
+        """Count what an oracle and a replayer are asked."""
+        for method in ("judge", "plausible", "check"):
+            self.watch(oracle, method, _one_each)
+        self.watch(replayer, "replay", _steps)
+
+    def watch(self, kind: type, method: str, count: Callable[..., tuple[int, int]]) -> None:
+        """Count all calls of a method, but not those that others that are watched make.
+
+        Args:
+            kind: class of the method; nothing is watched where it has none of this name, as in older commits.
+            method: name of the method.
+            count: returns verdicts and steps of a call, from its result and its arguments after `self`.
+        """
+        call = getattr(kind, method, None)
+        if call is None:
+            return
+
+        @wraps(call)
+        def counted(this: Any, *arguments: Any, **named: Any) -> Any:
+            if not self.running or getattr(self._inside, "call", False):
+                return call(this, *arguments, **named)
+            if self.spent():
+                raise _Spent
+            self._inside.call = True
+            try:
+                result = call(this, *arguments, **named)
+            finally:
+                self._inside.call = False
+            verdicts, steps = count(result, *arguments, **named)
+            with self._lock:
+                self.verdicts, self.replayed = self.verdicts + verdicts, self.replayed + steps
+            return result
+
+        setattr(kind, method, counted)
+
+    def without(self, call: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a function that does not count, nor its time."""
+
+        @wraps(call)
+        def uncounted(*arguments: Any, **named: Any) -> Any:
+            begun, self.running = time.process_time(), False
+            try:
+                return call(*arguments, **named)
+            finally:
+                self._uncounted += time.process_time() - begun
+                self.running = True
+
+        return uncounted
+
+
+def _one_each(result: Any, *_: Any, **__: Any) -> tuple[int, int]:
+    return len(result), 0
+
+
+def _steps(result: Any, _: Any, history: Any = None, *__: Any, **___: Any) -> tuple[int, int]:
+    """Count the steps of a replay up to and with the first state that does not come to rest."""
+    rests = np.asarray(result.stands) == 1
+    tried = len(rests) if rests.all() else int(rests.argmin()) + 1
+    return 0, tried - (history is not None and tried > 0)
+
+
+def search(case: Run) -> Run:
+    """Search for one plan in this process, and return its figures.
+
+    Args:
+        case: `path`, `robots`, `criterion`, `perturbation`, `budget`, `limit` and `core`.
+    """
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {case["core"]})
+    from falsework.assembly import load_structure
+    from falsework.search import PlannerSettings, find, find_plans
+    from falsework.stability import Stability, StabilitySettings
+    from falsework.stability.contact.replay import Replayer
+
+    stability = StabilitySettings(criterion=case["criterion"])
+    if case["criterion"] == "contact":
+        stability = getattr(find, "PLANS", stability)  # with a reserve; not in old commits
+    known = "stability" in signature(find_plans).parameters
+
+    def plan(structure: Assembly, **options: Any) -> Planning:
+        how: dict[str, Any] = {"stability": stability} if known else {"oracle": Stability(structure, stability)}
+        return find_plans(structure, forces=False, **how, **options)
+
+    plan(load_structure("arch:blocks=5"))  # have everything compiled
+    assembly = load_structure(case["path"])
+    perturbation = Perturbation.draw(case["perturbation"], assembly.part_count)
+    if case["perturbation"]:
+        assembly = perturbation.of(assembly)
+    vars(find)["_BOUND_AFTER"] = np.inf
+    begun, planning = time.perf_counter(), None
+    meter = Meter(case["budget"] * assembly.part_count, case["limit"])
+    meter.watch_all(Stability, Replayer)
+    vars(find)["plan_of"] = meter.without(find.plan_of)
+    try:
+        settings = PlannerSettings(seed=perturbation.seed)
+        planning = plan(assembly, robots=case["robots"], settings=settings, stop=meter.spent)
+    except _Spent:  # before the search itself began
+        pass
+    result, plans = (planning.result, planning.plans) if planning is not None else (None, ())
+    if result is not None and result.interrupted and not meter.ended:
+        raise KeyboardInterrupt
+    ended = "exhausted" if result is None or result.outcome != "proved_impossible" else "impossible"
+    reserve = getattr(plans[0].claim, "reserve", 1.0) if plans else None
+    return {
+        "parts": assembly.part_count,
+        "seed": perturbation.seed,
+        "ended": "found" if plans else meter.ended or ended,
+        "reserve": reserve,
+        "solved": reserve is not None and reserve >= getattr(stability, "reserve", 1.0),
+        "verdicts": meter.verdicts,
+        "replayed": meter.replayed,
+        "cost": meter.cost,
+        "reached": 0 if result is None else result.reached,
+        "steps": None if result is None else result.steps,
+        "processor_seconds": meter.seconds,
+        "seconds": time.perf_counter() - begun,
+        "memory_gib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
+    }
+
+
+def cases(options: Options) -> list[Run]:
+    """Return the runs that are asked for, perturbation by perturbation, without their figures."""
+    halves: dict[str, dict[str, tuple[int, ...]]] = {"tuned": TUNED, "held-out": HELD_OUT}
+    half_of = {name: half for half, structures in halves.items() for name in structures}
+    names = options.structures or tuple(half_of)
+    return [
+        {"structure": name, "half": half, "robots": robots, "criterion": criterion, "perturbation": number}
+        for number in range(options.perturbations)
+        for name in names
+        if options.half in (None, half := half_of.get(name, "other"))
+        for robots in options.robots or halves.get(half, {}).get(name, (2,))
+        for criterion in options.criterion
+    ]
+
+
+def key_of(run: Run) -> tuple[Any, ...]:
+    """Return what tells a run from all others."""
+    return tuple(run[name] for name in _KEY)
+
+
+def read_runs(path: Path | None) -> dict[tuple[Any, ...], Run]:
+    """Return the runs of a file; a last line that was cut short is left out."""
+    found: dict[tuple[Any, ...], Run] = {}
+    for line in path.read_text(encoding="utf-8").splitlines() if path is not None and path.exists() else ():
+        try:
+            run = json.loads(line)
+        except json.JSONDecodeError:
+            continue
+        found[key_of(run)] = run
+    return found
+
+
+def apart(case: Run, options: Options, core: int) -> Run:
+    """Make one run in a process of its own, and return it with its figures.
+
+    A process that fails, or takes too long by far, makes a run without a plan: `failed` or `killed`.
+    """
+    from states import find
+
+    asked = {**case, "path": find(case["structure"]), "core": core}
+    threads = dict.fromkeys(_NUMBA_AND_BLAS, "1")
+    path = os.pathsep.join(str(folder) for folder in (options.source.resolve() / "src", Path(__file__).parent))
+    environment = {**os.environ, **threads, "PYTHONPATH": path}
+    command = [sys.executable, "-W", "ignore", __file__, "--child", json.dumps(asked)]
+    nothing = {"solved": False, "reserve": None, "verdicts": 0, "replayed": 0, "cost": 0, "processor_seconds": 0.0}
+    patience = 5 * case["limit"] + _GRACE
+    try:
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=patience, check=False)
+    except subprocess.TimeoutExpired:
+        return {**case, **nothing, "ended": "killed", "error": f"not done after {patience:g} s"}
+    if done.returncode in (-2, 130):
+        raise KeyboardInterrupt
+    if done.returncode:
+        return {**case, **nothing, "ended": "failed", "error": done.stderr[-1000:] or f"exit code {done.returncode}"}
+    return {**case, **json.loads(done.stdout.splitlines()[-1])}
+
+
+def own_cores() -> list[int]:
+    """Return the numbers of the cores that this process may use; of one where the system does not say."""
+    return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else [0]
+
+
+def run_all(todo: Sequence[Run], options: Options, note: Callable[[Run], None]) -> int:
+    """Make runs side by side, and pass each to `note`; return how many were not begun in time."""
+    cores = own_cores()
+    free: queue.SimpleQueue[int] = queue.SimpleQueue()
+    for number in range(options.processes):
+        free.put(cores[number % len(cores)])
+    begun, lock = time.perf_counter(), threading.Lock()
+
+    def one(case: Run) -> int:
+        if options.minutes is not None and time.perf_counter() - begun > 60 * options.minutes:
+            return 1
+        core = free.get()
+        try:
+            run = apart(case, options, core)
+        finally:
+            free.put(core)
+        with lock:
+            note(run)
+        return 0
+
+    with ThreadPoolExecutor(options.processes) as pool:
+        try:
+            return sum(pool.map(one, todo))
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+def _cost(runs: Sequence[Run], share: float, *, each_part: bool) -> float | None:
+    """Return the cost that a share of solved runs keep, of each part if asked for."""
+    costs = [run["cost"] / (run["parts"] if each_part else 1) for run in runs]
+    return float(np.quantile(costs, share)) if costs else None
+
+
+def _ratio(costs: Sequence[float]) -> float:
+    low, high = np.quantile(costs, [0.1, 0.9])
+    return float(high / low)
+
+
+def by_case(runs: Sequence[Run]) -> list[list[Run]]:
+    """Return the perturbations of each case: structure, robots and criterion."""
+    found: dict[tuple[Any, ...], list[Run]] = {}
+    for run in runs:
+        found.setdefault((run["structure"], run["robots"], run["criterion"]), []).append(run)
+    return list(found.values())
+
+
+def summary(runs: Sequence[Run], *, each_part: bool = False) -> Run:
+    """Return the scores of some runs.
+
+    Args:
+        runs: of one case, or of several.
+        each_part: give costs as multiples of the numbers of parts, as of structures of several sizes.
+    """
+    solved = [run for run in runs if run["solved"]]
+    found = [run for run in runs if run["ended"] == "found"]
+    groups = by_case(runs)
+    good = [[run for run in group if run["solved"]] for group in groups]
+    ranges = [_ratio([run["cost"] for run in some]) for some in good if len(some) > 1]
+    mixed = [0 < len(some) < len(group) for some, group in zip(good, groups, strict=True)]
+    ended = [run["ended"] for run in runs]
+    costs = {"median": _cost(solved, 0.5, each_part=each_part), "ninety": _cost(solved, 0.9, each_part=each_part)}
+    return {
+        "runs": len(runs),
+        "cases": len(groups),
+        "solved": len(solved) / len(runs),
+        "without_reserve": (len(found) - len(solved)) / len(runs),
+        "cost": costs if solved else None,
+        "verdicts": spread([run["verdicts"] for run in solved]) if solved else None,
+        "replayed": spread([run["replayed"] for run in solved]) if solved else None,
+        "spread": spread(ranges) if ranges else None,
+        "mixed": sum(mixed) / len(groups),
+        "processor_seconds": spread([run["processor_seconds"] for run in runs]),
+        "processor_hours": sum(run["processor_seconds"] for run in runs) / 3600,
+        "limited": ended.count("limit") / len(runs),
+        "ended": {name: ended.count(name) for name in sorted(set(ended))},
+    }
+
+
+def report_all(runs: Sequence[Run], options: Options) -> None:
+    """Report scores of each half and of both, under each criterion and both, and of each case."""
+    common = {"budget": options.budget, "limit": options.limit, "source": runs[0]["source"]}
+    common["seeds"] = range(options.perturbations)
+
+    def parts(names: Sequence[str]) -> Iterator[tuple[str, set[str]]]:
+        yield from ((name, {name}) for name in names)
+        if len(names) > 1:
+            yield "both", set(names)
+
+    for half, halves in parts(list(dict.fromkeys(run["half"] for run in runs))):
+        for criterion, criteria in parts(list(dict.fromkeys(run["criterion"] for run in runs))):
+            some = [run for run in runs if run["half"] in halves and run["criterion"] in criteria]
+            structures = len({run["structure"] for run in some})
+            figures = summary(some, each_part=True)
+            report("luck halves", half=half, criterion=criterion, structures=structures, **figures, **common)
+    for some in by_case(runs):
+        names = "structure", "half", "robots", "criterion"
+        sizes = {run["parts"] for run in some if "parts" in run}
+        shown = {name: some[0][name] for name in names} | {"parts": max(sizes, default=None)}
+        report("luck cases", **shown, **summary(some), **common)
+
+
+@contextmanager
+def kept(path: Path | None) -> Iterator[Path]:
+    """Yield a file for runs, a temporary one where none is given."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = path or Path(folder, "runs.jsonl")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield path
+
+
+def source_name(options: Options) -> str:
+    """Return the name of the measured source tree: its commit, where none is given."""
+    git = ["git", "-C", str(options.source), "rev-parse", "--short=7", "HEAD"]
+    done = subprocess.run(git, capture_output=True, text=True, check=False)
+    return options.source_name or done.stdout.strip() or os.environ.get("COMMIT", "unknown")
+
+
+def main(options: Options) -> None:
+    """Make the runs that are not there yet, and report the scores once all are."""
+    from states import find
+
+    effort = {"source": source_name(options), "budget": options.budget, "limit": options.limit}
+    wanted = [{**case, **effort} for case in cases(options)]
+    if not wanted:
+        raise SystemExit("no runs are asked for; see --structures, --half and --perturbations")
+    missing = sorted({str(run["structure"]) for run in wanted} & _REAL)
+    missing = [name for name in missing if find(name) == name]
+    if missing:
+        raise SystemExit(f"no {', '.join(missing)}: set FALSEWORK_DATA to the folder of assemblies/ and structures/")
+    with kept(options.runs) as path:
+        known = read_runs(path)
+        todo = [run for run in wanted if key_of(run) not in known]
+        first = {**wanted[0], "structure": "arch:blocks=5", "robots": 2, "perturbation": 1}
+        for criterion in options.criterion if todo else ():  # compiles, and fails at once where nothing can work
+            tried = apart({**first, "criterion": criterion}, options, own_cores()[0])
+            if tried["ended"] != "found":
+                raise SystemExit(f"the arch of five blocks is not planned: {tried.get('error', tried['ended'])}")
+
+        def note(run: Run) -> None:
+            known[key_of(run)] = run
+            with path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(run) + "\n")
+            case = f"{run['structure']} robots={run['robots']} {run['criterion']} {run['perturbation']}"
+            done = sum(key_of(one) in known for one in wanted)
+            print(f"{done}/{len(wanted)} {case}: {run['ended']}, {run['processor_seconds']:.1f} s", file=sys.stderr)
+
+        left = run_all(todo, options, note)
+    if left:
+        raise SystemExit(f"{left} runs were not begun; give --runs and the same command again to make them")
+    write_to(options.out)
+    report_all([known[key_of(run)] for run in wanted], options)
+
+
+if __name__ == "__main__":
+    chosen = tyro.cli(Options, description=__doc__)
+    if chosen.child:
+        print(json.dumps(search(json.loads(chosen.child))))
+    else:
+        main(chosen)
