@@ -51,9 +51,6 @@ class RuleReplayer:
     def vary(self, settings: StabilitySettings, replay: ReplaySettings) -> RuleReplayer:
         return RuleReplayer(self.falls | self.varied if replay.first_step < FIRST_STEP else self.falls)
 
-    def unlimited(self) -> RuleReplayer:
-        return self
-
     def replay(self, states: Any, history: History | None = None, presses: Any = None) -> Replay:
         self.replayed += 1
         stands = np.array([-1 if tuple(state.tolist()) in self.falls else 1 for state in states], np.int8)

@@ -104,9 +104,9 @@ class HoldOptions:
 
     hold_force: Annotated[float | None, arg(metavar="N", help_behavior_hint="(default: 10 weights)")] = None
     """Largest force of a robot on a part that it holds, N; by default ten weights of the heaviest part."""
-    hold_stiffness: Annotated[float | None, arg(metavar="N/m", help_behavior_hint="(default: 1e7 or more)")] = None
-    """Stiffness of a robot at its gripper, N/m; inf for robots that never give way. By default 1e7, or more where it
-    would deflect by over 0.1 mm under the heaviest part."""
+    hold_stiffness: Annotated[float, arg(metavar="N/m", help_behavior_hint="(default: inf)")] = float("inf")
+    """Stiffness of a robot at its gripper, N/m, where its controller does not keep the pose of the part that it holds.
+    An industrial arm has 1e6 to 1e8."""
     no_press: bool = False
     """Robots only hold; they do not press on parts while another part is released."""
     reserve: Annotated[float | None, arg(metavar="FACTOR", help_behavior_hint="(default: 1.1)")] = None

@@ -16,7 +16,7 @@ from falsework.errors import InputError, StateError
 from falsework.search.plans.plan_file import plan_schema
 from falsework.service.settings import LONGEST_DEADLINE, ServiceSettings
 from falsework.service.worker import NOT_YET
-from falsework.stability.holds import FORCE_WEIGHTS, SAG, STIFFNESS, HoldSettings, limits_of
+from falsework.stability.holds import FORCE_WEIGHTS, HoldSettings, limits_of
 from falsework.stability.verdict import Criterion
 
 SHORTEST_DEADLINE = 10
@@ -62,9 +62,7 @@ class Holds(Strict):
     """What robots that hold parts can do, as in plan files; under the criterion contact."""
 
     stiffness: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = Field(
-        default_factory=_by_structure,
-        description=f"of a hold, N/m; by default {STIFFNESS:g}, or more where a robot would deflect by over "
-        f"{1e3 * SAG:g} mm under the heaviest part, null for robots that never give way",
+        default=None, description="of a hold, N/m; null, the default, for robots that keep the pose of a part"
     )
     force: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = Field(
         default_factory=_by_structure,

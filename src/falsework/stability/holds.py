@@ -1,9 +1,10 @@
 """Holds of robots: their stiffness, their limits, and the wrenches with which robots press.
 
 A robot that holds a part is a spring that carries a wrench, `w = w0 - K u`: `w0` is what it bears where it stopped, `u`
-how far the part has moved since then. That is an arm under impedance control, or one under position control with the
-stiffness of its joints and links. While another part is released, a robot may *press*: it adds a chosen wrench to `w0`
-(impedance control), or moves its set point by `K^-1` times the wrench (position control). Then it stays where it is.
+how far the part has moved since then. With infinite `K` the hold is locked: the controller keeps the pose of the part,
+whatever slowly changes around it. Finite `K` is an arm under impedance control, or one under position control that does
+not see how its joints and links give way. While another part is released, a robot may *press*: it adds a chosen wrench
+to `w0` while it is compliant. Then it stays where it is.
 """
 
 from __future__ import annotations
@@ -21,10 +22,6 @@ from falsework.errors import InputError
 
 Array = NDArray[np.float64]
 
-STIFFNESS = 1e7
-"""Least default stiffness of a hold, N/m: that of a medium industrial arm at its tool, gripper included."""
-SAG = 1e-4
-"""Deflection of a robot under the heaviest part by default, m: arms for heavy parts are stiffer."""
 PRESS_STIFFNESS = 1e6
 """Largest stiffness of a robot while it presses, N/m: a stiffer one would turn errors of position into errors of force.
 """
@@ -40,10 +37,9 @@ _LEVER = 2.0
 class HoldSettings:
     """What robots that hold parts can do."""
 
-    stiffness: float | None = None
+    stiffness: float = np.inf
     """Stiffness of a hold, N/m; against turning it is this times the square of the radius of gyration, N m/rad.
-    Infinite: held parts never move. If not given, 1e7, or more where a robot would deflect by more than 0.1 mm under
-    the heaviest part."""
+    Infinite: the robot keeps the pose of the part."""
     force: float | None = None
     """Largest force on a held part, N; ten weights of the heaviest part if not given. With 0 robots never press, and
     what they bear has no limit."""
@@ -67,11 +63,10 @@ class HoldSettings:
         """Return the settings with the limits that they mean for a structure."""
         limits = limits_of(assembly, self, gravity)
         force, moment = float(limits.force.max(initial=0.0)), float(limits.moment.max(initial=0.0))
-        stiffness = stiffness_of(assembly, self, gravity)
-        return replace(self, stiffness=stiffness, force=force, moment=moment, press=self.presses)
+        return replace(self, force=force, moment=moment, press=self.presses)
 
     def __post_init__(self) -> None:
-        if self.stiffness is not None and not self.stiffness > 0:
+        if not self.stiffness > 0:
             raise InputError(f"the stiffness of holds is {self.stiffness:g} N/m; give a positive number, inf for rigid")
         for name, unit in (("force", "N"), ("moment", "N m")):
             value = getattr(self, name)
@@ -102,13 +97,6 @@ class HoldLimits:
     """Largest force on each part, N, shape (parts,)."""
     moment: Array
     """Largest moment about its centre of mass, N m, shape (parts,)."""
-
-
-def stiffness_of(assembly: Assembly, settings: HoldSettings, gravity: float = 9.81) -> float:
-    """Return the stiffness of the holds of a structure, N/m."""
-    if settings.stiffness is not None:
-        return settings.stiffness
-    return max(STIFFNESS, gravity * float(assembly.mass.mass[~assembly.immovable].max(initial=0.0)) / SAG)
 
 
 def limits_of(assembly: Assembly, settings: HoldSettings, gravity: float = 9.81) -> HoldLimits:

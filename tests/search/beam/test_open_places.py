@@ -107,9 +107,6 @@ class LastPartReplayer:
     problem: Any = SimpleNamespace(parts=1, points=1, part_a=np.array([0]), part_b=np.array([1]))
     settings = StabilitySettings()
 
-    def unlimited(self) -> LastPartReplayer:
-        return self
-
     def replay(self, states: Any, history: History | None = None) -> Replay:
         zeros = np.zeros(1)
         return Replay(np.ones(1, np.int8), zeros, zeros.astype(np.int32), zeros, 1.0, (self.history(0.0),))

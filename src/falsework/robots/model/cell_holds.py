@@ -72,5 +72,4 @@ def stability_in(cell: Cell, assembly: Assembly, settings: StabilitySettings) ->
         "force": None if np.isinf(force) else force / scale.force,
         "moment": None if np.isinf(moment) else moment / scale.moment,
     }
-    stiffness = None if holds.stiffness is None else holds.stiffness / scale.stiffness
-    return replace(settings, holds=replace(holds, stiffness=stiffness, **limits))
+    return replace(settings, holds=replace(holds, stiffness=holds.stiffness / scale.stiffness, **limits))

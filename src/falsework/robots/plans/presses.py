@@ -20,7 +20,7 @@ from falsework.robots.plans.robot_plan import RobotPlan, acts
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph
 from falsework.robots.plans.timeline import event_times
 from falsework.search.problem.task import Direction
-from falsework.stability.holds import PRESS_STIFFNESS, Press, stiffness_of
+from falsework.stability.holds import PRESS_STIFFNESS, Press
 
 Array = NDArray[np.float64]
 
@@ -116,7 +116,7 @@ def timed_presses(plan: RobotPlan, assembly: Assembly, cell: Cell, graph: Tempor
     plan.check_identity(assembly, cell)
     scale, placement, holds = CellScale.of(assembly, cell), cell.placement, plan.plan.claim.holds
     turn, centers = placement.pose[:3, :3], move(placement.pose, placement.scale * assembly.mass.center)
-    stiffness = scale.stiffness * min(stiffness_of(assembly, holds), PRESS_STIFFNESS)
+    stiffness = scale.stiffness * min(holds.stiffness, PRESS_STIFFNESS)
     starts, released = graph.starts(), event_times(plan, graph)
     found = []
     for step in range(len(plan)):

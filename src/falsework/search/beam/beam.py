@@ -138,7 +138,7 @@ class BeamSearch(LevelSearch):
             self._rejected = frontier.states(choice.rejected[:_REPORTED_STATES])
         # A state refused because of the way to it may be reached by another, which was merged with this one, unless it
         # is unstable however it is reached.
-        whole = choice.exhaustive and not left_out
+        whole = choice.exhaustive and not left_out and all(self._whole[: len(self.levels) - 1])
         if whole and confirmed.refused:
             rejected = choice.rejected
             whole = self._judge.unstable(frontier.states(rejected), level.states[frontier.parent(rejected)])

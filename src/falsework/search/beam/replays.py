@@ -1,8 +1,7 @@
-"""Replays of the candidates of a beam, several at a time in large structures."""
+"""Replays of the candidates of a beam."""
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,16 +10,10 @@ from numpy.typing import NDArray
 from falsework.assembly.state import Mask, States
 from falsework.search.beam.frontier import Level, PackedLevel
 from falsework.search.beam.histories import Histories
-from falsework.utils.cores import core_count
 
 if TYPE_CHECKING:
     from falsework.stability.contact.replay import History
     from falsework.stability.contact.varied_replay import AnyReplayer
-
-_MANY_PARTS = 128
-"""Parts from which replays run side by side; in smaller structures each takes a few milliseconds."""
-_Result = tuple[bool, "History | None"]
-"""Whether a candidate comes to rest, and its history then."""
 
 
 class Replays:
@@ -34,9 +27,6 @@ class Replays:
             levels: of the beam; the list that the beam itself changes.
         """
         self.histories, self._levels, self._replayer = Histories(replayer, levels), levels, replayer
-        large = replayer.problem.parts >= _MANY_PARTS
-        self._cores = (replayer.settings.cpu.threads or core_count()) if large else 1
-        self._pool = ThreadPoolExecutor(self._cores)
         self._next: dict[int, History] = {}
 
     def standing(self, rows: NDArray[np.int64], parent: NDArray[np.int64], states: States) -> Mask:
@@ -50,11 +40,13 @@ class Replays:
         Returns:
             Shape (rows,).
         """
-        stands = np.zeros(len(rows), dtype=bool)
-        found = self._replay(parent, states)
-        for i, (row, (good, history)) in enumerate(zip(rows.tolist(), found, strict=True)):
-            if good and history is not None:
-                stands[i], self._next[row] = True, history
+        stands, level = np.zeros(len(rows), dtype=bool), len(self._levels) - 1
+        for i, (row, origin, state) in enumerate(zip(rows.tolist(), parent.tolist(), states, strict=True)):
+            history = self.histories.of(level, origin)
+            if history is not None:
+                stands[i], after = self._replayer.step(history, self._levels[level].states[origin], state)
+                if stands[i]:
+                    self._next[row] = after
         return stands
 
     def keep(self, rows: NDArray[np.int64]) -> None:
@@ -70,19 +62,3 @@ class Replays:
         """Forget all levels after `level`."""
         self._next = {}
         self.histories.rewind(level)
-
-    def _replay(self, parent: NDArray[np.int64], states: States) -> list[_Result]:
-        """Return whether candidates come to rest when reached from rows of the last level, and their histories."""
-        level, found = len(self._levels) - 1, list[_Result]()
-        for first in range(0, len(states), self._cores):
-            origins = parent[first : first + self._cores].tolist()
-            histories = [self.histories.of(level, origin) for origin in origins]
-            before = self._levels[level].states[origins]
-            steps = list(zip(histories, before, states[first : first + self._cores], strict=True))
-            beside = [self._pool.submit(_step, self._replayer.unlimited(), *step) for step in steps[1:]]
-            found += [_step(self._replayer, *steps[0]), *(later.result() for later in beside)]
-        return found
-
-
-def _step(replayer: AnyReplayer, history: History | None, before: States, after: States) -> _Result:
-    return (False, None) if history is None else replayer.step(history, before, after)

@@ -140,13 +140,6 @@ class DeadlineReplayer:
         with self._clock.timed("replays"):
             return self._replayer.first_tipping(states, histories)
 
-    def unlimited(self) -> Replayer:
-        """Return the replayer that does not look at the deadline, for another thread.
-
-        Its work is in no account of time: it takes place beside that of the search.
-        """
-        return self._replayer
-
     def replay(self, states: ArrayLike, history: History | None = None, presses: Presses | None = None) -> Replay:
         """Replay as `Replayer.replay`, without histories unless a single state is replayed.
 

@@ -22,7 +22,7 @@ from falsework.assembly.state import HELD, REMOVED, States
 from falsework.stability.certificate import residual_of_forces
 from falsework.stability.contact_geometry import geometry_of
 from falsework.stability.criterion import StabilityCriterion
-from falsework.stability.holds import PRESS_STIFFNESS, Press, limits_of, stiffness_of
+from falsework.stability.holds import PRESS_STIFFNESS, Press, limits_of
 from falsework.stability.second_order.springs import into_cone
 from falsework.stability.stiffness import movement_limit, normal_stiffness, structure_size
 from falsework.stability.strength import TEARS, Strength, strength_of
@@ -73,7 +73,7 @@ class BuildVerifier:
         self._assembly, self._claim = assembly, claim
         self._law = _Law(assembly, claim)
         self._limits = limits_of(assembly, claim.holds, claim.gravity)
-        self._stiffness = stiffness_of(assembly, claim.holds, claim.gravity)
+        self._stiffness = claim.holds.stiffness
         self._size = structure_size(assembly)
         self._before: States | None = None
         self._springs = np.zeros((self._law.points, 3))

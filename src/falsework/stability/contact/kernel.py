@@ -22,7 +22,7 @@ from falsework.stability.contact.newton import (
 from falsework.stability.cpu.layout import make_scratch, pair_velocity, point_velocity, restrict, set_gravity
 from falsework.stability.cpu.neighbourhood import hold_far_parts
 from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED
-from falsework.stability.holds import PRESS_STIFFNESS, HoldSettings, limits_of, stiffness_of
+from falsework.stability.holds import PRESS_STIFFNESS, HoldSettings, limits_of
 from falsework.stability.problem import Problem
 from falsework.stability.stiffness import MOVEMENT, TANGENTIAL_RATIO, normal_stiffness, structure_size
 from falsework.utils.kernels import njit
@@ -71,7 +71,7 @@ def build_contact_structure(
     scale = 1.0 / float(np.median(stiffness)) if len(stiffness) else 1.0
     wider = ((0, 0), (0, 0), (0, LANES - ROWS))
     mass, limits = assembly.mass.mass, limits_of(assembly, holds, gravity)
-    stiff = stiffness_of(assembly, holds, gravity)
+    stiff = holds.stiffness
     pressing = min(stiff, PRESS_STIFFNESS) / mass * scale
     return ContactArrays(
         normal=stiffness * scale,

@@ -173,10 +173,6 @@ class Replayer:
         solver = self._solver if settings == self.settings else None
         return Replayer(self.assembly, settings, replay or self.replay_settings, solver)
 
-    def unlimited(self) -> Replayer:
-        """Return this replayer, which has no deadline."""
-        return self
-
     def replay(self, states: ArrayLike, history: History | None = None, presses: Presses | None = None) -> Replay:
         """Replay consecutive states up to the first that does not come to rest.
 

@@ -35,10 +35,6 @@ class AnyReplayer(Protocol):
         """Settings of the verdicts."""
         ...
 
-    def unlimited(self) -> AnyReplayer:
-        """Return a replayer that looks at no deadline, which another thread may use."""
-        ...
-
     def replay(self, states: ArrayLike, history: History | None = None, presses: Presses | None = None) -> Replay:
         """Replay consecutive states in assembly order."""
         ...
@@ -86,7 +82,7 @@ def variations(settings: StabilitySettings, draws: int) -> list[tuple[str, Stabi
         ("thinner medium", settings, replace(plain, first_step=FIRST_STEP * 30)),
     ]
     stiffness = settings.holds.stiffness
-    if stiffness is not None and np.isfinite(stiffness):
+    if np.isfinite(stiffness):
         varied += [
             (f"holds {word}", replace(settings, holds=replace(settings.holds, stiffness=factor * stiffness)), plain)
             for word, factor in (("3 times softer", 1 / 3), ("3 times stiffer", 3.0))
@@ -153,10 +149,6 @@ class RobustReplayer:
     def settings(self) -> StabilitySettings:
         """Settings of the verdicts."""
         return self._replayer.settings
-
-    def unlimited(self) -> AnyReplayer:
-        """Return a replayer under the settings themselves that looks at no deadline."""
-        return self._replayer.unlimited()
 
     def replay(self, states: ArrayLike, history: History | None = None, presses: Presses | None = None) -> Replay:
         """Replay under the settings, and a complete plan under every variation too.

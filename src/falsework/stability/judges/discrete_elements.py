@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, States, as_states
 from falsework.errors import InputError
-from falsework.stability.holds import PRESS_STIFFNESS, HoldSettings, Press, stiffness_of
+from falsework.stability.holds import PRESS_STIFFNESS, HoldSettings, Press
 from falsework.stability.judges.relaxation import FALLS, STANDS, JudgedHolds, Model, relax
 
 Array = NDArray[np.float64]
@@ -169,7 +169,7 @@ def replay_by_discrete_elements(
     added = _added(assembly, batch, presses)
     size, models = _models(assembly, settings)
     for model in models:
-        found = _replay(assembly, batch, model, size, settings, added, stiffness_of(assembly, holds))
+        found = _replay(assembly, batch, model, size, settings, added, holds.stiffness)
         if found.last != FALLS:
             break
     return found.settling()
