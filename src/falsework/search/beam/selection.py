@@ -253,13 +253,12 @@ class Selector:
         while wanted > 0 and position < len(waiting):
             batch = waiting[position : position + (max(wanted, _VERDICT_BATCH) if position else wanted)]
             stable = judge.stable(frontier.states(batch), self.standing[frontier.parent(batch)])
+            if stable.any():
+                stable[stable] = confirmed(batch[stable])
+            kept.append(batch[stable])
             rejected.append(batch[~stable])
-            for row in batch[stable, None]:  # a replay takes longer than a verdict, so one after the other
-                if wanted > 0:
-                    good = bool(confirmed(row)[0])
-                    (kept if good else rejected).append(row)
-                    wanted -= good
             position += len(batch)
+            wanted -= int(stable.sum())
         return np.concatenate(kept), np.concatenate(rejected)
 
     def _selection(self, kept: Rows, rejected: Rows) -> Selection:
