@@ -149,15 +149,21 @@ def pack_presses(presses: Sequence[Sequence[Press]]) -> tuple[NDArray[np.int32],
     return start, parts, np.array([press.wrench for press in flat], dtype=np.float64).reshape(-1, 6)
 
 
+def inexact_wrenches() -> Array:
+    """Return the maps from a wrench to those that a robot may exert instead: itself, 10 % off, or 5 degrees off.
+
+    Shape (errors, 6, 6), the identity first.
+    """
+    maps = [np.eye(6), (1 - _OFF_SIZE) * np.eye(6), (1 + _OFF_SIZE) * np.eye(6)]
+    for axis in np.eye(3):
+        for angle in (-_OFF_DIRECTION, _OFF_DIRECTION):
+            maps.append(np.kron(np.eye(2), Rotation.from_rotvec(angle * axis).as_matrix()))
+    return np.stack(maps)
+
+
 def inexact_presses(presses: Sequence[Press]) -> list[tuple[Press, ...]]:
     """Return presses as robots may carry them out: 10 % off in size, or 5 degrees in direction."""
-
-    def changed(factor: float, axis: int, angle: float) -> tuple[Press, ...]:
-        turn = factor * Rotation.from_rotvec(angle * np.eye(3)[axis]).as_matrix()
-        return tuple(
-            replace(press, wrench=tuple((np.reshape(press.wrench, (2, 3)) @ turn.T).ravel().tolist()))
-            for press in presses
-        )
-
-    sizes = [changed(factor, 0, 0.0) for factor in (1 - _OFF_SIZE, 1 + _OFF_SIZE)]
-    return sizes + [changed(1.0, axis, angle) for axis in range(3) for angle in (-_OFF_DIRECTION, _OFF_DIRECTION)]
+    return [
+        tuple(replace(press, wrench=tuple((error @ press.wrench).tolist())) for press in presses)
+        for error in inexact_wrenches()[1:]
+    ]

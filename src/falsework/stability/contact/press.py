@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import HELD, States
 from falsework.stability.contact.press_kernel import press_responses
 from falsework.stability.contact.solver import ContactSolver
-from falsework.stability.holds import Press
+from falsework.stability.holds import Press, inexact_wrenches
 
 Array = NDArray[np.float64]
 
@@ -78,17 +78,30 @@ class PressPlanner:
         compliance = 1.0 / contact.normal[index]
         # What a rigid hold would bear keeps soft arms where they are, and is the least that a press may be.
         still = _within(np.linalg.lstsq(moves[1:].T, -moves[0], rcond=None)[0], contact.force_limit[held])
+        errors = self._errors(held)
         seen = [still if contact.grip[held].any() else np.zeros_like(still)]
         if seen[0].any():
             yield self._presses(held, still)
         for safety in _SAFETY:
             cones = strength.friction / safety, strength.stick / scale / safety
-            added, helps = _least_outside(forces, still, *cones, compliance, contact.force_limit[held])
+            added, helps = _least_outside(forces, still, errors, *cones, compliance, contact.force_limit[held])
             for gain in _GAINS if helps else ():
                 choice = still + gain * (added - still)
                 if not any(np.allclose(choice, other, rtol=_SAME) for other in seen):
                     seen.append(choice)
                     yield self._presses(held, choice)
+
+    def _errors(self, held: NDArray[np.int64]) -> Array:
+        """Return maps from whitened wrenches of held parts to those that robots may exert instead, and to themselves.
+
+        Shape (errors, 6 n, 6 n).
+        """
+        maps = inexact_wrenches()
+        whitened = np.linalg.solve(self._problem.momentum[held], maps[:, None] @ self._problem.momentum[held])
+        found = np.zeros((len(maps), len(held), 6, len(held), 6))
+        each = np.arange(len(held))
+        found[:, each, :, each] = whitened.transpose(1, 0, 2, 3)
+        return found.reshape(len(maps), 6 * len(held), 6 * len(held))
 
     def _presses(self, held: NDArray[np.int64], whitened: Array) -> tuple[Press, ...]:
         """Return presses of the held parts by whitened wrenches, shape (6 n,)."""
@@ -97,7 +110,7 @@ class PressPlanner:
 
 
 def _least_outside(
-    forces: Array, still: Array, friction: Array, stick: Array, compliance: Array, limit: Array
+    forces: Array, still: Array, errors: Array, friction: Array, stick: Array, compliance: Array, limit: Array
 ) -> tuple[Array, bool]:
     """Return the wrenches of robots for which contact forces are closest to their cones, and whether they help.
 
@@ -108,6 +121,7 @@ def _least_outside(
         forces: contact forces without pressing, then their change by each component of a whitened wrench on each
             pressed part, shape (1 + 6 n, points, 3).
         still: wrenches from which others differ as little as possible, shape (6 n,).
+        errors: maps to the wrenches that robots may exert instead, shape (errors, 6 n, 6 n).
         friction, stick: of the cones, shape (points,).
         compliance: of the points, shape (points,).
         limit: largest whitened force on each pressed part, shape (n,).
@@ -115,8 +129,14 @@ def _least_outside(
     Returns:
         Whitened wrenches, shape (6 n,), and whether they leave much less energy outside the cones than `still`.
     """
-    base, response = forces[0], forces[1:].reshape(len(forces) - 1, -1)
-    weight = np.repeat(compliance, 3)
+    response = forces[1:].reshape(len(forces) - 1, -1)
+    base, count = np.tile(forces[0], (len(errors), 1)), len(errors)
+    weight, friction, stick = (
+        np.tile(np.repeat(compliance, 3), count) / count,
+        np.tile(friction, count),
+        np.tile(stick, count),
+    )
+    response = np.concatenate([error.T @ response for error in errors], axis=1)
     weak = _WEAK * max(float(np.einsum("ij,j,ij->i", response, weight, response).mean()), 1e-300)
 
     def measure(x: Array) -> tuple[float, float, Array]:
