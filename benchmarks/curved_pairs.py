@@ -7,7 +7,7 @@ with the normal of its facet. Nothing here uses the contacts, masses or solvers 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import scipy.optimize
@@ -31,6 +31,14 @@ _CUTS = 60
 """Friction cones that are cut at once."""
 _FEASIBLE = 1e-7
 """Violation of the conditions on a virtual velocity that counts as none."""
+
+
+class Pair(Protocol):
+    """A body on a bed."""
+
+    def residual(self, friction: float) -> float:
+        """Return the least residual acceleration of the body, a share of gravity."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -60,60 +68,71 @@ class CurvedPair:
         gyration, as a share of gravity. By duality it is the largest power of gravity over virtual velocities that no
         admissible force opposes; cones, which are circular, are cut where such a velocity violates them.
         """
-        columns = self._columns
-        gravity = np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0])
-        cuts = columns[:, :, 0]
-        while True:
-            both = np.concatenate([cuts, -cuts], axis=1)
-            found = linprog(
-                -np.concatenate([gravity, -gravity]),
-                A_ub=np.vstack([-both, np.ones(12)]),
-                b_ub=np.append(np.zeros(len(both)), 1.0),
-                method="highs-ds",
-                options={
-                    "primal_feasibility_tolerance": _FEASIBLE / 100,
-                    "dual_feasibility_tolerance": _FEASIBLE / 100,
-                },
-            )
-            velocity = found.x[:6] - found.x[6:]
-            normal, *tangent = np.moveaxis(columns, 2, 0) @ velocity
-            along = np.stack(tangent, axis=1)
-            speed = np.linalg.norm(along, axis=1)
-            violation = friction * speed - normal
-            worst = np.argsort(-violation)[:_CUTS]
-            worst = worst[violation[worst] > _FEASIBLE]
-            if not len(worst) or friction == 0.0 or -found.fun < _FEASIBLE:
-                return float(-found.fun)
-            ways = along[worst] / np.maximum(speed[worst], 1e-300)[:, None]
-            pushes = columns[worst, :, 0] - friction * np.einsum("pik,pk->pi", columns[worst][:, :, 1:], ways)
-            cuts = np.vstack([cuts, pushes])
-
-    @property
-    def _columns(self) -> Array:
-        """Acceleration of the body by unit forces along normal and two tangents at each corner, (corners, 6, 3)."""
-        center, gyration, inverse = self._body
         cross = np.cross(self.corners[:, 1] - self.corners[:, 0], self.corners[:, 2] - self.corners[:, 0])
-        normal = np.repeat(cross / np.linalg.norm(cross, axis=1, keepdims=True), 3, axis=0)
-        first = np.cross(normal, np.eye(3)[np.abs(normal).argmin(axis=1)])
-        first /= np.linalg.norm(first, axis=1, keepdims=True)
-        axes = np.stack([normal, first, np.cross(normal, first)], axis=1)
-        arms = self.corners.reshape(-1, 1, 3) - center
-        turning = gyration * np.cross(arms, axes) @ inverse
-        return np.concatenate([axes, turning], axis=2).transpose(0, 2, 1)
+        normals = np.repeat(cross / np.linalg.norm(cross, axis=1, keepdims=True), 3, axis=0)
+        return least_residual(self.vertices[0][self.faces], self.corners.reshape(-1, 3), normals, friction)
 
-    @property
-    def _body(self) -> tuple[Array, float, Array]:
-        """Centre of mass, largest radius of gyration, and inverse inertia of the body, of mass 1."""
-        middle = self.vertices[0].mean(axis=0)
-        tetrahedra = (self.vertices[0] - middle)[self.faces]
-        volume = np.linalg.det(tetrahedra) / 6
-        total = tetrahedra.sum(axis=1)
-        center = (volume[:, None] * total).sum(axis=0) / 4 / volume.sum()
-        second = np.einsum("t,tki,tkj->ij", volume / 20, tetrahedra, tetrahedra)
-        second += np.einsum("t,ti,tj->ij", volume / 20, total, total)
-        second = second / volume.sum() - np.outer(center, center)
-        inertia = np.trace(second) * np.eye(3) - second
-        return middle + center, float(np.sqrt(np.linalg.eigvalsh(inertia)[-1])), np.linalg.inv(inertia)
+
+def least_residual(body: Array, points: Array, normals: Array, friction: float) -> float:
+    """Return the residual of `CurvedPair.residual` of a body on contact points.
+
+    Args:
+        body: its faces, shape (faces, 3, 3), metres.
+        points: shape (points, 3), metres.
+        normals: into the body, shape (points, 3).
+        friction: coefficient.
+    """
+    columns = _columns(body, points, normals)
+    gravity = np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0])
+    cuts = columns[:, :, 0]
+    while True:
+        both = np.concatenate([cuts, -cuts], axis=1)
+        found = linprog(
+            -np.concatenate([gravity, -gravity]),
+            A_ub=np.vstack([-both, np.ones(12)]),
+            b_ub=np.append(np.zeros(len(both)), 1.0),
+            method="highs-ds",
+            options={
+                "primal_feasibility_tolerance": _FEASIBLE / 100,
+                "dual_feasibility_tolerance": _FEASIBLE / 100,
+            },
+        )
+        velocity = found.x[:6] - found.x[6:]
+        normal, *tangent = np.moveaxis(columns, 2, 0) @ velocity
+        along = np.stack(tangent, axis=1)
+        speed = np.linalg.norm(along, axis=1)
+        violation = friction * speed - normal
+        worst = np.argsort(-violation)[:_CUTS]
+        worst = worst[violation[worst] > _FEASIBLE]
+        if not len(worst) or friction == 0.0 or -found.fun < _FEASIBLE:
+            return float(-found.fun)
+        ways = along[worst] / np.maximum(speed[worst], 1e-300)[:, None]
+        pushes = columns[worst, :, 0] - friction * np.einsum("pik,pk->pi", columns[worst][:, :, 1:], ways)
+        cuts = np.vstack([cuts, pushes])
+
+
+def _columns(body: Array, points: Array, normals: Array) -> Array:
+    """Return the acceleration of the body by unit forces along normal and two tangents, shape (points, 6, 3)."""
+    center, gyration, inverse = _inertia(body)
+    first = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    axes = np.stack([normals, first, np.cross(normals, first)], axis=1)
+    turning = gyration * np.cross(points[:, None] - center, axes) @ inverse
+    return np.concatenate([axes, turning], axis=2).transpose(0, 2, 1)
+
+
+def _inertia(body: Array) -> tuple[Array, float, Array]:
+    """Return centre of mass, largest radius of gyration, and inverse inertia of a body, of mass 1."""
+    middle = body.reshape(-1, 3).mean(axis=0)
+    tetrahedra = body - middle
+    volume = np.linalg.det(tetrahedra) / 6
+    total = tetrahedra.sum(axis=1)
+    center = (volume[:, None] * total).sum(axis=0) / 4 / volume.sum()
+    second = np.einsum("t,tki,tkj->ij", volume / 20, tetrahedra, tetrahedra)
+    second += np.einsum("t,ti,tj->ij", volume / 20, total, total)
+    second = second / volume.sum() - np.outer(center, center)
+    inertia = np.trace(second) * np.eye(3) - second
+    return middle + center, float(np.sqrt(np.linalg.eigvalsh(inertia)[-1])), np.linalg.inv(inertia)
 
 
 def random_pair(rng: np.random.Generator, surface: str) -> CurvedPair:
@@ -124,13 +143,7 @@ def random_pair(rng: np.random.Generator, surface: str) -> CurvedPair:
         surface: one of `SURFACES`.
     """
     while True:
-        least, most = _CELLS[surface]
-        count = rng.integers(least, np.add(most, 1))
-        sides = [np.cumsum(np.append(0.0, rng.uniform(0.6, 1.4, n))) for n in count]
-        u, v = (side / side[-1] for side in sides)
-        points = _surface(rng, surface, *np.meshgrid(u, v, indexing="ij")).reshape(-1, 3)
-        points = points @ _rotation(rng, 0.5).T * 10 ** rng.uniform(-1.5, 1.5)
-        facets = _facets(rng, *(int(n) for n in count))
+        points, facets = tessellation(rng, surface, int(rng.integers(2**32)))
         cross = np.cross(points[facets[:, 1]] - points[facets[:, 0]], points[facets[:, 2]] - points[facets[:, 0]])
         if cross.sum(axis=0)[2] < 0:
             facets, cross = facets[:, ::-1], -cross
@@ -139,6 +152,24 @@ def random_pair(rng: np.random.Generator, surface: str) -> CurvedPair:
         up = cross.sum(axis=0) / np.linalg.norm(cross.sum(axis=0)) + rng.normal(0.0, 0.15, 3)
         if (normals @ up).min() > 0.25:
             return pair_on(surface, points, facets, up * size * rng.uniform(0.1, 0.6))
+
+
+def tessellation(rng: np.random.Generator, surface: str, piece: int) -> tuple[Array, NDArray[np.int64]]:
+    """Cut a random piece of a surface into facets; return their points and corners.
+
+    Args:
+        rng: randomness of the cut.
+        surface: one of `SURFACES`.
+        piece: seed of the piece, its place and its size.
+    """
+    least, most = _CELLS[surface]
+    count = rng.integers(least, np.add(most, 1))
+    sides = [np.cumsum(np.append(0.0, rng.uniform(0.6, 1.4, n))) for n in count]
+    u, v = (side / side[-1] for side in sides)
+    place = np.random.default_rng(piece)
+    points = _surface(place, surface, *np.meshgrid(u, v, indexing="ij")).reshape(-1, 3)
+    points = points @ _rotation(place, 0.5).T * 10 ** place.uniform(-1.5, 1.5)
+    return points, _facets(rng, *(int(n) for n in count))
 
 
 def pair_on(surface: str, points: Array, facets: NDArray[np.int64], rise: Array) -> CurvedPair:
@@ -151,10 +182,10 @@ def pair_on(surface: str, points: Array, facets: NDArray[np.int64], rise: Array)
         rise: shape (3,), metres; against no facet.
     """
     body, bed = np.vstack([points + rise, points]), np.vstack([points, points - rise])
-    return CurvedPair(surface, (body, bed), _solid(facets, len(points)), points[facets])
+    return CurvedPair(surface, (body, bed), solid(facets, len(points)), points[facets])
 
 
-def critical_friction(pair: CurvedPair, tolerance: float, most: float = 1.5, steps: int = 14) -> float:
+def critical_friction(pair: Pair, tolerance: float, most: float = 1.5, steps: int = 14) -> float:
     """Return the least friction at which the residual is within the tolerance; infinite if it is more than `most`."""
     low, high = 0.0, most
     if pair.residual(most) > tolerance:
@@ -194,7 +225,7 @@ def _facets(rng: np.random.Generator, rows: int, columns: int) -> NDArray[np.int
     return np.where(rng.random(len(a))[:, None] < 0.5, one, other).reshape(-1, 3)
 
 
-def _solid(facets: NDArray[np.int64], points: int) -> NDArray[np.int64]:
+def solid(facets: NDArray[np.int64], points: int) -> NDArray[np.int64]:
     """Return the faces of the solid between a surface, of its first points, and a copy of it below, its last ones."""
     edges = facets[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     inner = {(b, a) for a, b in edges.tolist()}

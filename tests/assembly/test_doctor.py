@@ -56,6 +56,27 @@ def test_a_sound_structure(column: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert capsys.readouterr().out.splitlines()[-1] == "it loads"
 
 
+def test_faces_that_touch_without_being_parallel(column: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The top of the lowest cube leans by 2 degrees; that of the next one by less than is doubted."""
+    for level, rise in ((0, 2.0), (1, 0.9)):
+        path = column / f"{level}.obj"
+        lower = level + 1 - np.tan(np.radians(rise))
+        text = path.read_text()
+        for y in (0, 1):
+            text = text.replace(f"v 1 {y} {level + 1}\n", f"v 1 {y} {lower:.9f}\n")
+        path.write_text(text)
+    add(column, {"contact": {"gap": 0.05}})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", ContactWarning)
+        found = diagnose(column)
+    (doubt,) = found.remarks
+    assert "of parts 0 and 1 (2 degrees): contacts bear what both" in doubt
+    assert main(["doctor", str(column)]) == 0
+    assert doubt in capsys.readouterr().out
+    with pytest.warns(ContactWarning, match="inclined to each other by 2 degrees at least, more than friction of 0.01"):
+        load_structure(column, friction=0.01)
+
+
 def test_all_faults_at_once(column: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_box(column, "3", (3, 0, 0), (4, 1, 1), faces=7)
     write_box(column, "4", (0, 0, 2), (1, 1, 3))

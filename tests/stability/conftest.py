@@ -63,6 +63,13 @@ class Scenes:
         return Assembly.from_meshes(boxes, boundary=list(fixed), **options)  # type: ignore[arg-type]
 
     @staticmethod
+    def leaning(assembly: Assembly, seed: int = 0) -> Assembly:
+        """The structure as if the faces at half of its contact points were inclined by up to 0.4 radians."""
+        rng, count = np.random.default_rng(seed), len(assembly.contacts.points)
+        lean = np.where(rng.random(count) < 0.5, 0.0, rng.uniform(0.0, 0.2, count))
+        return dataclasses.replace(assembly, contacts=dataclasses.replace(assembly.contacts, lean=lean))
+
+    @staticmethod
     def slope(angle: float, *, friction: float, azimuth: float = 0.0, scale: float = 1.0) -> Assembly:
         """Part 0 is a flat block on a fixed slab, both tilted: too flat to tip, so it can only slip."""
         turn = Scenes.about_z(azimuth) @ Scenes.about_y(angle)

@@ -76,7 +76,7 @@ def test_contacts_do_not_pull(scenes: Any, cone: Cone, friction: float) -> None:
 @pytest.mark.parametrize("friction", [0.0, 1e-8, 0.5])
 def test_forces_of_the_exact_solver_end_in_the_cone(cone: Cone, friction: float) -> None:
     """A pull of a solver's last digits becomes no force at all; forces in the cone stay as they are."""
-    dry = Strength(np.array(friction), np.zeros(()), np.zeros(()), np.array(True))
+    dry = Strength(np.array(friction), np.zeros(()), np.zeros(()), np.array(True), np.array(False))
     pull, slip, within = [-1e-9, 1e-9, 0.0], [2.0, 3.0, -4.0], [2.0, friction, 0.0]
     pulled, slipped, kept = into_cone(np.array([pull, slip, within]), dry, cone)
     assert not pulled.any()

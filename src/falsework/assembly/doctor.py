@@ -13,7 +13,14 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 
-from falsework.assembly.doubts import likely_units, lowest, material_doubts, support_doubts, upright_doubt
+from falsework.assembly.doubts import (
+    inclination_doubts,
+    likely_units,
+    lowest,
+    material_doubts,
+    support_doubts,
+    upright_doubt,
+)
 from falsework.assembly.draft import Draft
 from falsework.assembly.fasteners import furnish
 from falsework.assembly.interfaces import InterfaceComparison, compare_interfaces, interface_contacts
@@ -162,6 +169,7 @@ def diagnose(path: str | Path, unit: str | None = None, **options: Any) -> Diagn
             remarks.append(f"it loads with its {len(draft.interfaces)} stored interfaces (--interfaces stored)")
     lying = upright_doubt(solids, contacts)
     remarks += material_doubts(draft, options, assembly)
+    remarks += inclination_doubts(draft.names if assembly is None else assembly.names, contacts)
     if lying:
         remarks.append(lying)
     if options.get("ground"):

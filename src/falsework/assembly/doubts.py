@@ -9,6 +9,7 @@ import numpy as np
 
 from falsework.assembly.draft import Draft
 from falsework.assembly.model import Assembly
+from falsework.assembly.touching import inclinations
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.read import UNITS
@@ -21,6 +22,10 @@ _FRICTION = 1.5
 """Largest coefficient of friction that raises no doubt."""
 _LEVEL = 0.01
 """Difference in height, as a share of that of the structure, up to which parts are level."""
+_INCLINED = 1.0
+"""Angle between faces that touch from which they are doubtful, degrees."""
+_NAMED = 3
+"""Pairs of parts that are named; the rest is counted."""
 _BEARING = 0.1
 """Vertical component from which the normal of a contact bears a part."""
 
@@ -46,6 +51,24 @@ def material_doubts(draft: Draft, options: dict[str, Any], assembly: Assembly | 
     if high > _FRICTION:
         doubts.append(f"a coefficient of friction is {high:g}; it is the tangent of an angle, 0.4 to 0.8 for stone")
     return doubts
+
+
+def inclination_doubts(names: Sequence[str], contacts: Contacts | None) -> list[str]:
+    """Return doubts about pairs of parts whose faces touch without being parallel."""
+    if contacts is None or contacts.lean is None:
+        return []
+    angles, pairs = inclinations(contacts), np.unique(contacts.parts, axis=0)
+    worst = [row for row in np.argsort(-angles, kind="stable").tolist() if angles[row] > _INCLINED]
+    if not worst:
+        return []
+    listed = [
+        f"{names[a]} and {names[b]} ({angles[row]:.2g} degrees)" for row in worst[:_NAMED] for a, b in [pairs[row]]
+    ]
+    more = f" and {len(worst) - _NAMED} more pairs" if len(worst) > _NAMED else ""
+    return [
+        f"faces that touch are inclined to each other, of parts {', '.join(listed)}{more}: contacts bear what both "
+        "faces would, so that half of the angle is lost to friction"
+    ]
 
 
 def support_doubts(draft: Draft, solids: Sequence[TriangleMesh | None], fixed: np.ndarray) -> list[str]:

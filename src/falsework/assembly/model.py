@@ -131,7 +131,7 @@ class Assembly:
         if len(found) > _WARNED:
             more = len(found) - _WARNED
             warnings.warn(
-                f"{more} more pairs of parts touch along lines, on strips or at points only",
+                f"{more} more pairs of parts touch along lines, on strips or at points only, or carry nothing",
                 ContactWarning,
                 stacklevel=2,
             )
@@ -149,10 +149,10 @@ class Assembly:
         """One line for all joints that were resolved, and one for each pair that touches on less than a face.
 
         That is along lines, at points, or on strips narrower than the default gap. Real edges and corners have a width,
-        which the meshes do not say, and may be chipped off. Pairs of boundary parts are omitted: no verdict depends on
-        them.
+        which the meshes do not say, and may be chipped off. Pairs whose faces are inclined to each other by more than
+        friction holds have a line too. Pairs of boundary parts are omitted: no verdict depends on them.
         """
-        return contact_warnings(self.meshes, self.boundary, self.contacts)
+        return contact_warnings(self.meshes, self.boundary, self.contacts, self.friction)
 
     @property
     def report(self) -> JointReport:
@@ -199,6 +199,8 @@ class Assembly:
                 digest.update((array + 0.0).astype("<f8").tobytes())
             if self.contacts.curved is not None:
                 digest.update(b"curved" + (self.contacts.curved + 0.0).astype("<f8").tobytes())
+            if self.contacts.lean is not None:
+                digest.update(b"lean" + (self.contacts.lean + 0.0).astype("<f8").tobytes())
         if self.loads is not None:
             for array in (self.loads.wrench, self.loads.acceleration):
                 digest.update(b"loads" + (array + 0.0).astype("<f8").tobytes())

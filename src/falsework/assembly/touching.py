@@ -14,17 +14,29 @@ from falsework.geometry.mesh.mesh import TriangleMesh
 
 
 def contact_warnings(
-    meshes: Sequence[TriangleMesh], boundary: NDArray[np.bool_], contacts: Contacts
+    meshes: Sequence[TriangleMesh], boundary: NDArray[np.bool_], contacts: Contacts, friction: float
 ) -> tuple[str, ...]:
-    """Return one line for all joints that were resolved, and one for each pair that touches on less than a face."""
+    """Return one line for all joints that were resolved, and one for each pair that touches on less than a face.
+
+    Also one for each pair whose faces are inclined by more than friction allows, so that it carries nothing.
+    """
     names = [mesh.name for mesh in meshes]
     pairs, pair = np.unique(contacts.parts, axis=0, return_inverse=True)
     widest = np.zeros(len(pairs), dtype=np.int8)
     np.maximum.at(widest, pair.ravel(), contacts.dimension)
-    width, least = np.zeros(len(pairs)), default_gap(meshes)
+    width, narrow = np.zeros(len(pairs)), default_gap(meshes)
     np.maximum.at(width, pair.ravel(), contacts.width)
     lines = [contacts.report.line(names)] if len(contacts.report) else []
-    for number in np.flatnonzero((width < least) & ~boundary[pairs].all(axis=1)).tolist():
+    least = inclinations(contacts, np.minimum)
+    carries = np.zeros(len(pairs), dtype=bool)
+    carries[pair.ravel()[contacts.contact_of_point[~contacts.idle(friction)]]] = True
+    for number in np.flatnonzero(~carries & ~boundary[pairs].all(axis=1)).tolist():
+        a, b = (names[part] for part in pairs[number].tolist())
+        lines.append(
+            f"faces of parts {a} and {b} are inclined to each other by {least[number]:.2g} degrees at least, more than "
+            f"friction of {friction:g} holds on both: nothing is carried there"
+        )
+    for number in np.flatnonzero((width < narrow) & ~boundary[pairs].all(axis=1)).tolist():
         a, b = (names[part] for part in pairs[number].tolist())
         if widest[number] == 2:
             lines.append(
@@ -37,6 +49,19 @@ def contact_warnings(
             where = ("at points", "along lines")[widest[number]]
         lines.append(f"parts {a} and {b} touch {where} only: verdicts may depend on it")
     return tuple(lines)
+
+
+def inclinations(contacts: Contacts, of: np.ufunc = np.maximum) -> NDArray[np.float64]:
+    """Return the angle between the faces of each pair of parts that touch, in order of the parts, degrees.
+
+    Args:
+        contacts: of the structure.
+        of: maximum or minimum over the contact points of a pair.
+    """
+    pairs, pair = np.unique(contacts.parts, axis=0, return_inverse=True)
+    angles = np.full(len(pairs), 0.0 if of is np.maximum else np.inf)
+    of.at(angles, pair.ravel()[contacts.contact_of_point], 2 * np.degrees(contacts.point_lean))
+    return angles
 
 
 def check_touching(

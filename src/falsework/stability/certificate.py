@@ -295,7 +295,8 @@ def resistance_to_velocity(
     below. Neither depends on the loads. Arguments as for `residual_bound_of_velocity`, shapes (batch,).
     """
     mass, geometry = assembly.mass, geometry_of(assembly.contacts, assembly.mass)
-    strength, acts = strength_of(assembly, claim.gravity, claim.reserve), geometry.acts(states)
+    strength = strength_of(assembly, claim.gravity, claim.reserve)
+    acts = geometry.acts(states) & ~strength.idle
     relative = geometry.relative(velocity)
     slip = _slip(relative, claim.cone)
     taken = np.where(acts, strength.friction * slip - relative[..., 0], 0.0).max(axis=1, initial=0.0)

@@ -100,9 +100,9 @@ class Problem:
         return states == INSTALLED
 
     def active(self, states: States) -> Mask:
-        """Return the contact points that act: both parts present, not both fixed. Shape (batch, points)."""
+        """Return the contact points that act: both parts present, not both fixed, not idle. Shape (batch, points)."""
         a, b = states[:, self.part_a], states[:, self.part_b]
-        return (a != REMOVED) & (b != REMOVED) & ((a != HELD) | (b != HELD))
+        return (a != REMOVED) & (b != REMOVED) & ((a != HELD) | (b != HELD)) & ~self.strength.idle
 
 
 def build_problem(

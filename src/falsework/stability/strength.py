@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
+from falsework.geometry.contact.contacts import Contacts
 
 Array = NDArray[np.float64]
 
@@ -36,10 +37,14 @@ class Strength(NamedTuple):
     tears: NDArray[np.bool_]
     """Whether the point breaks, and bears nothing at all, where the law of `contact` would exceed its tension, shape
     (points,); one that does not is ductile and keeps its tension."""
+    idle: NDArray[np.bool_]
+    """Whether no force but zero is admissible, since the surfaces are inclined by more than friction allows, shape
+    (points,)."""
 
     def of(self, points: NDArray[np.bool_] | NDArray[np.integer]) -> Strength:
         """Return the strength of selected points."""
-        return Strength(self.friction[points], self.pull[points], self.stick[points], self.tears[points])
+        friction, pull, stick, tears, idle = self
+        return Strength(friction[points], pull[points], stick[points], tears[points], idle[points])
 
 
 def strength_of(assembly: Assembly, gravity: float = 9.81, reserve: float = 1.0) -> Strength:
@@ -48,11 +53,15 @@ def strength_of(assembly: Assembly, gravity: float = 9.81, reserve: float = 1.0)
     Tension is limited by the apex of the cone, cohesion over friction. The tension of a contact point, and its
     tangential force by cohesion, are limited to `FORCE_BOUND` weights of the structure shared by all contact points: a
     strength beyond any load would only weaken the bounds of certificates.
+
+    Where the surfaces at a point are inclined to its normal (`Contacts.lean`), a force has to be one that both of them
+    bear, whichever is the true one: see `_within_both`.
     """
     count = len(assembly.contacts.points)
     friction = np.full(count, float(assembly.friction))
     if assembly.joints is None:
-        return Strength(friction / reserve, np.zeros(count), np.zeros(count), np.ones(count, bool))
+        none = np.zeros(count)
+        return _within_both(Strength(friction / reserve, none, none, none == 0, none > 0), assembly.contacts)
     given = assembly.joints
     friction = np.where(np.isnan(given.friction), friction, given.friction)
     most = FORCE_BOUND * gravity * assembly.mass.mass[~assembly.boundary].sum() / max(count, 1)
@@ -61,4 +70,31 @@ def strength_of(assembly: Assembly, gravity: float = 9.81, reserve: float = 1.0)
     stick = given.cohesion - friction * pull
     # Where cohesion is not given, or the cone ends at the tension up to rounding, there is no disc.
     stick = np.where(stick > 1e-9 * given.cohesion, np.minimum(stick, most), 0.0)
-    return Strength(friction / reserve, pull, stick, ~given.ductile)
+    whole = Strength(friction / reserve, pull, stick, ~given.ductile, np.zeros(count, bool))
+    return _within_both(whole, assembly.contacts)
+
+
+def _within_both(strength: Strength, contacts: Contacts) -> Strength:
+    """Return the strength about normals to which the surfaces are inclined, admissible about theirs on either side.
+
+    A cone about the normal lies in one about a normal inclined by `lean` if its angle is smaller by `lean`. Its apex
+    and its disc, at the tensile strength, are drawn in by a common factor until the disc lies there as well. With less
+    friction than the tangent of `lean` the cones of the two surfaces have nothing in common, and the point is idle;
+    solvers know it as one without friction, and their proofs are checked without its forces.
+    """
+    if contacts.lean is None:
+        return strength
+    lean, mu = contacts.lean, strength.friction
+    slope, idle = np.tan(lean), contacts.idle(mu)
+    sine, cosine = np.sin(lean), np.cos(lean)
+    friction = np.maximum((mu - slope) / (1 + mu * slope), 0.0)
+    pull, stick = strength.pull, strength.stick
+    # Extremes of the disc `n = -pull, |t| = stick` about the other normal: tension, and what cohesion has to hold.
+    tension = pull * cosine + stick * sine
+    shear = stick * (1 + mu * sine) + pull * (sine + mu * cosine)
+    share = np.minimum(
+        np.divide(pull, tension, out=np.ones_like(pull), where=tension > 0),
+        np.divide(mu * pull + stick, shear, out=np.ones_like(pull), where=shear > 0),
+    )
+    share = np.where(idle, 0.0, np.where(lean > 0, np.minimum(share, 1.0), 1.0))
+    return Strength(friction, share * pull, share * stick, strength.tears, idle)

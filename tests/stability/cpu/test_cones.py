@@ -111,7 +111,9 @@ def test_support_is_the_best_ray(cone: int, direction: tuple[float, ...], fricti
 def test_shrinking_into_the_cone_keeps_what_is_inside(name: str, point: tuple[float, ...], friction: float) -> None:
     cone = {"octagon": OCTAGON, "quadratic": QUADRATIC}[name]
     shrunk = into_cone(
-        np.array([point]), Strength(np.array(friction), np.zeros(()), np.zeros(()), np.array(True)), name
+        np.array([point]),
+        Strength(np.array(friction), np.zeros(()), np.zeros(()), np.array(True), np.array(False)),
+        name,
     )[0]
     assert outside(cone, shrunk, friction) <= 1e-12 * (1 + max(map(abs, point)))
     if outside(cone, np.array(point), friction) < -1e-9:

@@ -64,6 +64,23 @@ def test_agrees_with_the_processor(
     assert verdicts.unstable.any()
 
 
+@pytest.mark.parametrize("cone", ["octagon", "quadratic"])
+def test_points_may_differ_in_friction(scenes: Any, cone: Any, make_solver: Callable[..., GpuSolver]) -> None:
+    """Where faces lean, points have less; both methods, which share the states, take it from the same array."""
+    assembly = scenes.leaning(library.build("wall:bricks=3,courses=3"))
+    for options in (GpuSettings(), GpuSettings(iterations=1, first_check=1)):
+        settings = replace(EQUILIBRIUM, cone=cone, gpu=options)
+        verdicts = compare(make_solver, assembly, mixed_states(scenes, assembly, 30, seed=5), settings)
+        assert verdicts.stable.any()
+        assert verdicts.unstable.any()
+
+
+def test_contacts_that_carry_nothing_are_left_to_the_processor(scenes: Any, on_host: Any) -> None:
+    assembly = scenes.leaning(library.build("wall:bricks=3,courses=3")).at_friction(0.1)
+    with pytest.raises(InputError, match="more than friction holds"):
+        on_host(assembly)
+
+
 @pytest.mark.parametrize("name", ["bottle-12", "dome-37", "vault-62"])
 def test_agrees_on_real_structures(
     scenes: Any, shared_assembly: Callable[[str], Path], name: str, make_solver: Callable[..., GpuSolver]

@@ -33,7 +33,17 @@ def states_of(scenes: Any, assembly: Assembly, count: int, seed: int) -> Any:
 def test_agrees_with_the_processor(
     scenes: Any, structure: str, cone: Any, make_solver: Callable[..., GpuSolver]
 ) -> None:
-    assembly, settings = library.build(structure), replace(CONTACT, cone=cone)
+    compare(scenes, library.build(structure), cone, make_solver)
+
+
+@pytest.mark.parametrize("cone", ["quadratic", "octagon"])
+def test_points_may_differ_in_friction(scenes: Any, cone: Any, make_solver: Callable[..., GpuSolver]) -> None:
+    compare(scenes, scenes.leaning(library.build("wall:bricks=3,courses=3")), cone, make_solver)
+
+
+def compare(scenes: Any, assembly: Assembly, cone: Any, make_solver: Callable[..., GpuSolver]) -> None:
+    """Check that both solvers say the same and that every certificate is accepted."""
+    settings = replace(CONTACT, cone=cone)
     states = states_of(scenes, assembly, 60, seed=11)
     solver = make_solver(assembly, settings)
     verdicts = solver.check(states)

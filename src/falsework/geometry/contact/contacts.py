@@ -14,6 +14,10 @@ from falsework.geometry.contact.joints import JointReport
 
 Array = NDArray[np.float64]
 
+PARALLEL = 1e-4
+"""Angle in radians, beyond that of friction, up to which surfaces count as parallel: a force along a normal that is
+inclined by so much leaves a residual of this share of it, as much as is allowed."""
+
 
 @dataclass(frozen=True, eq=False)
 class Contacts:
@@ -42,6 +46,9 @@ class Contacts:
     curved: NDArray[np.float64] | None = None
     """Frame of every contact point, shape (points, 3, 3), if some lie on curved interfaces; None: that of the contact.
     Read `point_frames` instead."""
+    lean: NDArray[np.float64] | None = None
+    """Largest angle between the normal of every contact point and that of either surface there, shape (points,),
+    radians; None: all are zero. Read `point_lean` instead."""
 
     def __len__(self) -> int:
         return len(self.parts)
@@ -58,6 +65,19 @@ class Contacts:
     def point_frames(self) -> NDArray[np.float64]:
         """Frame of every contact point, with the normal of the surface at that point, shape (points, 3, 3)."""
         return self.frames[self.contact_of_point] if self.curved is None else self.curved
+
+    @cached_property
+    def point_lean(self) -> NDArray[np.float64]:
+        """Angle by which either surface may be inclined to the normal at every contact point, shape (points,)."""
+        return np.zeros(len(self.points)) if self.lean is None else self.lean
+
+    def idle(self, friction: NDArray[np.float64] | float) -> NDArray[np.bool_]:
+        """Return the points that carry nothing: no force lies in the friction cones of both surfaces, shape (points,).
+
+        Args:
+            friction: coefficient of all points, or of each.
+        """
+        return np.arctan(friction) < self.point_lean - PARALLEL
 
     @property
     def dimension(self) -> NDArray[np.int8]:
@@ -93,11 +113,13 @@ class Contacts:
             self.areas[chosen],
             report=self.report,
             curved=None if self.curved is None else self.curved[points],
+            lean=None if self.lean is None else self.lean[points],
         )
 
     def join(self, other: Contacts) -> Contacts:
         """Return these contacts and then the other ones, unsorted, with the report of these."""
         flat = self.curved is None and other.curved is None
+        parallel = self.lean is None and other.lean is None
         return frozen(
             np.concatenate([self.parts, other.parts]),
             np.concatenate([self.frames, other.frames]),
@@ -106,6 +128,7 @@ class Contacts:
             np.concatenate([self.areas, other.areas]),
             report=self.report,
             curved=None if flat else np.concatenate([self.point_frames, other.point_frames]),
+            lean=None if parallel else np.concatenate([self.point_lean, other.point_lean]),
         )
 
     def flat(self) -> Contacts:
@@ -124,7 +147,8 @@ class Contacts:
         contact = owner[rows]
         areas = self.areas / np.where(bent, count, 1)
         start = np.append(rows, len(owner)).astype(np.int32)
-        return frozen(self.parts[contact], self.curved[rows], self.points, start, areas[contact], report=self.report)
+        arrays = self.parts[contact], self.curved[rows], self.points, start, areas[contact]
+        return frozen(*arrays, report=self.report, lean=self.lean)
 
     def pushes(self, part_count: int) -> NDArray[np.float64]:
         """Return the area times normal into part `i` of all its contacts with part `j`, m2, shape (parts, parts, 3)."""
@@ -143,8 +167,10 @@ class Contacts:
         return push
 
 
-def frozen(*arrays: Any, report: JointReport | None = None, curved: Array | None = None) -> Contacts:
+def frozen(
+    *arrays: Any, report: JointReport | None = None, curved: Array | None = None, lean: Array | None = None
+) -> Contacts:
     """Make contacts of arrays in the order of their fields, which become read-only."""
-    for array in (*arrays, *(() if curved is None else (curved,))):
+    for array in (*arrays, *(array for array in (curved, lean) if array is not None)):
         array.setflags(write=False)
-    return Contacts(*arrays, report=report or JointReport.none(), curved=curved)
+    return Contacts(*arrays, report=report or JointReport.none(), curved=curved, lean=lean)

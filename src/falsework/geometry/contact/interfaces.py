@@ -136,8 +136,7 @@ def exact_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings) ->
     places = narrow_places(meshes, ContactTolerances(gap, overlap, settings.angle, near), slivers)
     if not len(places.parts):
         return contacts
-    places, normals = merged(places, COPLANAR, near)
-    return _with_narrow(contacts, places, normals, settings.angle, near)
+    return _with_narrow(contacts, *merged(places, COPLANAR, near), settings.angle, near)
 
 
 def _with_joints(
@@ -213,23 +212,28 @@ def _contacts(
         np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32),
         areas[index],
     )
-    curved = _own_frames(patches, group, frames, np.repeat(index, sizes), arrays[2], tolerance / 100)
+    curved, lean = _own_surfaces(patches, group, frames, np.repeat(index, sizes), arrays[2], tolerance / 100)
     slivers = _slivers(hulls[~keep], NARROW * tolerance)
     rows = np.flatnonzero(~keep)
     ends = origin[rows, None] + np.einsum("pji,pkj->pki", frames[rows], slivers)
     extent = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    narrow = Narrow(parts[rows], normals[rows], ends, extent)
-    return frozen(*arrays, curved=curved), width[index] < tolerance, narrow
+    # A strip has one normal for all of its patches, so that those that differ from it are inclined by more.
+    leans = np.zeros(count)
+    away = np.linalg.norm(patches.normals - normals[group], axis=1)
+    np.maximum.at(leans, group, patches.lean + np.where(away > FLAT, away, 0.0))
+    narrow = Narrow(parts[rows], normals[rows], ends, extent, np.where(leans > FLAT, leans, 0.0)[rows])
+    return frozen(*arrays, curved=curved, lean=lean), width[index] < tolerance, narrow
 
 
-def _own_frames(
+def _own_surfaces(
     patches: Patches, group: NDArray[np.int64], frames: Array, owner: NDArray[np.int64], points: Array, near: float
-) -> Array | None:
-    """Return the frame of each point with the normal of its own patch, shape (points, 3, 3); None if all are flat.
+) -> tuple[Array | None, Array | None]:
+    """Return the frame of each point with the normal of its own patch, and the angle between this and either face.
 
     A force at a point has to be one that the surface there can bear; the mean normal of the contact would let it lean
-    by half the angle that the contact spans. Where patches of a contact meet in a point, the one that is inclined most
-    counts: together with the other points its normal spans those of the others.
+    by half the angle that the contact spans. Where patches of a contact meet in a point, the one that lets forces lean
+    farthest counts, inclined most and with the least angle between its faces: together with the other points it spans
+    those of the others.
 
     Args:
         patches: patches of all contacts.
@@ -238,26 +242,34 @@ def _own_frames(
         owner: contact of each point, shape (points,).
         points: corners of patches, shape (points, 3), metres.
         near: distance up to which a corner of a patch is the same point, metres.
+
+    Returns:
+        Shapes (points, 3, 3), None if all contacts are flat, and (points,), None if all faces are parallel.
     """
-    leans = np.linalg.norm(patches.normals - frames[group, 0], axis=1)
-    bent = np.zeros(len(frames), dtype=bool)
-    bent[group[leans > FLAT]] = True
-    rows = np.flatnonzero(bent[owner])
+    inclined = np.linalg.norm(patches.normals - frames[group, 0], axis=1)
+    bent, apart = np.zeros((2, len(frames)), dtype=bool)
+    bent[group[inclined > FLAT]] = True
+    apart[group[patches.lean > FLAT]] = True
+    rows = np.flatnonzero((bent | apart)[owner])
     if not len(rows):
-        return None
+        return None, None
     from scipy.spatial import KDTree
 
-    corners = np.flatnonzero(bent[group[patches.owner]])
+    corners = np.flatnonzero((bent | apart)[group[patches.owner]])
     beside = KDTree(patches.points[corners]).query_ball_point(points[rows], near)
     # Equal inclinations come in all triangulations in the same order: by direction, not by rounding.
-    rank = np.empty(len(leans), dtype=np.int64)
-    rank[np.lexsort((*np.round(patches.normals, 6).T, np.round(leans, 6)))] = np.arange(len(leans))
-    normals = frames[owner, 0].copy()
+    reach = np.round(inclined, 6) - np.round(patches.lean, 6)
+    rank = np.empty(len(reach), dtype=np.int64)
+    rank[np.lexsort((*np.round(patches.normals, 6).T, reach))] = np.arange(len(reach))
+    normals, lean = frames[owner, 0].copy(), np.zeros(len(owner))
     for row, found in zip(rows.tolist(), beside, strict=True):
         mine = patches.owner[corners[found]]
         mine = mine[group[mine] == owner[row]]
-        normals[row] = patches.normals[mine[rank[mine].argmax()]]
-    return frames_of(normals)
+        chosen = mine[rank[mine].argmax()]
+        normals[row], lean[row] = patches.normals[chosen], patches.lean[chosen]
+    lean[lean <= FLAT] = 0.0
+    # Where all contacts are flat, their normals are those of their patches to within `FLAT`.
+    return frames_of(normals) if bent.any() else None, lean if lean.any() else None
 
 
 def _with_thin(contacts: Contacts, thin: NDArray[np.bool_], angle: float, tolerance: float) -> Contacts:
@@ -269,7 +281,7 @@ def _with_thin(contacts: Contacts, thin: NDArray[np.bool_], angle: float, tolera
     for place, row in enumerate(rows.tolist()):
         ends[place] = _farthest(contacts.points[contacts.start[row] : contacts.start[row + 1]])
     extent = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    places = Narrow(contacts.parts[rows], contacts.normals[rows], ends, extent)
+    places = Narrow(contacts.parts[rows], contacts.normals[rows], ends, extent, np.zeros(len(rows)))
     covered = np.zeros(len(contacts), dtype=bool)
     covered[rows[_adds_nothing(wide, places, angle, tolerance)]] = True
     return contacts.take(np.flatnonzero(~covered))
@@ -290,11 +302,13 @@ def _farthest(points: Array) -> Array:
     return points[list(np.unravel_index(apart.argmax(), apart.shape))]
 
 
-def _with_narrow(contacts: Contacts, places: Narrow, normals: Array, angle: float, tolerance: float) -> Contacts:
-    """Add lines and points, with normals at their ends of shape (places, 2, 3), but for those inside an area."""
+def _with_narrow(
+    contacts: Contacts, places: Narrow, normals: Array, lean: Array, angle: float, tolerance: float
+) -> Contacts:
+    """Add lines and points, with normals and leans at their ends as of `merged`, but for those inside an area."""
     if len(contacts):
         adds = ~_adds_nothing(contacts, places, angle, tolerance)
-        places, normals = places.take(adds), normals[adds]
+        places, normals, lean = places.take(adds), normals[adds], lean[adds]
     if not len(places.parts):
         return contacts
     lines = places.extent > 0
@@ -308,6 +322,7 @@ def _with_narrow(contacts: Contacts, places: Narrow, normals: Array, angle: floa
         np.concatenate([[0], np.cumsum(counts)]).astype(np.int32),
         np.where(lines, places.extent * tolerance, tolerance**2),
         curved=frames_of(normals[each]) if bent.any() else None,
+        lean=lean[each] if lean[each].any() else None,
     )
     both = contacts.join(narrow)
     kind = np.concatenate([np.zeros(len(contacts)), np.where(lines, 1, 2)])

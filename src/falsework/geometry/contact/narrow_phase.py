@@ -40,16 +40,17 @@ class Narrow:
     """Both ends of a line, the same point twice otherwise; midway between the parts; shape (places, 2, 3), metres."""
     extent: Array
     """Length that touches, zero for a point, shape (places,), metres."""
+    lean: Array
+    """Largest angle between the normal and those of the surfaces that have one, shape (places,), radians."""
 
     def take(self, chosen: NDArray) -> Narrow:
         """Return those places alone, in that order."""
-        return Narrow(self.parts[chosen], self.normals[chosen], self.ends[chosen], self.extent[chosen])
+        return Narrow(*(array[chosen] for array in vars(self).values()))
 
     @staticmethod
     def join(found: Sequence[Narrow]) -> Narrow:
         """Return all places of several."""
-        parts, normals, ends, extent = zip(*((n.parts, n.normals, n.ends, n.extent) for n in found), strict=True)
-        return Narrow(np.concatenate(parts), np.concatenate(normals), np.concatenate(ends), np.concatenate(extent))
+        return Narrow(*(np.concatenate(arrays) for arrays in zip(*(vars(n).values() for n in found), strict=True)))
 
 
 @dataclass(frozen=True)
@@ -140,7 +141,7 @@ def _ordered(first: NDArray[np.int32], second: NDArray[np.int32], normals: Array
     return parts, normals * np.where(first < second, 1.0, -1.0)[:, None]
 
 
-def merged(found: Narrow, coplanar: float, tolerance: float) -> tuple[Narrow, Array]:
+def merged(found: Narrow, coplanar: float, tolerance: float) -> tuple[Narrow, Array, Array]:
     """Join pieces of one line, and points at one place, that have the same normal; leave out what is too short.
 
     The longest piece that is left of a pair of parts collects those within `coplanar` degrees and `tolerance` metres.
@@ -148,14 +149,15 @@ def merged(found: Narrow, coplanar: float, tolerance: float) -> tuple[Narrow, Ar
     for all of it.
 
     Returns:
-        The places with the mean normal of their pieces, and the normals at both ends, shape (places, 2, 3).
+        The places with the mean normal of their pieces; and at both ends the normals, shape (places, 2, 3), and the
+        angles between these and the surfaces, shape (places, 2).
     """
     middle = np.round(found.ends.mean(axis=1) / tolerance)
     size = np.round(found.extent / tolerance)
     found = found.take(np.lexsort((*middle.T[::-1], -size, found.extent == 0, *found.parts.T[::-1])))
     limit = np.cos(np.radians(coplanar))
     pairs = np.flatnonzero(np.append(True, (found.parts[1:] != found.parts[:-1]).any(axis=1)))
-    out, outer = [found.take(np.zeros(0, np.int64))], [np.zeros((0, 2, 3))]
+    out, outer, leans = [found.take(np.zeros(0, np.int64))], [np.zeros((0, 2, 3))], [np.zeros((0, 2))]
     for rest in np.split(np.arange(len(found.parts)), pairs[1:]) if len(found.parts) else []:
         while len(rest):
             start, along = found.ends[rest[0], 0], found.ends[rest[0], 1] - found.ends[rest[0], 0]
@@ -175,10 +177,13 @@ def merged(found: Narrow, coplanar: float, tolerance: float) -> tuple[Narrow, Ar
             # From the lower end in x, then y, then z, whichever way the edge ran.
             order = np.lexsort(np.round(ends / tolerance).T[::-1])
             if extent >= tolerance or found.extent[one[0]] == 0:
-                out.append(Narrow(found.parts[one[:1]], normal[None], ends[None, order], np.array([extent])))
+                lean = found.lean[one[far // 2]][order]
+                whole = np.array([extent]), np.array([lean.max()])
+                out.append(Narrow(found.parts[one[:1]], normal[None], ends[None, order], *whole))
                 outer.append(normals[None, order])
+                leans.append(lean[None])
             rest = rest[~near]
-    return Narrow.join(out), np.concatenate(outer)
+    return Narrow.join(out), np.concatenate(outer), np.concatenate(leans)
 
 
 def _edges_on_faces(
@@ -211,7 +216,8 @@ def _edges_on_faces(
     extent = extent[keep] - covered
     ends = ends - height[:, :, None] / 2 * normal[:, None]
     parts, normals = _ordered(sharp.part[edge], surface.part[face], -normal)
-    return Narrow(parts, normals, ends, extent).take(extent > 1e-3 * limits.tolerance)
+    # The face has a normal and the edge has none, so that nothing is inclined to it.
+    return Narrow(parts, normals, ends, extent, np.zeros(len(extent))).take(extent > 1e-3 * limits.tolerance)
 
 
 def _clip(start: Array, stop: Array, level: Array, climb: Array) -> None:
@@ -303,7 +309,7 @@ def _corners_on_faces(
     keep = keep[_from_edges(point[keep], surface.part[face[keep]], rims) > NARROW * limits.tolerance]
     middle = point[keep] - height[keep, None] / 2 * normal[keep]
     parts, normals = _ordered(part[keep], surface.part[face[keep]], -normal[keep])
-    return Narrow(parts, normals, np.stack([middle, middle], axis=1), np.zeros(len(keep)))
+    return Narrow(parts, normals, np.stack([middle, middle], axis=1), *np.zeros((2, len(keep))))
 
 
 def _crossings(sharp: Creases, one: Index, two: Index, limits: ContactTolerances) -> Narrow:
@@ -331,5 +337,5 @@ def _crossings(sharp: Creases, one: Index, two: Index, limits: ContactTolerances
         keep &= (at >= margin[:, 0]) & (at <= sharp.length[edge] - margin[:, 1])
     point = sharp.tail[one] + at_one[:, None] * d + height[:, None] / 2 * normal
     parts, normals = _ordered(sharp.part[one], sharp.part[two], normal)
-    found = Narrow(parts, normals, np.stack([point, point], axis=1), np.zeros(len(one)))
+    found = Narrow(parts, normals, np.stack([point, point], axis=1), *np.zeros((2, len(one))))
     return found.take(keep)

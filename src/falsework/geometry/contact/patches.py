@@ -38,6 +38,9 @@ class Patches:
     metres."""
     faces: NDArray[np.int64]
     """Face of part `a` and of part `b`, shape (patches, 2)."""
+    lean: Array
+    """Angle between the normal of the patch and that of either face, half of the one between them, shape (patches,),
+    radians."""
 
     @staticmethod
     def join(found: Sequence[Patches]) -> Patches:
@@ -51,6 +54,7 @@ class Patches:
             owner=np.concatenate([patches.owner + first for patches, first in zip(found, counts, strict=False)]),
             distance=np.concatenate([patches.distance for patches in found]),
             faces=np.concatenate([patches.faces for patches in found]),
+            lean=np.concatenate([patches.lean for patches in found]),
         )
 
     def take(self, chosen: NDArray[np.bool_]) -> Patches:
@@ -65,6 +69,7 @@ class Patches:
             owner,
             self.distance[chosen],
             self.faces[chosen],
+            self.lean[chosen],
         )
 
 
@@ -201,6 +206,7 @@ def intersect_faces(
         owner=owner,
         distance=distance,
         faces=np.stack([i[kept], j[kept]], axis=1),
+        lean=np.arcsin(np.minimum(np.linalg.norm(faces.normals[i[kept]] + faces.normals[j[kept]], axis=1) / 2, 1.0)),
     )
 
 

@@ -29,6 +29,9 @@ _MANY_PARTS = 64
 the nearby parts, which are solved first, are most of the structure."""
 _SLIDES = int(Verdict.SLIDES)
 
+_NOTHING = 1e-12
+"""Stiffness of contact points that carry nothing, as a share of that of others."""
+
 
 class ContactSolver:
     """Solver of batches of states of one structure under the criterion `contact`.
@@ -44,9 +47,11 @@ class ContactSolver:
         self.problem = problem
         self.settings = settings
         self.structure = build_structure(problem)
-        self.contact_structure = build_contact_structure(
-            assembly, problem, settings.gravity, settings.stiffness_ratio, settings.holds
-        )
+        law = build_contact_structure(assembly, problem, settings.gravity, settings.stiffness_ratio, settings.holds)
+        if problem.strength.idle.any():
+            soft = np.where(problem.strength.idle, _NOTHING, 1.0)
+            law = law._replace(normal=soft * law.normal, tangential=soft * law.tangential)
+        self.contact_structure = law
         self._options = kernel_options(settings)
         self.contact_options = ContactOptions(
             settings.claim.well_below, settings.cpu.contact_steps, _WARM_STEPS, _NEAR_STEPS, FIRST_STEP, WARM_FIRST_STEP

@@ -48,6 +48,7 @@ _ARRAY_FIELDS = (
     "gravity",
     "gyration",
     "stiffness",
+    "own_friction",
 )
 
 
@@ -327,14 +328,13 @@ def _ancestors(pattern: dict[str, NDArray]) -> int:
 
 def _groups(problem: Problem, size: int) -> tuple[NDArray, NDArray, NDArray]:
     """Cut pairs into even groups of at most `size` points; return first point, number of points and pair of each."""
-    first, count, pair = [], [], []
+    runs = []
     for q in range(problem.pairs):
         start, stop = int(problem.pair_start[q]), int(problem.pair_start[q + 1])
         for run in np.array_split(np.arange(start, stop), -(-(stop - start) // size)):
-            first.append(int(run[0]))
-            count.append(len(run))
-            pair.append(q)
-    return np.array(first, dtype=np.int64), np.array(count, dtype=np.int64), np.array(pair, dtype=np.int64)
+            runs.append((run[0], len(run), q))
+    first, count, pair = np.array(runs, dtype=np.int64).reshape(-1, 3).T
+    return first, count, pair
 
 
 def _lists(keys: NDArray, values: NDArray, count: int) -> tuple[NDArray, NDArray]:
@@ -363,18 +363,17 @@ def _mechanics(
     basis = np.concatenate([axes, moments], axis=1)
     norm = (axes**2).sum(axis=(1, 2))  # three orthogonal axes of one length: sum of a x (r x a) is 2/3 norm r
     arms = 1.5 * np.cross(axes, moments, axis=1).sum(axis=2) / norm[:, None]
-    point = np.zeros((size, 13, groups))
+    point, own = np.zeros((size, 13, groups)), np.zeros((size, groups))
     point[:, 12] = 1.0
     for i in range(size):
         rows = np.flatnonzero(count > i)
         at = first[rows] + i
+        own[i, rows] = problem.strength.friction[at]
         point[i, :9, rows] = axes[at].reshape(-1, 9)
         point[i, 9:12, rows] = arms[at]
         point[i, 12, rows] = problem.force_scale[at] * np.sqrt(heavy) * gravity
     stiffness = np.zeros((groups, 6, 6))
-    group_of_point = np.repeat(np.arange(groups), count)
-    np.add.at(stiffness, group_of_point, basis @ basis.transpose(0, 2, 1))
-    low = np.tril_indices(6)
+    np.add.at(stiffness, np.repeat(np.arange(groups), count), basis @ basis.transpose(0, 2, 1))
 
     arm = np.zeros((6, groups))
     for side, (transfer, sign) in enumerate(((problem.transfer_a, -1.0), (problem.transfer_b, 1.0))):
@@ -390,11 +389,12 @@ def _mechanics(
         "point": point,
         "arm_single": arm.astype(np.float32),
         "arm": arm,
-        "local_single": stiffness[:, low[0], low[1]].T.astype(np.float32),
+        "local_single": stiffness[:, *np.tril_indices(6)].T.astype(np.float32),
         "mass": mass / heavy,
         "inertia": inertia.reshape(-1, 9).T,
         "flexibility": flexibility.reshape(-1, 9).T,
         "gravity": (problem.gravity_wrench[order] / np.repeat([1.0, length], 3)).T / (heavy * gravity),
         "gyration": gyration / length,
+        **({} if (problem.strength.friction == problem.friction).all() else {"own_friction": own}),
     }
     return {name: np.ascontiguousarray(array) for name, array in arrays.items()}, length

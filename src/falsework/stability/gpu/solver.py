@@ -31,6 +31,8 @@ _ADMM_SHARES = (0.5, 1.0)
 multiprocessor for more of them."""
 _STATIC_SHARED = 4 * 1024
 """Largest static shared memory of the kernels, bytes."""
+_SMOOTH = 1e-9
+"""Friction up to which a contact point has none."""
 _CHUNK_BYTES = 2 << 30
 """Device memory for the forces and velocities of one chunk of states."""
 
@@ -107,6 +109,12 @@ class GpuSolver:
     ) -> None:
         if assembly.joints is not None:
             raise InputError("joints are not checked on a GPU; use the solver cpu (--solver cpu) or auto")
+        smooth = problem.strength.friction <= _SMOOTH
+        if problem.strength.idle.any() or (smooth.any() and not smooth.all()):
+            raise InputError(
+                "faces that are inclined to each other by more than friction holds are not checked on a GPU; use the "
+                "solver cpu (--solver cpu) or auto"
+            )
         self.problem = problem
         self.settings = settings
         self.layout = build_layout(problem)
@@ -116,8 +124,9 @@ class GpuSolver:
             structure = build_contact_structure(assembly, problem, settings.gravity, ratio)
             self.layout = add_contact(self.layout, structure, settings.gravity, ratio)
         # Without friction both cones are the same ray, and only the octagon's multipliers stay positive.
-        quadratic = CONES[settings.friction_cone] if problem.friction > 1e-9 else 0
-        constants = {"QUADRATIC": quadratic, "GROUP": self.layout.group_size}
+        quadratic = 0 if smooth.any() else CONES[settings.friction_cone]
+        own = int("own_friction" in self.layout.arrays)
+        constants = {"QUADRATIC": quadratic, "GROUP": self.layout.group_size, "OWN_FRICTION": own}
         self.driver = CudaDriver(device, constants) if make_driver is None else make_driver(constants)
         self._arrays = {name: self.driver.put(array) for name, array in self.layout.arrays.items()}
         self._structure = self.layout.kernel_structure(

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.loads import Loads
+from falsework.stability.strength import strength_of
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -54,3 +55,8 @@ class Answer:
     """Proof that the state is unstable, shape (parts, 6)."""
     reached: Array | None = None
     """Displacement at which iterations ended although parts neither rested nor moved away, shape (parts, 6)."""
+
+
+def some_idle(assembly: Assembly, friction: float) -> bool:
+    """Return whether contact points carry nothing with another friction, of which the kernels know nothing."""
+    return bool(strength_of(assembly.at_friction(friction)).idle.any())

@@ -78,7 +78,7 @@ def springs_at(assembly: Assembly, states: States, springs: Array, claim: Stabil
     normal, tangent = springs[..., 0], springs[..., 1:]
     whole = ~strength.tears | (normal >= -TEARS * strength.pull)
     forces, outside = into_cone(springs, strength, claim.cone)
-    acts = geometry.acts(states)
+    acts = geometry.acts(states) & ~strength.idle
     forces = np.where((acts & whole)[:, :, None], forces, 0.0)
     lighter = np.minimum(assembly.mass.mass[geometry.part_a], assembly.mass.mass[geometry.part_b])
     closed = acts & whole & (normal + strength.pull > claim.tolerance * claim.gravity * lighter)
@@ -116,6 +116,8 @@ def closing_points(assembly: Assembly, springs: Springs, motion: Array, relative
 def into_cone(forces: Array, strength: Strength, cone: str) -> tuple[Array, Array]:
     """Return forces with tangents shrunk until they are admissible, and how far outside the cone they were, in N.
 
+    Those of idle points are zero, and count as inside: nobody relies on them.
+
     Shapes (batch, points, 3) and (batch, points).
     """
     normal, tangent = forces[..., 0], forces[..., 1:]
@@ -131,4 +133,8 @@ def into_cone(forces: Array, strength: Strength, cone: str) -> tuple[Array, Arra
     inside = forces.copy()
     inside[..., 0] = np.maximum(normal, -strength.pull)
     inside[..., 1:] *= np.divide(limit, reach, out=np.ones_like(reach), where=reach > limit)[..., None]
-    return inside, np.maximum(reach - limit, -normal - strength.pull)
+    outside = np.maximum(reach - limit, -normal - strength.pull)
+    if strength.idle.any():
+        inside = np.where(strength.idle[..., None], 0.0, inside)
+        outside = np.where(strength.idle, -np.inf, outside)
+    return inside, outside

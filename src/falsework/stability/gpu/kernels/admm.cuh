@@ -6,6 +6,9 @@ struct Group {
   float arm[6];
   Point<float> point[GROUP];  // zeros beyond the last point, which have no effect
   float u[GROUP * 3], z[GROUP * 3];
+#if OWN_FRICTION
+  float friction[GROUP];
+#endif
 };
 
 DEVICE void load_group(const Structure& s, const State& a, int slot, Group& q) {
@@ -15,13 +18,21 @@ DEVICE void load_group(const Structure& s, const State& a, int slot, Group& q) {
   for (int k = 0; k < 6; k++) q.arm[k] = arm_of(s, k, g, 0.0f);
 #pragma unroll
   for (int i = 0; i < GROUP; i++) q.point[i] = point_of(s, i, g, 0.0f);
+#if OWN_FRICTION
+#pragma unroll
+  for (int i = 0; i < GROUP; i++) q.friction[i] = float(friction_of(s, i, g));
+#endif
 }
 
 DEVICE void project_group(const Cone<float>& cone, Group& q) {
 #pragma unroll
   for (int i = 0; i < GROUP; i++) {
     q.z[i * 3] = q.u[i * 3], q.z[i * 3 + 1] = q.u[i * 3 + 1], q.z[i * 3 + 2] = q.u[i * 3 + 2];
+#if OWN_FRICTION
+    project(Cone<float>::make(q.friction[i]), q.z[i * 3], q.z[i * 3 + 1], q.z[i * 3 + 2]);
+#else
     project(cone, q.z[i * 3], q.z[i * 3 + 1], q.z[i * 3 + 2]);
+#endif
   }
 }
 
@@ -77,7 +88,7 @@ DEVICE void screen_group(
   for (int i = 0; i < GROUP; i++) {
     float n, x, y, scale = float(scale_of(s, i, g));
     point_strain(q.point[i], strain, n, x, y);
-    worst = fmax(worst, support(float(s.friction), -n, -x, -y) / scale);
+    worst = fmax(worst, support(float(friction_of(s, i, g)), -n, -x, -y) / scale);
     pressed += q.z[i * 3] * scale;
   }
   tally.v[1] = fmax(tally.v[1], double(worst));
@@ -98,11 +109,11 @@ DEVICE void store_iterate(const State& a, int slot, float* u, float* z, const Gr
 // Forces for the tests in float64: from memory, or from an indexable copy of the registers.
 template <bool OneEach>
 DEVICE FromIterate source_of(const Structure& s, const State& a, const float* u, const Group& q, float* copy) {
-  Cone<double> cone = Cone<double>::make(s.friction);
-  if (!OneEach) return {u, 1, a.groups, cone};
+  Friction friction = Friction::make(s);
+  if (!OneEach) return {u, 1, a.groups, friction};
 #pragma unroll
   for (int i = 0; i < GROUP * 3; i++) copy[i] = q.u[i];
-  return {copy, 0, 1, cone};
+  return {copy, 0, 1, friction};
 }
 
 // `OneEach`: everything on chip, a thread keeps its group in registers. Else: memory in `scratch`, any number of groups.

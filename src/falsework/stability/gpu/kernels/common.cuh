@@ -72,6 +72,9 @@ alignas(16) static thread_local char host_pool[256 * 1024];
 #ifndef QUADRATIC
 #define QUADRATIC 0
 #endif
+#ifndef OWN_FRICTION
+#define OWN_FRICTION 0  // whether points differ in friction
+#endif
 #ifndef GROUP
 #define GROUP 4  // most contact points per thread
 #endif
@@ -139,6 +142,7 @@ struct Structure {
   const double* gravity;     // (6, positions)
   const double* gyration;    // (positions,) largest radius of gyration
   const double* stiffness;   // (GROUP, groups) normal, under the criterion `contact`; else null
+  const double* own_friction; // (GROUP, groups) of each point where OWN_FRICTION, `friction` in all others; else null
   double weight, friction, length;
   double tangential;         // ratio of tangential to normal stiffness
   double unit;               // metres of displacement of a variable of 1

@@ -15,7 +15,7 @@ PHASE void write_displaced(const Structure& s, const State& a, const Batch& b, i
       for (int i = 0; i < load(s.group_count + g); i++) {
         double n, x, y, scale = scale_of(s, i, g);
         spring_force(s, point_of(s, i, g, 0.0), i, g, strain, n, x, y);
-        contact_force(s.friction, n, x, y);
+        contact_force(friction_of(s, i, g), n, x, y);
         out[i * 3] = n * scale, out[i * 3 + 1] = x * scale, out[i * 3 + 2] = y * scale;
       }
     }

@@ -32,6 +32,23 @@ DEVICE Point<double> point_of(const Structure& s, int i, int g, double) {
   for (int k = 0; k < 3; k++) p.arm[k] = load(s.point + (i * 13 + 9 + k) * s.groups + g);
   return p;
 }
+// Friction of contact points.
+struct Friction {
+  double common;
+  const double* own;
+  int groups;
+  DEVICE Friction make(const Structure& s) { return {s.friction, s.own_friction, s.groups}; }
+  DEVICE double of(const Friction& f, int i, int g) {
+#if OWN_FRICTION
+    return load(f.own + i * f.groups + g);
+#else
+    (void)i, (void)g;
+    return f.common;
+#endif
+  }
+};
+DEVICE double friction_of(const Structure& s, int i, int g) { return Friction::of(Friction::make(s), i, g); }
+
 DEVICE double scale_of(const Structure& s, int i, int g) { return load(s.point + (i * 13 + 12) * s.groups + g); }
 
 // Relative velocity and rotation of part b relative to part a at the centre between them.

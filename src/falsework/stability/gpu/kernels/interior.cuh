@@ -10,7 +10,6 @@ struct Interior {
 // Writes the wrenches of the Newton step, and the groups' local matrices if requested.
 template <bool WithMatrix>
 PHASE void prepare(const Structure& s, const State& a, const Interior& q, double target) {
-  double mu = s.friction;
   int bits = lane_bits(a.groups);
   for (int t0 = 0; t0 < a.groups << bits; t0 += THREADS) {
     int slot = (t0 + TID) >> bits, lane = (t0 + TID) & ((1 << bits) - 1), g = 0;
@@ -26,7 +25,8 @@ PHASE void prepare(const Structure& s, const State& a, const Interior& q, double
         double n, x, y, w[6], b[3], predicted[3];
         point_strain(p, strain, n, x, y);
         if (!WithMatrix) point_strain(p, ahead, predicted[0], predicted[1], predicted[2]);
-        point_system(mu, load_point(q.weights, q.slacks, a, i, slot), target, WithMatrix ? nullptr : predicted, w, b);
+        point_system(friction_of(s, i, g), load_point(q.weights, q.slacks, a, i, slot), target,
+                     WithMatrix ? nullptr : predicted, w, b);
         add_point_force(p, b[0] - w[0] * n - w[1] * x - w[2] * y, b[1] - w[1] * n - w[3] * x - w[4] * y,
                         b[2] - w[2] * n - w[4] * x - w[5] * y, sum);
         if (!WithMatrix) continue;
@@ -98,8 +98,9 @@ PHASE void measure(const Structure& s, const State& a, const Interior& q, double
       point_strain(p, ahead, predicted[0], predicted[1], predicted[2]);
       if (Corrector) point_strain(p, strain, n, x, y);
       Multipliers v = load_point(q.weights, q.slacks, a, i, slot);
-      double reach = Corrector ? point_step(s.friction, v, target, predicted, n, x, y, dx, ds)
-                               : point_step(s.friction, v, 0.0, nullptr, predicted[0], predicted[1], predicted[2], dx, ds);
+      double mu = friction_of(s, i, g);
+      double reach = Corrector ? point_step(mu, v, target, predicted, n, x, y, dx, ds)
+                               : point_step(mu, v, 0.0, nullptr, predicted[0], predicted[1], predicted[2], dx, ds);
       tally[0] = fmax(tally[0], -reach);
 #pragma unroll
       for (int k = 0; k < kRays; k++) {
@@ -127,7 +128,7 @@ PHASE void advance(const Structure& s, const State& a, const Interior& q, double
       point_strain(p, ahead, predicted[0], predicted[1], predicted[2]);
       point_strain(p, strain, n, x, y);
       Multipliers v = load_point(q.weights, q.slacks, a, i, slot);
-      point_step(s.friction, v, target, predicted, n, x, y, dx, ds);
+      point_step(friction_of(s, i, g), v, target, predicted, n, x, y, dx, ds);
 #pragma unroll
       for (int k = 0; k < kRays; k++) {
         q.weights[(i * kRays + k) * a.groups + slot] = v.x[k] + length * dx[k];
@@ -181,8 +182,8 @@ PHASE int start_interior(const Structure& s, const State& a, const Batch& b, int
         for (int k = 0; k < kRays; k++) {
           int at = (i * kRays + k) * a.groups + slot;
 #if QUADRATIC
-          q.weights[at] = k == 0 ? s.friction * force : 0.0;
-          q.slacks[at] = k == 0 ? slack / s.friction : 0.0;
+          q.weights[at] = k == 0 ? friction_of(s, i, g) * force : 0.0;
+          q.slacks[at] = k == 0 ? slack / friction_of(s, i, g) : 0.0;
 #else
           q.weights[at] = force / 8;
           q.slacks[at] = slack;
@@ -220,7 +221,7 @@ DEVICE bool solve_interior(const Structure& s, const Options& o, const Batch& b,
   q.local = q.slacks + s.groups * GROUP * kRays;
   q.wrench = q.local + s.groups * 21;
   int points = start_interior(s, a, b, index, q);
-  FromMultipliers source = {q.weights, s.friction};
+  FromMultipliers source = {q.weights, Friction::make(s)};
   int step = 0;
   verdict = kUndecided;
   double residual = kHuge;

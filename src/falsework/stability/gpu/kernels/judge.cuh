@@ -4,26 +4,27 @@
 struct FromIterate {  // ADMM: the projection of u in float64, so that they lie in the cone to the last bit
   const float* u;
   int slot_stride, stride;
-  Cone<double> cone;
-  DEVICE void force(const FromIterate& f, const State&, int i, int slot, double& n, double& x, double& y) {
+  Friction friction;
+  DEVICE void force(const FromIterate& f, const State& a, int i, int slot, double& n, double& x, double& y) {
     const float* u = f.u + slot * f.slot_stride + i * 3 * f.stride;
     n = u[0], x = u[f.stride], y = u[2 * f.stride];
-    project(f.cone, n, x, y);
+    project(Cone<double>::make(Friction::of(f.friction, i, a.group[slot])), n, x, y);
   }
 };
 struct FromMultipliers {
   const double* weights;
-  double mu;
+  Friction friction;
   DEVICE void force(const FromMultipliers& f, const State& a, int i, int slot, double& n, double& x, double& y) {
     const double* w = f.weights + (i * kRays) * a.groups + slot;
+    double mu = Friction::of(f.friction, i, a.group[slot]);
 #if QUADRATIC
-    n = w[0] / f.mu, x = w[a.groups], y = w[2 * a.groups];
+    n = w[0] / mu, x = w[a.groups], y = w[2 * a.groups];
 #else
     n = x = y = 0;
 #pragma unroll
     for (int k = 0; k < 8; k++) {
       double v = w[k * a.groups];
-      n += v, x += f.mu * ray_x(k) * v, y += f.mu * ray_y(k) * v;
+      n += v, x += mu * ray_x(k) * v, y += mu * ray_y(k) * v;
     }
 #endif
   }
@@ -89,7 +90,7 @@ PHASE int judge(
       Point<double> p = point_of(s, i, g, 0.0);
       double scale = scale_of(s, i, g), n, x, y;
       point_strain(p, strain, n, x, y);
-      tally.v[1] = fmax(tally.v[1], finite_or_huge(support(s.friction, -n, -x, -y) / scale));
+      tally.v[1] = fmax(tally.v[1], finite_or_huge(support(friction_of(s, i, g), -n, -x, -y) / scale));
       Source::force(source, a, i, slot, n, x, y);
       tally.v[4] += n * scale;
       add_point_force(p, n, x, y, sum);

@@ -86,7 +86,7 @@ PHASE void evaluate(
         spring_force(s, p, i, g, strain, n, x, y);
         double* kept = trial + i * 3 * a.groups + slot;
         kept[0] = n, kept[a.groups] = x, kept[2 * a.groups] = y;
-        contact_force(s.friction, n, x, y);
+        contact_force(friction_of(s, i, g), n, x, y);
         add_point_force(p, n, x, y, sum);
       }
     }
@@ -144,7 +144,6 @@ PHASE void evaluate(
 // Writes the groups' tangent stiffness at the trial forces. A contact that just touches counts as closed and sticking,
 // so the first step from rest is that of a bonded structure.
 PHASE void write_tangent(const Structure& s, const State& a, const Newton& q) {
-  float mu = float(s.friction);
   int bits = lane_bits(a.groups);
   for (int t0 = 0; t0 < a.groups << bits; t0 += THREADS) {
     int slot = (t0 + TID) >> bits, lane = (t0 + TID) & ((1 << bits) - 1);
@@ -157,6 +156,7 @@ PHASE void write_tangent(const Structure& s, const State& a, const Newton& q) {
         Point<float> p = point_of(s, i, g, 0.0f);
         float kn = float(load(s.stiffness + i * s.groups + g)), kt = float(s.tangential) * kn;
         if (n < 0) continue;
+        float mu = float(friction_of(s, i, g));
         float k10 = 0, k20 = 0, k11 = kt, k12 = 0, k21 = 0, k22 = kt, size = gauge(x, y);
         if (size > mu * n) {
           float ex = x / size, ey = y / size, gx, gy, share = kt * mu * n / size;
