@@ -11,6 +11,7 @@ from falsework.cli.planning import replay_text
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
+    from falsework.cli.output import Output
     from falsework.robots.checks.check import CheckReport
     from falsework.robots.model.cell import Cell
     from falsework.robots.plans.grip_loads import GripLoad
@@ -22,6 +23,19 @@ _AT_HOME = 1e-6
 """Joint values that differ by no more are equal, rad or m."""
 _NO_GAIN = 0.05
 """A schedule that saves no more than this is none, seconds."""
+
+
+def can_schedule(output: Output) -> bool:
+    """Return whether motions can be scheduled; say so where the package for it is missing."""
+    from falsework.errors import DependencyError
+    from falsework.robots.schedule.solver import import_ortools
+
+    try:
+        import_ortools()
+    except DependencyError as error:
+        output.note(f"falsework: one robot moves at a time: {error}")
+        return False
+    return True
 
 
 def times_record(plan: RobotPlan) -> dict[str, Any]:

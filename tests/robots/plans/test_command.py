@@ -190,6 +190,22 @@ def test_a_bad_plan_is_exit_code_one(run: Callable, cell_file: Path, tmp_path: P
     assert "the acceleration of joint_" in error
 
 
+def test_options_of_the_structure_count_only_with_the_callers_word(
+    run: Callable, cell_file: Path, tmp_path: Path
+) -> None:
+    """As in `falsework check`: a robot plan must not say how rough, loaded or supported its structure is."""
+    out, options = tmp_path / "robot_plan.json", ("--friction", 0.9, "--load", "block-1=0,0,5")
+    assert run("robots", "plan", STACK, *options, "--cell", cell_file, "--out", out)[0] == 0
+    code, records, error = run("robots", "check", out, "--json")
+    assert code == 3
+    assert records[0]["good"]
+    assert records[0]["overrides"] == {"friction": 0.9, "loads": [{"part": "block-1", "force": [0.0, 0.0, 5.0]}]}
+    shown = "--friction 0.9 --load block-1=0.0,0.0,5.0"
+    assert f"good only with options of the structure that the plan sets itself: {shown}; give them too" in error
+    for more in (options, ("--accept-overrides",)):
+        assert run("robots", "check", out, "--motions-only", *more)[0] == 0
+
+
 def test_no_plan_says_why(run: Callable, tmp_path: Path) -> None:
     far = tmp_path / "far.toml"
     far.write_text(CELL.replace("-1.15", "-4.0"))
