@@ -251,7 +251,7 @@ def test_doubts_about_entries_of_the_file(column: Path) -> None:
 def test_y_up_is_seen(tmp_path: Path) -> None:
     """Of a wall all bricks lie at the lowest level then; of a table the plate hangs beside its legs."""
     found = diagnose(write_wall(tmp_path / "wall.obj", lambda points: points[:, [0, 2, 1]] * (1, 1, -1)))
-    assert any("they would with y up" in remark for remark in found.remarks)
+    assert any("some would with y up" in remark for remark in found.remarks)
     assert "boundary" not in found.additions
     assert not any("y up" in remark for remark in diagnose(write_wall(tmp_path / "wall.obj")).remarks)
     table = tmp_path / "table"
@@ -260,6 +260,35 @@ def test_y_up_is_seen(tmp_path: Path) -> None:
     for number, x in enumerate((0, 2.5)):
         write_box(table, f"leg-{number}", (x, 0, 0.8), (x + 0.5, 1, 1.2))
     assert any("y up" in remark for remark in diagnose(table).remarks)
+
+
+@pytest.mark.parametrize(
+    ("third", "wrong"),
+    [
+        (((1, 0, 1), (1.6, 1, 2)), ""),
+        (((0, 0, 2.01), (1, 1, 3)), "touches no other part"),
+        (((0, 0, 1.5), (1, 1, 2.5)), "passes through"),
+    ],
+    ids=["hangs beside", "gap", "overlap"],
+)
+def test_other_faults_are_not_blamed_on_the_axis(
+    tmp_path: Path, third: tuple[tuple[float, ...], tuple[float, ...]], wrong: str
+) -> None:
+    """With y up all bricks of a straight wall lie on the ground, and none of them hangs."""
+    for number, (low, high) in enumerate((((0, 0, 0), (1, 1, 1)), ((0, 0, 1), (1, 1, 2)), third)):
+        write_box(tmp_path, f"{number}", low, high)
+    found = diagnose(tmp_path)
+    assert not any("y up" in remark for remark in found.remarks)
+    assert found.additions == {"boundary": [0]}
+    assert not wrong or any(wrong in doubt for part in found.doubtful for doubt in part.doubts)
+
+
+@pytest.mark.parametrize("ground", [None, True])
+def test_a_structure_in_which_nothing_can_move(tmp_path: Path, ground: bool | None) -> None:
+    for level in range(2):
+        write_box(tmp_path, f"{level}", (0, 0, level), (1, 1, level + 1))
+    found = diagnose(tmp_path, boundary=[0, 1], ground=ground)
+    assert any("every part is boundary" in remark for remark in found.remarks)
 
 
 def test_a_unit_is_proposed_only_where_there_is_one(tmp_path: Path) -> None:

@@ -164,11 +164,9 @@ def diagnose(path: str | Path, unit: str | None = None, **options: Any) -> Diagn
     remarks += material_doubts(draft, options, assembly)
     if lying:
         remarks.append(lying)
-    if options.get("ground"):
-        pass
-    elif fixed.any():
+    if fixed.any() and (fixed.all() or not options.get("ground")):
         remarks += support_doubts(draft, solids, fixed)
-    else:
+    elif not options.get("ground"):
         remarks.append("no part is boundary")
         low = lowest(solids)
         if 0 < len(low) < len(solids) and not lying:
