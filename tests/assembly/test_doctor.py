@@ -283,6 +283,21 @@ def test_other_faults_are_not_blamed_on_the_axis(
     assert not wrong or any(wrong in doubt for part in found.doubtful for doubt in part.doubts)
 
 
+def test_detailed_parts_in_each_other_are_told_of_in_seconds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Joints of parts that lie in each other would take minutes to find, and are not looked for."""
+    around = 2 * np.pi * np.arange(60) / 60
+    for number, shift in enumerate((0.0, 0.001)):
+        ring = np.stack([np.cos(around) + shift, np.sin(around)], axis=1)
+        points = np.concatenate([np.column_stack([ring, np.full(60, z)]) for z in (0, 1)])
+        lines = [f"v {x} {y} {z}" for x, y, z in points]
+        lines += [f"f {i + 1} {(i + 1) % 60 + 1} {(i + 1) % 60 + 61} {i + 61}" for i in range(60)]
+        lines += ["f " + " ".join(map(str, range(60, 0, -1))), "f " + " ".join(map(str, range(61, 121)))]
+        (tmp_path / f"{number}.obj").write_text("\n".join(lines) + "\n")
+    monkeypatch.setattr("falsework.assembly.doctor.find_joints", None)
+    found = diagnose(tmp_path)
+    assert all("passes through" in part.doubts[0] for part in found.parts)
+
+
 @pytest.mark.parametrize("ground", [None, True])
 def test_a_structure_in_which_nothing_can_move(tmp_path: Path, ground: bool | None) -> None:
     for level in range(2):
