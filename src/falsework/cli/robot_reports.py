@@ -225,6 +225,10 @@ def unverified(plan: RobotPlan, report: CheckReport, *, states: bool) -> list[st
     found = []
     if not states:
         found.append("the stability of the states, and the forces that robots bear where grippers have no limits")
+    holds = plan.plan.claim.holds
+    if plan.plan.claim.criterion == "contact":
+        stiff = "rigidly" if holds.stiffness in (None, np.inf) else f"with a stiffness of {holds.stiffness:.3g} N/m"
+        found.append(f"that robots hold parts {stiff}, in units of the structure")
     if plan.plan.proof_arrays() is not None:
         found.append("the certificates in the file; those of the check are computed anew")
     if plan.plan.margins is not None:

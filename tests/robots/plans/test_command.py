@@ -82,10 +82,12 @@ def test_plan_check_export(run: Callable, cell_file: Path, tmp_path: Path) -> No
     assert records[0]["checked"]["cell_identity"] == plan.cell_identity
     assert records[0]["checked"]["robots"] == ["arm"]
     assert [records[0]["checked"][key] for key in ("steps", "start", "end", "not_at_home")] == [4, "112", "002", []]
-    assert records[0]["unverified"] == ["that a replay of the plan succeeds"]
+    stiff, replayed = records[0]["unverified"]
+    assert stiff.startswith("that robots hold parts with a stiffness of ")
+    assert replayed == "that a replay of the plan succeeds"
     code, records, error = run("robots", "check", out, "--json", "--motions-only")
     assert code == 0
-    assert len(records[0]["unverified"]) == 2
+    assert len(records[0]["unverified"]) == 3
     assert "the stability of the states" in records[0]["unverified"][0]
     for form, name in (("ros2-json", "plan.json"), ("csv", "plan.csv"), ("rapid", "arm.mod")):
         folder = tmp_path / form
