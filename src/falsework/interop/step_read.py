@@ -101,9 +101,9 @@ def _read(path: Path) -> Draft:
     if not blocks:
         raise InputError(f"{path} has no solid; export the parts as solids, not as surfaces")
     # Programs call the bodies of many parts alike; their places in the assembly tell them apart.
-    count = Counter(block.name for block in blocks)
+    uses = Counter(block.name for block in blocks)
     blocks = [
-        replace(block, name=place) if place and (not block.name or count[block.name] > 1) else block
+        replace(block, name=place) if place and (not block.name or uses[block.name] > 1) else block
         for block, place in zip(blocks, places, strict=True)
     ]
     for kind, within, what in ((TopAbs_FACE, TopAbs_SOLID, "surfaces"), (TopAbs_EDGE, TopAbs_FACE, "curves")):
