@@ -13,6 +13,12 @@ if TYPE_CHECKING:
     from falsework.cli.output import Output
 
 
+def note_overrides(overrides: Mapping[str, Any], output: Output) -> None:
+    """Warn of options of the structure that a plan sets, where a command computes with them."""
+    if overrides:
+        output.note(f"falsework: warning: the plan sets options of its structure itself: {spell_options(overrides)}")
+
+
 def say_overrides(overrides: Mapping[str, Any], output: Output) -> None:
     """Print options of the structure that a plan sets, as they are written on the command line.
 
