@@ -62,6 +62,10 @@ def check_limits(trajectory: Trajectory, model: RobotModel, speed: float) -> Lim
         model: its arm.
         speed: share of the velocity limits that motions may use; of acceleration limits its square.
     """
+    # Of plans that are no file: readers refuse such numbers.
+    times = trajectory.times
+    if not (np.isfinite(trajectory.positions).all() and np.isfinite(times).all() and (np.diff(times) > 0).all()):
+        return LimitReport(("a motion has numbers that are none, or times that do not ascend",), False, np.inf, np.inf)
     faults: list[str] = []
     longest = longest_motion(model, speed)
     if not trajectory.seconds <= longest:
