@@ -94,6 +94,11 @@ def schedule_text(plan: RobotPlan) -> str:
     )
 
 
+def _finite(share: float) -> float | None:
+    """Return a number as JSON can hold it; None where it overflows."""
+    return share if np.isfinite(share) else None
+
+
 def check_record(report: CheckReport) -> dict[str, Any]:
     """Return the record of the motions of a plan."""
     delays = report.delays
@@ -112,8 +117,8 @@ def check_record(report: CheckReport) -> dict[str, Any]:
         "trajectories": report.trajectories,
         "largest_step": report.largest_step,
         "largest_join": report.largest_join,
-        "velocity_share": report.velocity_share,
-        "acceleration_share": report.acceleration_share,
+        "velocity_share": _finite(report.velocity_share),
+        "acceleration_share": _finite(report.acceleration_share),
         "tolerance": report.tolerance,
         "links": report.links,
         "lower_bound": report.lower_bound,

@@ -192,6 +192,20 @@ def test_a_bad_plan_is_exit_code_one(run: Callable, cell_file: Path, tmp_path: P
     assert "the acceleration of joint_" in error
 
 
+@pytest.mark.parametrize("entry", ["positions", "velocities"])
+def test_numbers_that_overflow_are_reported(run: Callable, cell_file: Path, tmp_path: Path, entry: str) -> None:
+    out = tmp_path / "robot_plan.json"
+    assert run("robots", "plan", STACK, "--cell", cell_file, "--out", out, "--sequential")[0] == 0
+    data = json.loads(out.read_text())
+    data["steps"][0]["trajectories"][0][entry][1] = [1e308] * 6
+    out.write_text(json.dumps(data))
+    code, records, error = run("robots", "check", out, "--json", "--motions-only")
+    assert code == 1
+    assert not records[0]["good"]
+    assert records[0]["acceleration_share"] is None
+    assert "unexpected" not in error
+
+
 def test_options_of_the_structure_count_only_with_the_callers_word(
     run: Callable, cell_file: Path, tmp_path: Path
 ) -> None:
