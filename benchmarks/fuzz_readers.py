@@ -75,6 +75,23 @@ name = "table"
 box = { low = [-0.3, -0.3, 0.0], high = [0.3, 0.3, 0.4] }
 position = [2.0, 0.0, 0.0]
 """
+URDF = """<robot name="two">
+<link name="base"><collision><origin xyz="0 0 -0.1"/><geometry><box size="0.2 0.2 0.1"/></geometry></collision></link>
+<link name="one"><collision><geometry><mesh filename="arm.obj" scale="1 1 -1"/></geometry></collision></link>
+<link name="two"><collision><geometry><cylinder radius="0.05" length="0.1"/></geometry></collision></link>
+<link name="finger"><visual><geometry><sphere radius="0.05"/></geometry></visual></link>
+<link name="tool0"/>
+<joint name="turn" type="revolute"><parent link="base"/><child link="one"/><axis xyz="0 1 0"/>
+<limit lower="-1" upper="1" velocity="2"/><safety_controller soft_lower_limit="-0.5" soft_upper_limit="0.7"/></joint>
+<joint name="slide" type="prismatic"><parent link="one"/><child link="two"/><origin xyz="0 0 0.4" rpy="0 0.1 0"/>
+<axis xyz="0 0 1"/><limit lower="0" upper="0.3" velocity="1" effort="9"/></joint>
+<joint name="open" type="prismatic"><parent link="two"/><child link="finger"/><axis xyz="1 0 0"/>
+<limit lower="0" upper="0.1" velocity="1"/></joint>
+<joint name="mount" type="fixed"><parent link="two"/><child link="tool0"/><origin xyz="0 0 0.05"/></joint>
+</robot>"""
+SRDF = """<robot name="two"><group name="arm"><chain base_link="base" tip_link="tool0"/></group>
+<disable_collisions link1="base" link2="two" reason="Never"/><enable_collisions link1="one" link2="two"/></robot>"""
+WEDGE = "v 0 0 0\nv 1 0 0\nv 0 2 0\nv 0 0 3\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
 BRICKS = "2x4 (0,0,0)\n2x4 (2,0,0)\n2x4 (1,0,1)\n1x2 (1,0,2)\n"
 LDRAW = "0 FILE main.ldr\n1 4 0 -24 0 1 0 0 0 1 0 0 0 1 3001.dat\n1 4 0 -48 0 1 0 0 0 1 0 0 0 1 3003.dat\n"
 
@@ -194,6 +211,7 @@ def _robots(plan: Plan, assembly: Assembly, scratch: Path) -> Iterator[tuple[str
     from falsework.robots.plans.robot_record import records_of
 
     yield "cell", Kind(CELL.encode(), "cell.toml", partial(load_cell, check=False), {})
+    yield from _descriptions()
     cell = parse_cell(CELL, "cell.toml", Path())
     home = cell.robots[0].home
     still = np.stack([home, home])
@@ -205,6 +223,20 @@ def _robots(plan: Plan, assembly: Assembly, scratch: Path) -> Iterator[tuple[str
     )  # fmt: skip
     save_robot_plan(made, scratch / "robot-plan.json")
     yield "robot plan", _kind(scratch / "robot-plan.json", load_robot_plan)
+
+
+def _descriptions() -> Iterator[tuple[str, Kind]]:
+    """Yield the files of an arm, each read with the others intact."""
+    try:
+        import yourdfpy  # noqa: F401 - reads them
+    except ImportError:
+        return
+    from falsework.robots.cells.urdf import load_urdf
+
+    files = {"arm.urdf": URDF.encode(), "arm.srdf": SRDF.encode(), "arm.obj": WEDGE.encode()}
+    for name, content in files.items():
+        beside = {key: other for key, other in files.items() if key != name}
+        yield f"arm: {name}", Kind(content, name, lambda path: load_urdf(path.with_suffix(".urdf")), beside)
 
 
 def _learning(assembly: Assembly, plan: Plan, scratch: Path) -> Iterator[tuple[str, Kind]]:
@@ -273,7 +305,9 @@ def mutate(kind: Kind, rng: random.Random) -> bytes:
         ways: list[Callable[[bytes, random.Random], bytes]] = [_bytes]
         if suffix == ".json":
             ways = [_json, _json, _json, _bytes]
-        elif suffix in (".obj", ".txt", ".ldr", ".toml", ".step") or kind.content.startswith((b"solid", b"ply")):
+        elif suffix in (".obj", ".txt", ".ldr", ".toml", ".step", ".urdf", ".srdf") or kind.content.startswith(
+            (b"solid", b"ply")
+        ):
             ways = [_words, _words, _lines, _bytes]
         elif suffix == ".npz":
             ways = [_archive, _archive, _archive, _bytes]
@@ -303,7 +337,7 @@ def _bytes(content: bytes, rng: random.Random) -> bytes:
 
 
 def _words(content: bytes, rng: random.Random) -> bytes:
-    found = list(re.finditer(rb"[^\s,\[\]{}=/]+", content))
+    found = list(re.finditer(rb"[^\s,\[\]{}=/<>\"]+", content))
     if not found:
         return _bytes(content, rng)
     chosen = rng.choice(found)

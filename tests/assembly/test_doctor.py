@@ -272,7 +272,7 @@ def test_doubts_about_entries_of_the_file(column: Path) -> None:
 def test_y_up_is_seen(tmp_path: Path) -> None:
     """Of a wall all bricks lie at the lowest level then; of a table the plate hangs beside its legs."""
     found = diagnose(write_wall(tmp_path / "wall.obj", lambda points: points[:, [0, 2, 1]] * (1, 1, -1)))
-    assert any("they would with y up" in remark for remark in found.remarks)
+    assert any("some would with y up" in remark for remark in found.remarks)
     assert "boundary" not in found.additions
     assert not any("y up" in remark for remark in diagnose(write_wall(tmp_path / "wall.obj")).remarks)
     table = tmp_path / "table"
@@ -281,6 +281,50 @@ def test_y_up_is_seen(tmp_path: Path) -> None:
     for number, x in enumerate((0, 2.5)):
         write_box(table, f"leg-{number}", (x, 0, 0.8), (x + 0.5, 1, 1.2))
     assert any("y up" in remark for remark in diagnose(table).remarks)
+
+
+@pytest.mark.parametrize(
+    ("third", "wrong"),
+    [
+        (((1, 0, 1), (1.6, 1, 2)), ""),
+        (((0, 0, 2.01), (1, 1, 3)), "touches no other part"),
+        (((0, 0, 1.5), (1, 1, 2.5)), "passes through"),
+    ],
+    ids=["hangs beside", "gap", "overlap"],
+)
+def test_other_faults_are_not_blamed_on_the_axis(
+    tmp_path: Path, third: tuple[tuple[float, ...], tuple[float, ...]], wrong: str
+) -> None:
+    """With y up all bricks of a straight wall lie on the ground, and none of them hangs."""
+    for number, (low, high) in enumerate((((0, 0, 0), (1, 1, 1)), ((0, 0, 1), (1, 1, 2)), third)):
+        write_box(tmp_path, f"{number}", low, high)
+    found = diagnose(tmp_path)
+    assert not any("y up" in remark for remark in found.remarks)
+    assert found.additions == {"boundary": [0]}
+    assert not wrong or any(wrong in doubt for part in found.doubtful for doubt in part.doubts)
+
+
+def test_detailed_parts_in_each_other_are_told_of_in_seconds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Joints of parts that lie in each other would take minutes to find, and are not looked for."""
+    around = 2 * np.pi * np.arange(60) / 60
+    for number, shift in enumerate((0.0, 0.001)):
+        ring = np.stack([np.cos(around) + shift, np.sin(around)], axis=1)
+        points = np.concatenate([np.column_stack([ring, np.full(60, z)]) for z in (0, 1)])
+        lines = [f"v {x} {y} {z}" for x, y, z in points]
+        lines += [f"f {i + 1} {(i + 1) % 60 + 1} {(i + 1) % 60 + 61} {i + 61}" for i in range(60)]
+        lines += ["f " + " ".join(map(str, range(60, 0, -1))), "f " + " ".join(map(str, range(61, 121)))]
+        (tmp_path / f"{number}.obj").write_text("\n".join(lines) + "\n")
+    monkeypatch.setattr("falsework.assembly.doctor.find_joints", None)
+    found = diagnose(tmp_path)
+    assert all("passes through" in part.doubts[0] for part in found.parts)
+
+
+@pytest.mark.parametrize("ground", [None, True])
+def test_a_structure_in_which_nothing_can_move(tmp_path: Path, ground: bool | None) -> None:
+    for level in range(2):
+        write_box(tmp_path, f"{level}", (0, 0, level), (1, 1, level + 1))
+    found = diagnose(tmp_path, boundary=[0, 1], ground=ground)
+    assert any("every part is boundary" in remark for remark in found.remarks)
 
 
 def test_a_unit_is_proposed_only_where_there_is_one(tmp_path: Path) -> None:

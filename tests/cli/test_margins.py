@@ -47,6 +47,15 @@ def test_margins_of_a_plan_name_the_weakest_step(falsework: Run, stack: Path, tm
     assert falsework("margins", plan, "--bears", "1000kN,1000kNm").code == 0
 
 
+def test_options_of_the_plan_are_named(falsework: Run, stack: Path, tmp_path: Path) -> None:
+    """They are those of the structure only if the plan says so, and margins hang on them."""
+    plan = tmp_path / "plan.json"
+    assert falsework("plan", stack, "--robots", 1, "--friction", 0.9, "--out", plan).code == 0
+    said = "falsework: warning: the plan sets options of its structure itself: --friction 0.9\n"
+    assert falsework("margins", plan).error == said
+    assert falsework("margins", plan, "--friction", 0.9).error == ""
+
+
 def test_a_structure_that_falls_has_no_margins(falsework: Run, tmp_path: Path, write_structure: Any) -> None:
     leaning = write_structure(tmp_path / "leaning", [((0, 0, 0), (1, 1, 1)), ((0.8, 0, 1), (3, 1, 2))])
     done = falsework("margins", leaning, "--json")

@@ -162,6 +162,22 @@ def _(folder: Path) -> Case:
     return Case(path, ("brick", "brick-2", "brick-3"), "3 objects are called brick", volumes(1, 1, 0.6))
 
 
+@case("OBJ", "open surfaces of one name, which enclose space together")
+def _(folder: Path) -> Case:
+    faces = ["f " + " ".join(str(corner + 1) for corner in quad) for quad in QUADS]
+    lines = [*(f"v {x} {y} {z}" for x, y, z in corners(LOW)), "o brick", *faces[:3], "o brick", *faces[3:]]
+    return Case(obj(folder / "a.obj", *lines), ("brick",), "2 open surfaces called brick were joined", volumes(1))
+
+
+@case("OBJ", "objects of one name that share the face which both lack")
+def _(folder: Path) -> Case:
+    lines = [*(f"v {x} {y} {z}" for box in (LOW, HIGH) for x, y, z in corners(box))]
+    for first, lacking in ((1, 1), (9, 0)):
+        faces = [quad for number, quad in enumerate(QUADS) if number != lacking]
+        lines += ["o brick", *("f " + " ".join(str(first + corner) for corner in quad) for quad in faces)]
+    return Case(obj(folder / "a.obj", *lines), ("brick", "brick-2"), "2 objects are called brick", check=volumes(1, 1))
+
+
 @case("OBJ", "an object of several separate solids")
 def _(folder: Path) -> Case:
     path = obj(folder / "a.obj", "o wall", LOW, SIDE, "o top", HIGH)
@@ -204,10 +220,24 @@ def _(folder: Path) -> Case:
     return Case(obj(folder / "a.obj", "mtllib a.mtl", "usemtl red", "s off", "vt 0 0", "vn 0 0 1", LOW), ("0",))
 
 
-@case("OBJ", "a unit in a comment")
+@case("OBJ", "a unit in a comment, also behind a statement")
 def _(folder: Path) -> Case:
-    path = obj(folder / "a.obj", "# File units = inches", LOW)
+    path = obj(folder / "a.obj", "s off  # File units = inches", LOW)
     return Case(path, ("0",), "the unit is in; it was read so", volumes(0.0254**3))
+
+
+@case("OBJ", "names that are not in UTF-8")
+def _(folder: Path) -> Case:
+    path = obj(folder / "a.obj", "o S\u00e4ule", LOW, "o St\u00fctze", HIGH)
+    path.write_bytes(path.read_text(encoding="utf-8").encode("cp1252"))
+    return Case(path, ("S\u00e4ule", "St\u00fctze"), "it is not in UTF-8; names were read as Western text")
+
+
+@case("OBJ", "text in UTF-16")
+def _(folder: Path) -> Case:
+    path = obj(folder / "a.obj", LOW)
+    path.write_bytes(path.read_text().encode("utf-16"))
+    return Case(path, says="it is no text in UTF-8; save it as UTF-8")
 
 
 # STL ---------------------------------------------------------------------------------------------------------------
@@ -271,6 +301,20 @@ def _(folder: Path) -> Case:
     return Case(binary_stl(folder / "a.stl", LOW, header=b"UNITS=mm"), ("0",), "unit is mm", volumes(1e-9))
 
 
+@case("STL", "a unit in the name of a solid")
+def _(folder: Path) -> Case:
+    return Case(stl(folder / "a.stl", ("export unit=mm", [LOW])), ("export unit=mm",), "unit is mm", volumes(1e-9))
+
+
+@case("STL", "open surfaces of one name, which enclose space together")
+def _(folder: Path) -> Case:
+    path = stl(folder / "a.stl", ("brick", [LOW]))
+    head, *facets = path.read_text().split("facet normal")
+    halves = head + "facet normal".join(["", *facets[:6]]), head + "facet normal".join(["", *facets[6:]])
+    path.write_text(halves[0] + "endsolid brick\n" + halves[1])
+    return Case(path, ("brick",), "2 open surfaces called brick were joined into one part", volumes(1))
+
+
 @case("STL", "text that is damaged")
 def _(folder: Path) -> Case:
     path = stl(folder / "a.stl", ("a", [LOW]))
@@ -331,6 +375,21 @@ def _(folder: Path) -> Case:
 def _(folder: Path) -> Case:
     path = ply(folder / "a.ply", LOW, tail="element tristrips 1\nproperty list int int vertex_indices", data="3 0 1 2")
     return Case(path, says="has triangle strips")
+
+
+@case("PLY", "more data than the header says")
+def _(folder: Path) -> Case:
+    path = ply(folder / "a.ply", LOW, HIGH)
+    path.write_text(path.read_text().replace("element face 12", "element face 6"))
+    return Case(path, says="has more data than its header says, such as further faces")
+
+
+@case("PLY", "an element, a property or the corners of faces given twice")
+def _(folder: Path) -> Case:
+    other = "property list uchar int vertex_index"
+    path = ply(folder / "a.ply", LOW, face=other)
+    path.write_text(re.sub(r"^(4 .*) 7$", r"\1 0", path.read_text(), flags=re.MULTILINE))
+    return Case(path, says="has corners of faces twice, so that one of them would be lost")
 
 
 @case("PLY", "a unit in a comment")
@@ -496,11 +555,31 @@ def _(folder: Path) -> Case:
     return Case(path, says="it uses KHR_draco_mesh_compression, which")
 
 
-@case("glTF", "data in a file beside it")
+@case("glTF", "such extensions that the file uses and does not declare")
 def _(folder: Path) -> Case:
     gltf = stack()
-    (folder / "a.bin").write_bytes(gltf.data)
-    return Case(gltf.write(folder / "a.gltf", "a.bin"), ("z", "a"), check=volumes(1, 1))
+    gltf.json["nodes"][1]["extensions"] = {"EXT_mesh_gpu_instancing": {}}
+    return Case(gltf.write(folder / "a.glb"), says="it uses EXT_mesh_gpu_instancing, which may change")
+
+
+@case("glTF", "a version after 2.0 that is needed")
+def _(folder: Path) -> Case:
+    path = stack().write(folder / "a.glb", asset={"version": "2.0", "minVersion": "2.1"})
+    return Case(path, says=r"its version of glTF is 2\.1, not 2\.0")
+
+
+@case("glTF", "rotations and matrices that are none")
+def _(folder: Path) -> Case:
+    gltf = stack()
+    gltf.json["nodes"][1]["rotation"] = [0, 0.6, 0, 0.6]
+    return Case(gltf.write(folder / "a.glb"), says="the rotation of a node is no unit quaternion")
+
+
+@case("glTF", "data in a file beside it, also with an encoded name")
+def _(folder: Path) -> Case:
+    gltf = stack()
+    (folder / "my part.bin").write_bytes(gltf.data)
+    return Case(gltf.write(folder / "a.gltf", "./my%20part.bin"), ("z", "a"), check=volumes(1, 1))
 
 
 @case("glTF", "data elsewhere")
@@ -522,6 +601,27 @@ def _(folder: Path) -> Case:
         return alike and found.friction == 0.7 and np.allclose(found.mass.center, arch.mass.center, atol=1e-6)
 
     return Case(folder / "a.gltf", arch.names, check=same, ground=False)
+
+
+@case("glTF", "such numbers with a gap, or given twice")
+def _(folder: Path) -> Case:
+    gltf = Gltf()
+    gltf.node(0.5, "z", extras={"part": 0, "boundary": True})
+    gltf.node(1.5, "a", extras={"part": 2})
+    path = gltf.write(folder / "a.glb")
+    return Case(path, ("z", "a"), "numbers that are not 0 to 1, so these are left out: z 0, a 2", ground=False)
+
+
+@case("glTF", "boundary and density without a number")
+def _(folder: Path) -> Case:
+    gltf = Gltf()
+    gltf.node(0.5, "z", extras={"boundary": True})
+    gltf.node(1.5, "a")
+
+    def free(found: Assembly) -> bool:
+        return found.boundary.tolist() == [False, False, True]
+
+    return Case(gltf.write(folder / "a.glb"), ("z", "a"), "count only beside the number of a part", free)
 
 
 @case("glTF", "a plan in motion")
@@ -582,6 +682,23 @@ def _(folder: Path) -> Case:
     return Case(place, ("a", "b"), r"were left out: roof\.3dm, more/")
 
 
+@case("Folder", "packed files, copies such as `1.obj.bak`, meshes in deeper folders")
+def _(folder: Path) -> Case:
+    place = pair(folder)
+    for name in ("c.obj.gz", "d.obj.bak", "e.zip"):
+        (place / name).write_bytes(b"")
+    (place / "more" / "deep").mkdir(parents=True)
+    obj(place / "more" / "deep" / "f.obj", FAR)
+    return Case(place, ("a", "b"), r"left out: c\.obj\.gz, d\.obj\.bak, e\.zip, more/")
+
+
+@case("Folder", "a link that leads nowhere, or a folder, with the name of a mesh")
+def _(folder: Path) -> Case:
+    place = pair(folder)
+    (place / "c.obj").symlink_to(folder / "gone.obj")
+    return Case(place, says=r"c\.obj is a link that leads nowhere, not the mesh of a part")
+
+
 @case("Folder", "numbers as names, with a gap")
 def _(folder: Path) -> Case:
     obj(folder / "0.obj", LOW)
@@ -627,6 +744,24 @@ def _(folder: Path) -> Case:
     place = pair(folder)
     (place / "assembly.json").write_text('{"boundary": ["a"], "boundary": ["a", "b"]}')
     return Case(place, says="has the entry 'boundary' twice")
+
+
+@case("assembly.json", "a byte order mark")
+def _(folder: Path) -> Case:
+    place = pair(folder)
+    (place / "assembly.json").write_text('{"friction": 0.3}', encoding="utf-8-sig")
+    return Case(place, ("a", "b"), check=lambda found: found.friction == 0.3)
+
+
+@case("assembly.json", "names of parts that are empty")
+def _(folder: Path) -> Case:
+    return Case(pair(folder, names=["low", " "]), says="must be strings that are not empty")
+
+
+@case("assembly.json", "loads on parts that are boundary")
+def _(folder: Path) -> Case:
+    loads = [{"part": part, "force": [0, 0, -1]} for part in ("a", "b")]
+    return Case(pair(folder, loads=loads), ("a", "b"), "boundary have no effect: a$", boundary=("a",))
 
 
 @case("assembly.json", "names of parts beside a file that names its parts itself")
@@ -677,6 +812,24 @@ def _(folder: Path) -> Case:
     box = shape("Box", (0.5, 0.5, 2.5), xsize=1, ysize=1, zsize=1)
     content = mesh(LOW, name="low"), {"dtype": "compas.geometry/Polyhedron", "data": solid}, box
     return Case(compas(folder, *content), ("low", "1", "2"), check=volumes(1, 1, 1))
+
+
+@case("COMPAS", "blocks in a dictionary")
+def _(folder: Path) -> Case:
+    return Case(compas(folder, {"low": mesh(LOW), "high": mesh(HIGH, name="top")}), ("low", "top"))
+
+
+@case("COMPAS", "frames whose axes are no unit vectors")
+def _(folder: Path) -> Case:
+    box = shape("Box", (0.5, 0.5, 1.5), xsize=1, ysize=1, zsize=1)
+    box["data"]["frame"] |= {"xaxis": [2, 0, 0], "yaxis": [1, 3, 0]}
+    return Case(compas(folder, mesh(LOW), box), ("0", "1"), check=volumes(1, 1))
+
+
+@case("COMPAS", "a transformation beside a shape")
+def _(folder: Path) -> Case:
+    moved = {"data": {"matrix": [[1, 0, 0, 5], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}}
+    return Case(compas(folder, mesh(LOW), mesh(HIGH) | {"transformation": moved}), says="has a transformation beside")
 
 
 @case("COMPAS", "cylinders, cones, spheres, capsules and tori")
@@ -964,6 +1117,25 @@ def _(folder: Path) -> Case:
     return Case(step(folder, step_box()), check=volumes(1))
 
 
+@case("STEP", "names of products and of their occurrences")
+def _(folder: Path) -> Case:
+    """Of two bodies that a program calls alike."""
+    low = step_box()
+    from OCP.gp import gp_Trsf, gp_Vec
+    from OCP.TopLoc import TopLoc_Location
+
+    up = gp_Trsf()
+    up.SetTranslation(gp_Vec(0.0, 0.0, 1000.0))
+    path = step(folder, low, low.Moved(TopLoc_Location(up)))
+    text = path.read_text().replace("MANIFOLD_SOLID_BREP('", "MANIFOLD_SOLID_BREP('Body1")
+    for name in ("low", "high"):
+        text = re.sub(
+            r"= PRODUCT\('Open CASCADE[^']*'\s*,\s*'Open CASCADE[^']*'", f"= PRODUCT('{name}','{name}'", text, count=1
+        )
+    path.write_text(text)
+    return Case(path, ("low", "high"), check=volumes(1, 1))
+
+
 @case("STEP", "curved faces")
 def _(folder: Path) -> Case:
     step_box()
@@ -1036,6 +1208,19 @@ def _(folder: Path) -> Case:
     return Case(
         bricks(folder, "0 FILE main", LOWER, "0 FILE main", UPPER), says="there are two models main", ground=False
     )
+
+
+@case("Bricks", "bricks that come and go (`BUFEXCHG`)")
+def _(folder: Path) -> Case:
+    path = bricks(folder, LOWER, "0 BUFEXCHG A STORE", UPPER, "0 BUFEXCHG A RETRIEVE")
+    return Case(path, says="bricks come and go", ground=False)
+
+
+@case("Bricks", "statements in small letters")
+def _(folder: Path) -> Case:
+    path = bricks(folder, "0 file main", LOWER, BRICK.format(0, 0, "sub"), "0 nofile", LOWER, "0 file sub", UPPER)
+    path.write_text(path.read_text().replace(f"0 nofile\n{LOWER}\n", "0 nofile\n"))
+    return Case(path, ("0", "1"), boundary=("0",))
 
 
 @case("Bricks", "parts that are no bricks")

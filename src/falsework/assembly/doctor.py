@@ -29,8 +29,8 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.store import described_draft, read_description
 from falsework.errors import AssemblyError, InputError, MeshError, ReadWarning
 from falsework.geometry.contact.interfaces import Contacts, ContactSettings, exact_contacts, find_contacts
-from falsework.geometry.contact.joints import depths_beyond, find_joints
-from falsework.geometry.contact.overlap import Overlaps, depth, find_overlaps
+from falsework.geometry.contact.joints import deepest_of_joints, depths_beyond, find_joints
+from falsework.geometry.contact.overlap import Overlaps, coarse_depth, depth, find_overlaps
 from falsework.geometry.mesh.collision import nearest
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.read import unit_length
@@ -40,6 +40,8 @@ _TINY = 1e-3
 """Volume below which a part is doubtful, as a share of the median."""
 _SAME = 1e-6
 """Distance of the bounds of duplicates, as a share of a part's size."""
+_MANY = 2000
+"""Faces of a pair of parts from which the depth of an overlap is measured at vertices and on a coarse grid."""
 _HAVE_UNITS = {".3dm", ".step", ".stp", ".glb", ".gltf", ".ldr", ".mpd", ".txt"}
 """Files that say their unit."""
 
@@ -172,11 +174,9 @@ def diagnose(path: str | Path, unit: str | None = None, **options: Any) -> Diagn
     remarks += inclination_doubts(draft.names if assembly is None else assembly.names, contacts)
     if lying:
         remarks.append(lying)
-    if options.get("ground"):
-        pass
-    elif fixed.any():
+    if fixed.any() and (fixed.all() or not options.get("ground")):
         remarks += support_doubts(draft, solids, fixed)
-    else:
+    elif not options.get("ground"):
         remarks.append("no part is boundary")
         low = lowest(solids)
         if 0 < len(low) < len(solids) and not lying:
@@ -343,7 +343,19 @@ def _depths(
     if not (settings.gap is None and settings.overlap is None):
         deep = np.array([depth(meshes[a], meshes[b]) for a, b in overlaps.parts.tolist()])
         return np.where(deep > overlaps.limit, deep, 0.0)
-    among = np.zeros((len(meshes), len(meshes)), dtype=bool)
-    among[first, second] = True
-    bound = find_joints(meshes, among, settings.curvature, 2 * tolerance).bound
-    return depths_beyond(meshes, overlaps, bound[first, second])
+    # Joints of pairs that are deeper than any joint may be would take minutes to find where these have many faces.
+    most = deepest_of_joints(meshes, overlaps)
+    deep, rest = np.zeros(len(most)), []
+    for row, (a, b) in enumerate(overlaps.parts.tolist()):
+        found = coarse_depth(meshes[a], meshes[b], float(most[row]))
+        if found <= most[row]:
+            rest.append(row)
+        else:
+            deep[row] = depth(meshes[a], meshes[b]) if len(meshes[a].faces) + len(meshes[b].faces) < _MANY else found
+    if rest:
+        among = np.zeros((len(meshes), len(meshes)), dtype=bool)
+        among[first[rest], second[rest]] = True
+        bound = find_joints(meshes, among, settings.curvature, 2 * tolerance).bound
+        others = Overlaps(overlaps.parts[rest], overlaps.limit[rest], overlaps.layer[rest])
+        deep[rest] = depths_beyond(meshes, others, bound[first[rest], second[rest]])
+    return deep

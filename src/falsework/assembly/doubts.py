@@ -113,11 +113,13 @@ def upright_doubt(solids: Sequence[TriangleMesh | None], contacts: Contacts | No
         above = np.isfinite(low) & (low > low.min() + _LEVEL * (high - low.min()))
         above[parts] = False
         borne[name], floating[name] = len(np.unique(parts)), int(above.sum())
-    lies = borne["z"] == 0 and borne["y"] > 0
-    if lies or floating["z"] > floating["y"] == 0:
-        return (
-            "no part rests on another" if lies else f"{floating['z']} parts rest on nothing"
-        ) + ", but they would with y up: export the model with z up"
+    # Where no part rests on another with y up, all lie on the ground there, as the bricks of any straight wall do.
+    lies = borne["z"] == 0
+    if borne["y"] > 0 and (lies or floating["z"] > floating["y"] == 0):
+        count = floating["z"]
+        floats = "1 part rests on nothing, but would" if count == 1 else f"{count} parts rest on nothing, but would"
+        said = "no part rests on another, but some would" if lies else floats
+        return f"{said} with y up: export the model with z up"
     return ""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -12,9 +13,10 @@ from numpy.typing import NDArray
 from falsework.assembly.joints import Joints
 from falsework.assembly.loads import Loads
 from falsework.assembly.part_numbers import part_id
-from falsework.errors import AssemblyError
+from falsework.errors import AssemblyError, ReadWarning
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.contact.patches import frames_of
+from falsework.geometry.mesh.surface import listed
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -115,6 +117,10 @@ def furnish(
         wrench = own.wrench if loads is None else acting.wrench
         pulled = own.acceleration if earthquake is None else acting.acceleration
         acting = Loads.of(assembly.part_count, wrench=wrench, acceleration=pulled)
+    idle = [] if acting is None else np.flatnonzero(acting.wrench.any(axis=1) & assembly.boundary).tolist()
+    if idle:
+        names = listed([assembly.names[part] for part in idle])
+        warnings.warn(f"loads on parts that are boundary have no effect: {names}", ReadWarning, stacklevel=2)
     joined = Joints.read(joints, materials, assembly.names, assembly.contacts)
     if acting is not None or joined is not None:
         assembly = assembly.replace(loads=acting, joints=joined)

@@ -194,7 +194,7 @@ def read_description(source: Path) -> dict[str, Any]:
     described: dict[str, Any] = {}
     if file.is_file():
         try:
-            described = parse_json(file.read_text(encoding="utf-8"))
+            described = parse_json(file.read_text(encoding="utf-8-sig"))
         except (OSError, ValueError) as error:
             raise AssemblyError(f"cannot read {file}: {error}; write it again") from error
         if not isinstance(described, dict):
@@ -215,8 +215,8 @@ def read_description(source: Path) -> dict[str, Any]:
                 raise AssemblyError(
                     f"{key} in {file} is {described[key]!r}; expected {' or '.join(k.__name__ for k in kinds)}"
                 )
-        if not all(isinstance(name, str) for name in described.get("names", [])):
-            raise AssemblyError(f"names in {file} must be strings, one a part")
+        if not all(isinstance(name, str) and name.strip() for name in described.get("names", [])):
+            raise AssemblyError(f"names in {file} must be strings that are not empty, one a part")
     described["contact"] = _contact_settings(described.get("contact", {}), file)
     return described
 

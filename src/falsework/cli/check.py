@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import Positional, arg
 
-from falsework.cli.arguments import spell_options
 from falsework.cli.command import CONE_HINT, UNSET, JudgingCommand, LoadOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.output import counted
+from falsework.cli.overrides import exit_of_good, say_overrides
 from falsework.errors import InputError
 
 if TYPE_CHECKING:
@@ -133,13 +133,7 @@ class CheckPlan(JudgingCommand):
             )
             if not stands:
                 return Exit.NO
-        if not overrides or self.accept_overrides:
-            return Exit.DONE
-        output.note(
-            f"falsework: {self.plan}: good only with options of the structure that the plan sets itself: "
-            f"{spell_options(overrides)}; give them too, or --accept-overrides"
-        )
-        return Exit.CONDITIONAL
+        return exit_of_good(self.plan, overrides, output, accepted=self.accept_overrides)
 
     def _report(
         self, plan: Plan, assembly: Assembly, found: PlanReport, overrides: dict[str, Any], output: Output
@@ -186,8 +180,7 @@ class CheckPlan(JudgingCommand):
                 output.say(f"every state keeps its recorded margins of {', '.join(plan.margins.measured)}")
         if found.checked and found.about is not None:
             output.say(self._about(found.about, plan, assembly))
-            if overrides:
-                output.say(f"options of the structure that the plan sets: {spell_options(overrides)}")
+            say_overrides(overrides, output)
         if found.certified:
             output.say(f"certificates in the plan prove {found.certified} states")
         if found.good and unverified:

@@ -10,6 +10,7 @@ from tyro.conf import arg
 
 from falsework.cli.command import CONE_HINT, UNSET, Command, StructureOptions
 from falsework.cli.exit_code import Exit
+from falsework.cli.overrides import note_overrides
 from falsework.errors import InputError
 
 if TYPE_CHECKING:
@@ -81,6 +82,7 @@ class FindMargins(Command):
         from falsework.interop.formats import read_exportable
         from falsework.search.plans.plan import Plan
         from falsework.search.plans.plan_check import check_identity
+        from falsework.search.plans.plan_source import structure_to_check
         from falsework.stability import Stability, StabilitySettings
         from falsework.stability.margins.margins import QUICK
         from falsework.utils.quantity import parse_quantity
@@ -93,6 +95,8 @@ class FindMargins(Command):
         plan = subject if isinstance(subject, Plan) else None
         if plan is not None:
             check_identity(plan, assembly)
+            own = structure_to_check(plan, self.structure.spec, **self.structure.given())[1]
+            note_overrides(own, output)
         states = self._states(plan, assembly)
         criterion = self.criterion or ("contact" if plan is None else plan.claim.criterion)
         settings = StabilitySettings(criterion=criterion, cone=self.cone)

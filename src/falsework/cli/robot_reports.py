@@ -11,6 +11,7 @@ from falsework.cli.planning import replay_text
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
+    from falsework.cli.output import Output
     from falsework.robots.checks.check import CheckReport
     from falsework.robots.model.cell import Cell
     from falsework.robots.plans.grip_loads import GripLoad
@@ -22,6 +23,19 @@ _AT_HOME = 1e-6
 """Joint values that differ by no more are equal, rad or m."""
 _NO_GAIN = 0.05
 """A schedule that saves no more than this is none, seconds."""
+
+
+def can_schedule(output: Output) -> bool:
+    """Return whether motions can be scheduled; say so where the package for it is missing."""
+    from falsework.errors import DependencyError
+    from falsework.robots.schedule.solver import import_ortools
+
+    try:
+        import_ortools()
+    except DependencyError as error:
+        output.note(f"falsework: one robot moves at a time: {error}")
+        return False
+    return True
 
 
 def times_record(plan: RobotPlan) -> dict[str, Any]:
@@ -80,6 +94,11 @@ def schedule_text(plan: RobotPlan) -> str:
     )
 
 
+def _finite(share: float) -> float | None:
+    """Return a number as JSON can hold it; None where it overflows."""
+    return share if np.isfinite(share) else None
+
+
 def check_record(report: CheckReport) -> dict[str, Any]:
     """Return the record of the motions of a plan."""
     delays = report.delays
@@ -98,8 +117,8 @@ def check_record(report: CheckReport) -> dict[str, Any]:
         "trajectories": report.trajectories,
         "largest_step": report.largest_step,
         "largest_join": report.largest_join,
-        "velocity_share": report.velocity_share,
-        "acceleration_share": report.acceleration_share,
+        "velocity_share": _finite(report.velocity_share),
+        "acceleration_share": _finite(report.acceleration_share),
         "tolerance": report.tolerance,
         "links": report.links,
         "lower_bound": report.lower_bound,
@@ -211,6 +230,10 @@ def unverified(plan: RobotPlan, report: CheckReport, *, states: bool) -> list[st
     found = []
     if not states:
         found.append("the stability of the states, and the forces that robots bear where grippers have no limits")
+    holds = plan.plan.claim.holds
+    if plan.plan.claim.criterion == "contact":
+        stiff = "rigidly" if holds.stiffness in (None, np.inf) else f"with a stiffness of {holds.stiffness:.3g} N/m"
+        found.append(f"that robots hold parts {stiff}, in units of the structure")
     if plan.plan.proof_arrays() is not None:
         found.append("the certificates in the file; those of the check are computed anew")
     if plan.plan.margins is not None:

@@ -14,9 +14,11 @@ from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET, Command, LoadOptions, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.output import counted
+from falsework.cli.overrides import exit_of_good, say_overrides
 from falsework.cli.planning import HoldOptions, lacks_reserve, press_text, refuse_unstable, writable
 from falsework.cli.robot_arguments import parse_grips, parse_holding, parse_joints, parse_now
 from falsework.cli.robot_reports import (
+    can_schedule,
     check_record,
     check_texts,
     found_texts,
@@ -117,7 +119,7 @@ class PlanRobots(Command):
 
         writable(self.out)
         cell = load_cell(self.cell)
-        together = not self.sequential and cell.robot_count > 1 and self._can_schedule(output)
+        together = not self.sequential and cell.robot_count > 1 and can_schedule(output)
         settings = HybridSettings(seed=self.robots_seed, deadline=self.deadline, forces=self.proofs)
         assembly = self.structure.load()
         building = self.direction == "assembly"
@@ -155,17 +157,6 @@ class PlanRobots(Command):
         for text in (*([lost] if lost else []), *heavy):
             output.note(f"falsework: {text}")
         return Exit.NO if lost or heavy else Exit.DONE
-
-    def _can_schedule(self, output: Output) -> bool:
-        from falsework.errors import DependencyError
-        from falsework.robots.schedule.solver import import_ortools
-
-        try:
-            import_ortools()
-        except DependencyError as error:
-            output.note(f"falsework: one robot moves at a time: {error}")
-            return False
-        return True
 
     def _task(self, assembly: Assembly, cell: Cell, held: Sequence[int | None]) -> Task:
         from falsework.search.problem.task import Task
@@ -239,13 +230,16 @@ class CheckRobots(Command):
     continuity of motions are checked too. A plan with a schedule is checked as a whole as well: every 0.01 s all that
     moves against all else; and for any delays the order of the states, and all positions of two arms that can coincide,
     between samples too. The exact solver checks the stability of the states. Forces and moments that robots bear for
-    held parts are compared with the limits of their grippers. Exit code 1 if anything is wrong.
+    held parts are compared with the limits of their grippers. Options of the structure that the plan records, such as
+    its friction, count only if they are given here too. Exit code 1 if anything is wrong; 3 if all is well, but only
+    with such options of the plan.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework robots check robot_plan.json",
         "falsework robots check robot_plan.json --cell cell.toml --steps",
         "falsework robots check robot_plan.json --delays 1000 --json",
+        "falsework robots check robot_plan.json --accept-overrides",
     )
 
     plan: Annotated[Positional[Path], arg(metavar="ROBOT_PLAN")]
@@ -255,6 +249,8 @@ class CheckRobots(Command):
     cell: Annotated[str | None, arg(metavar="CELL", help_behavior_hint=UNSET)] = None
     """Cell to check it in, instead of the one that the plan names."""
     reading: LoadOptions
+    accept_overrides: bool = False
+    """Accept the options of the structure that the plan records, as if all were given."""
     resolution: float = 0.01
     """Largest joint step between two samples, rad."""
     delays: Annotated[int | None, arg(metavar="RUNS", help_behavior_hint=UNSET)] = None
@@ -275,12 +271,12 @@ class CheckRobots(Command):
         from falsework.robots.plans.robot_plan_file import load_robot_plan
         from falsework.robots.schedule.simulation import simulate
         from falsework.search.plans.plan_check import validate_plan
-        from falsework.search.plans.plan_source import structure_of_plan
+        from falsework.search.plans.plan_source import structure_to_check
 
         if self.delays is None and self.longest_delay != 1.0:
             raise InputError("--longest-delay is for delayed runs; give their number too, such as --delays 1000")
         plan = load_robot_plan(self.plan)
-        assembly = structure_of_plan(plan.plan, self.plan, self.structure, **self.reading.given())
+        assembly, overrides = structure_to_check(plan.plan, self.plan, self.structure, **self.reading.given())
         place = self.cell or plan.cell_place(self.plan)
         cell = load_cell(place)
         with output.bar("checking motions") as show:
@@ -308,6 +304,7 @@ class CheckRobots(Command):
                 "robot_plan": str(self.plan),
                 "good": good,
                 "checked": scope_record(plan, assembly, cell, place),
+                "overrides": overrides,
                 "unverified": open_claims,
                 "stable": None if stable is None else stable.good,
                 **check_record(report),
@@ -328,6 +325,7 @@ class CheckRobots(Command):
         if not good:
             return Exit.NO
         output.say(scope_text(plan, assembly, cell, place))
+        say_overrides(overrides, output)
         for text in check_texts(str(self.plan), report, None if stable is None else stable.states):
             output.say(text)
         if runs is not None:
@@ -336,7 +334,7 @@ class CheckRobots(Command):
             output.say(holds_text(record))
         for claim in open_claims:
             output.say(f"not verified: {claim}")
-        return Exit.DONE
+        return exit_of_good(self.plan, overrides, output, accepted=self.accept_overrides)
 
 
 @dataclass(frozen=True, kw_only=True)

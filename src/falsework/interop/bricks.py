@@ -303,13 +303,16 @@ def _read_ldraw(path: Path) -> Iterator[Brick]:
     drawn = hidden = 0
     for number, line in enumerate(_text(path).splitlines(), 1):
         words = line.split()
-        if words[:2] == ["0", "FILE"]:
+        meta = [word.upper() for word in words[:3]] if words[:1] == ["0"] else []
+        if meta[:2] == ["0", "FILE"]:
             name = " ".join(words[2:]).lower()
             if name in models:
                 raise InputError(f"{path}, line {number}: there are two models {name}; give each a name of its own")
-        elif words[:2] == ["0", "NOFILE"]:
+        elif meta[:2] == ["0", "NOFILE"]:
             name = None
-        elif words[:3] == ["0", "MLCAD", "HIDE"] or words[:2] == ["0", "GHOST"]:
+        elif meta[:2] == ["0", "BUFEXCHG"]:
+            raise InputError(f"{path}, line {number}: bricks come and go (BUFEXCHG); export the model as it is built")
+        elif meta == ["0", "MLCAD", "HIDE"] or meta[:2] == ["0", "GHOST"]:
             hidden += 1
         elif words[:1] == ["1"] and name is not None:
             models.setdefault(name, []).append((number, words))

@@ -135,8 +135,8 @@ class _Reader:
         warn_of_curves(self._path, self._curved)
         return found
 
-    def _find(self, data: Any) -> Iterator[Block]:
-        """Yield all blocks in a value, in their order."""
+    def _find(self, data: Any, key: str = "") -> Iterator[Block]:
+        """Yield all blocks in a value, in their order; one without a name is called by its key in a dictionary."""
         if isinstance(data, list):
             for item in data:
                 yield from self._find(item)
@@ -145,13 +145,13 @@ class _Reader:
             return
         kind = data.get("dtype")
         if kind is None:
-            for item in data.values():
-                yield from self._find(item)
+            for name, item in data.items():
+                yield from self._find(item, name)
             return
         kinds = {kind, *data.get("inheritance", [])}
         content: dict[str, Any] = _content(data)
         if kinds & _MESHES or kind in _SHAPES:
-            yield self._block(data, _IDENTITY)
+            yield self._block(data, _IDENTITY, fallback=key)
         elif "compas_assembly.datastructures/Assembly" in kinds or _is_assembly(content):
             yield from self._assembly(content)
         elif kinds & _MODELS:
@@ -163,7 +163,8 @@ class _Reader:
         elif kind in _NO_VOLUME:
             self._left_out[str(kind)] += 1
         else:
-            inner = list(self._find(content))
+            # Keys in it are names of attributes, not of blocks.
+            inner = list(self._find(list(content.values()) if isinstance(content, dict) else content))
             if not inner:
                 self._fail(f"there is a {kind} in it, which is not known", "convert it to a mesh, or leave it out")
             warn_of(self._path, f"objects of class {kind} are not known; blocks in them were read as they are")
@@ -313,6 +314,8 @@ class _Reader:
     def _block(self, data: dict[str, Any], place: NDArray[np.float64], fallback: str = "") -> Block:
         """Return one mesh, polyhedron or box."""
         content: dict[str, Any] = _content(data)
+        if any("transformation" in entry and not _is_identity(entry["transformation"]) for entry in (data, content)):
+            self._fail("a block has a transformation beside its shape", "apply it and store the shape")
         name = _own_name(data, data.get("name") or (content.get("attributes") or {}).get("name")) or fallback
         attributes = dict(content.get("attributes") or {})
         if "vertex" in content:
@@ -365,6 +368,10 @@ def _matrix(transformation: Any) -> NDArray[np.float64]:
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise ValueError("a transformation is a matrix of shape (4, 4)")
     return matrix
+
+
+def _is_identity(transformation: Any) -> bool:
+    return bool(np.allclose(_matrix(transformation), _IDENTITY, atol=1e-12))
 
 
 def _is_assembly(content: Any) -> bool:

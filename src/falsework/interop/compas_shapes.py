@@ -30,7 +30,11 @@ def _in_frame(points: NDArray[np.float64], content: dict[str, Any]) -> NDArray[n
     """Return points of the frame of a shape in space, shape (points, 3)."""
     frame = inner(content["frame"])
     x, y = (np.array(frame[axis], dtype=float) for axis in ("xaxis", "yaxis"))
-    return points @ np.stack([x, y, np.cross(x, y)]) + np.array(frame["point"], dtype=float)
+    z = np.cross(x, y)
+    x, z = (axis / np.linalg.norm(axis) for axis in (x, z))  # as COMPAS does, whatever the axes in the file
+    if not np.isfinite([x, z]).all():
+        raise ValueError("a frame has no axes")
+    return points @ np.stack([x, np.cross(z, x), z]) + np.array(frame["point"], dtype=float)
 
 
 def revolved(shape: str, content: dict[str, Any]) -> tuple[NDArray[np.float64], list[list[int]]]:

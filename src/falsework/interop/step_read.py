@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,8 @@ _DEFLECTION = 1e-3
 """Largest distance of triangles from a curved face, as a share of the face's edges."""
 _ANGLE = np.radians(5)
 """Largest angle between neighbouring triangles of a curved face."""
+_NAMELESS = "Open CASCADE STEP translator"
+"""Beginning of the names that Open CASCADE gives products without one."""
 
 
 def is_step(path: Path | str) -> bool:
@@ -30,6 +34,9 @@ def is_step(path: Path | str) -> bool:
 
 def load_step(path: Path | str, *, unit: str | None = None, **options: Any) -> Assembly:
     """Read an assembly from a STEP file: a part for every solid, in the order of the file.
+
+    A part has the name of its solid, or where several solids have that name, or none, the name of its occurrence in an
+    assembly or of its product.
 
     Args:
         path: the file.
@@ -78,17 +85,27 @@ def _read(path: Path) -> Draft:
     reader.TransferRoots()
     shape = reader.OneShape()
     blocks: list[Block] = []
-    curved: list[str] = []
+    curved: list[int] = []
+    places: list[str] = []
     if not shape.IsNull():
+        products = _Products(reader)
         BRepMesh_IncrementalMesh(shape, _DEFLECTION, True, float(_ANGLE), False)
         explorer = TopExp_Explorer(shape, TopAbs_SOLID)
         while explorer.More():
-            block, bent = _block(reader, explorer.Current())
-            curved += [block.name or str(len(blocks))] if bent else []
-            blocks.append(block)
+            block, bent = _block(explorer.Current())
+            own, place = products.names(explorer.Current())
+            curved += [len(blocks)] if bent else []
+            blocks.append(replace(block, name=own))
+            places.append(place)
             explorer.Next()
     if not blocks:
         raise InputError(f"{path} has no solid; export the parts as solids, not as surfaces")
+    # Programs call the bodies of many parts alike; their places in the assembly tell them apart.
+    uses = Counter(block.name for block in blocks)
+    blocks = [
+        replace(block, name=place) if place and (not block.name or uses[block.name] > 1) else block
+        for block, place in zip(blocks, places, strict=True)
+    ]
     for kind, within, what in ((TopAbs_FACE, TopAbs_SOLID, "surfaces"), (TopAbs_EDGE, TopAbs_FACE, "curves")):
         explorer, count = TopExp_Explorer(shape, kind, within), 0
         while explorer.More():
@@ -99,16 +116,66 @@ def _read(path: Path) -> Draft:
     hidden = len(re.findall(rb"=\s*INVISIBILITY\s*\(", path.read_bytes()))
     if hidden:
         warn_of(path, f"it hides objects ({hidden} lists), which were read as well; leave them out of the export")
-    warn_of_curves(path, curved)
+    warn_of_curves(path, [blocks[number].name or str(number) for number in curved])
     return Draft.of(path, _MILLIMETRE, blocks)
 
 
-def _block(reader: Any, solid: Any) -> tuple[Block, bool]:
-    """Return the triangles of a solid, and whether it has curved faces."""
+class _Products:
+    """Names of the solids of a file: their own, and those of their parts in an assembly."""
+
+    def __init__(self, reader: Any) -> None:
+        self._transfer = reader.WS().TransferReader()
+        self._items: list[Any] = []  # kept, since entities are told apart by their `id`
+        self._name_of: dict[int, str] = {}
+        model = reader.WS().Model()
+        entities = [model.Value(number + 1) for number in range(model.NbEntities())]
+        shown: dict[int, str] = {}
+        for entity in entities:
+            if type(entity).__name__ == "StepShape_ShapeDefinitionRepresentation":
+                product = entity.Definition().PropertyDefinition().Definition().ProductDefinition()
+                if product is not None:
+                    self._keep(entity.UsedRepresentation(), _name_of_product(product), shown)
+        for entity in entities:  # programs also give the solids in a shape of their own, equal to that of the product
+            if type(entity).__name__ == "StepRepr_ShapeRepresentationRelationship":
+                ends = entity.Rep1(), entity.Rep2()
+                for one, other in (ends, ends[::-1]):
+                    if id(one) in shown and id(other) not in shown:
+                        self._keep(other, shown[id(one)], shown)
+
+    def _keep(self, shape: Any, name: str, shown: dict[int, str]) -> None:
+        self._items.append(shape)
+        shown[id(shape)] = name
+        for number in range(shape.NbItems()):
+            item = shape.ItemsValue(number + 1)
+            self._items.append(item)
+            self._name_of[id(item)] = name
+
+    def names(self, solid: Any) -> tuple[str, str]:
+        """Return the name of a solid, and that of its occurrence in an assembly or of its product; empty for none."""
+        from OCP.StepRepr import StepRepr_NextAssemblyUsageOccurrence, StepRepr_RepresentationItem
+        from OCP.TopLoc import TopLoc_Location
+
+        here, alone = (
+            self._transfer.EntityFromShapeResult(shape, 1) for shape in (solid, solid.Located(TopLoc_Location()))
+        )
+        items = [entity for entity in (alone, here) if isinstance(entity, StepRepr_RepresentationItem)]
+        own = next((name for item in items if (name := item.Name().ToCString())), "")
+        if isinstance(here, StepRepr_NextAssemblyUsageOccurrence):
+            return own, here.Name().ToCString() or _name_of_product(here.RelatedProductDefinition())
+        return own, next((self._name_of[id(item)] for item in items if id(item) in self._name_of), "")
+
+
+def _name_of_product(definition: Any) -> str:
+    """Return the name of the product of a definition; empty if the writer made it up."""
+    name = definition.Formation().OfProduct().Name().ToCString()
+    return "" if name.startswith(_NAMELESS) else name
+
+
+def _block(solid: Any) -> tuple[Block, bool]:
+    """Return the triangles of a solid, without a name, and whether it has curved faces."""
     from OCP.BRep import BRep_Tool
     from OCP.BRepAdaptor import BRepAdaptor_Surface
     from OCP.GeomAbs import GeomAbs_Plane
-    from OCP.StepRepr import StepRepr_RepresentationItem
     from OCP.TopAbs import TopAbs_FACE, TopAbs_REVERSED
     from OCP.TopExp import TopExp_Explorer
     from OCP.TopLoc import TopLoc_Location
@@ -129,6 +196,4 @@ def _block(reader: Any, solid: Any) -> tuple[Block, bool]:
                 corners = [first + corner for corner in triangles.Triangle(row + 1).Get()]
                 faces.append(corners[::-1] if face.Orientation() == TopAbs_REVERSED else corners)
         explorer.Next()
-    item = reader.WS().TransferReader().EntityFromShapeResult(solid, 1)
-    name = item.Name().ToCString() if isinstance(item, StepRepr_RepresentationItem) else ""
-    return Block(name, np.array(vertices, dtype=float).reshape(-1, 3), faces), bent
+    return Block("", np.array(vertices, dtype=float).reshape(-1, 3), faces), bent

@@ -304,6 +304,14 @@ def test_the_run_can_be_used(arch: Any, tmp_path: Path) -> None:
     assert not any("success/test" in line for line in lines)
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have no such names")
+def test_a_folder_whose_name_is_no_text_does_not_lose_the_run(arch: Any, tmp_path: Path) -> None:
+    folder = tmp_path / os.fsdecode(b"run-\xff")
+    result = train(arch, replace(SMALL, steps=5), folder=folder, device="cpu")
+    assert (folder / "weights.safetensors").is_file()
+    assert any("tensorboard writes no logs" in note for note in result.notes)
+
+
 def test_without_tensorboard_there_is_a_note(arch: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
     result = train(arch, replace(SMALL, steps=5), folder=tmp_path / "run", device="cpu")

@@ -66,6 +66,7 @@ def write_meshes(folder: Path) -> None:
     text = "".join(f"v {x} {y} {z}\n" for x, y, z in corners)
     text += "".join(f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in faces)
     (folder / "wedge.obj").write_text(text)
+    (folder / "wedge.zip").write_bytes(b"PK\5\6" + bytes(18))
     (folder / "parts").mkdir(exist_ok=True)
     (folder / "parts" / "wedge.obj").write_text(text)
     flat = " ".join(str(1000 * value) for corner in corners for value in corner)
@@ -111,11 +112,40 @@ CASES = {
     "mimic joint beside the arm that follows it, with shapes": changed(
         END, finger('<mimic joint="slide"/>') + END, "joint open beside the arm follows joint slide"
     ),
+    "mimic joint beside the arm that follows it through another one": changed(
+        END,
+        finger('<mimic joint="slide"/>', "")
+        + finger('<mimic joint="open"/>').replace('"finger"', '"thumb"').replace('name="open"', 'name="also"')
+        + END,
+        "joint also beside the arm follows joint slide of the arm",
+    ),
+    "mimic joint beside the arm with an offset, with shapes": changed(
+        END,
+        finger()
+        + finger('<mimic joint="open" offset="0.1"/>')
+        .replace('"finger"', '"thumb"')
+        .replace('name="open"', 'name="also"')
+        + END,
+        r"joint also beside the arm follows joint open \(mimic\) with an offset of 0.1",
+    ),
     "moving joint beside the arm": changed(END, finger() + END, "fixed at zero: open"),
     "limits missing": changed(TURN, "", "joint turn has no velocity limit"),
     "limits without velocity": changed(TURN, '<limit lower="-1" upper="1"/>', "joint turn has no velocity limit"),
     "limits reversed": changed(TURN, '<limit lower="1" upper="-1" velocity="2"/>', "joint turn has no range"),
     "limits that are not finite": changed(TURN, '<limit lower="-1" upper="inf" velocity="2"/>', "turn has no range"),
+    "limits beyond two full turns": changed(
+        TURN, '<limit lower="-180" upper="180" velocity="2"/>', "has radians: turn", holds=lambda m: m.upper[0] == 180
+    ),
+    "soft limits reversed": changed(
+        TURN,
+        TURN + '<safety_controller k_velocity="1" soft_lower_limit="0.7" soft_upper_limit="-0.5"/>',
+        "soft limits of joint turn leave it no range",
+    ),
+    "one soft limit": changed(
+        TURN,
+        TURN + '<safety_controller k_velocity="1" soft_lower_limit="-0.5"/>',
+        holds=lambda m: (m.lower[0], m.upper[0]) == (-0.5, 0.0),
+    ),
     "soft limits of a safety controller": changed(
         TURN,
         TURN + '<safety_controller k_velocity="1" soft_lower_limit="-0.5" soft_upper_limit="0.7"/>',
@@ -152,6 +182,9 @@ CASES = {
         holds=lambda m: low_of(2)(m)[1] == -2 and is_outward(m),
     ),
     "mesh with a scale of zero": changed(MESH, '<mesh filename="wedge.obj" scale="1 0 1"/>', "has scale"),
+    "mesh in another format, such as a packed one": changed(
+        MESH, '<mesh filename="wedge.zip"/>', r"mesh wedge\.zip is no \.stl, \.obj"
+    ),
     "COLLADA mesh with another unit": changed(
         MESH, '<mesh filename="wedge.dae"/>', holds=lambda m: np.allclose(m.pieces[2][0].max(axis=0), [1, 2, 3])
     ),
@@ -196,6 +229,17 @@ CASES = {
     ),
     "joint between unknown links": changed('<parent link="one"/>', '<parent link="none"/>', "parent of joint slide"),
     "several links without a parent": changed(END, f'<link name="table"/>{END}', "base, table may be the base"),
+    "links that are below each other": changed(
+        END,
+        '<link name="a"/><link name="b"/>'
+        '<joint name="ab" type="fixed"><parent link="a"/><child link="b"/></joint>'
+        f'<joint name="ba" type="fixed"><parent link="b"/><child link="a"/></joint>{END}',
+        "links are below each other: a, b",
+    ),
+    "entry that a joint or a shape has twice": changed(TURN, TURN + TURN, "joint turn has two entries <limit>"),
+    "places and sizes that are no numbers, or sizes not above zero": changed(
+        MESH, '<sphere radius="-0.05"/>', "shape of link two has radius='-0.05' in <sphere>; give a number above zero"
+    ),
     "no link called tool0 or flange": Case(
         (('<link name="tool0"/>', '<link name="hand"/>'), ('<child link="tool0"/>', '<child link="hand"/>')),
         "end of the longest chain: hand",
@@ -212,6 +256,11 @@ CASES = {
         "they stay checked: base and two",
         holds=lambda m: (0, 2) not in m.ignored,
         srdf='<robot><disable_collisions link1="base" link2="two"/></robot>',
+    ),
+    "pairs that an SRDF excludes and enables again": Case(
+        srdf='<robot><disable_collisions link1="base" link2="two"/>'
+        '<enable_collisions link1="two" link2="base"/></robot>',
+        holds=lambda m: (0, 2) not in m.ignored,
     ),
     "no SRDF": changed(
         "<collision><geometry>" + MESH,
@@ -306,6 +355,37 @@ def test_what_a_cell_file_states_twice_or_for_nobody(tmp_path: Path) -> None:
     idle = given + given[given.index("[grippers.cup]") : given.index("[[robots]]")].replace("cup]", "spare]")
     with pytest.warns(CellWarning, match="no robot has the gripper spare"):
         parse_cell(idle, "cell.toml", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (MESH, '<box size="0 1 1"/>'),
+        (MESH, '<box size="1 1"/>'),
+        (MESH, '<cylinder radius="nan" length="1"/>'),
+        (MESH, '<cylinder radius="1" length="0"/>'),
+        (MESH, '<mesh filename="wedge.obj" scale="1 2"/>'),
+        ('<origin xyz="0 0 0.4"/>', '<origin xyz="0 0 inf"/>'),
+        ('<origin xyz="0 0 0.4"/>', '<origin xyz="0 0 0.4" rpy="0 x 0"/>'),
+        ('<axis xyz="0 0 1"/>', '<axis xyz="0 0"/>'),
+    ],
+)
+def test_numbers_that_are_none(tmp_path: Path, old: str, new: str) -> None:
+    assert old in urdf_text()
+    with pytest.raises(CellError, match=r"(joint slide|a shape of link two) has \w+='.*' in <\w+>; give"):
+        load_urdf(written(tmp_path, changed(old, new)))
+
+
+def test_copies_of_meshes_do_not_fill_the_memory(tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    scene = trimesh.Scene()
+    name = scene.add_geometry(trimesh.creation.icosphere(subdivisions=4))
+    for number in range(2000):
+        scene.graph.update(f"copy-{number}", geometry=scene.graph[name][1])
+    file = written(tmp_path, changed(MESH, '<mesh filename="many.glb"/>'))
+    scene.export(tmp_path / "many.glb")
+    with pytest.raises(CellError, match=r"mesh many\.glb cannot be read: .* grows to \d+ corners and triangles"):
+        load_urdf(file)
 
 
 @pytest.mark.parametrize(

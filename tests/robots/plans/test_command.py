@@ -82,10 +82,12 @@ def test_plan_check_export(run: Callable, cell_file: Path, tmp_path: Path) -> No
     assert records[0]["checked"]["cell_identity"] == plan.cell_identity
     assert records[0]["checked"]["robots"] == ["arm"]
     assert [records[0]["checked"][key] for key in ("steps", "start", "end", "not_at_home")] == [4, "112", "002", []]
-    assert records[0]["unverified"] == ["that a replay of the plan succeeds"]
+    stiff, replayed = records[0]["unverified"]
+    assert stiff.startswith("that robots hold parts with a stiffness of ")
+    assert replayed == "that a replay of the plan succeeds"
     code, records, error = run("robots", "check", out, "--json", "--motions-only")
     assert code == 0
-    assert len(records[0]["unverified"]) == 2
+    assert len(records[0]["unverified"]) == 3
     assert "the stability of the states" in records[0]["unverified"][0]
     for form, name in (("ros2-json", "plan.json"), ("csv", "plan.csv"), ("rapid", "arm.mod")):
         folder = tmp_path / form
@@ -188,6 +190,36 @@ def test_a_bad_plan_is_exit_code_one(run: Callable, cell_file: Path, tmp_path: P
     assert code == 1
     assert not records[0]["good"]
     assert "the acceleration of joint_" in error
+
+
+@pytest.mark.parametrize("entry", ["positions", "velocities"])
+def test_numbers_that_overflow_are_reported(run: Callable, cell_file: Path, tmp_path: Path, entry: str) -> None:
+    out = tmp_path / "robot_plan.json"
+    assert run("robots", "plan", STACK, "--cell", cell_file, "--out", out, "--sequential")[0] == 0
+    data = json.loads(out.read_text())
+    data["steps"][0]["trajectories"][0][entry][1] = [1e308] * 6
+    out.write_text(json.dumps(data))
+    code, records, error = run("robots", "check", out, "--json", "--motions-only")
+    assert code == 1
+    assert not records[0]["good"]
+    assert records[0]["acceleration_share"] is None
+    assert "unexpected" not in error
+
+
+def test_options_of_the_structure_count_only_with_the_callers_word(
+    run: Callable, cell_file: Path, tmp_path: Path
+) -> None:
+    """As in `falsework check`: a robot plan must not say how rough, loaded or supported its structure is."""
+    out, options = tmp_path / "robot_plan.json", ("--friction", 0.9, "--load", "block-1=0,0,5")
+    assert run("robots", "plan", STACK, *options, "--cell", cell_file, "--out", out)[0] == 0
+    code, records, error = run("robots", "check", out, "--json")
+    assert code == 3
+    assert records[0]["good"]
+    assert records[0]["overrides"] == {"friction": 0.9, "loads": [{"part": "block-1", "force": [0.0, 0.0, 5.0]}]}
+    shown = "--friction 0.9 --load block-1=0.0,0.0,5.0"
+    assert f"good only with options of the structure that the plan sets itself: {shown}; give them too" in error
+    for more in (options, ("--accept-overrides",)):
+        assert run("robots", "check", out, "--motions-only", *more)[0] == 0
 
 
 def test_no_plan_says_why(run: Callable, tmp_path: Path) -> None:

@@ -407,3 +407,13 @@ def test_a_forged_fact_is_refused(case: Case, fact: str, message: str) -> None:
             said = str(error)
     assert message in said, said
     assert "\n" not in said
+
+
+@pytest.mark.parametrize("entry", ["positions", "velocities", "times"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
+def test_numbers_that_are_none_are_reported(case: Case, entry: str, value: float) -> None:
+    """Of plans made in Python; readers refuse files with such numbers."""
+    wrong = getattr(case.plan.steps[HOLD].trajectories[0], entry).copy()
+    wrong[len(wrong) // 2] = value
+    forged = case.moved(HOLD, 0, **{entry: wrong})
+    assert not check_robot_plan(forged.plan, forged.assembly, forged.cell).good

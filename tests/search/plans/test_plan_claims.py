@@ -18,7 +18,7 @@ import pytest
 
 from falsework.assembly import Assembly, load_structure
 from falsework.assembly.props import prop_places, with_props
-from falsework.errors import InputError, PlanError
+from falsework.errors import InputError, PlanError, ReadWarning
 from falsework.geometry import TriangleMesh
 from falsework.search import (
     Plan,
@@ -510,6 +510,16 @@ def test_a_certificate_that_proves_nothing_is_no_good(plan: Plan, value: float, 
     assert "is not proven: the displacements in the plan prove nothing: " in report.reason
     short = replace(plan, displacement=plan.displacement[:-1], margins=None)
     assert "displacements of shape" in validate_plan(short, load_structure(SPEC)).reason
+
+
+def test_certificates_of_version_2_are_left_out_with_a_warning(data: dict[str, Any]) -> None:
+    """They prove single states from rest: a check that is silent about them seems to have looked at them."""
+    old = json.loads(json.dumps(data).replace('"history"', '"displacement"')) | {"format": "falsework.plan/2"}
+    for entry in ("reserve", "holds"):
+        del old["stability"][entry]
+    old["displacements"] = {"parts": 5, "zlib_base64": "no proof"}
+    with pytest.warns(ReadWarning, match="displacements of plans of version 2 prove single states and no build"):
+        assert plan_from_dict(old).displacement is None
 
 
 def test_an_unstable_state_is_told_from_a_wrong_certificate(plan: Plan) -> None:

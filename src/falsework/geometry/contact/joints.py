@@ -188,7 +188,7 @@ def depths_beyond(meshes: Sequence[TriangleMesh], overlaps: Overlaps, bound: Arr
     Returns:
         Shape (pairs,), metres.
     """
-    allowed = np.where(bound > 0, np.minimum(bound, _most(meshes, overlaps)), _limits(meshes, overlaps))
+    allowed = np.where(bound > 0, np.minimum(bound, deepest_of_joints(meshes, overlaps)), _limits(meshes, overlaps))
     found = np.zeros(len(allowed))
     for row, (a, b) in enumerate(overlaps.parts.tolist()):
         measure = coarse_depth if bound[row] else depth
@@ -205,7 +205,7 @@ def _limits(meshes: Sequence[TriangleMesh], overlaps: Overlaps) -> Array:
     return np.where(overlaps.layer, most, overlaps.limit)
 
 
-def _most(meshes: Sequence[TriangleMesh], overlaps: Overlaps) -> Array:
+def deepest_of_joints(meshes: Sequence[TriangleMesh], overlaps: Overlaps) -> Array:
     """Return the depth that no joint of a pair may have, shape (pairs,), metres.
 
     Bars that lie in each other are as deep as they are thick, however long they are along what looks like a joint.
@@ -227,7 +227,7 @@ def refuse_deep(meshes: Sequence[TriangleMesh], overlaps: Overlaps) -> None:
     Raises:
         AssemblyError: names the parts and the depth.
     """
-    for (a, b), allowed in zip(overlaps.parts.tolist(), _most(meshes, overlaps).tolist(), strict=True):
+    for (a, b), allowed in zip(overlaps.parts.tolist(), deepest_of_joints(meshes, overlaps).tolist(), strict=True):
         deep = coarse_depth(meshes[a], meshes[b], allowed)
         if deep > allowed:
             raise AssemblyError(

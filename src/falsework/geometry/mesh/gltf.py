@@ -5,8 +5,10 @@ from __future__ import annotations
 import base64
 import struct
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn
+from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +34,10 @@ _HARMLESS = (
 )
 """Beginnings of the names of extensions that say nothing about the shape."""
 _KNOWN = {"KHR_mesh_quantization", "KHR_node_visibility", "MSFT_texture_dds", "ADOBE_materials_clearcoat_specular"}
+_SHAPED = ("scenes", "nodes", "meshes", "accessors", "bufferViews", "buffers")
+"""Lists of what shapes are made of."""
+_UNIT = 0.01
+"""Difference from one up to which the length of a rotation counts as rounded."""
 _LEVELS = 64
 """Nodes that may contain each other."""
 _NODES = 100_000
@@ -60,8 +66,9 @@ def read_gltf(file: Path) -> list[PartSurface]:
     except (ValueError, KeyError, IndexError, TypeError, AttributeError, struct.error, OverflowError) as error:
         if isinstance(error, MeshError):
             raise
+        why = " ".join(str(error).split())[:80] if type(error) is ValueError else type(error).__name__
         raise MeshError(
-            f"cannot read {file}: it is no glTF 2.0 file, or is damaged ({type(error).__name__}); export it again"
+            f"cannot read {file}: it is no glTF 2.0 file, or is damaged ({why}); export it again"
         ) from error
 
 
@@ -74,6 +81,7 @@ class _Reader:
         self._meshes: dict[int, PartSurface | None] = {}
         self._hidden: list[str] = []
         self._flat: list[str] = []
+        self._lacking: list[str] = []
         self._lines = 0
         self._count = 0
 
@@ -81,22 +89,37 @@ class _Reader:
         if content[:4] == b"glTF":
             content = self._chunks(content)
         self._json = parse_json(content.decode("utf-8-sig"))
-        if not str(self._json["asset"]["version"]).startswith("2"):
-            self._fail(f"its version of glTF is {self._json['asset']['version']}, not 2.0", "export it as glTF 2.0")
+        asset = self._json["asset"]
+        if not str(asset["version"]).startswith("2") or asset.get("minVersion", "2.0") != "2.0":
+            version = asset.get("minVersion", asset["version"])
+            self._fail(f"its version of glTF is {version}, not 2.0", "export it as glTF 2.0")
         if "plan" in (self._json.get("extras") or {}):
             self._fail("it shows a plan in motion", "give the structure of the plan")
-        used = [name for name in self._json.get("extensionsUsed", []) if name not in _KNOWN]
-        shaping = [name for name in used if not name.startswith(_HARMLESS)]
+        shaping = [name for name in self._extensions() if name not in _KNOWN and not name.startswith(_HARMLESS)]
         if shaping:
             self._fail(f"it uses {listed(shaping)}, which may change its shapes", "export it without extensions")
         uses = [use for root in self._roots() for use in self._uses(root, np.eye(4), 0, False)]
         self._check_growth(uses)
         surfaces = [surface for use in uses if (surface := self._part(*use)) is not None]
         self._report()
-        numbers = [-1 if surface.number is None else surface.number for surface in surfaces]
-        if sorted(numbers) == list(range(len(numbers))):
+        stated = [surface.number for surface in surfaces if surface.number is not None]
+        if sorted(stated) == list(range(len(surfaces))):
             return sorted(surfaces, key=lambda surface: surface.number or 0)
-        return surfaces
+        if stated:
+            said = listed([f"{surface.name} {surface.number}" for surface in surfaces if surface.number is not None])
+            warn_of(
+                self._file, f"nodes state numbers that are not 0 to {len(surfaces) - 1}, so these are left out: {said}"
+            )
+        return [replace(surface, number=None) for surface in surfaces]
+
+    def _extensions(self) -> list[str]:
+        """Return the extensions that the file declares, or uses where shapes are without declaring them."""
+        found = [*self._json.get("extensionsUsed", []), *self._json.get("extensionsRequired", [])]
+        holders = [entry for kind in _SHAPED for entry in self._json.get(kind, [])]
+        holders += [primitive for mesh in self._json.get("meshes", []) for primitive in mesh["primitives"]]
+        for holder in holders:
+            found += holder.get("extensions") or {}
+        return list(dict.fromkeys(found))
 
     def _chunks(self, content: bytes) -> bytes:
         """Return the JSON of a binary file, and keep its buffer."""
@@ -176,16 +199,18 @@ class _Reader:
         elif surface is not None and not np.linalg.det(place[:3, :3]):
             self._flat.append(name)
         elif surface is not None:
-            return self._placed(surface, node, place)
+            return self._placed(surface, number, node, place)
         return None
 
-    def _placed(self, surface: PartSurface, node: dict[str, Any], place: Array) -> PartSurface:
+    def _placed(self, surface: PartSurface, index: int, node: dict[str, Any], place: Array) -> PartSurface:
         points = surface.vertices @ place[:3, :3].T + place[:3, 3]
         faces = surface.faces if np.linalg.det(place[:3, :3]) > 0 else surface.faces[:, ::-1]
         extras = node.get("extras")
         extras = extras if isinstance(extras, dict) else {}
         number, density = extras.get("part"), extras.get("density")
         own = isinstance(number, int) and not isinstance(number, bool)
+        if not own and extras.keys() & {"boundary", "density"}:
+            self._lacking.append(self._name(node, index))
         return PartSurface(
             node.get("name") or self._json["meshes"][node["mesh"]].get("name") or "",
             points[:, [0, 2, 1]] * (1.0, -1.0, 1.0),
@@ -269,8 +294,9 @@ class _Reader:
 
     def _beside(self, uri: str) -> Path | None:
         """Return the file beside this one that a buffer names; None if it is no such file."""
-        beside = self._file.parent / Path(uri).name
-        return beside if self._file.suffix.lower() == ".gltf" and beside.name == uri and beside.is_file() else None
+        name = unquote(uri).removeprefix("./")
+        beside = self._file.parent / Path(name).name
+        return beside if self._file.suffix.lower() == ".gltf" and beside.name == name and beside.is_file() else None
 
     def _entry(self, kind: str, index: int) -> dict[str, Any]:
         if index < 0:
@@ -282,6 +308,11 @@ class _Reader:
         for names, what in ((self._hidden, "hidden nodes"), (self._flat, "nodes that are scaled to nothing")):
             if names:
                 warn_of(self._file, f"{what} were left out: {listed(names)}")
+        if self._lacking:
+            said = listed(self._lacking)
+            warn_of(
+                self._file, f"boundary and density count only beside the number of a part, and were left out: {said}"
+            )
         if self._lines:
             warn_of(self._file, f"points and lines were left out: {self._lines} primitives")
         if self._json.get("animations"):
@@ -302,8 +333,12 @@ def _transform(node: dict[str, Any]) -> Array:
     """Return the matrix of a node, shape (4, 4)."""
     if "matrix" in node:
         matrix = np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
+        if not np.allclose(matrix[3], (0.0, 0.0, 0.0, 1.0)):
+            raise ValueError("the matrix of a node is not affine")
     else:
         x, y, z, w = np.array(node.get("rotation", (0, 0, 0, 1)), dtype=np.float64)
+        if not abs(x * x + y * y + z * z + w * w - 1) <= _UNIT:
+            raise ValueError("the rotation of a node is no unit quaternion")
         turn = np.array(
             [
                 [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],

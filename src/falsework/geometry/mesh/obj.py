@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from falsework.errors import MeshError
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.polygon import triangles_of
-from falsework.geometry.mesh.surface import PartSurface, joined, listed, regrouped, stated_unit, warn_of
+from falsework.geometry.mesh.surface import PartSurface, joined, listed, regrouped, stated_unit, text_of, warn_of
 
 _APPEARANCE = {"vt", "vn", "s", "usemtl", "mtllib", "usemap", "maplib", "bevel", "c_interp", "d_interp"}
 """Statements that say nothing about the shape."""
@@ -42,7 +42,7 @@ def read_obj(file: Path) -> list[PartSurface]:
         MeshError: a line that cannot be understood, a face with a vertex that is not there, or a free-form surface.
     """
     try:
-        text = file.read_text(encoding="utf-8-sig", errors="replace")
+        text = text_of(file, file.read_bytes())
     except OSError as error:
         raise MeshError(f"cannot read {file}: {error.strerror}") from error
     vertices: list[tuple[float, float, float]] = []
@@ -81,7 +81,7 @@ def read_obj(file: Path) -> list[PartSurface]:
         kinds = listed([f"{count} of {keyword!r}" for keyword, count in unused.items()])
         warn_of(file, f"lines that make no surface were left out: {kinds}")
     points = np.array(vertices, dtype=np.float64).reshape(-1, 3)
-    unit = stated_unit("\n".join(line for line in text.splitlines() if line.startswith("#")))
+    unit = stated_unit("\n".join(line.partition("#")[2] for line in text.splitlines() if "#" in line))
     surfaces = _objects(file, points, [section for section in sections if section.polygons])
     return [replace(surface, unit=unit) for surface in surfaces]
 
@@ -94,14 +94,14 @@ def _objects(file: Path, points: NDArray[np.float64], sections: list[_Section]) 
     names = list(dict.fromkeys(section.group or "(none)" for section in sections))
     if len({section.place for section in sections}) < 2 and len(names) > 1:
         groups = regrouped(
-            [replace(piece, name=section.group) for piece, section in zip(pieces, sections, strict=True)]
+            file, [replace(piece, name=section.group) for piece, section in zip(pieces, sections, strict=True)]
         )
         if any(surface.closed for surface in groups):
             return groups
         warn_of(file, f"groups were left out, since their faces enclose no space each: {listed(names)}")
     pairs = zip(pieces, sections, strict=True)
     objects = groupby(pairs, key=lambda pair: (pair[1].place, pair[1].owner))
-    return regrouped([joined(owner, [piece for piece, _ in some]) for (_, owner), some in objects])
+    return regrouped(file, [joined(owner, [piece for piece, _ in some]) for (_, owner), some in objects])
 
 
 def obj_text(mesh: TriangleMesh) -> str:

@@ -46,7 +46,7 @@ def read_ply(file: Path) -> list[PartSurface]:
     """Read the surface in a PLY file. Colours, normals and textures are ignored.
 
     Raises:
-        MeshError: a file that is damaged, or has triangle strips.
+        MeshError: a file that is damaged, has triangle strips, or has more or other data than its header says.
     """
     try:
         content = file.read_bytes()
@@ -54,8 +54,14 @@ def read_ply(file: Path) -> list[PartSurface]:
         raise MeshError(f"cannot read {file}: {error.strerror}") from error
     try:
         order, elements, start = _header(content)
+        if twice := _stated_twice(elements):
+            raise MeshError(
+                f"the header of {file} has {twice} twice, so that one of them would be lost; export it again"
+            )
         data = _Numbers(content, start, order)
         values = {element.name: _read(data, element) for element in elements}
+        if data.rest():
+            raise MeshError(f"{file} has more data than its header says, such as further faces; export it again")
         if "tristrips" in values:
             raise MeshError(f"{file} has triangle strips; export its faces one by one")
         vertex, face = values.get("vertex", {}), values.get("face", {})
@@ -104,6 +110,16 @@ def _header(content: bytes) -> tuple[str, list[_Element], int]:
     return order, elements, start
 
 
+def _stated_twice(elements: list[_Element]) -> str:
+    """Return which element, property or list of corners a header has twice; empty if it has none."""
+    places = [repr(element.name) for element in elements]
+    for element in elements:
+        places += [f"{entry.name!r} of {element.name!r}" for entry in element.properties]
+        if element.name == "face":
+            places += ["corners of faces" for entry in element.properties if entry.name in _CORNERS]
+    return next((place for number, place in enumerate(places) if place in places[:number]), "")
+
+
 class _Numbers:
     """Numbers of a file, read one after the other."""
 
@@ -123,6 +139,10 @@ class _Numbers:
         values = np.frombuffer(self.content, self.order + kind, count, self.at)
         self.at += values.nbytes
         return values
+
+    def rest(self) -> bool:
+        """Return whether numbers are left."""
+        return self.word < len(self.words) if not self.order else bool(self.content[self.at :].strip())
 
     def table(self, kinds: list[str], count: int) -> list[np.ndarray]:
         """Return the columns of rows that are numbers of these types."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,10 @@ _MODELS = {
     ".usdz", ".3mf", ".amf", ".wrl", ".x3d", ".ifc", ".skp", ".blend", ".sat", ".ldr", ".mpd", ".vtk", ".vtp", ".brep",
 }  # fmt: skip
 """Files that may hold parts and of which a folder may have none."""
+_PACKED = {".zip", ".gz", ".bz2", ".xz", ".7z", ".rar", ".tar", ".tgz"}
+"""Files that may have such files in them."""
+_LOOKED_AT = 10_000
+"""Entries below a folder that are looked at in search of meshes."""
 
 
 def unit_length(unit: str) -> float:
@@ -92,7 +97,8 @@ def read_surfaces(path: str | Path) -> list[PartSurface]:
     elif source.suffix.lower() not in _READERS:
         raise InputError(f"cannot read {source}; meshes are {', '.join(SUFFIXES)}")
     surfaces = _read(source)
-    if len(surfaces) > 1 and all(surface.name.isdecimal() for surface in surfaces):
+    numbered = all(surface.number is not None for surface in surfaces)  # and in that order already
+    if len(surfaces) > 1 and not numbered and all(surface.name.isdecimal() for surface in surfaces):
         surfaces = [surfaces[index] for index in _order([surface.name for surface in surfaces], source)]
     surfaces = separated(source, surfaces)
     names = distinct_names(source, [surface.name for surface in surfaces])
@@ -107,21 +113,38 @@ def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
 
 
 def _files(folder: Path) -> list[Path]:
-    """Return the mesh files in a folder, at least one, and warn of other files and folders that may hold parts."""
+    """Return the mesh files in a folder, at least one, and warn of other files and folders that may hold parts.
+
+    Raises:
+        InputError: there is none, or an entry with the name of one that is none, such as a link that leads nowhere.
+    """
     entries = sorted(entry for entry in folder.iterdir() if not entry.name.startswith("."))
-    files = [entry for entry in entries if entry.suffix.lower() in _READERS and entry.is_file()]
-    if not files:
+    named = [entry for entry in entries if entry.suffix.lower() in _READERS]
+    for entry in named:
+        if not entry.is_file():
+            what = "a folder" if entry.is_dir() else "a link that leads nowhere" if entry.is_symlink() else "no file"
+            raise InputError(f"{entry} is {what}, not the mesh of a part; replace it or take it out of {folder}")
+    if not named:
         raise InputError(f"no mesh in {folder}; put one file per part there ({', '.join(SUFFIXES)})")
-    others = [entry.name for entry in entries if entry.suffix.lower() in _MODELS and entry.is_file()]
-    others += [
-        f"{entry.name}/"
-        for entry in entries
-        if entry.is_dir()
-        and any(below.suffix.lower() in _READERS and below.name[0] != "." for below in entry.iterdir())
-    ]
+    others = [entry.name for entry in entries if entry not in named and entry.is_file() and _may_hold_parts(entry)]
+    others += [f"{entry.name}/" for entry in entries if entry.is_dir() and _has_meshes(entry)]
     if others:
         warn_of(folder, f"files of other formats and folders in it were left out: {listed(others)}")
-    return files
+    return named
+
+
+def _may_hold_parts(file: Path) -> bool:
+    """Return whether the name of a file is that of a model, of a packed file, or of a copy such as `1.obj.bak`."""
+    return any(suffix.lower().rstrip("~") in {*_READERS, *_MODELS, *_PACKED} for suffix in file.suffixes)
+
+
+def _has_meshes(folder: Path) -> bool:
+    """Return whether there are meshes in a folder or in those below it, as far as it is looked at."""
+    for below in islice(folder.rglob("*"), _LOOKED_AT):
+        within = below.relative_to(folder).parts
+        if below.suffix.lower() in _READERS and not any(part.startswith(".") for part in within):
+            return True
+    return False
 
 
 def _order(names: Sequence[str], where: Path) -> list[int]:

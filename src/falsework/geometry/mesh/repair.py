@@ -126,6 +126,22 @@ def check_mesh(name: str, vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh
     return mesh
 
 
+def closes(vertices: Array, faces: Faces) -> bool:
+    """Return whether a surface bounds a solid by itself as soon as its flat holes are closed.
+
+    Args:
+        vertices: shape (vertices, 3), of any unit.
+        faces: shape (faces, 3), of vertices that exist.
+    """
+    if not len(faces) or not np.isfinite(vertices[np.unique(faces)]).all():
+        return False
+    try:
+        _mend("", *merge_equal(vertices, faces), [])
+    except MeshError:
+        return False
+    return True
+
+
 def _drop_copies(corners: Faces, done: list[str]) -> Faces:
     """Drop second copies of faces of a closed surface, which would count its volume twice."""
     first_corner = np.argmin(corners, axis=1)[:, None]

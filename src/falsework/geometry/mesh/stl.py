@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from falsework.errors import MeshError
-from falsework.geometry.mesh.surface import PartSurface, regrouped, stated_unit
+from falsework.geometry.mesh.surface import PartSurface, regrouped, stated_unit, text_of
 
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _HEADER = 84
@@ -35,7 +35,7 @@ def read_stl(file: Path) -> list[PartSurface]:
             f"cannot read {file}: it is neither text that begins with 'solid' nor as long as its number of facets "
             "says; export it again"
         )
-    return _read_text(file, content.decode("utf-8", errors="replace"))
+    return _read_text(file, text_of(file, content))
 
 
 def _read_text(file: Path, text: str) -> list[PartSurface]:
@@ -67,7 +67,9 @@ def _read_text(file: Path, text: str) -> list[PartSurface]:
             raise MeshError(f"cannot read line {number} of {file}: {line.strip()[:60]!r}; export it again")
     if inside or any(len(points) % 3 for _, points in solids):
         raise MeshError(f"cannot read {file}: its last solid does not end; export it again")
-    return regrouped([_surface(name, np.array(points).reshape(-1, 3, 3)) for name, points in solids if points])
+    found = [_surface(name, np.array(points).reshape(-1, 3, 3)) for name, points in solids if points]
+    unit = stated_unit("\n".join(name for name, _ in solids))
+    return [replace(surface, unit=unit) for surface in regrouped(file, found)]
 
 
 def _surface(name: str, corners: np.ndarray) -> PartSurface:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from falsework.errors import MeshError, ReadWarning
 from falsework.geometry.mesh.bodies import merge_equal, separate_solids
+from falsework.geometry.mesh.repair import closes
 from falsework.geometry.mesh.shells import is_closed
 
 _UNIT = re.compile(
@@ -77,6 +78,23 @@ def stated_unit(comments: str) -> str:
     return next((unit for beginning, unit in _SHORT.items() if word.startswith(beginning)), word)
 
 
+def text_of(file: Path, content: bytes) -> str:
+    """Return the text of a file in UTF-8, or with a warning as Western text, in which programs write names too.
+
+    Raises:
+        MeshError: it is no text of single bytes, such as UTF-16.
+    """
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = content.decode("cp1252", errors="replace")
+        if "\0" not in text:
+            warn_of(file, "it is not in UTF-8; names were read as Western text (Windows-1252)")
+    if "\0" in text:
+        raise MeshError(f"cannot read {file}: it is no text in UTF-8; save it as UTF-8")
+    return text
+
+
 def warn_of(file: Path, what: str) -> None:
     """Warn in one line of what the structure lacks of a file, or has in another way."""
     warnings.warn(f"{file}: {what}", ReadWarning, stacklevel=3)
@@ -110,10 +128,11 @@ def joined(name: str, surfaces: Sequence[PartSurface]) -> PartSurface:
     )
 
 
-def regrouped(surfaces: Sequence[PartSurface]) -> list[PartSurface]:
-    """Join surfaces of the same name that are open each, as exporters write a part of several materials.
+def regrouped(file: Path, surfaces: Sequence[PartSurface]) -> list[PartSurface]:
+    """Join surfaces of the same name that are open, with a warning, as exporters write a part of several materials.
 
-    Those that are closed each are parts of their own, whatever their name.
+    Those that are closed each, or would be if flat holes were closed, are parts of their own, whatever their name:
+    two blocks whose common face was left out are no rigid one.
     """
     of_name: dict[str, list[PartSurface]] = {}
     for surface in surfaces:
@@ -121,9 +140,11 @@ def regrouped(surfaces: Sequence[PartSurface]) -> list[PartSurface]:
     found: list[PartSurface] = []
     for surface in surfaces:
         group = of_name[surface.name]
-        if len(group) == 1 or all(other.closed for other in group):
+        if len(group) == 1 or all(other.closed or closes(other.vertices, other.faces) for other in group):
             found.append(surface)
         elif surface is group[0]:
+            called = f"called {surface.name}" if surface.name else "without a name"
+            warn_of(file, f"{len(group)} open surfaces {called} were joined into one part")
             found.append(joined(surface.name, group))
     return found
 

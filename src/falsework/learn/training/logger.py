@@ -63,14 +63,17 @@ class TensorBoard:
         """Write below the folder of a run.
 
         Raises:
-            DependencyError: tensorboard is not installed.
+            DependencyError: tensorboard is not installed, or writes no file of that name.
         """
         try:
             from torch.utils.tensorboard import SummaryWriter
         except ImportError:
             raise DependencyError("logs for TensorBoard need tensorboard; pip install 'falsework[learn]'") from None
         purge = None if resumed_at is None else resumed_at + 1
-        self._writer = SummaryWriter(str(folder / TENSORBOARD), purge_step=purge, flush_secs=10)
+        try:
+            self._writer = SummaryWriter(str(folder / TENSORBOARD), purge_step=purge, flush_secs=10)
+        except UnicodeEncodeError:
+            raise DependencyError("tensorboard writes no logs into a folder whose name is not UTF-8") from None
 
     def write(self, step: int, values: Mapping[str, Any]) -> None:
         """See `Writer`."""
@@ -107,7 +110,7 @@ class WeightsAndBiases:
 
 
 class Journal:
-    """All writers of a run; TensorBoard is left out with a remark where it is not installed."""
+    """All writers of a run; TensorBoard is left out with a remark where it cannot write."""
 
     def __init__(
         self,

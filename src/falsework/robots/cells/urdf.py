@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from falsework.errors import CellError, DependencyError, InputError
+from falsework.geometry.mesh.bounds import check_growth
 from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
 from falsework.robots.cells.urdf_review import (
     CellWarning,
@@ -33,11 +34,14 @@ from falsework.robots.model.cell import CellRobot, Gripper
 from falsework.robots.model.robot_model import ACCELERATION_TIME, RobotModel
 from falsework.robots.model.shapes import cylinder, move
 from falsework.robots.model.simplify import outer_hull
+from falsework.utils.files.damage import blamed_on
 
 Array = NDArray[np.float64]
 
 COLLISION_SAMPLES = 1000
 """Random configurations in which pairs of links are tested where no SRDF lists the pairs to ignore."""
+_MESHES = (".stl", ".obj", ".dae", ".ply", ".off", ".glb", ".gltf")
+"""Formats of meshes: archives among those that the library reads unpack to any size."""
 _TIPS = ("tool0", "flange")
 """Usual names of the link that a gripper is mounted on, in this order."""
 ALWAYS_SHARE = 0.95
@@ -66,6 +70,12 @@ def load_urdf(path: str | Path, *, base: str | None = None, tip: str | None = No
     file = Path(path)
     if not file.is_file():
         raise CellError(f"no robot description {file}; give a URDF file or a built-in robot")
+    with blamed_on(file, "mend the description"):
+        return _load(file, base, tip)
+
+
+def _load(file: Path, base: str | None, tip: str | None) -> RobotModel:
+    """Read an arm, as `load_urdf` does."""
     document, robot = read_xml(file), _parse(file)
     links = {link.name: link for link in robot.links}
     below = {joint.child: joint for joint in robot.joints}
@@ -151,13 +161,17 @@ def load_urdf(path: str | Path, *, base: str | None = None, tip: str | None = No
             "continuous joints are planned within 360 degrees to both sides",
             [joint.name for joint in moving if joint.type == "continuous"],
         ),
+        (
+            "limits are beyond two full turns, although the format has radians",
+            [joint.name for joint in moving if joint.type == "revolute" and _turns_far(joint)],
+        ),
         ("the gripper is mounted on the end of the longest chain", [] if tip or end in _TIPS else [end]),
         ("entries that are not used", [text] if (text := unused_text(document)) else []),
     ):
         if named:
             notes.append(f"{file}: {what}: {', '.join(named)}")
     for note in notes:
-        warnings.warn(note, CellWarning, stacklevel=2)
+        warnings.warn(note, CellWarning, stacklevel=3)
     return replace(model, ignored=frozenset(ignored))
 
 
@@ -269,8 +283,12 @@ def _limits(file: Path, joint: Any) -> tuple[float, float, float]:
     soft_low, soft_high = soft_range(joint)
     low, high = max(low, soft_low), min(high, soft_high)
     if not low < high:
-        raise CellError(f"{file}: the soft limits of joint {joint.name} are outside its limits; correct one of them")
+        raise CellError(f"{file}: the soft limits of joint {joint.name} leave it no range; correct them or its limits")
     return low, high, float(limit.velocity)
+
+
+def _turns_far(joint: Any) -> bool:
+    return max(abs(joint.limit.lower), abs(joint.limit.upper)) > 4 * np.pi
 
 
 def _shapes(file: Path, link: Any) -> Iterable[TriangleMesh]:
@@ -321,7 +339,12 @@ def _read_mesh(file: Path, mesh: Any) -> TriangleMesh:
         raise CellError(f"{file}: mesh {mesh.filename} has scale {scale.tolist()}; give numbers other than zero")
     if found is None:
         raise CellError(f"{file}: mesh {mesh.filename} does not exist; keep it beside the description")
+    if found.suffix.lower() not in _MESHES:
+        raise CellError(f"{file}: mesh {mesh.filename} is no {', '.join(_MESHES)}; convert it to one of these")
     try:
+        scene: Any = trimesh.load(found, force="scene")
+        shapes = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
+        check_growth(found, sum(len(shape.vertices) + len(getattr(shape, "faces", ())) for shape in shapes))
         loaded: Any = trimesh.load(found, force="mesh")
         points, faces = np.asarray(loaded.vertices, float), np.asarray(loaded.faces)
         if len(points) < 4:

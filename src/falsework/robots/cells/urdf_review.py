@@ -6,6 +6,7 @@ earlier ones.
 
 from __future__ import annotations
 
+import math
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
 from collections.abc import Iterable, Mapping
@@ -21,6 +22,10 @@ _USED = {"parent", "child", "origin", "axis", "limit", "mimic", "safety_controll
 """Entries of links and joints that are used, or refused where they cannot be."""
 _LOOKS = {"material"}
 """Entries that only concern how an arm looks."""
+_ONCE = ("parent", "child", "origin", "axis", "limit", "mimic", "safety_controller", "geometry")
+"""Entries of a joint or a shape of which there may be one: libraries take the first or the last."""
+_NUMBERS = {"xyz": 3, "rpy": 3, "size": 3, "scale": 3, "radius": 1, "length": 1}
+"""Attributes of places and shapes, and how many numbers they have."""
 
 
 class CellWarning(UserWarning):
@@ -31,8 +36,9 @@ def read_xml(file: Path) -> Element:
     """Return the root element of a URDF file.
 
     Raises:
-        CellError: the file cannot be read, has macros, names that are not unique or not known, a link with two parents,
-            or shapes that are unknown; the message names them.
+        CellError: the file cannot be read, has macros, names that are not unique or not known, links that are below
+            each other, a link with two parents, entries that occur twice, or shapes and numbers that are none; the
+            message names them.
     """
     try:
         root = ElementTree.parse(file).getroot()
@@ -62,13 +68,54 @@ def read_xml(file: Path) -> Element:
                 raise CellError(f"{file}: link {link} is the child of joints {above[link]} and {name}; keep one")
             if which == "child" and link is not None:
                 above[link] = name
+    _check_tree(file, root)
     for link, name in zip(root.findall("link"), links, strict=True):
         for collision in (*link.findall("collision"), *link.findall("visual")):
             kinds = [kind.tag for geometry in collision.findall("geometry") for kind in geometry]
             if len(kinds) != 1 or kinds[0] not in SHAPES:
                 what = " and ".join(kinds) or "nothing"
                 raise CellError(f"{file}: a shape of link {name} is {what}; give one of {', '.join(SHAPES)}")
+            _check_entries(file, collision, f"a shape of link {name}")
+    for joint, name in zip(root.findall("joint"), joints, strict=True):
+        _check_entries(file, joint, f"joint {name}")
     return root
+
+
+def _check_tree(file: Path, root: Element) -> None:
+    """Refuse links that are below each other, around which a search for the base would go for ever."""
+    above = {_end(joint, "child"): _end(joint, "parent") for joint in root.findall("joint")}
+    for link in above:
+        passed = [link]
+        while passed[-1] in above:
+            passed.append(above[passed[-1]])
+            if passed[-1] in passed[:-1]:
+                loop = passed[passed.index(passed[-1]) + 1 :]
+                raise CellError(f"{file}: links are below each other: {', '.join(loop)}; an arm is a tree of links")
+
+
+def _end(joint: Element, which: str) -> str:
+    end = joint.find(which)
+    return "" if end is None else end.get("link", "")
+
+
+def _check_entries(file: Path, holder: Element, what: str) -> None:
+    """Refuse entries of a joint or a shape that occur twice, and numbers that are none or too few."""
+    for tag in _ONCE:
+        if len(holder.findall(tag)) > 1:
+            raise CellError(f"{file}: {what} has two entries <{tag}>; keep one")
+    for entry in holder.iter():
+        for name, count in _NUMBERS.items():
+            text = entry.get(name)
+            if text is None or entry.tag not in (*SHAPES, "origin", "axis"):
+                continue
+            try:
+                values = [float(word) for word in text.split()]
+            except ValueError:
+                values = []
+            size = name in ("size", "radius", "length")
+            if len(values) != count or not all(math.isfinite(x) and (x > 0 or not size) for x in values):
+                kind = f"{'three numbers' if count == 3 else 'a number'}{' above zero' if size else ''}"
+                raise CellError(f"{file}: {what} has {name}={text!r} in <{entry.tag}>; give {kind}")
 
 
 def unused_text(root: Element) -> str:
@@ -94,6 +141,7 @@ def coupling_fault(joints: Iterable[Any], chain: Iterable[Any], moved: Iterable[
         moved: names of joints beside the chain that carry shapes.
     """
     names, carrying = {joint.name for joint in chain}, set(moved)
+    leader_of = {joint.name: joint.mimic.joint for joint in joints if joint.mimic is not None}
     for joint in joints:
         if joint.mimic is None:
             continue
@@ -102,10 +150,21 @@ def coupling_fault(joints: Iterable[Any], chain: Iterable[Any], moved: Iterable[
                 f"joint {joint.name} follows joint {joint.mimic.joint} (mimic); plans move every joint on its own: "
                 "choose a base_link and tip_link between which no joint follows another, or another arm"
             )
-        if joint.mimic.joint in names and joint.name in carrying:
+        if joint.name not in carrying:
+            continue
+        leads = [joint.mimic.joint]
+        while leads[-1] in leader_of and leader_of[leads[-1]] not in leads:
+            leads.append(leader_of[leads[-1]])
+        moving = next((lead for lead in leads if lead in names), None)
+        if moving is not None:
             return (
-                f"joint {joint.name} beside the arm follows joint {joint.mimic.joint} of the arm (mimic), so that its "
+                f"joint {joint.name} beside the arm follows joint {moving} of the arm (mimic), so that its "
                 f"links would be elsewhere: remove them and cover their motion by shapes of link {joint.parent}"
+            )
+        if joint.mimic.offset:
+            return (
+                f"joint {joint.name} beside the arm follows joint {leads[0]} (mimic) with an offset of "
+                f"{joint.mimic.offset:g}, but joints beside the arm are taken at zero: fix it where it is"
             )
     return ""
 
@@ -113,11 +172,10 @@ def coupling_fault(joints: Iterable[Any], chain: Iterable[Any], moved: Iterable[
 def soft_range(joint: Any) -> tuple[float, float]:
     """Return the range that the safety controller of a joint allows, rad or m; infinite without one."""
     control = joint.safety_controller
-    low = None if control is None else control.soft_lower_limit
-    high = None if control is None else control.soft_upper_limit
-    if low is None or high is None or not low < high:  # the format has 0 for limits that are not given
-        return float("-inf"), float("inf")
-    return float(low), float(high)
+    # The format has 0 for limits that are not given.
+    low = 0.0 if control is None else float(control.soft_lower_limit or 0.0)
+    high = 0.0 if control is None else float(control.soft_upper_limit or 0.0)
+    return (low, high) if low or high else (-math.inf, math.inf)
 
 
 def excluded_pairs(
@@ -143,7 +201,7 @@ def excluded_pairs(
     known = set(links)
     named = [(entry.get("link1", ""), entry.get("link2", "")) for entry in root.iter("disable_collisions")]
     unknown = sorted({link for pair in named for link in pair} - known)
-    pairs = {frozenset(pair) for pair in named}
+    pairs = {frozenset(pair) for pair in named} - enabled_pairs(root)
     found, partly = set(), []
     for a, mine in carried.items():
         for b, theirs in carried.items():
@@ -160,6 +218,11 @@ def excluded_pairs(
             f"{srdf} excludes some links only of bodies that move as one; they stay checked: {', '.join(partly)}"
         )
     return found, notes
+
+
+def enabled_pairs(root: Element) -> set[frozenset[str]]:
+    """Return the pairs of links that an SRDF lets be checked, whatever else it says of them."""
+    return {frozenset((entry.get("link1", ""), entry.get("link2", ""))) for entry in root.iter("enable_collisions")}
 
 
 def _name(file: Path, entry: Element, root: str) -> str:

@@ -112,8 +112,12 @@ def _pair_fault(model: RobotModel, root: ElementTree.Element, file: Path) -> str
     apart = sorted((a, b) for a, b in model.ignored if b > a + 1 and carried[a] and carried[b])
     excluded = set()
     if srdf.is_file():
-        named = ElementTree.parse(srdf).getroot().iter("disable_collisions")
-        pairs = {frozenset((entry.get("link1"), entry.get("link2"))) for entry in named}
+        named = ElementTree.parse(srdf).getroot()
+        pairs, again = (
+            {frozenset((entry.get("link1"), entry.get("link2"))) for entry in named.iter(tag)}
+            for tag in ("disable_collisions", "enable_collisions")
+        )
+        pairs -= again
         excluded = {
             (a, b)
             for a, b in apart

@@ -62,6 +62,10 @@ def check_limits(trajectory: Trajectory, model: RobotModel, speed: float) -> Lim
         model: its arm.
         speed: share of the velocity limits that motions may use; of acceleration limits its square.
     """
+    # Of plans that are no file: readers refuse such numbers.
+    times = trajectory.times
+    if not (np.isfinite(trajectory.positions).all() and np.isfinite(times).all() and (np.diff(times) > 0).all()):
+        return LimitReport(("a motion has numbers that are none, or times that do not ascend",), False, np.inf, np.inf)
     faults: list[str] = []
     longest = longest_motion(model, speed)
     if not trajectory.seconds <= longest:
@@ -73,13 +77,15 @@ def check_limits(trajectory: Trajectory, model: RobotModel, speed: float) -> Lim
         fastest, strongest = trajectory.peaks()
     velocity = fastest / (model.velocity * speed)
     push = strongest / (model.acceleration * speed**2)
+    velocity, push = (np.where(np.isnan(share), np.inf, share) for share in (velocity, push))
     for what, found in (("speed", velocity), ("acceleration", push)):
         if not (found <= 1 + LIMIT_EXCESS).all():
-            worst = int(np.argmax(np.where(np.isnan(found), np.inf, found)))
+            worst = int(np.argmax(found))
             faults.append(f"the {what} of {model.joint_names[worst]} is {100 * found[worst]:.0f} % of its limit")
     if any(np.abs(trajectory.velocities[end]).max() > _AT_REST for end in (0, -1)):
         faults.append("a motion does not start or end at rest")
-    bounded = trajectory.seconds <= longest and bool((velocity <= _SAMPLED).all())
+    # Knots that are so far apart that numbers overflow have no speed between them.
+    bounded = trajectory.seconds <= longest and bool((velocity <= _SAMPLED).all() and np.isfinite(push).all())
     return LimitReport(tuple(faults), bounded, float(velocity.max()), float(push.max()))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import asdict
 from typing import Any
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.prop import Prop
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states, held_count
-from falsework.errors import InputError, StateError
+from falsework.errors import InputError, ReadWarning, StateError
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans.packed_proofs import CHANGES, WHOLE, unpack_proofs
 from falsework.search.plans.plan import needs_of
@@ -67,13 +68,19 @@ def _from_version_1(data: dict[str, Any]) -> dict[str, Any]:
     return data | {"format": SECOND_FORMAT, "stability": stability, "start": _scaled(start), "steps": steps}
 
 
-def _from_version_2(data: dict[str, Any]) -> dict[str, Any]:
+def _from_version_2(data: dict[str, Any], source: str) -> dict[str, Any]:
     """Convert a plan of version 2; proofs of single states from rest are left out, they prove no build."""
     stability = data.get("stability")
     if isinstance(stability, dict):
         stability = stability | {"reserve": 1.0}
         if stability.get("criterion") == "contact":
             stability["holds"] = {"stiffness": None, "force": None, "moment": None, "press": False}
+            if "displacements" in data:
+                warnings.warn(
+                    f"{source}: displacements of plans of version 2 prove single states and no build: left out",
+                    ReadWarning,
+                    stacklevel=4,
+                )
             data = {key: value for key, value in data.items() if key != "displacements"}
             data["start"] = _from_rest(data.get("start"))
             if isinstance(data.get("steps"), list):
@@ -106,7 +113,7 @@ class PlanReader(Reader):
         if isinstance(data, dict) and data.get("format") == FIRST_FORMAT:
             data = _from_version_1(data)
         if isinstance(data, dict) and data.get("format") == SECOND_FORMAT:
-            data = _from_version_2(data)
+            data = _from_version_2(data, self._source)
         self._header(data, _KEYS, optional=frozenset({"forces", "displacements", "replay", "margins"}))
         structure, rules, stability = data["structure"], data["rules"], data["stability"]
         self._keys(
