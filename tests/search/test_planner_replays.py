@@ -12,7 +12,6 @@ import pytest
 
 from falsework.assembly.state import States
 from falsework.search import Direction, Outcome, Planner, PlannerSettings, Task
-from falsework.search.beam import replays
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.beam.settings import BeamSettings
 from falsework.search.problem.deadline import Deadline
@@ -22,14 +21,6 @@ from falsework.stability.contact.newton import FIRST_STEP
 from falsework.stability.contact.replay import History, Replay, ReplaySettings
 from falsework.stability.contact.varied_replay import RobustReplayer
 from falsework.utils.cores import core_count
-
-
-@pytest.fixture(autouse=True, params=["one core", "two cores"])
-def cores(request: Any, monkeypatch: pytest.MonkeyPatch) -> str:
-    """Replays run one after the other, or side by side."""
-    monkeypatch.setattr(replays, "_MANY_PARTS", 1)
-    monkeypatch.setattr(replays, "core_count", lambda: ["one core", "two cores"].index(request.param) + 1)
-    return request.param
 
 
 class RuleReplayer:
