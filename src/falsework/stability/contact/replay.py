@@ -62,7 +62,7 @@ class ReplaySettings:
     typical point under its share of a part's weight."""
     seed: int = 0
     """Seed of the noise."""
-    steps: int = 100
+    steps: int = 400
     """Newton iterations per increment before it is left undecided."""
 
     def __post_init__(self) -> None:
