@@ -15,6 +15,7 @@ import pytest
 
 from falsework.assembly import load_structure
 from falsework.search import BeamSearch, load_plan, load_state_graph, validate_plan, validate_proofs
+from falsework.stability.judges import discrete_elements
 
 Run = Callable[..., Any]
 Write = Callable[..., Path]
@@ -104,6 +105,45 @@ def test_a_robust_plan_stands_under_varied_settings(
     assert result.code == 1
     assert "its replay succeeds under the default settings only" in result.error
     assert out.is_file()
+
+
+def test_a_plan_that_discrete_elements_build(falsework: Run, tmp_path: Path) -> None:
+    out = tmp_path / "plan.json"
+    planned = falsework("plan", "arch:blocks=7", "--judge", "--out", out)
+    assert planned.code == 0, planned.error
+    assert "discrete elements build the plan too\n" in planned.out
+    judgement = json.loads(out.read_text())["replay"]["judgement"]
+    assert judgement == {"built": 15, "of": 15, "falls_at": None, "part": -1, "undecided": []}
+    assert "not verified: its replay, its build by discrete elements" in falsework("check", out).out
+    checked = falsework("check", out, "--judge", "--json")
+    assert checked.code == 0, checked.error
+    assert checked.records[0]["unverified"] == ["its replay"]
+    assert checked.records[1] == {"judgement": judgement}
+
+
+def test_a_plan_that_discrete_elements_do_not_build(
+    falsework: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The plan that they build farthest is written, with exit code 1, and a check that asks them refuses it."""
+    out = tmp_path / "plan.json"
+    monkeypatch.setattr(discrete_elements, "matched_sink", lambda assembly: 1e-2)  # parts sink by more than they may
+    planned = falsework("plan", "arch:blocks=7", "--judge", "--deadline", 20, "--out", out, "--json")
+    assert planned.code == 1
+    assert "no plan was found that discrete elements build; in this one " in planned.error
+    judgement = planned.records[0]["replay"]["judgement"]
+    assert judgement["falls_at"] == judgement["built"] < judgement["of"]
+    checked = falsework("check", out, "--judge")
+    assert checked.code == 1
+    assert "falls when discrete elements build the plan, after step " in checked.error
+
+
+@pytest.mark.parametrize(
+    "options", [("--criterion", "equilibrium"), ("--support",), ("--alternatives", 2), ("--robots", "auto")]
+)
+def test_what_a_judge_does_not_go_with(falsework: Run, tmp_path: Path, options: tuple[Any, ...]) -> None:
+    refused = falsework("plan", "arch:blocks=5", "--judge", *options, "--out", tmp_path / "plan.json")
+    assert refused.code == 2
+    assert "--judge" in refused.error
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence, Set
+from collections.abc import Callable, Sequence, Set
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,21 +11,26 @@ import numpy as np
 import pytest
 
 from falsework.assembly.state import States
+from falsework.errors import InputError
 from falsework.search import Direction, Outcome, Planner, PlannerSettings, Task
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.beam.settings import BeamSettings
+from falsework.search.plans import plan_replay
 from falsework.search.problem.deadline import Deadline
+from falsework.search.problem.result import Stop
 from falsework.search.problem.timed_replayer import DeadlineReplayer
 from falsework.stability import StabilitySettings
 from falsework.stability.contact.newton import FIRST_STEP
 from falsework.stability.contact.replay import History, Replay, ReplaySettings
 from falsework.stability.contact.varied_replay import RobustReplayer
+from falsework.stability.judges import Judgement
 from falsework.utils.cores import core_count
 
 
 class RuleReplayer:
     """A structure falls in the states that are named, however they are reached."""
 
+    assembly: Any = None
     problem: Any = SimpleNamespace(parts=1, points=1)
     settings = StabilitySettings()
 
@@ -144,6 +149,83 @@ def test_without_a_replayer_nothing_is_replayed(rules: Any) -> None:
     task, oracle = tower(rules, set())
     oracle.replayer = None
     assert Planner(task, oracle).run().found
+
+
+class RuleJudge:
+    """A structure falls in the states that are named, and some time passes before each state."""
+
+    def __init__(self, falls: set[tuple[int, ...]]) -> None:
+        self.falls = falls
+
+    def judge(self, states: States, presses: Any, stop: Stop) -> Judgement:
+        for row, state in enumerate(states.tolist()):
+            if stop():
+                return Judgement(row, len(states))
+            if tuple(state) in self.falls:
+                return Judgement(row, len(states), row, 1)
+        return Judgement(len(states), len(states), undecided=(1,))
+
+
+@pytest.fixture
+def judged_by(monkeypatch: pytest.MonkeyPatch) -> Callable[[set[tuple[int, ...]]], None]:
+    """Set the states in which the judge sees structures fall."""
+    return lambda falls: monkeypatch.setattr(plan_replay, "BuildJudge", lambda assembly, holds: RuleJudge(falls))
+
+
+@pytest.mark.parametrize("direction", list(Direction))
+def test_a_route_avoids_what_the_judge_sees_fall(rules: Any, judged_by: Any, direction: Direction) -> None:
+    task, oracle = tower(rules, set())
+    settings = PlannerSettings(directions=(direction,), judge=True)
+    judged_by(set())
+    first = Planner(task, oracle, settings).run().routes[0]
+    middle = tuple(first.states[len(first.states) // 2].tolist())
+    judged_by({middle})
+    planner = Planner(task, oracle, settings)
+    (route,) = planner.run().routes
+    assert middle not in set(map(tuple, route.states.tolist()))
+    count = len(route.states)
+    assert planner.replays[route.states.tobytes()].judgement == Judgement(count, count, undecided=(1,))
+    assert planner.fallen is None
+
+
+@pytest.mark.parametrize("direction", list(Direction))
+def test_the_route_that_the_judge_builds_farthest_is_kept(rules: Any, judged_by: Any, direction: Direction) -> None:
+    task, oracle = tower(rules, set())
+    complete = tuple(task.start.tolist())
+    judged_by({complete})
+    planner = Planner(task, oracle, PlannerSettings(directions=(direction,), width=4, judge=True))
+    result = planner.run()
+    assert result.outcome is Outcome.FOUND
+    assert not result.interrupted
+    assert result.routes == (planner.doubted,)
+    judgement = planner.replays[result.routes[0].states.tobytes()].judgement
+    assert judgement == Judgement(result.steps, result.steps + 1, result.steps, 1)
+
+
+def test_a_judge_is_interrupted(rules: Any, judged_by: Any) -> None:
+    """The route is not lost, nor is it called accepted; the search can go on."""
+    task, oracle = tower(rules, set())
+    judged_by(set())
+    planner = Planner(task, oracle, PlannerSettings(directions=(Direction.ASSEMBLY,), judge=True))
+    levels: list[int] = []
+    result = planner.run(progress=lambda event: levels.append(event.level), stop=lambda: len(levels) == task.steps)
+    assert result.interrupted
+    assert result.found
+    judgement = planner.replays[result.routes[0].states.tobytes()].judgement
+    assert judgement == Judgement(0, task.steps + 1)
+    result = planner.run()
+    assert not result.interrupted
+    assert planner.replays[result.routes[0].states.tobytes()].judgement is not None
+    assert planner.routes
+
+
+def test_a_judge_needs_replays_and_one_plan(rules: Any) -> None:
+    task, oracle = tower(rules, set())
+    oracle.replayer = None
+    with pytest.raises(InputError, match="criterion contact"):
+        Planner(task, oracle, PlannerSettings(judge=True))
+    with pytest.raises(InputError, match="one plan"):
+        PlannerSettings(judge=True, alternatives=2)
 
 
 @pytest.mark.parametrize("direction", list(Direction))

@@ -14,6 +14,7 @@ from falsework.cli.command import CONE_HINT, UNSET, JudgingCommand, LoadOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.output import counted
 from falsework.cli.overrides import exit_of_good, say_overrides
+from falsework.cli.planning import judge_text
 from falsework.errors import InputError
 
 if TYPE_CHECKING:
@@ -86,6 +87,9 @@ class CheckPlan(JudgingCommand):
     fails with another stiffness ratio, release increment or initial friction is reported as marginal."""
     by: Literal["contact", "lmgc90"] = "contact"
     """Replay method: the contact law of the criterion, or LMGC90 on each state by itself."""
+    judge: bool = False
+    """Also build the plan by an independent method, with its presses, under the true friction: discrete elements on
+    springs as stiff as the contacts of the criterion, as `falsework plan --judge` does. It takes seconds to minutes."""
     steps: bool = False
     """Print the steps as text too."""
 
@@ -133,16 +137,20 @@ class CheckPlan(JudgingCommand):
             )
             if not stands:
                 return Exit.NO
+        if self.judge and not self._build(plan, assembly, output):
+            return Exit.NO
         return exit_of_good(self.plan, overrides, output, accepted=self.accept_overrides)
 
     def _report(
         self, plan: Plan, assembly: Assembly, found: PlanReport, overrides: dict[str, Any], output: Output
     ) -> None:
         from falsework.cli.velocity_text import describe, motions
-        from falsework.search.plans.plan_report import REPLAY
+        from falsework.search.plans.plan_report import JUDGEMENT, REPLAY
         from falsework.stability.motion import motion_of
 
-        unverified = [claim for claim in found.unverified if claim != REPLAY or not self.replay or self.by != "contact"]
+        verified = {REPLAY} if self.replay and self.by == "contact" else set()
+        verified |= {JUDGEMENT} if self.judge else set()
+        unverified = [claim for claim in found.unverified if claim not in verified]
         motion = None if found.verdict is None else motion_of(assembly, found.verdict, 0)
         moving = [] if motion is None else motions(assembly, motion)
         output.record(
@@ -258,6 +266,22 @@ class CheckPlan(JudgingCommand):
 
     def _place(self, plan: Plan, row: int) -> str:
         return f"after step {row} of assembly ({plan.describe(row - 1)})" if row else "at the beginning"
+
+    def _build(self, plan: Plan, assembly: Assembly, output: Output) -> bool:
+        """Build the plan by discrete elements; return whether no state collapses."""
+        from falsework.stability.judges import BuildJudge
+
+        judge = BuildJudge(assembly, plan.claim.holds)
+        judgement = judge.judge(plan.assembly_states, plan.assembly_presses)
+        output.record({"judgement": judgement.to_dict()})
+        if judgement.falls_at is not None:
+            forward = plan if plan.direction == "assembly" else plan.reverse()
+            where = self._place(forward, judgement.falls_at)
+            name = assembly.names[judgement.part]
+            output.note(f"falsework: {self.plan}: {name} falls when discrete elements build the plan, {where}")
+            return False
+        output.say(judge_text(judgement))
+        return True
 
     def _judge_with_lmgc90(self, plan: Plan, assembly: Assembly, output: Output) -> bool:
         """Check states by LMGC90 up to the first unstable one; states that it cannot compute are only reported."""

@@ -12,7 +12,15 @@ from tyro.conf import arg
 from falsework.cli.command import CONE_HINT, UNSET, Command, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.output import counted
-from falsework.cli.planning import HoldOptions, SupportOptions, lacks_reserve, promise_lines, refuse_unstable, writable
+from falsework.cli.planning import (
+    HoldOptions,
+    SupportOptions,
+    lacks_judge,
+    lacks_reserve,
+    promise_lines,
+    refuse_unstable,
+    writable,
+)
 from falsework.errors import InputError
 
 if TYPE_CHECKING:
@@ -71,6 +79,10 @@ class MakePlan(Command):
     robust: bool = False
     """Accept only a plan whose replay also succeeds with other stiffness ratios, release increments and damping, and
     from 20 random initial friction states."""
+    judge: bool = False
+    """Accept only a plan that an independent method builds too, with its presses, under the true friction: discrete
+    elements on springs as stiff as the contacts of the criterion. It takes seconds to minutes for each plan that the
+    search finds. Where it accepts none, the one that it builds farthest is written, with exit code 1."""
     assembly_order: bool = False
     """Write the plan in the order of assembly: insert and release instead of hold and remove."""
     proofs: bool = False
@@ -97,13 +109,17 @@ class MakePlan(Command):
             raise InputError("--support and --props take neither --alternatives, --resume, --margin nor --maximise")
         if self.robust and self.criterion != "contact":
             raise InputError("--robust asks for replays, which the criterion equilibrium does not have; leave it out")
+        if self.judge and (self.criterion != "contact" or self.task.wider or self.alternatives > 1 or self.maximise):
+            raise InputError(
+                "--judge takes neither --criterion equilibrium, --support, --props, --alternatives nor --maximise"
+            )
         demands = Demands() if self.margin is None else Demands.parse(self.margin)
 
         writable(self.out)
         check_deadline(self.deadline)
         if self.robots == "auto":
-            if demands or self.maximise:
-                raise InputError("--robots auto takes neither --margin nor --maximise; give the number of robots")
+            if demands or self.maximise or self.judge:
+                raise InputError("--robots auto takes no --margin, --maximise or --judge; give the number of robots")
             return self._with_fewest_robots(output)
         settings, checkpoint = self._settings(), None if self.task.wider else self._checkpoint()
         assembly = self.task.with_places(self.structure.load())
@@ -155,9 +171,11 @@ class MakePlan(Command):
             self._report(self._save(planning.plans), planning, output)
             if result.interrupted:
                 output.note(f"{cut}; {saved}")
-            lacking = lacks_reserve(planning.plans[0], stability.reserve)
-            if lacking:
-                output.note(f"falsework: {lacking}")
+            first = planning.plans[0]
+            lacking = [lacks_reserve(first, stability.reserve), lacks_judge(first, asked=self.judge)]
+            for lack in filter(None, lacking):
+                output.note(f"falsework: {lack}")
+            if any(lacking):
                 return Exit.NO
         else:
             failure = explain(assembly, oracle, result)
@@ -196,7 +214,7 @@ class MakePlan(Command):
 
         both = (Direction.ASSEMBLY, Direction.DISASSEMBLY)
         directions = both if self.direction == "both" else (Direction(self.direction),)
-        return PlannerSettings(self.width, directions, self.alternatives, self.seed, self.robust)
+        return PlannerSettings(self.width, directions, self.alternatives, self.seed, self.robust, self.judge)
 
     def _checkpoint(self) -> Path:
         """Return the path of the search checkpoint; an old one is refused unless the search resumes."""

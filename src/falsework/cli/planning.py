@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from falsework.search.plans.plan import Plan
     from falsework.search.problem.task import Task
     from falsework.stability import Stability, StabilitySettings
+    from falsework.stability.judges import Judgement
     from falsework.stability.problem import Cone
     from falsework.stability.settings import SolverName
     from falsework.stability.verdict import Criterion
@@ -141,13 +142,38 @@ def promise_lines(plan: Plan, *, robust: bool = False) -> list[str]:
     """
     also = ", under varied settings too" if robust else ""
     stands = plan.replay is not None and plan.replay.stands
-    return [*([replay_text(plan, also)] if stands else []), *filter(None, [press_text(plan)])]
+    judgement = None if plan.replay is None else plan.replay.judgement
+    judged = judge_text(judgement) if judgement is not None and judgement.stands else ""
+    return [*([replay_text(plan, also)] if stands else []), *filter(None, [press_text(plan), judged])]
 
 
 def lacks_reserve(plan: Plan, asked: float) -> str:
     """Return the remark on a plan that keeps less reserve than was asked; empty if it keeps it."""
     kept = plan.claim.reserve
     return f"no plan was found with the reserve of {asked:g}; this one keeps {kept:g}" if kept < asked else ""
+
+
+def judge_text(judgement: Judgement) -> str:
+    """Return that discrete elements build a plan too, and which states they leave undecided, in words."""
+    some = ", ".join(map(str, judgement.undecided))
+    return f"discrete elements build the plan too{f'; they leave open whether states {some} stand' * bool(some)}"
+
+
+def lacks_judge(plan: Plan, *, asked: bool) -> str:
+    """Return the remark on a plan that the judge does not accept; empty if it does, or was not asked."""
+    judgement = None if plan.replay is None else plan.replay.judgement
+    if not asked or (judgement is not None and judgement.stands):
+        return ""
+    if judgement is None or judgement.falls_at is None:
+        return (
+            f"the time was up when discrete elements had built {judgement.built if judgement else 0} states of the plan"
+        )
+    forward = plan if plan.direction == "assembly" else plan.reverse()
+    row, part = judgement.falls_at, plan.part_names[judgement.part]
+    action = f" ({forward.describe(row - 1)})" if row else ""
+    return (
+        f"no plan was found that discrete elements build; in this one {part} falls after step {row} of assembly{action}"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -103,6 +103,12 @@ class Planning:
         """Whether there is at least one plan."""
         return self.result.outcome is Outcome.FOUND
 
+    @property
+    def accepted(self) -> bool:
+        """Whether there is one, and the judge accepts it if it was asked."""
+        judged = [plan.replay.judgement for plan in self.plans if plan.replay is not None]
+        return self.found and all(judgement is None or judgement.stands for judgement in judged)
+
 
 def find_plans(
     assembly: AnyStructure,
@@ -129,6 +135,7 @@ def find_plans(
         oracle: decides stability; pass an existing one to reuse its cache.
         stability: criterion, reserve and robots, where no oracle is given. Where no plan keeps the reserve, half of the
             deadline is left to search for one that comes to rest under the true friction; `Plan.claim` has its reserve.
+            So too where the judge of `settings` accepts none; if that finds none either, the first plan is returned.
         settings: effort of the search, and number of plans.
         guide: scores actions; by default parts with much support are inserted first, and where three robots or more
             build a shell, or under `equilibrium` one of 700 to 3,000 parts is built, its free edges.
@@ -162,9 +169,10 @@ def find_plans(
         found = find_plans(assembly, task, oracle=first, deadline=share, checkpoint=checkpoint, **more)
         left = None if deadline is None else deadline - (time.perf_counter() - begun)
         late = left is not None and left <= 0
-        if found.found or not again or late or (found.result.interrupted and not found.deadline_passed):
+        if found.accepted or not again or late or (found.result.interrupted and not found.deadline_passed):
             return found
-        return find_plans(assembly, task, oracle=Stability(assembly, weaker), deadline=left, **more)
+        other = find_plans(assembly, task, oracle=Stability(assembly, weaker), deadline=left, **more)
+        return found if found.found and not other.accepted else other
     clock = Deadline(deadline)
     task = task or task_of(assembly, 2 if robots is None else robots, **rules)
     guide = guide or SupportGuide(assembly)
@@ -173,7 +181,7 @@ def find_plans(
         planner,
         lambda: HoldBound(assembly, task, oracle.settings, Deadline(min(_BOUND_SECONDS, max(clock.left, 1e-3)))),
         progress=_saving(planner, checkpoint, progress),
-        stop=stop,
+        stop=lambda: clock.passed or (stop is not None and stop()),
     )
     if checkpoint is not None and isinstance(planner, Planner):
         if result.interrupted:
@@ -187,11 +195,17 @@ def find_plans(
         return Planning(result, (), Alternatives.of([]), fallen, result.interrupted and clock.passed)
     late = result.interrupted and clock.passed
     choice = Deadline(max(clock.left, _CHOICE_SECONDS))
-    chosen = _choose(planner, settings, assembly, oracle, lambda: choice.passed)
+    chosen = _choose(planner, result, settings, assembly, oracle, lambda: choice.passed)
+    replays = [planner.replays.get(route.states.tobytes()) for route in chosen.routes]
     plans = tuple(
-        plan_of(route, assembly, task, oracle, forces=forces, replay=planner.replays.get(route.states.tobytes()))
-        for route in chosen.routes
+        plan_of(route, assembly, task, oracle, forces=forces, replay=replay)
+        for route, replay in zip(chosen.routes, replays, strict=True)
     )
+    if settings.judge and None in replays:  # of a search that was resumed after its plan was found
+        acceptance = Acceptance(oracle.replayer, judge=True)
+        plans = tuple(
+            replace(plan, replay=plan.replay and acceptance.judged(plan.assembly_states, plan.replay)) for plan in plans
+        )
     standing = [k for k, plan in enumerate(plans) if plan.replay is None or plan.replay.stands]
     if len(standing) < len(plans):
         plans, chosen = tuple(plans[k] for k in standing), chosen.keep(standing)
@@ -290,14 +304,19 @@ def plan_of(
 
 
 def _choose(
-    planner: Planner | SupportPlanner, settings: PlannerSettings, assembly: Assembly, oracle: Stability, stop: Stop
+    planner: Planner | SupportPlanner,
+    result: SearchResult,
+    settings: PlannerSettings,
+    assembly: Assembly,
+    oracle: Stability,
+    stop: Stop,
 ) -> Alternatives:
     """Choose the requested number of plans, as different as possible, from all that a planner has found.
 
     Other plans than those of the planner are proved first, and replaced where a state tips or has no proof.
     """
     if settings.alternatives == 1 or isinstance(planner, SupportPlanner):
-        return Alternatives.of(planner.routes)
+        return Alternatives.of(list(result.routes))
     task = planner.task.postpone(planner.postponed)
     states = np.concatenate([planner.states, *(route.states for route in planner.routes)])
     known = {route.states.tobytes() for route in planner.routes}

@@ -74,9 +74,11 @@ class Planner:
         """Route whose replay gets farthest before it fails, and the step of assembly at which it fails."""
         self.replays: dict[bytes, PlanReplay] = {}
         """Replays that come to rest in every state, by the states of the routes."""
+        self.doubted: Route | None = None
+        """Of the routes that stand in their replays and that the judge does not accept, the one built farthest."""
         self._oracle = oracle
         self._replayer = replayer_of(oracle, settings)
-        self._acceptance = Acceptance(getattr(oracle, "replayer", None))
+        self._acceptance = Acceptance(getattr(oracle, "replayer", None), judge=settings.judge)
         self._keeps = getattr(oracle, "keeps", None)
         self._forbidden, self._falls = self.states[:0], 0
         self._edge_guide = self._preferring("edges_first", guide)
@@ -230,8 +232,8 @@ class Planner:
         if result.interrupted:
             return True
         if self._stage == "alternatives":
-            self._gather(beam, result)
-        elif result.found and not self._stands(result.routes[0], beam):
+            self._gather(beam, result, stop)
+        elif result.found and not self._stands(result.routes[0], beam, stop):
             self._falls += 1
             if self._falls < _MOST_FALLS:
                 beam.search.forbid(self._forbidden)
@@ -246,11 +248,14 @@ class Planner:
             self._failed(result)
         return False
 
-    def _stands(self, route: Route, beam: AdaptiveBeam) -> bool:
+    def _stands(self, route: Route, beam: AdaptiveBeam, stop: Stop | None) -> bool:
         """Return whether the replay of a route comes to rest in every state; record the first state that fails.
 
         A beam in the order of assembly has replayed its route already. An oracle that requires margins first checks
-        every state in full.
+        every state in full. The judge, which is slow, comes last.
+
+        Raises:
+            KeyboardInterrupt: `stop` returned true before the judge was done.
         """
         if self._keeps is not None:
             weak = np.flatnonzero(~self._keeps(route.states[1:-1])) + 1
@@ -266,14 +271,30 @@ class Planner:
             found = self._acceptance.failure(states, found.presses) or found
         if found.stands:
             self.replays[route.states.tobytes()] = found
-            return True
-        row, last = found.falls_at or 0, len(states) - 1
-        if self.fallen is None or row > self.fallen[1]:
+            if self.settings.judge:
+                found = self._judge(route, found, stop)
+            if found.fails_at is None:
+                return True
+        row, last = found.fails_at or 0, len(states) - 1
+        if not found.stands and (self.fallen is None or row > self.fallen[1]):
             self.fallen = route, row
         # Both ends belong to every route, so if one fails, the state next to it is excluded.
         barred = route.states[::-1][min(max(row, 1), max(last - 1, 0))]
         self._forbidden = np.concatenate([self._forbidden, barred[None]])
         return False
+
+    def _judge(self, route: Route, found: PlanReplay, stop: Stop | None) -> PlanReplay:
+        """Return the replay of a route with what the judge says; keep the route if it gets farther than others."""
+        if self.doubted is None:  # until the judge is done, or is interrupted by the keyboard
+            self.doubted = route
+        found = self._acceptance.judged(route.states[::-1], found, stop)
+        self.replays[route.states.tobytes()] = found
+        judgement, best = found.judgement, self.replays[self.doubted.states.tobytes()].judgement
+        if judgement is not None and (best is None or judgement.built > best.built):
+            self.doubted = route
+        if judgement is not None and not judgement.stands and judgement.falls_at is None:
+            raise KeyboardInterrupt
+        return found
 
     def _drop_beams(self) -> None:
         """Forget the beams of an attempt that is over, but not the work that they did."""
@@ -281,10 +302,10 @@ class Planner:
         self._beams = {}
         self._attempt = self._falls = 0
 
-    def _gather(self, beam: AdaptiveBeam, result: SearchResult) -> None:
+    def _gather(self, beam: AdaptiveBeam, result: SearchResult, stop: Stop | None) -> None:
         """Keep the states of a search for another plan, and continue with the next."""
         self.states = np.concatenate([self.states, *([beam.search.states()] if result.found else [])])
-        if result.found and self._stands(result.routes[0], beam):
+        if result.found and self._stands(result.routes[0], beam, stop):
             self.routes.append(result.routes[0])
             self._drop_beams()
         elif result.found and self._falls < _MOST_FALLS:
@@ -363,14 +384,15 @@ class Planner:
 
     def _result(self, interrupted: bool) -> SearchResult:
         counters = self.counters
-        if self.routes:
+        routes = self.routes or [route for route in [self.doubted] if route is not None]
+        if routes:
             notes = ()
-            if interrupted:
+            if interrupted and self.routes:
                 what = "gathering alternatives" if self._stage == "alternatives" else "postponing missing parts"
                 notes = (f"interrupted while {what}; the plan is complete",)
             return SearchResult(
                 outcome=Outcome.FOUND,
-                routes=tuple(self.routes),
+                routes=tuple(routes),
                 direction=Direction.DISASSEMBLY,
                 steps=self.task.steps,
                 reached=self.task.steps,

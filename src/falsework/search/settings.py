@@ -59,6 +59,9 @@ class PlannerSettings:
     robust: bool = False
     """Deliver only plans whose replay succeeds under other settings too: stiffness ratios, release increments, damping
     and random initial friction states."""
+    judge: bool = False
+    """Deliver a plan that discrete elements build too, with its presses, under the true friction; where none is found,
+    the one that they build farthest (`PlanReplay.judgement`)."""
 
     def __post_init__(self) -> None:
         if self.width < 1:
@@ -67,6 +70,8 @@ class PlannerSettings:
             raise InputError("no direction to search in; give assembly, disassembly or both")
         if self.alternatives < 1:
             raise InputError(f"{self.alternatives} alternatives is not a number of plans; ask for at least 1")
+        if self.judge and self.alternatives > 1:
+            raise InputError("the judge takes minutes for alternatives; ask for one plan, or leave the judge out")
         check_seed(self.seed)
 
     def attempts(self, stage: str = "plan", *, compact: bool = False, edges: bool = False) -> tuple[Attempt, ...]:

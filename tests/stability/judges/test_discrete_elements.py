@@ -19,7 +19,17 @@ from falsework.errors import InputError, StateError
 from falsework.search import find_plans
 from falsework.stability import Stability, StabilitySettings, Verdict
 from falsework.stability.holds import HoldSettings, Press
-from falsework.stability.judges import DiscreteElementSettings, Settling, replay_by_discrete_elements, settle
+from falsework.stability.judges import (
+    BuildJudge,
+    DiscreteElementSettings,
+    Judgement,
+    Settling,
+    discrete_elements,
+    matched_sink,
+    replay_by_discrete_elements,
+    settle,
+)
+from falsework.stability.stiffness import normal_stiffness
 
 STANDS, OPEN, FALLS = 1, 0, -1
 RIGID = HoldSettings()
@@ -323,10 +333,47 @@ def test_states_are_checked(scenes: Any) -> None:
             judge(scenes.tower(2), [1, 1, 1])
 
 
+def test_springs_are_as_stiff_as_those_of_the_criterion(scenes: Any) -> None:
+    """A cube under its own weight goes down by what the springs of the criterion give."""
+    cube = scenes.tower(1)
+    settings = DiscreteElementSettings(sinks=(matched_sink(cube),))
+    moved = settle(cube, complete_state(cube.boundary), settings).moved[0]
+    weight = 9.81 * float(cube.mass.mass[~cube.boundary].sum())
+    assert moved == pytest.approx(weight / normal_stiffness(cube).sum(), rel=0.02)
+
+
+def test_a_judge_builds_plans_from_where_they_differ(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What it says does not depend on the plans before, nor on where it was stopped."""
+    monkeypatch.setattr(discrete_elements, "_KEPT", 4)
+    arch = library.build("arch:blocks=7,thickness=0.13")
+    states = find_plans(arch).plans[0].reverse().states
+    other = states.copy()
+    other[6:, 3] = np.where(other[6:, 3] == 2, 1, other[6:, 3])  # a part that nothing holds any more
+    none: list[tuple[Press, ...]] = [()] * len(states)
+    judge = BuildJudge(arch)
+    for some in (states, other, states[:9], states):
+        assert judge.judge(some, none[: len(some)]) == BuildJudge(arch).judge(some, none[: len(some)])
+    assert judge.judge(states, none) == Judgement(len(states), len(states))
+    stopped = BuildJudge(arch)
+    asked = iter([False] * 5 + [True])
+    assert stopped.judge(states, none, lambda: next(asked)) == Judgement(5, len(states))
+    assert stopped.judge(states, none) == Judgement(len(states), len(states))
+
+
+def test_a_judge_names_what_falls(scenes: Any) -> None:
+    tower = scenes.tower(2)
+    falls = [[0, 2, 2], [2, 2, 2], [0, 1, 2]]
+    judgement = BuildJudge(tower).judge(falls, [()] * 3)
+    assert judgement == Judgement(2, 3, falls_at=2, part=1)
+    assert not judgement.stands
+    assert judgement.to_dict() == {"built": 2, "of": 3, "falls_at": 2, "part": 1, "undecided": []}
+
+
 def test_the_judges_share_nothing_with_the_solvers() -> None:
-    """Of this package they import what describes structures and holds, and nothing that decides or proves."""
+    """They import what describes structures, holds and stiffness from this package, nothing that decides or proves."""
     folder = Path(falsework.stability.judges.__file__).parent
-    described = ("falsework.assembly.", "falsework.geometry.", "falsework.errors", "falsework.stability.holds")
+    criterion = ("falsework.stability.holds", "falsework.stability.stiffness")
+    described = ("falsework.assembly.", "falsework.geometry.", "falsework.errors", *criterion)
     allowed = (*described, "falsework.stability.judges.")
     for path in folder.glob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):

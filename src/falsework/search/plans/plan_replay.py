@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from falsework.assembly.state import States
+from falsework.errors import InputError
 from falsework.stability.contact.replay import ReplaySettings
 from falsework.stability.holds import Press
+from falsework.stability.judges.discrete_elements import BuildJudge, Judgement
 
 if TYPE_CHECKING:
     from falsework.search.problem.oracle import Oracle
+    from falsework.search.problem.result import Stop
     from falsework.search.settings import PlannerSettings
     from falsework.stability.contact.replay import History, Replay
     from falsework.stability.contact.varied_replay import AnyReplayer, VariableReplayer
@@ -35,10 +38,18 @@ class PlanReplay:
     """First state in the order of assembly that does not come to rest, counted from 0."""
     presses: tuple[tuple[Press, ...], ...] = field(default=(), compare=False, repr=False)
     """Presses of the step to each state in the order of assembly; empty where they are not known."""
+    judgement: Judgement | None = None
+    """How far discrete elements built the plan, where that was asked for."""
+
+    @property
+    def fails_at(self) -> int | None:
+        """First state in the order of assembly that does not come to rest, in the replay or by discrete elements."""
+        return self.falls_at if self.judgement is None or not self.stands else self.judgement.falls_at
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain JSON values, without the presses."""
-        return {name: value for name, value in vars(self).items() if name != "presses"}
+        plain = {name: value for name, value in vars(self).items() if name not in ("presses", "judgement")}
+        return plain if self.judgement is None else {**plain, "judgement": self.judgement.to_dict()}
 
     @classmethod
     def of(cls, replay: Replay) -> PlanReplay:
@@ -69,10 +80,20 @@ def _histories(
 
 
 class Acceptance:
-    """Last test of a route: it comes to rest under the true friction too, and no state of it tips."""
+    """Last test of a route: it comes to rest under the true friction too, and no state of it tips.
 
-    def __init__(self, replayer: VariableReplayer | None) -> None:
-        """Prepare the test; without a replayer there is none."""
+    Where it is asked for, discrete elements build the route as well.
+    """
+
+    def __init__(self, replayer: VariableReplayer | None, *, judge: bool = False) -> None:
+        """Prepare the test; without a replayer there is none.
+
+        Raises:
+            InputError: a judge without a replayer, or of a structure with joints.
+        """
+        if judge and replayer is None:
+            raise InputError("the judge builds plans under the criterion contact; choose it, or leave the judge out")
+        self._judge = BuildJudge(replayer.assembly, replayer.settings.holds) if judge and replayer is not None else None
         self._replayer, self._plain = replayer, replayer
         if replayer is not None and replayer.settings.reserve != 1.0:
             self._plain = replayer.vary(replace(replayer.settings, reserve=1.0), ReplaySettings())
@@ -93,6 +114,19 @@ class Acceptance:
         histories = found.histories or _histories(self._plain, states, presses)
         tips = self._plain.first_tipping(states, histories)
         return None if tips is None else replace(PlanReplay.of(found), stands=False, falls_at=tips)
+
+    def judged(self, states: States, found: PlanReplay, stop: Stop | None = None) -> PlanReplay:
+        """Return the replay of a route that stands with how far discrete elements built it, if that is asked for.
+
+        Args:
+            states: in assembly order, shape (steps + 1, parts).
+            found: its replay.
+            stop: asked before every state; true leaves the others out.
+        """
+        if self._judge is None:
+            return found
+        presses = (*found.presses, *((),) * (len(states) - len(found.presses)))
+        return replace(found, judgement=self._judge.judge(states, presses, stop or (lambda: False)))
 
     def falls_at(self, states: States) -> int | None:
         """Return the first state that does not come to rest, with presses chosen anew, or tips.

@@ -17,6 +17,8 @@ PROOF_NAMES = {"contact": "displacements", "equilibrium": "contact forces"}
 """Certificates of stable states under each criterion."""
 REPLAY = "its replay"
 """Claim of a plan that only a replay verifies."""
+JUDGEMENT = "its build by discrete elements"
+"""Claim of a plan that only that build verifies."""
 
 
 @dataclass(frozen=True)
@@ -130,6 +132,8 @@ def unverified_claims(plan: Plan, asked: StabilityCriterion, demands: Demands | 
         demands: margins of the caller, checked instead of those of the plan.
     """
     found = [] if plan.replay is None else [REPLAY]
+    if plan.replay is not None and plan.replay.judgement is not None:
+        found.append(JUDGEMENT)
     # Under `contact` a plan is built with the reserve and for the robots that it names.
     checked = {"reserve", "holds"} if plan.claim.criterion == "contact" else {"holds"}
     for name, value in asdict(plan.claim).items():

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.stability.contact.newton import RESTS
@@ -114,6 +115,11 @@ class DeadlineReplayer:
     def ruled_out(self) -> set[bytes]:
         """States between the ends at which sequences failed, also those of replayers under other settings."""
         return self._falls.ruled_out
+
+    @property
+    def assembly(self) -> Assembly:
+        """As of `Replayer`."""
+        return self._replayer.assembly
 
     @property
     def problem(self) -> Problem:

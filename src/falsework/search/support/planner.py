@@ -50,8 +50,10 @@ class SupportPlanner:
             guide: scores actions.
 
         Raises:
-            InputError: more than one plan is asked for.
+            InputError: more than one plan is asked for, or a judge.
         """
+        if settings.judge:
+            raise InputError("plans with repeated holds have no judge yet; leave it out")
         if settings.alternatives > 1:
             raise InputError("plans with repeated holds have no alternatives yet; ask for one plan")
         self.task = task.judged_by(oracle)

@@ -10,6 +10,7 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.stability.contact.newton import FIRST_STEP
 from falsework.stability.contact.replay import History, Presses, Replay, ReplaySettings
@@ -46,6 +47,11 @@ class AnyReplayer(Protocol):
 
 class VariableReplayer(AnyReplayer, Protocol):
     """Interface of a `Replayer`, or of one that checks a deadline between steps."""
+
+    @property
+    def assembly(self) -> Assembly:
+        """The structure."""
+        ...
 
     def vary(self, settings: StabilitySettings, replay: ReplaySettings) -> Self:
         """Return a replayer of the same structure under other settings."""

@@ -18,8 +18,9 @@ neither scale nor density matters; the stiffness of robots is that of the holds,
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,7 +29,8 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, States, as_states
 from falsework.errors import InputError
 from falsework.stability.holds import PRESS_STIFFNESS, HoldSettings, Press
-from falsework.stability.judges.relaxation import FALLS, STANDS, JudgedHolds, Model, relax
+from falsework.stability.judges.relaxation import FALLS, OPEN, STANDS, JudgedHolds, Model, relax
+from falsework.stability.stiffness import normal_stiffness
 
 Array = NDArray[np.float64]
 
@@ -39,6 +41,10 @@ _GRAVITY = 9.81
 """m/s2; only loads depend on it, since weights are measured in that of a typical part."""
 _POINTS = 8
 """Number of contact points that carry a typical part."""
+_PATIENT = 100_000
+"""Steps after which the judge of plans leaves a state undecided."""
+_KEPT = 64
+"""States of a plan whose forces are kept, to build another from there."""
 _LEAST_AREA = 1e-3
 """Smallest tributary area of a contact point, as a share of the mean: softer springs would only slow convergence."""
 
@@ -169,40 +175,165 @@ def replay_by_discrete_elements(
     added = _added(assembly, batch, presses)
     size, models = _models(assembly, settings)
     for model in models:
-        found = _replay(assembly, batch, model, size, settings, added, holds.stiffness)
+        found = _replay(batch, added, _Build(assembly, size, model, settings, holds.stiffness), size)
         if found.last != FALLS:
             break
     return found.settling()
 
 
-def _replay(
-    assembly: Assembly,
-    batch: States,
-    model: Model,
-    size: float,
-    settings: DiscreteElementSettings,
-    added: Sequence[dict[int, Array]],
-    stiffness: float,
-) -> _Answers:
-    """Build a structure with contact springs of one stiffness, up to the first state that collapses."""
-    answers, points = _Answers(size), len(model.local)
-    gap, friction = np.zeros(points), np.zeros((points, 2))
-    ends = model.parts[np.repeat(np.arange(len(model.parts)), np.diff(model.start))]
-    typical, grip = _typical_weight(assembly), _no_grip(assembly)
-    for row, (state, press) in enumerate(zip(batch, added, strict=True)):
-        gone = (state[ends] == REMOVED).any(axis=1)
-        gap[gone], friction[gone] = 0.0, 0.0
+def matched_sink(assembly: Assembly) -> float:
+    """Return the settlement of a typical part, in part sizes, on contact springs as stiff as those of the criterion."""
+    stiffness = normal_stiffness(assembly)
+    if not len(stiffness):
+        return STIFF
+    return float(_typical_weight(assembly) / (_POINTS * _typical_size(assembly) * stiffness.mean()))
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """How far a plan was built by discrete elements on springs as stiff as the contacts of the criterion."""
+
+    built: int
+    """States that came to rest or were left undecided, from the first on, in the order of assembly."""
+    of: int
+    """States of the plan."""
+    falls_at: int | None = None
+    """The next state if it collapses; None if it does not, or was not built before the time was up."""
+    part: int = -1
+    """The part that moved most there; -1 if nothing falls."""
+    undecided: tuple[int, ...] = ()
+    """States in which parts still moved at the step limit, without having collapsed."""
+
+    @property
+    def stands(self) -> bool:
+        """Whether every state was built and none collapses."""
+        return self.built == self.of
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        return {**vars(self), "undecided": list(self.undecided)}
+
+
+class BuildJudge:
+    """Judge of plans, which builds each from where it differs from the one before."""
+
+    def __init__(self, assembly: Assembly, holds: HoldSettings = HoldSettings()) -> None:
+        """Lay out the structure.
+
+        Args:
+            assembly: the structure.
+            holds: stiffness of the robots.
+
+        Raises:
+            InputError: a structure with joints.
+        """
+        settings = DiscreteElementSettings(sinks=(matched_sink(assembly),), steps=_PATIENT)
+        self._assembly = assembly
+        size, (model,) = _models(assembly, settings)
+        self._build = _Build(assembly, size, model, settings, holds.stiffness)
+        self._steps: list[tuple[bytes, tuple[Press, ...]]] = []
+        self._answers: list[tuple[int, float, int]] = []
+        self._kept: dict[int, _Forces] = {}
+
+    def judge(
+        self, states: ArrayLike, presses: Sequence[Sequence[Press]], stop: Callable[[], bool] = lambda: False
+    ) -> Judgement:
+        """Build a plan under the true friction, up to the first state that collapses.
+
+        Args:
+            states: in assembly order, shape (steps + 1, parts).
+            presses: those of the step that leads to each state, one entry a state.
+            stop: asked before every state; true leaves the others out.
+
+        Raises:
+            InputError, StateError: as `replay_by_discrete_elements`.
+        """
+        batch = as_states(states, self._assembly.boundary)
+        added = _added(self._assembly, batch, presses)
+        steps = [(state.tobytes(), tuple(press)) for state, press in zip(batch, presses, strict=True)]
+        begin = self._go_back(steps)
+        every = -(-len(batch) // _KEPT)
+        for row in range(begin, len(batch)):
+            if (self._answers and self._answers[-1][0] == FALLS) or stop():
+                break
+            if row % every == 0:
+                self._kept[row] = self._build.forces.copy()
+            answer = self._build.step(batch[row], added[row], row)
+            self._steps.append(steps[row])
+            self._answers.append(answer)
+        found = [answer[0] for answer in self._answers]
+        undecided = tuple(row for row, answer in enumerate(found) if answer == OPEN)
+        if found and found[-1] == FALLS:
+            return Judgement(len(found) - 1, len(batch), len(found) - 1, int(self._answers[-1][2]), undecided)
+        return Judgement(len(found), len(batch), undecided=undecided)
+
+    def _go_back(self, steps: list[tuple[bytes, tuple[Press, ...]]]) -> int:
+        """Return the state from which to build, the last with known forces before the first that differs."""
+        same = 0
+        while same < min(len(steps), len(self._steps)) and steps[same] == self._steps[same]:
+            same += 1
+        if same == len(self._steps) and self._answers:
+            return same  # goes on where it was stopped
+        begin = max((row for row in self._kept if row <= same), default=0)
+        self._build.forces = self._kept[begin].copy() if begin in self._kept else self._build.nothing()
+        self._kept = {row: forces for row, forces in self._kept.items() if row <= begin}
+        del self._steps[begin:], self._answers[begin:]
+        return begin
+
+
+@dataclass(eq=False)
+class _Forces:
+    """What contacts and robots bear in a state."""
+
+    gap: Array
+    friction: Array
+    grip: JudgedHolds
+
+    def copy(self) -> _Forces:
+        grip = self.grip
+        held = JudgedHolds(grip.stiffness.copy(), grip.fresh.copy(), grip.wrench.copy())
+        return _Forces(self.gap.copy(), self.friction.copy(), held)
+
+
+class _Build:
+    """Structure that is built state by state on contact springs of one stiffness."""
+
+    def __init__(
+        self, assembly: Assembly, size: float, model: Model, settings: DiscreteElementSettings, stiffness: float
+    ) -> None:
+        self._assembly, self._size, self._model = assembly, size, model
+        self._settings, self._stiffness = settings, stiffness
+        self._ends = model.parts[np.repeat(np.arange(len(model.parts)), np.diff(model.start))]
+        self._typical = _typical_weight(assembly)
+        self.forces = self.nothing()
+
+    def nothing(self) -> _Forces:
+        points = len(self._model.local)
+        return _Forces(np.zeros(points), np.zeros((points, 2)), _no_grip(self._assembly))
+
+    def step(self, state: NDArray[np.uint8], press: dict[int, Array], row: int) -> tuple[int, float, int]:
+        """Build the next state, with the wrenches that robots add on the way, and return how it goes."""
+        now, size, settings = self.forces, self._size, self._settings
+        gone = (state[self._ends] == REMOVED).any(axis=1)
+        now.gap[gone], now.friction[gone] = 0.0, 0.0
         if settings.friction_share:
-            _redraw(model, gap, friction, settings, row)
-        held = (state == HELD) & ~assembly.immovable
-        spring = np.where(held & np.isfinite(stiffness), stiffness, 0.0)
-        spring[list(press)] = min(stiffness, PRESS_STIFFNESS)
-        fresh = grip.stiffness == 0.0
-        wrench = np.where((held & ~fresh)[:, None], grip.wrench, 0.0)
+            _redraw(self._model, now.gap, now.friction, settings, row)
+        held = (state == HELD) & ~self._assembly.immovable
+        spring = np.where(held & np.isfinite(self._stiffness), self._stiffness, 0.0)
+        spring[list(press)] = min(self._stiffness, PRESS_STIFFNESS)
+        fresh = now.grip.stiffness == 0.0
+        wrench = np.where((held & ~fresh)[:, None], now.grip.wrench, 0.0)
         for part, more in press.items():
-            wrench[part] += more / (typical * np.repeat([1.0, size], 3))
-        grip = JudgedHolds(spring * size / typical, fresh, wrench)
-        answers.add(relax(model, state, gap, friction, grip, *_numbers(settings)))
+            wrench[part] += more / (self._typical * np.repeat([1.0, size], 3))
+        now.grip = JudgedHolds(spring * size / self._typical, fresh, wrench)
+        return relax(self._model, state, now.gap, now.friction, now.grip, *_numbers(settings))
+
+
+def _replay(batch: States, added: Sequence[dict[int, Array]], build: _Build, size: float) -> _Answers:
+    """Build a structure up to the first state that collapses."""
+    answers = _Answers(size)
+    for row, (state, press) in enumerate(zip(batch, added, strict=True)):
+        answers.add(build.step(state, press, row))
         if answers.last == FALLS:
             break
     return answers
@@ -267,13 +398,22 @@ def _typical_weight(assembly: Assembly) -> float:
     return float(_GRAVITY * assembly.mass.mass[loose if loose.any() else slice(None)].mean())
 
 
+def _boxes(assembly: Assembly) -> Array:
+    """Return the sides of the bounding boxes of the parts, shape (parts, 3)."""
+    return np.array([np.ptp(mesh.bounds, axis=0) for mesh in assembly.meshes])
+
+
+def _typical_size(assembly: Assembly) -> float:
+    """Return the median of the longest sides of the parts, m."""
+    return float(np.median(_boxes(assembly).max(axis=1)))
+
+
 def _models(assembly: Assembly, settings: DiscreteElementSettings) -> tuple[float, list[Model]]:
     """Return the size of a typical part, metres, and models in units of it, one for each stiffness of springs."""
     if assembly.joints is not None:
         raise InputError("the discrete-element method does not support joints; replay by the contact law instead")
     contacts, mass = assembly.contacts.flat(), assembly.mass
-    boxes = np.array([np.ptp(mesh.bounds, axis=0) for mesh in assembly.meshes])
-    size = float(np.median(boxes.max(axis=1)))
+    boxes, size = _boxes(assembly), _typical_size(assembly)
     typical = _typical_weight(assembly)
     weight = _GRAVITY * mass.mass / typical
     count = np.diff(contacts.start)
