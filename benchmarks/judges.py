@@ -3,6 +3,7 @@
     python benchmarks/judges.py plans --structures wall-38 dome-37
     python benchmarks/judges.py plans --structures barrel-vault-121 --lmgc90 40
     python benchmarks/judges.py builds --structures vault-62 --robots 2 --reserve 1.1
+    python benchmarks/judges.py shells --runs out/shells.jsonl --processes 16
     python benchmarks/judges.py scenes --scenes 1000
 
 `plans`: a plan under `contact`, its replay, the replay under variations (stiffness ratio, speed of release, damping,
@@ -12,12 +13,18 @@ the plan, LMGC90. Discrete elements leave a state undecided that
 neither rests nor has collapsed at their step limit; LMGC90 does not judge a state whose contacts it cannot detect.
 `builds`: a plan with a reserve, built state by state by discrete elements under the true friction, with robots that are
 springs and press as planned: on contact springs as stiff as those of the criterion (`alike`), stiff and soft ones.
+`shells`: the same for twenty random shells of five families (see `shells.py`), with two and three robots, on contact
+springs as those of the criterion and stiff ones. Each is a process of its own, and a line of the file `--runs`, from
+which the same command goes on where it was interrupted; the records follow once all are there.
 `scenes`: the random rows and stacks of the tests; the verdict of each beside the replay in which the robots release.
 """
 
 from __future__ import annotations
 
+import json
+import os
 import runpy
+import sys
 import time
 import warnings
 from collections import Counter
@@ -28,7 +35,9 @@ from typing import Any, Literal
 
 import numpy as np
 import tyro
-from record import report, write_to
+from record import commit, report, rounded, write_to
+from runs import Run, append, kept, printed_by, read_runs, run_all
+from shells import NAMES, shell
 from states import REAL, find
 
 from falsework.assembly import Assembly, load_structure
@@ -40,12 +49,16 @@ from falsework.stability.contact.varied_replay import DRAWS, replay_varied
 from falsework.stability.judges import (
     DiscreteElementSettings,
     judge_by_lmgc90,
+    matched_sink,
     replay_by_discrete_elements,
     settle,
 )
 from falsework.stability.judges.discrete_elements import SOFT, STIFF
-from falsework.stability.stiffness import normal_stiffness
 
+_DEADLINE, _SHELL_DEADLINE = 120.0, 60.0
+"""Seconds for a plan: of a structure, and of a random shell."""
+_PATIENCE = 30.0
+"""Deadlines after which a process that plans and builds is killed."""
 _STANDS = {1: "stands", -1: "falls", 0: "open"}
 _TESTS = Path(__file__).resolve().parents[1] / "tests"
 
@@ -54,18 +67,21 @@ _TESTS = Path(__file__).resolve().parents[1] / "tests"
 class Options:
     """Benchmark and its settings."""
 
-    what: tyro.conf.Positional[Literal["plans", "builds", "scenes"]]
+    what: tyro.conf.Positional[Literal["plans", "builds", "shells", "scenes"]]
     """Benchmark."""
-    structures: tuple[str, ...] = REAL
-    """Built-in names, paths, or names of real structures."""
-    robots: int = 2
-    """Parts held at once."""
+    structures: tuple[str, ...] = ()
+    """Built-in names, paths, or names of real structures, or of random shells; all real ones or all shells by default.
+    """
+    robots: int | None = None
+    """Parts held at once; 2 by default, and of `shells` 2 and 3."""
     reserve: float = PLANS.reserve
-    """Of `builds`: number by which friction is divided in planning; 1 where no such plan is found."""
-    deadline: float = 120.0
-    """Of `builds`: seconds for each plan."""
+    """Of builds: number by which friction is divided in planning; 1 where no such plan is found."""
+    deadline: float | None = None
+    """Of builds: seconds for each plan; 120 by default, of `shells` 60."""
+    judge: bool = False
+    """Of builds: let the search look for a plan that discrete elements build."""
     steps: int = 100_000
-    """Of `builds`: steps after which discrete elements leave a state undecided."""
+    """Of builds: steps after which discrete elements leave a state undecided."""
     robust: bool = False
     """Search for plans whose replay succeeds under varied settings too."""
     draws: int = DRAWS
@@ -74,19 +90,28 @@ class Options:
     """Largest number of states of a plan for LMGC90; each takes a second to a minute."""
     scenes: int = 1000
     """Random scenes, from seed 0 on."""
+    runs: Path | None = None
+    """Of `shells`: file to which each run is appended, and whose runs are not repeated."""
+    processes: int = 1
+    """Of `shells`: runs at the same time, each on a core of its own (Linux)."""
+    minutes: float | None = None
+    """Of `shells`: minutes after which no more runs begin."""
+    child: str = ""
+    """Make the run of `shells` that this JSON object describes in this process, and print its figures."""
     out: Path | None = None
     """File to which the records are appended."""
 
 
 def plans(options: Options) -> Iterator[dict[str, Any]]:
     """Compare independent methods with the plan of each structure."""
-    for name in options.structures:
+    robots = options.robots or 2
+    for name in options.structures or REAL:
         assembly = load_structure(find(name))
         oracle = Stability(assembly)
         begun = time.process_time()
-        settings, task = PlannerSettings(robust=options.robust), task_of(assembly, options.robots)
+        settings, task = PlannerSettings(robust=options.robust), task_of(assembly, robots)
         found = find_plans(assembly, task, oracle=oracle, settings=settings, forces=False).plans
-        row = {"structure": name, "parts": assembly.part_count, "robots": options.robots, "seeds": (0,)}
+        row = {"structure": name, "parts": assembly.part_count, "robots": robots, "seeds": (0,)}
         row |= {"robust": options.robust, "processor_seconds": time.process_time() - begun}
         if not found:
             yield {**row, "states": 0}
@@ -116,29 +141,82 @@ def plans(options: Options) -> Iterator[dict[str, Any]]:
 
 def builds(options: Options) -> Iterator[dict[str, Any]]:
     """Build a plan with a reserve by discrete elements."""
-    stability = replace(PLANS, reserve=options.reserve)
-    for name in options.structures:
-        assembly = load_structure(find(name))
-        row = {"structure": name, "parts": assembly.part_count, "robots": options.robots, "seeds": (0,)}
-        begun = time.process_time()
-        found = find_plans(
-            assembly, robots=options.robots, stability=stability, deadline=options.deadline, forces=False
-        ).plans
-        row |= {"asked_reserve": options.reserve, "processor_seconds": time.process_time() - begun}
-        if not found:
-            yield {**row, "states": 0}
-            continue
-        plan = found[0]
-        row |= {"reserve": plan.claim.reserve, "states": len(plan.states), "presses": sum(map(len, plan.presses))}
-        sinks = {"alike": _sink(assembly), "stiff": STIFF, "soft": SOFT}
-        yield row | {label: _built(assembly, plan, sink, options) for label, sink in sinks.items()}
+    for name in options.structures or REAL:
+        yield {"structure": name, "seeds": (0,), **_built_plan(load_structure(find(name)), options)}
 
 
-def _sink(assembly: Assembly) -> float:
-    """Return the settlement of a typical part that makes contacts of discrete elements as stiff as the criterion's."""
-    size = np.median([np.ptp(mesh.bounds, axis=0).max() for mesh in assembly.meshes])
-    weight = 9.81 * assembly.mass.mass[~assembly.boundary].mean()
-    return float(weight / (8 * size * normal_stiffness(assembly).mean()))
+def _built_plan(assembly: Assembly, options: Options) -> dict[str, Any]:
+    """Return how discrete elements build a plan of a structure, on springs of several stiffnesses."""
+    robots, stability = options.robots or 2, replace(PLANS, reserve=options.reserve)
+    row: dict[str, Any] = {"parts": assembly.part_count, "robots": robots, "asked_reserve": options.reserve}
+    row |= {"judge": True} if options.judge else {}
+    begun, settings = time.process_time(), PlannerSettings(judge=options.judge)
+    deadline = options.deadline or _DEADLINE
+    how: dict[str, Any] = {"stability": stability, "settings": settings, "deadline": deadline, "forces": False}
+    found = find_plans(assembly, robots=robots, **how).plans
+    row |= {"processor_seconds": time.process_time() - begun}
+    if not found:
+        return {**row, "states": 0}
+    plan = found[0]
+    row |= {"reserve": plan.claim.reserve, "states": len(plan.states), "presses": sum(map(len, plan.presses))}
+    sinks = {"alike": matched_sink(assembly), "stiff": STIFF, "soft": SOFT}
+    return row | {
+        label: _built(assembly, plan, sink, options)
+        for label, sink in sinks.items()
+        if label != "soft" or options.what == "builds"
+    }
+
+
+def shells(options: Options) -> Iterator[dict[str, Any]]:
+    """Build plans of random shells by discrete elements, several at a time."""
+    effort = {
+        "asked_reserve": options.reserve,
+        "deadline": options.deadline or _SHELL_DEADLINE,
+        "judged": options.judge,
+    }
+    numbers = (2, 3) if options.robots is None else (options.robots,)
+    wanted = [
+        {"shell": name, "robots": robots, "commit": commit(), **effort}
+        for name in options.structures or NAMES
+        for robots in numbers
+    ]
+
+    def key_of(run: Run) -> tuple[Any, ...]:
+        return tuple(run[name] for name in wanted[0])
+
+    def make(case: Run, core: int) -> Run:
+        words = ["--deadline", str(case["deadline"]), "--reserve", str(options.reserve), "--steps", str(options.steps)]
+        words += ["--robots", str(case["robots"]), *(["--judge"] if options.judge else [])]
+        command = [__file__, "shells", *words, "--child", json.dumps({"shell": case["shell"], "core": core})]
+        return {**case, **printed_by(command, _PATIENCE * case["deadline"])}
+
+    with kept(options.runs) as path:
+        known = read_runs(path, key_of)
+        todo = [case for case in wanted if key_of(case) not in known]
+
+        def note(run: Run) -> None:
+            known[key_of(run)] = run
+            append(path, run)
+            done = sum(key_of(case) in known for case in wanted)
+            print(f"{done}/{len(wanted)} {run['shell']} robots={run['robots']}: {run['ended']}", file=sys.stderr)
+
+        left = run_all(todo, make, note, options.processes, minutes=options.minutes)
+    if left:
+        raise SystemExit(f"{left} runs were not begun; give --runs and the same command again to make them")
+    for case in wanted:
+        run = {name: value for name, value in known[key_of(case)].items() if name not in ("commit", "judged")}
+        name = run.pop("shell")
+        yield {"structure": name, "family": name.rpartition("-")[0], **run, "seeds": (int(name.rpartition("-")[2]),)}
+
+
+def _one_shell(options: Options) -> dict[str, Any]:
+    """Make a run of `shells` in this process."""
+    case = json.loads(options.child)
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {case["core"]})
+    find_plans("arch:blocks=5", forces=False)  # have everything compiled
+    row = _built_plan(shell(case["shell"]), options)
+    return {**row, "ended": "found" if row["states"] else "nothing found"}
 
 
 def _built(assembly: Assembly, plan: Plan, sink: float, options: Options) -> dict[str, Any]:
@@ -182,8 +260,11 @@ def _count(stands: Any) -> dict[str, int]:
 def main(options: Options) -> None:
     """Run the benchmark."""
     warnings.simplefilter("ignore")
+    if options.child:
+        print(json.dumps(rounded(_one_shell(options))))
+        return
     write_to(options.out)
-    for row in {"plans": plans, "builds": builds, "scenes": scenes}[options.what](options):
+    for row in {"plans": plans, "builds": builds, "shells": shells, "scenes": scenes}[options.what](options):
         report(f"judges {options.what}", **row)
 
 

@@ -31,16 +31,12 @@ from __future__ import annotations
 
 import json
 import os
-import queue
 import resource
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import wraps
 from inspect import signature
@@ -51,6 +47,7 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 from record import report, spread, write_to
+from runs import SOURCE, Run, append, kept, own_cores, printed_by, read_runs, run_all
 
 if TYPE_CHECKING:
     from falsework.assembly import Assembly
@@ -58,8 +55,6 @@ if TYPE_CHECKING:
 
 Half = Literal["tuned", "held-out"]
 Criterion = Literal["contact", "equilibrium"]
-Run = dict[str, Any]
-"""Figures of one search."""
 
 TUNED: dict[str, tuple[int, ...]] = {
     "bottle-12": (1, 2),
@@ -94,10 +89,8 @@ _KEY = ("source", "structure", "robots", "criterion", "perturbation", "budget", 
 """What tells a run from all others."""
 _WEIGHT = 1e-12
 """Largest relative change of a weight."""
-_SOURCE = Path(__file__).resolve().parents[1]
 _GRACE = 120.0
 """Seconds after which a process is killed, in addition to five times its limit: to load and to prove."""
-_NUMBA_AND_BLAS = ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 
 
 @dataclass(frozen=True)
@@ -126,7 +119,7 @@ class Options:
     """Searches at the same time, each on a core of its own (Linux)."""
     minutes: float | None = None
     """Minutes after which no more runs begin."""
-    source: Path = _SOURCE
+    source: Path = SOURCE
     """Source tree whose searches are measured, such as a worktree of another commit."""
     source_name: str = ""
     """Name of this tree in the runs and records; its commit if not given."""
@@ -356,18 +349,6 @@ def key_of(run: Run) -> tuple[Any, ...]:
     return tuple(run[name] for name in _KEY)
 
 
-def read_runs(path: Path | None) -> dict[tuple[Any, ...], Run]:
-    """Return the runs of a file; a last line that was cut short is left out."""
-    found: dict[tuple[Any, ...], Run] = {}
-    for line in path.read_text(encoding="utf-8").splitlines() if path is not None and path.exists() else ():
-        try:
-            run = json.loads(line)
-        except json.JSONDecodeError:
-            continue
-        found[key_of(run)] = run
-    return found
-
-
 def apart(case: Run, options: Options, core: int) -> Run:
     """Make one run in a process of its own, and return it with its figures.
 
@@ -376,54 +357,9 @@ def apart(case: Run, options: Options, core: int) -> Run:
     from states import find
 
     asked = {**case, "path": find(case["structure"]), "core": core}
-    threads = dict.fromkeys(_NUMBA_AND_BLAS, "1")
-    path = os.pathsep.join(str(folder) for folder in (options.source.resolve() / "src", Path(__file__).parent))
-    environment = {**os.environ, **threads, "PYTHONPATH": path}
-    command = [sys.executable, "-W", "ignore", __file__, "--child", json.dumps(asked)]
     nothing = {"solved": False, "reserve": None, "verdicts": 0, "replayed": 0, "cost": 0, "processor_seconds": 0.0}
-    patience = 5 * case["limit"] + _GRACE
-    try:
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=patience, check=False)
-    except subprocess.TimeoutExpired:
-        return {**case, **nothing, "ended": "killed", "error": f"not done after {patience:g} s"}
-    if done.returncode in (-2, 130):
-        raise KeyboardInterrupt
-    if done.returncode:
-        return {**case, **nothing, "ended": "failed", "error": done.stderr[-1000:] or f"exit code {done.returncode}"}
-    return {**case, **json.loads(done.stdout.splitlines()[-1])}
-
-
-def own_cores() -> list[int]:
-    """Return the numbers of the cores that this process may use; of one where the system does not say."""
-    return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else [0]
-
-
-def run_all(todo: Sequence[Run], options: Options, note: Callable[[Run], None]) -> int:
-    """Make runs side by side, and pass each to `note`; return how many were not begun in time."""
-    cores = own_cores()
-    free: queue.SimpleQueue[int] = queue.SimpleQueue()
-    for number in range(options.processes):
-        free.put(cores[number % len(cores)])
-    begun, lock = time.perf_counter(), threading.Lock()
-
-    def one(case: Run) -> int:
-        if options.minutes is not None and time.perf_counter() - begun > 60 * options.minutes:
-            return 1
-        core = free.get()
-        try:
-            run = apart(case, options, core)
-        finally:
-            free.put(core)
-        with lock:
-            note(run)
-        return 0
-
-    with ThreadPoolExecutor(options.processes) as pool:
-        try:
-            return sum(pool.map(one, todo))
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+    command = [__file__, "--child", json.dumps(asked)]
+    return {**case, **nothing, **printed_by(command, 5 * case["limit"] + _GRACE, options.source)}
 
 
 def _cost(runs: Sequence[Run], share: float, *, each_part: bool) -> float | None:
@@ -500,15 +436,6 @@ def report_all(runs: Sequence[Run], options: Options) -> None:
         report("luck cases", **shown, **summary(some), **common)
 
 
-@contextmanager
-def kept(path: Path | None) -> Iterator[Path]:
-    """Yield a file for runs, a temporary one where none is given."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = path or Path(folder, "runs.jsonl")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield path
-
-
 def source_name(options: Options) -> str:
     """Return the name of the measured source tree: its commit, where none is given."""
     git = ["git", "-C", str(options.source), "rev-parse", "--short=7", "HEAD"]
@@ -529,7 +456,7 @@ def main(options: Options) -> None:
     if missing:
         raise SystemExit(f"no {', '.join(missing)}: set FALSEWORK_DATA to the folder of assemblies/ and structures/")
     with kept(options.runs) as path:
-        known = read_runs(path)
+        known = read_runs(path, key_of)
         todo = [run for run in wanted if key_of(run) not in known]
         first = {**wanted[0], "structure": "arch:blocks=5", "robots": 2, "perturbation": 1}
         for criterion in options.criterion if todo else ():  # compiles, and fails at once where nothing can work
@@ -539,13 +466,14 @@ def main(options: Options) -> None:
 
         def note(run: Run) -> None:
             known[key_of(run)] = run
-            with path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(run) + "\n")
+            append(path, run)
             case = f"{run['structure']} robots={run['robots']} {run['criterion']} {run['perturbation']}"
             done = sum(key_of(one) in known for one in wanted)
             print(f"{done}/{len(wanted)} {case}: {run['ended']}, {run['processor_seconds']:.1f} s", file=sys.stderr)
 
-        left = run_all(todo, options, note)
+        left = run_all(
+            todo, lambda case, core: apart(case, options, core), note, options.processes, minutes=options.minutes
+        )
     if left:
         raise SystemExit(f"{left} runs were not begun; give --runs and the same command again to make them")
     write_to(options.out)

@@ -159,6 +159,20 @@ TABLES = {
         ),
         benchmark="judges builds",
     ),
+    "shells": Table(
+        "judges",
+        (*STRUCTURE_AND_ROBOTS, ("reserve asked for", "{asked_reserve}"), ("judge in the search", "{judge}")),
+        (
+            ("parts", "{parts}"),
+            ("search", "{ended}"),
+            ("reserve", "{reserve}"),
+            ("states", "{states}"),
+            ("presses", "{presses}"),
+            ("contacts as of the criterion: stand, open, fall", "{alike.stands}, {alike.open}, {alike.falls}"),
+            ("stiff contacts", "{stiff.stands}, {stiff.open}, {stiff.falls}"),
+        ),
+        benchmark="judges shells",
+    ),
     "robust": Table(
         "judges",
         STRUCTURE,

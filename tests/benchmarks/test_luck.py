@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from luck import HELD_OUT, TUNED, Meter, Options, Perturbation, apart, cases, key_of, read_runs, summary
+from luck import HELD_OUT, TUNED, Meter, Options, Perturbation, apart, cases, key_of, summary
+from runs import read_runs
 
 from falsework.assembly import Assembly, load_structure
 from falsework.stability import Stability, StabilitySettings
@@ -110,10 +111,10 @@ def test_scores_of_made_up_runs() -> None:
 
 def test_runs_are_read_again_up_to_one_that_was_cut_short(tmp_path: Path) -> None:
     path, runs = tmp_path / "runs.jsonl", [run_of("a", number, 100) for number in range(3)]
-    assert read_runs(path) == read_runs(None) == {}
+    assert read_runs(path, key_of) == read_runs(None, key_of) == {}
     lines = "\n".join(map(json.dumps, runs))
     path.write_text(lines[:-9], encoding="utf-8")
-    assert read_runs(path) == {key_of(run): run for run in runs[:2]}
+    assert read_runs(path, key_of) == {key_of(run): run for run in runs[:2]}
 
 
 def test_a_meter_counts_outer_calls_only_and_ends_the_search() -> None:
