@@ -15,7 +15,7 @@ import pytest
 
 from falsework.assembly import load_structure
 from falsework.search import BeamSearch, load_plan, load_state_graph, validate_plan, validate_proofs
-from falsework.stability.judges import discrete_elements
+from falsework.stability.judges import build_judge
 
 Run = Callable[..., Any]
 Write = Callable[..., Path]
@@ -126,7 +126,7 @@ def test_a_plan_that_discrete_elements_do_not_build(
 ) -> None:
     """The plan that they build farthest is written, with exit code 1, and a check that asks them refuses it."""
     out = tmp_path / "plan.json"
-    monkeypatch.setattr(discrete_elements, "matched_sink", lambda assembly: 1e-2)  # parts sink by more than they may
+    monkeypatch.setattr(build_judge, "matched_sink", lambda assembly: 1e-2)  # parts sink by more than they may
     planned = falsework("plan", "arch:blocks=7", "--judge", "--deadline", 20, "--out", out, "--json")
     assert planned.code == 1
     assert "no plan was found that discrete elements build; in this one " in planned.error

@@ -197,7 +197,8 @@ def test_the_route_that_the_judge_builds_farthest_is_kept(rules: Any, judged_by:
     result = planner.run()
     assert result.outcome is Outcome.FOUND
     assert not result.interrupted
-    assert result.routes == (planner.doubted,)
+    assert len(result.routes) == 1
+    assert not planner.routes
     judgement = planner.replays[result.routes[0].states.tobytes()].judgement
     assert judgement == Judgement(result.steps, result.steps + 1, result.steps, 1)
 
@@ -217,6 +218,19 @@ def test_a_judge_is_interrupted(rules: Any, judged_by: Any) -> None:
     assert not result.interrupted
     assert planner.replays[result.routes[0].states.tobytes()].judgement is not None
     assert planner.routes
+
+
+def test_a_route_that_is_given_is_judged(rules: Any, judged_by: Any) -> None:
+    """So is that of a search which was saved after it."""
+    task, oracle = tower(rules, set())
+    route = Planner(task, oracle).run().routes[0]
+    judged_by(set())
+    planner = Planner(task, oracle, PlannerSettings(judge=True))
+    planner.begin_with(route)
+    assert planner.run().routes == (route,)
+    judgement = planner.replays[route.states.tobytes()].judgement
+    assert judgement is not None
+    assert judgement.stands
 
 
 def test_a_judge_needs_replays_and_one_plan(rules: Any) -> None:

@@ -196,16 +196,10 @@ def find_plans(
     late = result.interrupted and clock.passed
     choice = Deadline(max(clock.left, _CHOICE_SECONDS))
     chosen = _choose(planner, result, settings, assembly, oracle, lambda: choice.passed)
-    replays = [planner.replays.get(route.states.tobytes()) for route in chosen.routes]
     plans = tuple(
-        plan_of(route, assembly, task, oracle, forces=forces, replay=replay)
-        for route, replay in zip(chosen.routes, replays, strict=True)
+        plan_of(route, assembly, task, oracle, forces=forces, replay=planner.replays.get(route.states.tobytes()))
+        for route in chosen.routes
     )
-    if settings.judge and None in replays:  # of a search that was resumed after its plan was found
-        acceptance = Acceptance(oracle.replayer, judge=True)
-        plans = tuple(
-            replace(plan, replay=plan.replay and acceptance.judged(plan.assembly_states, plan.replay)) for plan in plans
-        )
     standing = [k for k, plan in enumerate(plans) if plan.replay is None or plan.replay.stands]
     if len(standing) < len(plans):
         plans, chosen = tuple(plans[k] for k in standing), chosen.keep(standing)

@@ -14,7 +14,8 @@ from falsework.assembly.state import REMOVED
 from falsework.errors import InputError
 from falsework.search.beam.adaptive import AdaptiveBeam, AdaptiveSettings
 from falsework.search.beam.beam import BeamSearch
-from falsework.search.plans.plan_replay import Acceptance, PlanReplay, replayer_of
+from falsework.search.plans.plan_replay import PlanReplay
+from falsework.search.plans.route_tests import RouteTests
 from falsework.search.problem.guide import Guide, NoveltyGuide
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import (
@@ -70,17 +71,9 @@ class Planner:
         """Plans found so far; the first keeps missing parts out longest."""
         self.states = np.empty((0, task.part_count), dtype=np.uint8)
         """States found by the searches for alternative plans, shape (count, parts)."""
-        self.fallen: tuple[Route, int] | None = None
-        """Route whose replay gets farthest before it fails, and the step of assembly at which it fails."""
-        self.replays: dict[bytes, PlanReplay] = {}
-        """Replays that come to rest in every state, by the states of the routes."""
-        self.doubted: Route | None = None
-        """Of the routes that stand in their replays and that the judge does not accept, the one built farthest."""
         self._oracle = oracle
-        self._replayer = replayer_of(oracle, settings)
-        self._acceptance = Acceptance(getattr(oracle, "replayer", None), judge=settings.judge)
-        self._keeps = getattr(oracle, "keeps", None)
-        self._forbidden, self._falls = self.states[:0], 0
+        self._tests = RouteTests(oracle, settings, task.part_count)
+        self._falls = 0
         self._edge_guide = self._preferring("edges_first", guide)
         self._guide = self._preferring("beside_held", guide) or guide
         self._stage = "plan"
@@ -98,6 +91,16 @@ class Planner:
     def done(self) -> bool:
         """Whether there is nothing left to do."""
         return self._stage == "done"
+
+    @property
+    def fallen(self) -> tuple[Route, int] | None:
+        """Route whose replay gets farthest before it fails, and the step of assembly at which it fails."""
+        return self._tests.fallen
+
+    @property
+    def replays(self) -> dict[bytes, PlanReplay]:
+        """Replays that come to rest in every state, by the states of the routes."""
+        return self._tests.replays
 
     @property
     def counters(self) -> SearchCounters:
@@ -147,6 +150,9 @@ class Planner:
             unstable = unstable_end(self.task, self._oracle)
             if unstable is not None:
                 return unstable
+            for route in self.routes if self.settings.judge else ():  # given, or of a search that was resumed
+                if route.states.tobytes() not in self.replays:
+                    self._tests.passes(route, stop=stop)
             while not self.done and not interrupted:
                 interrupted = self._advance(report, stop)
         except KeyboardInterrupt:
@@ -233,10 +239,10 @@ class Planner:
             return True
         if self._stage == "alternatives":
             self._gather(beam, result, stop)
-        elif result.found and not self._stands(result.routes[0], beam, stop):
+        elif result.found and not self._tests.passes(result.routes[0], beam.search, stop):
             self._falls += 1
             if self._falls < _MOST_FALLS:
-                beam.search.forbid(self._forbidden)
+                beam.search.forbid(self._tests.forbidden)
             else:
                 limit = f"{self._falls} plans were found, and in each a state tips or the replay fails"
                 self._failed(replace(result, outcome=Outcome.NOT_FOUND, routes=(), limit=limit))
@@ -248,54 +254,6 @@ class Planner:
             self._failed(result)
         return False
 
-    def _stands(self, route: Route, beam: AdaptiveBeam, stop: Stop | None) -> bool:
-        """Return whether the replay of a route comes to rest in every state; record the first state that fails.
-
-        A beam in the order of assembly has replayed its route already. An oracle that requires margins first checks
-        every state in full. The judge, which is slow, comes last.
-
-        Raises:
-            KeyboardInterrupt: `stop` returned true before the judge was done.
-        """
-        if self._keeps is not None:
-            weak = np.flatnonzero(~self._keeps(route.states[1:-1])) + 1
-            if len(weak):
-                self._forbidden = np.concatenate([self._forbidden, route.states[weak]])
-                return False
-        if self._replayer is None:
-            return True
-        states = route.states[::-1]
-        known = None if self.settings.robust else beam.search.replay_summary()
-        found = PlanReplay.of(self._replayer.replay(states)) if known is None else PlanReplay(True, *known)
-        if found.stands:
-            found = self._acceptance.failure(states, found.presses) or found
-        if found.stands:
-            self.replays[route.states.tobytes()] = found
-            if self.settings.judge:
-                found = self._judge(route, found, stop)
-            if found.fails_at is None:
-                return True
-        row, last = found.fails_at or 0, len(states) - 1
-        if not found.stands and (self.fallen is None or row > self.fallen[1]):
-            self.fallen = route, row
-        # Both ends belong to every route, so if one fails, the state next to it is excluded.
-        barred = route.states[::-1][min(max(row, 1), max(last - 1, 0))]
-        self._forbidden = np.concatenate([self._forbidden, barred[None]])
-        return False
-
-    def _judge(self, route: Route, found: PlanReplay, stop: Stop | None) -> PlanReplay:
-        """Return the replay of a route with what the judge says; keep the route if it gets farther than others."""
-        if self.doubted is None:  # until the judge is done, or is interrupted by the keyboard
-            self.doubted = route
-        found = self._acceptance.judged(route.states[::-1], found, stop)
-        self.replays[route.states.tobytes()] = found
-        judgement, best = found.judgement, self.replays[self.doubted.states.tobytes()].judgement
-        if judgement is not None and (best is None or judgement.built > best.built):
-            self.doubted = route
-        if judgement is not None and not judgement.stands and judgement.falls_at is None:
-            raise KeyboardInterrupt
-        return found
-
     def _drop_beams(self) -> None:
         """Forget the beams of an attempt that is over, but not the work that they did."""
         self._counters = self.counters
@@ -305,12 +263,12 @@ class Planner:
     def _gather(self, beam: AdaptiveBeam, result: SearchResult, stop: Stop | None) -> None:
         """Keep the states of a search for another plan, and continue with the next."""
         self.states = np.concatenate([self.states, *([beam.search.states()] if result.found else [])])
-        if result.found and self._stands(result.routes[0], beam, stop):
+        if result.found and self._tests.passes(result.routes[0], beam.search, stop):
             self.routes.append(result.routes[0])
             self._drop_beams()
         elif result.found and self._falls < _MOST_FALLS:
             self._falls += 1
-            beam.search.forbid(self._forbidden)
+            beam.search.forbid(self._tests.forbidden)
         else:
             self._attempt, self._falls = self._attempt + 1, 0
         if len(self.routes) == self.settings.alternatives or self._last_attempt_failed():
@@ -318,7 +276,7 @@ class Planner:
 
     def _failed(self, result: SearchResult) -> None:
         """Try the next attempt, or give this trial up."""
-        proved = result.outcome is Outcome.PROVED_IMPOSSIBLE and not len(self._forbidden)
+        proved = result.outcome is Outcome.PROVED_IMPOSSIBLE and not len(self._tests.forbidden)
         self._attempt += 1
         self._falls = 0
         if self._stage == "plan":
@@ -374,7 +332,7 @@ class Planner:
 
     def _preferring(self, what: str, guide: Guide | None) -> Guide | None:
         """Return a heuristic of `SupportGuide`; None where it has none, or histories matter and are not kept."""
-        known = self._replayer is not None or self.task.holds_keep_stable
+        known = self._tests.replayer is not None or self.task.holds_keep_stable
         return getattr(guide, what, lambda _: None)(self.task) if known else None
 
     def _beam_guide(self, beam: str) -> Guide | None:
@@ -384,7 +342,7 @@ class Planner:
 
     def _result(self, interrupted: bool) -> SearchResult:
         counters = self.counters
-        routes = self.routes or [route for route in [self.doubted] if route is not None]
+        routes = self.routes or [route for route in [self._tests.doubted] if route is not None]
         if routes:
             notes = ()
             if interrupted and self.routes:

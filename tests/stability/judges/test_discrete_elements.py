@@ -24,6 +24,7 @@ from falsework.stability.judges import (
     DiscreteElementSettings,
     Judgement,
     Settling,
+    build_judge,
     discrete_elements,
     matched_sink,
     replay_by_discrete_elements,
@@ -344,7 +345,7 @@ def test_springs_are_as_stiff_as_those_of_the_criterion(scenes: Any) -> None:
 
 def test_a_judge_builds_plans_from_where_they_differ(monkeypatch: pytest.MonkeyPatch) -> None:
     """What it says does not depend on the plans before, nor on where it was stopped."""
-    monkeypatch.setattr(discrete_elements, "_KEPT", 4)
+    monkeypatch.setattr(build_judge, "_KEPT", 4)
     arch = library.build("arch:blocks=7,thickness=0.13")
     states = find_plans(arch).plans[0].reverse().states
     other = states.copy()
@@ -358,6 +359,19 @@ def test_a_judge_builds_plans_from_where_they_differ(monkeypatch: pytest.MonkeyP
     asked = iter([False] * 5 + [True])
     assert stopped.judge(states, none, lambda: next(asked)) == Judgement(5, len(states))
     assert stopped.judge(states, none) == Judgement(len(states), len(states))
+    broken, step = BuildJudge(arch), discrete_elements.Build.step
+
+    def interrupted(self: discrete_elements.Build, state: Any, press: Any, row: int) -> Any:
+        step(self, state, press, row)
+        if row == 9:
+            raise KeyboardInterrupt
+        return STANDS, 0.0, -1
+
+    monkeypatch.setattr(discrete_elements.Build, "step", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        broken.judge(states, none)
+    monkeypatch.setattr(discrete_elements.Build, "step", step)
+    assert broken.judge(states, none) == Judgement(len(states), len(states))
 
 
 def test_a_judge_names_what_falls(scenes: Any) -> None:

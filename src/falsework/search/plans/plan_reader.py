@@ -21,7 +21,7 @@ from falsework.search.plans.plan_source import wrong_source
 from falsework.search.problem.task import Direction
 from falsework.stability.certificate import StabilityCriterion
 from falsework.stability.holds import HoldSettings, Press
-from falsework.stability.judges.discrete_elements import Judgement
+from falsework.stability.judges.build_judge import Judgement
 from falsework.stability.state_arrays import StateArrays
 from falsework.stability.stiffness import TANGENTIAL_RATIO
 from falsework.stability.verdict import Proof, Verdict
@@ -369,24 +369,12 @@ class PlanReader(Reader):
             self._fail(f"replay.part is {part!r}", f"it must be a part number below {parts}, or -1")
         if falls_at is not None and self._count(falls_at, "replay.falls_at") >= states:
             self._fail(f"replay.falls_at is {falls_at}", f"the plan has {states} states")
-        judgement = self._judgement(value["judgement"], parts, states) if "judgement" in value else None
-        return PlanReplay(stands, self._number(value["moved"], "replay.moved"), part, falls_at, judgement=judgement)
-
-    def _judgement(self, value: Any, parts: int, states: int) -> Judgement:
-        name = "replay.judgement"
-        self._keys(value, {"built", "of", "falls_at", "part", "undecided"}, name)
-        built, part, falls_at = self._count(value["built"], f"{name}.built"), value["part"], value["falls_at"]
-        if value["of"] != states or built > states:
-            self._fail(f"{name} is of {built} of {value['of']!r} states", f"the plan has {states} states")
-        if falls_at is not None and (self._count(falls_at, f"{name}.falls_at") != built or built == states):
-            self._fail(f"{name}.falls_at is {falls_at}", "it must be null, or the state after those that were built")
-        if type(part) is not int or not -1 <= part < parts:
-            self._fail(f"{name}.part is {part!r}", f"it must be a part number below {parts}, or -1")
-        some = self._list(value["undecided"], f"{name}.undecided")
-        undecided = tuple(self._count(row, f"{name}.undecided") for row in some)
-        if any(row >= built for row in undecided):
-            self._fail(f"{name}.undecided has a state that was not built")
-        return Judgement(built, states, falls_at, part, undecided)
+        moved = self._number(value["moved"], "replay.moved")
+        try:
+            judgement = Judgement.read(value["judgement"], states, parts) if "judgement" in value else None
+        except InputError as error:
+            self._fail(f"replay.judgement: {error}")
+        return PlanReplay(stands, moved, part, falls_at, judgement=judgement)
 
     def _packed(self, value: Any, name: str, counted: str, shape: tuple[int, ...]) -> NDArray[np.float64] | StateArrays:
         """Return the proofs of all states, of so many states and parts: forces of points, or displacements of parts."""

@@ -11,7 +11,7 @@ from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.stability.contact.replay import ReplaySettings
 from falsework.stability.holds import Press
-from falsework.stability.judges.discrete_elements import BuildJudge, Judgement
+from falsework.stability.judges.build_judge import BuildJudge, Judgement
 
 if TYPE_CHECKING:
     from falsework.search.problem.oracle import Oracle

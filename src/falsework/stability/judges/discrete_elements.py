@@ -18,9 +18,8 @@ neither scale nor density matters; the stiffness of robots is that of the holds,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,8 +28,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, States, as_states
 from falsework.errors import InputError
 from falsework.stability.holds import PRESS_STIFFNESS, HoldSettings, Press
-from falsework.stability.judges.relaxation import FALLS, OPEN, STANDS, JudgedHolds, Model, relax
-from falsework.stability.stiffness import normal_stiffness
+from falsework.stability.judges.relaxation import FALLS, STANDS, JudgedHolds, Model, relax
 
 Array = NDArray[np.float64]
 
@@ -39,12 +37,8 @@ SOFT, STIFF = 2e-5, 2e-7
 """
 _GRAVITY = 9.81
 """m/s2; only loads depend on it, since weights are measured in that of a typical part."""
-_POINTS = 8
+POINTS = 8
 """Number of contact points that carry a typical part."""
-_PATIENT = 100_000
-"""Steps after which the judge of plans leaves a state undecided."""
-_KEPT = 64
-"""States of a plan whose forces are kept, to build another from there."""
 _LEAST_AREA = 1e-3
 """Smallest tributary area of a contact point, as a share of the mean: softer springs would only slow convergence."""
 
@@ -119,11 +113,11 @@ def settle(
         StateError: states of the wrong shape or with wrong values.
     """
     batch = as_states(states, assembly.boundary)
-    size, models = _models(assembly, settings)
+    size, models = models_of(assembly, settings)
     answers = _Answers(size)
     points = len(assembly.contacts.points)
     begin = (
-        np.zeros((len(batch), points, 3)) if forces is None else np.asarray(forces, float) / _typical_weight(assembly)
+        np.zeros((len(batch), points, 3)) if forces is None else np.asarray(forces, float) / typical_weight(assembly)
     )
     if begin.shape != (len(batch), points, 3):
         raise InputError(f"forces have shape {begin.shape}; expected {(len(batch), points, 3)}")
@@ -172,130 +166,31 @@ def replay_by_discrete_elements(
         StateError: states of the wrong shape or with wrong values.
     """
     batch = as_states(states, assembly.boundary)
-    added = _added(assembly, batch, presses)
-    size, models = _models(assembly, settings)
+    added = added_wrenches(assembly, batch, presses)
+    size, models = models_of(assembly, settings)
     for model in models:
-        found = _replay(batch, added, _Build(assembly, size, model, settings, holds.stiffness), size)
+        found = _replay(batch, added, Build(assembly, size, model, settings, holds.stiffness), size)
         if found.last != FALLS:
             break
     return found.settling()
 
 
-def matched_sink(assembly: Assembly) -> float:
-    """Return the settlement of a typical part, in part sizes, on contact springs as stiff as those of the criterion."""
-    stiffness = normal_stiffness(assembly)
-    if not len(stiffness):
-        return STIFF
-    return float(_typical_weight(assembly) / (_POINTS * _typical_size(assembly) * stiffness.mean()))
-
-
-@dataclass(frozen=True)
-class Judgement:
-    """How far a plan was built by discrete elements on springs as stiff as the contacts of the criterion."""
-
-    built: int
-    """States that came to rest or were left undecided, from the first on, in the order of assembly."""
-    of: int
-    """States of the plan."""
-    falls_at: int | None = None
-    """The next state if it collapses; None if it does not, or was not built before the time was up."""
-    part: int = -1
-    """The part that moved most there; -1 if nothing falls."""
-    undecided: tuple[int, ...] = ()
-    """States in which parts still moved at the step limit, without having collapsed."""
-
-    @property
-    def stands(self) -> bool:
-        """Whether every state was built and none collapses."""
-        return self.built == self.of
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain JSON values."""
-        return {**vars(self), "undecided": list(self.undecided)}
-
-
-class BuildJudge:
-    """Judge of plans, which builds each from where it differs from the one before."""
-
-    def __init__(self, assembly: Assembly, holds: HoldSettings = HoldSettings()) -> None:
-        """Lay out the structure.
-
-        Args:
-            assembly: the structure.
-            holds: stiffness of the robots.
-
-        Raises:
-            InputError: a structure with joints.
-        """
-        settings = DiscreteElementSettings(sinks=(matched_sink(assembly),), steps=_PATIENT)
-        self._assembly = assembly
-        size, (model,) = _models(assembly, settings)
-        self._build = _Build(assembly, size, model, settings, holds.stiffness)
-        self._steps: list[tuple[bytes, tuple[Press, ...]]] = []
-        self._answers: list[tuple[int, float, int]] = []
-        self._kept: dict[int, _Forces] = {}
-
-    def judge(
-        self, states: ArrayLike, presses: Sequence[Sequence[Press]], stop: Callable[[], bool] = lambda: False
-    ) -> Judgement:
-        """Build a plan under the true friction, up to the first state that collapses.
-
-        Args:
-            states: in assembly order, shape (steps + 1, parts).
-            presses: those of the step that leads to each state, one entry a state.
-            stop: asked before every state; true leaves the others out.
-
-        Raises:
-            InputError, StateError: as `replay_by_discrete_elements`.
-        """
-        batch = as_states(states, self._assembly.boundary)
-        added = _added(self._assembly, batch, presses)
-        steps = [(state.tobytes(), tuple(press)) for state, press in zip(batch, presses, strict=True)]
-        begin = self._go_back(steps)
-        every = -(-len(batch) // _KEPT)
-        for row in range(begin, len(batch)):
-            if (self._answers and self._answers[-1][0] == FALLS) or stop():
-                break
-            if row % every == 0:
-                self._kept[row] = self._build.forces.copy()
-            answer = self._build.step(batch[row], added[row], row)
-            self._steps.append(steps[row])
-            self._answers.append(answer)
-        found = [answer[0] for answer in self._answers]
-        undecided = tuple(row for row, answer in enumerate(found) if answer == OPEN)
-        if found and found[-1] == FALLS:
-            return Judgement(len(found) - 1, len(batch), len(found) - 1, int(self._answers[-1][2]), undecided)
-        return Judgement(len(found), len(batch), undecided=undecided)
-
-    def _go_back(self, steps: list[tuple[bytes, tuple[Press, ...]]]) -> int:
-        """Return the state from which to build, the last with known forces before the first that differs."""
-        same = 0
-        while same < min(len(steps), len(self._steps)) and steps[same] == self._steps[same]:
-            same += 1
-        if same == len(self._steps) and self._answers:
-            return same  # goes on where it was stopped
-        begin = max((row for row in self._kept if row <= same), default=0)
-        self._build.forces = self._kept[begin].copy() if begin in self._kept else self._build.nothing()
-        self._kept = {row: forces for row, forces in self._kept.items() if row <= begin}
-        del self._steps[begin:], self._answers[begin:]
-        return begin
-
-
 @dataclass(eq=False)
-class _Forces:
+class ContactForces:
     """What contacts and robots bear in a state."""
 
     gap: Array
     friction: Array
     grip: JudgedHolds
 
-    def copy(self) -> _Forces:
+    def copy(self) -> ContactForces:
+        """Return a copy that shares nothing."""
         grip = self.grip
         held = JudgedHolds(grip.stiffness.copy(), grip.fresh.copy(), grip.wrench.copy())
-        return _Forces(self.gap.copy(), self.friction.copy(), held)
+        return ContactForces(self.gap.copy(), self.friction.copy(), held)
 
 
-class _Build:
+class Build:
     """Structure that is built state by state on contact springs of one stiffness."""
 
     def __init__(
@@ -304,12 +199,13 @@ class _Build:
         self._assembly, self._size, self._model = assembly, size, model
         self._settings, self._stiffness = settings, stiffness
         self._ends = model.parts[np.repeat(np.arange(len(model.parts)), np.diff(model.start))]
-        self._typical = _typical_weight(assembly)
+        self._typical = typical_weight(assembly)
         self.forces = self.nothing()
 
-    def nothing(self) -> _Forces:
+    def nothing(self) -> ContactForces:
+        """Return no forces."""
         points = len(self._model.local)
-        return _Forces(np.zeros(points), np.zeros((points, 2)), _no_grip(self._assembly))
+        return ContactForces(np.zeros(points), np.zeros((points, 2)), _no_grip(self._assembly))
 
     def step(self, state: NDArray[np.uint8], press: dict[int, Array], row: int) -> tuple[int, float, int]:
         """Build the next state, with the wrenches that robots add on the way, and return how it goes."""
@@ -329,7 +225,7 @@ class _Build:
         return relax(self._model, state, now.gap, now.friction, now.grip, *_numbers(settings))
 
 
-def _replay(batch: States, added: Sequence[dict[int, Array]], build: _Build, size: float) -> _Answers:
+def _replay(batch: States, added: Sequence[dict[int, Array]], build: Build, size: float) -> _Answers:
     """Build a structure up to the first state that collapses."""
     answers = _Answers(size)
     for row, (state, press) in enumerate(zip(batch, added, strict=True)):
@@ -339,7 +235,9 @@ def _replay(batch: States, added: Sequence[dict[int, Array]], build: _Build, siz
     return answers
 
 
-def _added(assembly: Assembly, batch: States, presses: Sequence[Sequence[Press]] | None) -> list[dict[int, Array]]:
+def added_wrenches(
+    assembly: Assembly, batch: States, presses: Sequence[Sequence[Press]] | None
+) -> list[dict[int, Array]]:
     """Return the wrenches that robots add in the step to each state, by part, N and N m."""
     if presses is None:
         return [{} for _ in batch]
@@ -392,7 +290,7 @@ def _redraw(model: Model, gap: Array, friction: Array, settings: DiscreteElement
     friction[:, 0], friction[:, 1] = length * np.cos(angle), length * np.sin(angle)
 
 
-def _typical_weight(assembly: Assembly) -> float:
+def typical_weight(assembly: Assembly) -> float:
     """Return the mean weight of the parts that are not boundary, N."""
     loose = ~assembly.boundary
     return float(_GRAVITY * assembly.mass.mass[loose if loose.any() else slice(None)].mean())
@@ -403,18 +301,18 @@ def _boxes(assembly: Assembly) -> Array:
     return np.array([np.ptp(mesh.bounds, axis=0) for mesh in assembly.meshes])
 
 
-def _typical_size(assembly: Assembly) -> float:
+def typical_size(assembly: Assembly) -> float:
     """Return the median of the longest sides of the parts, m."""
     return float(np.median(_boxes(assembly).max(axis=1)))
 
 
-def _models(assembly: Assembly, settings: DiscreteElementSettings) -> tuple[float, list[Model]]:
+def models_of(assembly: Assembly, settings: DiscreteElementSettings) -> tuple[float, list[Model]]:
     """Return the size of a typical part, metres, and models in units of it, one for each stiffness of springs."""
     if assembly.joints is not None:
         raise InputError("the discrete-element method does not support joints; replay by the contact law instead")
     contacts, mass = assembly.contacts.flat(), assembly.mass
-    boxes, size = _boxes(assembly), _typical_size(assembly)
-    typical = _typical_weight(assembly)
+    boxes, size = _boxes(assembly), typical_size(assembly)
+    typical = typical_weight(assembly)
     weight = _GRAVITY * mass.mass / typical
     count = np.diff(contacts.start)
     owner = contacts.contact_of_point
@@ -430,7 +328,7 @@ def _models(assembly: Assembly, settings: DiscreteElementSettings) -> tuple[floa
         arm_a=(middle - mass.center[contacts.parts[:, 0]]) / size,
         arm_b=(middle - mass.center[contacts.parts[:, 1]]) / size,
         local=np.einsum("pij,pj->pi", contacts.frames[owner], contacts.points - middle[owner]) / size,
-        stiffness=np.maximum(area / mean, _LEAST_AREA) / _POINTS,
+        stiffness=np.maximum(area / mean, _LEAST_AREA) / POINTS,
         weight=np.ascontiguousarray(weight),
         applied=assembly.applied_wrench(_GRAVITY) / (typical * np.repeat([1.0, size], 3)),
         radius=np.linalg.norm(boxes, axis=1) / (2 * size),

@@ -1,0 +1,87 @@
+"""Tests that a complete route must pass before a search delivers it, and what a search learns from those that fail."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from falsework.search.beam.beam import BeamSearch
+from falsework.search.plans.plan_replay import Acceptance, PlanReplay, replayer_of
+from falsework.search.problem.oracle import Oracle
+from falsework.search.problem.result import Route, Stop
+from falsework.search.settings import PlannerSettings
+
+
+class RouteTests:
+    """Margins, replay, acceptance and judge of the routes of a search; a state in which one fails is excluded."""
+
+    def __init__(self, oracle: Oracle, settings: PlannerSettings, parts: int) -> None:
+        """Begin without routes.
+
+        Raises:
+            InputError: a judge that the settings ask for cannot be had; see `Acceptance`.
+        """
+        self.fallen: tuple[Route, int] | None = None
+        """Route whose replay gets farthest before it fails, and the step of assembly at which it fails."""
+        self.replays: dict[bytes, PlanReplay] = {}
+        """Replays that come to rest in every state, by the states of the routes."""
+        self.doubted: Route | None = None
+        """Of the routes that stand in their replays and that the judge does not accept, the one built farthest."""
+        self.forbidden = np.empty((0, parts), dtype=np.uint8)
+        """Excluded states, shape (count, parts)."""
+        self.replayer = replayer_of(oracle, settings)
+        """Replayer of complete routes; None where there is no history to take into account."""
+        self._settings = settings
+        self._acceptance = Acceptance(getattr(oracle, "replayer", None), judge=settings.judge)
+        self._keeps = getattr(oracle, "keeps", None)
+
+    def passes(self, route: Route, search: BeamSearch | None = None, stop: Stop | None = None) -> bool:
+        """Return whether the replay of a route comes to rest in every state; exclude the first state that fails.
+
+        An oracle that requires margins first checks every state in full. The judge, which is slow, comes last.
+
+        Args:
+            route: the route.
+            search: that found it; in the order of assembly it has replayed the route along the way.
+            stop: asked before every state that is judged.
+
+        Raises:
+            KeyboardInterrupt: `stop` returned true before the judge was done.
+        """
+        if self._keeps is not None:
+            weak = np.flatnonzero(~self._keeps(route.states[1:-1])) + 1
+            if len(weak):
+                self.forbidden = np.concatenate([self.forbidden, route.states[weak]])
+                return False
+        if self.replayer is None:
+            return True
+        states = route.states[::-1]
+        known = None if search is None or self._settings.robust else search.replay_summary()
+        found = PlanReplay.of(self.replayer.replay(states)) if known is None else PlanReplay(True, *known)
+        if found.stands:
+            found = self._acceptance.failure(states, found.presses) or found
+        if found.stands:
+            self.replays[route.states.tobytes()] = found
+            if self._settings.judge:
+                found = self._judge(route, found, stop)
+            if found.fails_at is None:
+                return True
+        row, last = found.fails_at or 0, len(states) - 1
+        if not found.stands and (self.fallen is None or row > self.fallen[1]):
+            self.fallen = route, row
+        # Both ends belong to every route, so if one fails, the state next to it is excluded.
+        barred = states[min(max(row, 1), max(last - 1, 0))]
+        self.forbidden = np.concatenate([self.forbidden, barred[None]])
+        return False
+
+    def _judge(self, route: Route, found: PlanReplay, stop: Stop | None) -> PlanReplay:
+        """Return the replay of a route with what the judge says; keep the route if it gets farther than others."""
+        if self.doubted is None:  # until the judge is done, or the keyboard interrupts it
+            self.doubted = route
+        found = self._acceptance.judged(route.states[::-1], found, stop)
+        self.replays[route.states.tobytes()] = found
+        judgement, best = found.judgement, self.replays[self.doubted.states.tobytes()].judgement
+        if judgement is not None and (best is None or judgement.built > best.built):
+            self.doubted = route
+        if judgement is not None and not judgement.stands and judgement.falls_at is None:
+            raise KeyboardInterrupt
+        return found
