@@ -3,9 +3,9 @@
     python benchmarks/luck.py --runs out/luck.jsonl --processes 16 --out benchmarks/results/luck.jsonl
     python benchmarks/luck.py --runs out/before.jsonl --source ../before --half tuned
     python benchmarks/luck.py --structures vault-62 cube-17 --robots 2 --perturbations 2
-    python benchmarks/luck.py --runs out/rules.jsonl --without each all --perturbations 3 --limit 20 --processes 16 \\
+    python benchmarks/luck.py --runs out/rules.jsonl --without each all --perturbations 3 --processes 16 \\
         --out benchmarks/results/rules.jsonl
-    python benchmarks/luck.py --runs out/rules.jsonl --without each all --perturbations 3 --limit 20 --table
+    python benchmarks/luck.py --runs out/rules.jsonl --without each all --perturbations 3 --table
 
 Twenty structures of 12 to 500 parts, each with two numbers of robots, none proven to be too few, under both criteria.
 Each case is searched for a plan ten times: as it is, and in nine perturbations that change nothing that matters. Each
@@ -31,9 +31,9 @@ perturbations are solved and others are not. Real structures are found by FALSEW
 
 `--without` makes all searches with the rules of `search_rules.py` first, then again without each of those named where
 the rule took effect, and compares these pairs (`rules sweep`): shares solved and without the reserve, numbers of pairs
-of which only one is solved, and ratios of medians (without the rule over with it) over perturbations that both solve,
-of several cases the median with the range. Cases that take too long with all rules are left out, unless structures are
-named; `--table` prints the comparison of the runs that are there so far.
+of which only one is solved, and ratios of medians (without the rule over with it) over perturbations in which both find
+a plan with the same reserve, of several cases the median with the range. Cases that take too long with all rules are
+left out, unless structures are named; `--table` prints the comparison of the runs that are there so far.
 """
 
 from __future__ import annotations

@@ -177,15 +177,19 @@ def run_of(name: str, number: int, cost: int, without: str = "", **more: Any) ->
     """Return a made-up run that is solved, unless `more` says otherwise; with all rules, `gaps` takes effect."""
     run = {"structure": name, "half": "tuned", "robots": 2, "criterion": "contact", "perturbation": number}
     run |= {"source": "here", "budget": 50.0, "limit": 20.0, "without": without, "acts": [] if without else ["gaps"]}
-    run |= {"ended": "found", "solved": True, "cost": cost, "verdicts": cost - 10, "replayed": 10}
+    run |= {"ended": "found", "solved": True, "reserve": 1.1, "cost": cost, "verdicts": cost - 10, "replayed": 10}
     return run | {"processor_seconds": 1.0} | more
 
 
 def test_a_rule_is_compared_with_the_same_searches() -> None:
     bases = [run_of("a", number, cost) for number, cost in enumerate((100, 110, 120))]
-    bases += [run_of("b", 0, 210), run_of("b", 1, 210, solved=False, ended="budget"), run_of("c", 0, 50, acts=[])]
+    bases += [
+        run_of("b", 0, 210),
+        run_of("b", 1, 210, solved=False, reserve=None, ended="budget"),
+        run_of("c", 0, 50, acts=[]),
+    ]
     others = [run_of("a", number, cost, "gaps") for number, cost in enumerate((200, 230, 300))]
-    others[2] |= {"solved": False, "ended": "found"}
+    others[2] |= {"solved": False, "reserve": 1.0}
     others += [run_of("b", 0, 110, "gaps", processor_seconds=3.0), run_of("b", 1, 200, "gaps")]
     known = {key_of(run): run for run in (*bases, *others)}
     rows = list(compared(known, bases, ["gaps", "early"]))
