@@ -327,6 +327,13 @@ TABLES = {
         (("half", "{half}"), ("parts", "{parts}"), *(column for column in LUCK if "cases" not in column[0])),
         benchmark="luck cases",
     ),
+    "rules": Table(
+        "rules",
+        RULES_KEY,
+        RULES,
+        benchmark="rules sweep",
+        where=lambda record: record["half"] == "both" and record["criterion"] != "both",
+    ),
     "search-bound": Table(
         "search",
         STRUCTURE,
