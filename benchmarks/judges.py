@@ -200,7 +200,8 @@ def shells(options: Options) -> Iterator[dict[str, Any]]:
             done = sum(key_of(case) in known for case in wanted)
             print(f"{done}/{len(wanted)} {run['shell']} robots={run['robots']}: {run['ended']}", file=sys.stderr)
 
-        left = run_all(todo, make, note, options.processes, minutes=options.minutes)
+        until = None if options.minutes is None else time.perf_counter() + 60 * options.minutes
+        left = run_all(todo, make, note, options.processes, until=until)
     if left:
         raise SystemExit(f"{left} runs were not begun; give --runs and the same command again to make them")
     for case in wanted:

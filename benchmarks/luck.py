@@ -3,6 +3,9 @@
     python benchmarks/luck.py --runs out/luck.jsonl --processes 16 --out benchmarks/results/luck.jsonl
     python benchmarks/luck.py --runs out/before.jsonl --source ../before --half tuned
     python benchmarks/luck.py --structures vault-62 cube-17 --robots 2 --perturbations 2
+    python benchmarks/luck.py --runs out/rules.jsonl --without each all --perturbations 3 --processes 16 \\
+        --out benchmarks/results/rules.jsonl
+    python benchmarks/luck.py --runs out/rules.jsonl --without each all --perturbations 3 --table
 
 Twenty structures of 12 to 500 parts, each with two numbers of robots, none proven to be too few, under both criteria.
 Each case is searched for a plan ten times: as it is, and in nine perturbations that change nothing that matters. Each
@@ -25,6 +28,12 @@ interrupted benchmark, also after `--minutes`. Once all are there, records follo
 (`luck halves`), with costs per part, and of each case (`luck cases`). `spread` is the cost that 90 % of the solved
 perturbations keep over that of 10 %, of several cases the median; `mixed` is the share of cases of which some
 perturbations are solved and others are not. Real structures are found by FALSEWORK_DATA, see `states.py`.
+
+`--without` makes all searches with the rules of `search_rules.py` first, then again without each of those named where
+the rule took effect, and compares these pairs (`rules sweep`): shares solved and without the reserve, numbers of pairs
+of which only one is solved, and ratios of medians (without the rule over with it) over perturbations in which both find
+a plan with the same reserve, of several cases the median with the range. Cases that take too long with all rules are
+left out, unless structures are named; `--table` prints the comparison of the runs that are there so far.
 """
 
 from __future__ import annotations
@@ -46,8 +55,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import tyro
 from numpy.typing import NDArray
-from record import report, spread, write_to
+from record import report, rounded, spread, write_to
 from runs import SOURCE, Run, append, kept, own_cores, printed_by, read_runs, run_all
+from search_rules import LEFT_OUT, acts_in, comparison, each_of, probe_all, switch_off
 
 if TYPE_CHECKING:
     from falsework.assembly import Assembly
@@ -85,7 +95,7 @@ HELD_OUT: dict[str, tuple[int, ...]] = {
 
 _REAL = {name for name in (*TUNED, *HELD_OUT) if ":" not in name}
 """Those that come from files."""
-_KEY = ("source", "structure", "robots", "criterion", "perturbation", "budget", "limit")
+_KEY = ("source", "structure", "robots", "criterion", "perturbation", "budget", "limit", "without")
 """What tells a run from all others."""
 _WEIGHT = 1e-12
 """Largest relative change of a weight."""
@@ -115,6 +125,11 @@ class Options:
     """Verdicts and replayed steps of a search, as a multiple of the number of parts."""
     limit: float = 40.0
     """Seconds of processor time of a search."""
+    without: tuple[str, ...] = ()
+    """Rules that are switched off, one after the other; `each` for every rule, `all` for all at once, names joined by
+    `+` for several at once."""
+    table: bool = False
+    """Make no runs; print the comparison of rules over those that are there."""
     processes: int = 1
     """Searches at the same time, each on a core of its own (Linux)."""
     minutes: float | None = None
@@ -274,7 +289,8 @@ def search(case: Run) -> Run:
     """Search for one plan in this process, and return its figures.
 
     Args:
-        case: `path`, `robots`, `criterion`, `perturbation`, `budget`, `limit` and `core`.
+        case: `path`, `robots`, `criterion`, `perturbation`, `budget`, `limit` and `core`; `without` names rules to
+            switch off, `probe` has those noted that take effect.
     """
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {case["core"]})
@@ -283,6 +299,8 @@ def search(case: Run) -> Run:
     from falsework.stability import Stability, StabilitySettings
     from falsework.stability.contact.replay import Replayer
 
+    switch_off(case.get("without", ""))
+    acts = probe_all() if case.get("probe") else None
     stability = StabilitySettings(criterion=case["criterion"])
     if case["criterion"] == "contact":
         stability = getattr(find, "PLANS", stability)  # with a reserve; not in old commits
@@ -293,6 +311,8 @@ def search(case: Run) -> Run:
         return find_plans(structure, forces=False, **how, **options)
 
     plan(load_structure("arch:blocks=5"))  # have everything compiled
+    if acts is not None:
+        acts.clear()
     assembly = load_structure(case["path"])
     perturbation = Perturbation.draw(case["perturbation"], assembly.part_count)
     if case["perturbation"]:
@@ -326,6 +346,7 @@ def search(case: Run) -> Run:
         "processor_seconds": meter.seconds,
         "seconds": time.perf_counter() - begun,
         "memory_gib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
+        **({} if acts is None else {"acts": sorted(acts)}),
     }
 
 
@@ -341,12 +362,13 @@ def cases(options: Options) -> list[Run]:
         if options.half in (None, half := half_of.get(name, "other"))
         for robots in options.robots or halves.get(half, {}).get(name, (2,))
         for criterion in options.criterion
+        if not options.without or options.structures or (name, robots, criterion) not in LEFT_OUT
     ]
 
 
 def key_of(run: Run) -> tuple[Any, ...]:
     """Return what tells a run from all others."""
-    return tuple(run[name] for name in _KEY)
+    return tuple(run.get(name, "") if name == "without" else run[name] for name in _KEY)
 
 
 def apart(case: Run, options: Options, core: int) -> Run:
@@ -356,7 +378,7 @@ def apart(case: Run, options: Options, core: int) -> Run:
     """
     from states import find
 
-    asked = {**case, "path": find(case["structure"]), "core": core}
+    asked = {**case, "path": find(case["structure"]), "core": core, "probe": bool(options.without)}
     nothing = {"solved": False, "reserve": None, "verdicts": 0, "replayed": 0, "cost": 0, "processor_seconds": 0.0}
     command = [__file__, "--child", json.dumps(asked)]
     return {**case, **nothing, **printed_by(command, 5 * case["limit"] + _GRACE, options.source)}
@@ -418,13 +440,8 @@ def report_all(runs: Sequence[Run], options: Options) -> None:
     common = {"budget": options.budget, "limit": options.limit, "source": runs[0]["source"]}
     common["seeds"] = range(options.perturbations)
 
-    def parts(names: Sequence[str]) -> Iterator[tuple[str, set[str]]]:
-        yield from ((name, {name}) for name in names)
-        if len(names) > 1:
-            yield "both", set(names)
-
-    for half, halves in parts(list(dict.fromkeys(run["half"] for run in runs))):
-        for criterion, criteria in parts(list(dict.fromkeys(run["criterion"] for run in runs))):
+    for half, halves in _sets([run["half"] for run in runs]):
+        for criterion, criteria in _sets([run["criterion"] for run in runs]):
             some = [run for run in runs if run["half"] in halves and run["criterion"] in criteria]
             structures = len({run["structure"] for run in some})
             figures = summary(some, each_part=True)
@@ -436,6 +453,43 @@ def report_all(runs: Sequence[Run], options: Options) -> None:
         report("luck cases", **shown, **summary(some), **common)
 
 
+def compared(known: dict[tuple[Any, ...], Run], wanted: Sequence[Run], names: Sequence[str]) -> Iterator[Run]:
+    """Yield the comparison of the search with each of some rules, or some at once, and that without it.
+
+    Args:
+        known: runs by their keys; those that are not there yet are left out.
+        wanted: runs with all rules, with or without their figures.
+        names: of what is switched off.
+    """
+    bases = [known[key_of(run)] for run in wanted if key_of(run) in known]
+    for name in names:
+        acting = {key_of(base): key_of({**base, "without": name}) for base in bases if acts_in(name, base)}
+        there = [base for base in bases if key_of(base) not in acting or acting[key_of(base)] in known]
+        for half, halves in _sets([base["half"] for base in there]):
+            for criterion, criteria in _sets([base["criterion"] for base in there]):
+                some = [base for base in there if base["half"] in halves and base["criterion"] in criteria]
+                pairs = [(base, known[acting[key_of(base)]]) for base in some if key_of(base) in acting]
+                yield {"without": name, "half": half, "criterion": criterion, **comparison(pairs, len(some))}
+
+
+def _sets(names: Sequence[str]) -> Iterator[tuple[str, set[str]]]:
+    """Yield each of some names, and `both` of two."""
+    each = list(dict.fromkeys(names))
+    yield from ((name, {name}) for name in each)
+    if len(each) > 1:
+        yield "both", set(each)
+
+
+def table_of(rows: Sequence[Run]) -> str:
+    """Write comparisons as the table of the published results."""
+    from table_list import RULES, RULES_KEY
+    from table_model import fill_in, markdown
+
+    columns = (*RULES_KEY, *RULES)
+    shown = [[write([row], []) if callable(write) else fill_in(write, [row]) for _, write in columns] for row in rows]
+    return markdown([head for head, _ in columns], shown)
+
+
 def source_name(options: Options) -> str:
     """Return the name of the measured source tree: its commit, where none is given."""
     git = ["git", "-C", str(options.source), "rev-parse", "--short=7", "HEAD"]
@@ -443,41 +497,73 @@ def source_name(options: Options) -> str:
     return options.source_name or done.stdout.strip() or os.environ.get("COMMIT", "unknown")
 
 
+def make_all(
+    asked: Sequence[Run], known: dict[tuple[Any, ...], Run], path: Path, options: Options, begun: float
+) -> int:
+    """Make the runs that are not known yet, and add them to those and to a file; return how many were not begun."""
+
+    def note(run: Run) -> None:
+        known[key_of(run)] = run
+        append(path, run)
+        case = f"{run['structure']} robots={run['robots']} {run['criterion']} {run['perturbation']}"
+        case += f" without {run['without']}" if run["without"] else ""
+        done = sum(key_of(one) in known for one in asked)
+        print(f"{done}/{len(asked)} {case}: {run['ended']}, {run['processor_seconds']:.1f} s", file=sys.stderr)
+
+    def make(case: Run, core: int) -> Run:
+        return apart(case, options, core)
+
+    until = None if options.minutes is None else begun + 60 * options.minutes
+    return run_all([run for run in asked if key_of(run) not in known], make, note, options.processes, until=until)
+
+
+def without_rules(known: dict[tuple[Any, ...], Run], wanted: Sequence[Run], names: Sequence[str]) -> list[Run]:
+    """Return the runs to be made without rules where these take effect, the longest of a perturbation first."""
+    ordered = sorted(wanted, key=lambda run: (run["perturbation"], -known[key_of(run)]["processor_seconds"]))
+    return [{**run, "without": name} for run in ordered for name in names if acts_in(name, known[key_of(run)])]
+
+
 def main(options: Options) -> None:
     """Make the runs that are not there yet, and report the scores once all are."""
     from states import find
 
-    effort = {"source": source_name(options), "budget": options.budget, "limit": options.limit}
+    begun = time.perf_counter()
+    try:
+        names = each_of(options.without)
+    except ValueError as error:
+        raise SystemExit(str(error)) from None
+    effort = {"source": source_name(options), "budget": options.budget, "limit": options.limit, "without": ""}
     wanted = [{**case, **effort} for case in cases(options)]
     if not wanted:
         raise SystemExit("no runs are asked for; see --structures, --half and --perturbations")
+    if options.table:
+        rows = [rounded(row) for row in compared(read_runs(options.runs, key_of), wanted, names)]
+        print(table_of([row for row in rows if row["half"] == rows[-1]["half"]]) if rows else "no runs of a rule yet")
+        return
     missing = sorted({str(run["structure"]) for run in wanted} & _REAL)
     missing = [name for name in missing if find(name) == name]
     if missing:
         raise SystemExit(f"no {', '.join(missing)}: set FALSEWORK_DATA to the folder of assemblies/ and structures/")
     with kept(options.runs) as path:
         known = read_runs(path, key_of)
-        todo = [run for run in wanted if key_of(run) not in known]
+        new = any(key_of(run) not in known for run in wanted)
         first = {**wanted[0], "structure": "arch:blocks=5", "robots": 2, "perturbation": 1}
-        for criterion in options.criterion if todo else ():  # compiles, and fails at once where nothing can work
+        for criterion in options.criterion if new else ():  # compiles, and fails at once where nothing can work
             tried = apart({**first, "criterion": criterion}, options, own_cores()[0])
             if tried["ended"] != "found":
                 raise SystemExit(f"the arch of five blocks is not planned: {tried.get('error', tried['ended'])}")
-
-        def note(run: Run) -> None:
-            known[key_of(run)] = run
-            append(path, run)
-            case = f"{run['structure']} robots={run['robots']} {run['criterion']} {run['perturbation']}"
-            done = sum(key_of(one) in known for one in wanted)
-            print(f"{done}/{len(wanted)} {case}: {run['ended']}, {run['processor_seconds']:.1f} s", file=sys.stderr)
-
-        left = run_all(
-            todo, lambda case, core: apart(case, options, core), note, options.processes, minutes=options.minutes
-        )
+        left = make_all(wanted, known, path, options, begun)
+        left = left or make_all(without_rules(known, wanted, names), known, path, options, begun)
     if left:
         raise SystemExit(f"{left} runs were not begun; give --runs and the same command again to make them")
     write_to(options.out)
-    report_all([known[key_of(run)] for run in wanted], options)
+    if not names:
+        report_all([known[key_of(run)] for run in wanted], options)
+        return
+    common = {"budget": options.budget, "limit": options.limit, "source": wanted[0]["source"]}
+    rows = list(compared(known, wanted, names))
+    for row in (row for row in rows if row["acts"] or row["half"] == rows[-1]["half"]):
+        report("rules sweep", **row, **common, seeds=range(options.perturbations))
 
 
 if __name__ == "__main__":

@@ -92,6 +92,20 @@ LUCK = (
     ("other ends", how_runs_ended),
     ("CPU time, s", "{processor_seconds}"),
 )
+RULES_KEY = (("switched off", "{without}"), ("criterion", "{criterion}"))
+RULES = (
+    ("takes effect in runs", "{acts} of {runs}"),
+    ("solved with it, %", "{solved.with:%}"),
+    ("without, %", "{solved.without:%}"),
+    ("runs solved only with it", "{only_with}"),
+    ("only without", "{only_without}"),
+    ("without the reserve, with it, %", "{without_reserve.with:%}"),
+    ("without, %", "{without_reserve.without:%}"),
+    ("verdicts, ratio", "{verdicts}"),
+    ("replayed steps, ratio", "{replayed}"),
+    ("CPU time, ratio", "{processor_seconds}"),
+    ("CPU time of all, ratio", "{all_processor_seconds.without/all_processor_seconds.with}"),
+)
 
 TABLES = {
     "plans": Table(
@@ -326,6 +340,13 @@ TABLES = {
         (*STRUCTURE_AND_ROBOTS, ("criterion", "{criterion}")),
         (("half", "{half}"), ("parts", "{parts}"), *(column for column in LUCK if "cases" not in column[0])),
         benchmark="luck cases",
+    ),
+    "rules": Table(
+        "rules",
+        RULES_KEY,
+        RULES,
+        benchmark="rules sweep",
+        where=lambda record: record["half"] == "both" and record["criterion"] != "both",
     ),
     "search-bound": Table(
         "search",
