@@ -31,9 +31,17 @@ class Recorder:
     def judge(self, states: States, *, parents: States | None = None) -> Verdicts:
         """Check states as `Stability.judge`; states without parents, such as the ends of a task, are not recorded."""
         if parents is not None:
-            self.states.append(states.copy())
-            self.parents.append(parents.copy())
+            self._record(states, parents)
         return self.oracle.judge(states, parents=parents)
+
+    def plausible(self, states: States, parents: States) -> NDArray[np.bool_]:
+        """Return which states a replay may find at rest, as `Stability.plausible`."""
+        self._record(states, parents)
+        return self.oracle.plausible(states, parents)
+
+    def _record(self, states: States, parents: States) -> None:
+        self.states.append(states.copy())
+        self.parents.append(parents.copy())
 
 
 def asked_states(

@@ -68,7 +68,7 @@ def test_the_replay_is_printed_step_by_step(falsework: Run, tmp_path: Path) -> N
     assert records[0]["criterion"] == "contact"
     assert [entry["replay"] for entry in records[1:16]] == ["stands"] * 15
     assert records[16]["replay"] == "stands"
-    assert len(records[16]["variations"]) == 12
+    assert len(records[16]["variations"]) == 10
 
 
 def test_a_plan_in_equilibrium_is_not_one_that_stands(falsework: Run, tmp_path: Path) -> None:

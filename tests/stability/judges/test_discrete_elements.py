@@ -34,7 +34,7 @@ from falsework.stability.stiffness import normal_stiffness
 
 STANDS, OPEN, FALLS = 1, 0, -1
 RIGID = HoldSettings()
-GIVES_WAY = StabilitySettings(reserve=1.1, holds=HoldSettings(stiffness=1e7))
+GIVES_WAY = StabilitySettings(reserve=1.1, holds=HoldSettings(stiffness=5e6))
 STIFF_CONTACTS = DiscreteElementSettings(sinks=(2e-7,))
 SINK = 2e-5  # what a typical part sinks on eight typical points, in sizes of it
 
