@@ -139,17 +139,6 @@ def _patch_compact() -> None:
     _wrap(_kind("search.settings", "PlannerSettings"), "attempts", around)
 
 
-def _patch_open_places() -> None:
-    _kind(_BEAM, "BeamSearch")._open_places = property(lambda _: None)
-
-
-def _probe_open_places(note: Note) -> None:
-    """What the rule asks counts too: its verdicts on all parts."""
-    from falsework.search.beam import beam
-
-    _watch(beam, "cannot_come_last", note, lambda *_: True)
-
-
 def _patch_failures() -> None:
     from falsework.search.beam import beam
 
@@ -220,11 +209,6 @@ RULES: dict[str, Rule] = {
         "A beam whose robots work in one place takes over after 16 deaths of the first; without it, that goes on.",
         _patch_compact,
         _beam_has(lambda beam: beam.compact),
-    ),
-    "open-places": Rule(
-        "A place stays open beside parts that do not stand where they come last, which a verdict on each part shows.",
-        _patch_open_places,
-        _probe_open_places,
     ),
     "beside-held": Rule(
         "Under `contact`, parts beside held ones are preferred.",

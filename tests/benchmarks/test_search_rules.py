@@ -114,7 +114,6 @@ def settings_of_attempts() -> None:
 USES: dict[str, Callable[[], Any]] = {
     "edges": lambda: begin("edges_first", "vault:parts=120"),
     "compact": settings_of_attempts,
-    "open-places": step,
     "beside-held": lambda: begin("beside_held", "dome:rings=2,blocks=6"),
     "gaps": fill_a_gap,
     "early": fill_a_gap,
@@ -229,13 +228,13 @@ def test_long_cases_are_left_out_of_sweeps_only() -> None:
 def test_a_process_switches_a_rule_off() -> None:
     case = {"structure": "dome:rings=2,blocks=6", "robots": 2, "criterion": "contact", "perturbation": 1}
     case |= {"budget": 100.0, "limit": 30.0}
-    base = apart({**case, "without": ""}, Options(without=("open-places",)), 0)
-    assert "open-places" in base["acts"]
-    run = apart({**case, "without": "open-places"}, Options(without=("open-places",)), 0)
+    base = apart({**case, "without": ""}, Options(without=("beside-held",)), 0)
+    assert "beside-held" in base["acts"]
+    run = apart({**case, "without": "beside-held"}, Options(without=("beside-held",)), 0)
     assert run["ended"] == "found", run
-    assert "open-places" not in run["acts"]
+    assert "beside-held" not in run["acts"]
     assert run["verdicts"] < base["verdicts"]
-    assert run["without"] == "open-places"
+    assert run["without"] == "beside-held"
 
 
 @pytest.mark.slow
@@ -249,12 +248,12 @@ def test_a_sweep_goes_on_and_makes_no_run_where_a_rule_takes_no_effect(
         robots=(2,),
         criterion=("contact",),
         perturbations=1,
-        without=("open-places", "gaps"),
+        without=("beside-held", "gaps"),
     )
     main(asked)
     made = [json.loads(line) for line in runs.read_text(encoding="utf-8").splitlines()]
-    assert [run["without"] for run in made] == ["", "open-places"]
+    assert [run["without"] for run in made] == ["", "beside-held"]
     assert [json.loads(line)["acts"] for line in capsys.readouterr().out.splitlines()] == [1, 0]
     main(replace(asked, table=True))
     assert len(runs.read_text(encoding="utf-8").splitlines()) == 2
-    assert capsys.readouterr().out.splitlines()[2].startswith("| open-places | contact | 1 of 1 | 100 | 100 |")
+    assert capsys.readouterr().out.splitlines()[2].startswith("| beside-held | contact | 1 of 1 | 100 | 100 |")

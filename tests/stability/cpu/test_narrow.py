@@ -117,7 +117,9 @@ def test_every_pair_that_touches_narrowly_is_warned_of(scenes: Any) -> None:
         assembly = Assembly.from_meshes([*tips, plate], boundary=range(6))
     assert len(assembly.warnings) == 6
     assert [str(one.message) for one in seen][:3] == list(assembly.warnings[:3])
-    assert str(seen[3].message) == "3 more pairs of parts touch along lines, on strips or at points only, or carry nothing"
+    assert (
+        str(seen[3].message) == "3 more pairs of parts touch along lines, on strips or at points only, or carry nothing"
+    )
     assert len(seen) == 4
     fixed = assembly.replace(boundary=range(7))
     assert fixed.warnings == (), "nothing hangs on contacts between boundary parts"

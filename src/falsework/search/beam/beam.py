@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict, replace
-from functools import cached_property
 from itertools import islice, pairwise
 from typing import Any
 
@@ -16,7 +15,6 @@ from falsework.errors import InputError
 from falsework.search.beam.failures import FailureMemory
 from falsework.search.beam.frontier import Frontier, Level, expand, pack
 from falsework.search.beam.level_search import LevelSearch
-from falsework.search.beam.open_places import OpenPlaces, cannot_come_last
 from falsework.search.beam.scores import Scores
 from falsework.search.beam.selection import Selector
 from falsework.search.beam.settings import BeamSettings
@@ -111,7 +109,6 @@ class BeamSearch(LevelSearch):
             return False
         settings, level = self.settings, self.levels[-1]
         frontier = expand(self.task, settings.direction, level.states, self._hash)
-        left_out = self._open_places is not None and self._open_places.keep(frontier)
         scores = self._scores(frontier, level.score)
         rng = np.random.default_rng((settings.seed, self._retried, len(self.levels)))
         how = settings.diversity == "k-means", settings.pool, rng
@@ -138,7 +135,7 @@ class BeamSearch(LevelSearch):
             self._rejected = frontier.states(choice.rejected[:_REPORTED_STATES])
         # A state refused because of the way to it may be reached by another, which was merged with this one, unless it
         # is unstable however it is reached.
-        whole = choice.exhaustive and not left_out and all(self._whole[: len(self.levels) - 1])
+        whole = choice.exhaustive and all(self._whole[: len(self.levels) - 1])
         if whole and confirmed.refused:
             rejected = choice.rejected
             whole = self._judge.unstable(frontier.states(rejected), level.states[frontier.parent(rejected)])
@@ -159,15 +156,6 @@ class BeamSearch(LevelSearch):
         if self._ways.replays is not None:
             self._ways.replays.keep(kept)
         return True
-
-    @cached_property
-    def _open_places(self) -> OpenPlaces | None:
-        """Rule for parts that cannot come last; None where contact histories do not matter, or there are none."""
-        task, replays = self.task, self._ways.replays
-        if replays is None or task.neighbours is None:
-            return None
-        parts = cannot_come_last(task, self._judge.oracle, replays.histories.replayer.problem)
-        return OpenPlaces(task.neighbours, parts) if len(parts) else None
 
     def _scores(self, frontier: Frontier, before: NDArray[np.float64]) -> Scores:
         """Return the scores of candidates, by the guide and by what the settings say of parts."""
