@@ -233,7 +233,6 @@ def test_a_process_switches_a_rule_off() -> None:
     run = apart({**case, "without": "beside-held"}, Options(without=("beside-held",)), 0)
     assert run["ended"] == "found", run
     assert "beside-held" not in run["acts"]
-    assert run["verdicts"] < base["verdicts"]
     assert run["without"] == "beside-held"
 
 
