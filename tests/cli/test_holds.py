@@ -100,7 +100,7 @@ def test_replan_presses(falsework: Run, tmp_path: Path, direction: str) -> None:
 
 def test_the_reserve_that_no_plan_keeps(falsework: Run, tmp_path: Path) -> None:
     """The best plan is delivered with what it keeps, and the exit code says so."""
-    for command in ("plan", "replan"):
+    for command in ("plan", "replan", "robots-needed"):
         out = tmp_path / f"{command}.json"
         done = falsework(command, "arch:blocks=5", "--reserve", 5, "--out", out)
         assert done.code == 1

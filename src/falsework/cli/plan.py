@@ -192,15 +192,14 @@ class MakePlan(Command):
     def _with_fewest_robots(self, output: Output) -> Exit:
         """Search for the fewest robots, and save the plan found with them."""
         from falsework.cli.robots_needed import ask, report
-        from falsework.stability import Stability
 
         if self.alternatives > 1 or self.resume:
             raise InputError("--robots auto takes neither --alternatives nor --resume; give the number of robots")
         assembly = self.task.with_places(self.structure.load())
-        oracle = Stability(assembly, self.holds.settings(self.criterion, self.cone, self.solver))
-        answer = ask(assembly, oracle, self.task, self._settings(), self.deadline, self.proofs, output)
+        stability = self.holds.settings(self.criterion, self.cone, self.solver)
+        answer = ask(assembly, stability, self.task, self._settings(), self.deadline, self.proofs, output)
         path = None if answer.plan is None else self._save([answer.plan])[0][0]
-        return report(answer, path, output)
+        return report(answer, stability.reserve, path, output)
 
     def _robot_count(self) -> int:
         try:

@@ -10,14 +10,14 @@ from tyro.conf import arg
 
 from falsework.cli.command import UNSET, JudgingCommand, StructureOptions
 from falsework.cli.exit_code import Exit
-from falsework.cli.planning import HoldOptions, SupportOptions, promise_lines, writable
+from falsework.cli.planning import HoldOptions, SupportOptions, lacks_reserve, promise_lines, writable
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
     from falsework.search.fewest_robots import RobotsNeeded
     from falsework.search.settings import PlannerSettings
-    from falsework.stability import Stability
+    from falsework.stability import StabilitySettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +26,7 @@ class AskRobotsNeeded(JudgingCommand):
 
     A plan is found with that number, and for the number below it is either proven that no plan exists, or reported that
     none was found, with the number of robots that is proven to be needed at least. Exit code 1 if no plan was found
-    with any number.
+    with any number, or none that keeps the reserve.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -49,21 +49,20 @@ class AskRobotsNeeded(JudgingCommand):
         """Search, report, save."""
         from falsework.search.plans.plan_file import save_plan
         from falsework.search.settings import PlannerSettings
-        from falsework.stability import Stability
 
         if self.out is not None:
             writable(self.out)
         assembly = self.task.with_places(self.structure.load())
-        oracle = Stability(assembly, self.holds.settings(self.criterion))
-        answer = ask(assembly, oracle, self.task, PlannerSettings(seed=self.seed), self.deadline, False, output)
+        stability = self.holds.settings(self.criterion)
+        answer = ask(assembly, stability, self.task, PlannerSettings(seed=self.seed), self.deadline, False, output)
         if answer.plan is not None and self.out is not None:
             save_plan(replace(answer.plan, source=self.structure.source(self.out)), self.out)
-        return report(answer, self.out, output)
+        return report(answer, stability.reserve, self.out, output)
 
 
 def ask(
     assembly: Assembly,
-    oracle: Stability,
+    stability: StabilitySettings,
     rules: SupportOptions,
     settings: PlannerSettings,
     deadline: float | None,
@@ -76,7 +75,7 @@ def ask(
     with output.search_progress() as show:
         return robots_needed(
             assembly,
-            oracle=oracle,
+            stability=stability,
             settings=settings,
             deadline=DEADLINE if deadline is None else deadline,
             progress=show,
@@ -85,8 +84,15 @@ def ask(
         )
 
 
-def report(answer: RobotsNeeded, path: Path | None, output: Output) -> Exit:
-    """Print the answer, and return the exit code."""
+def report(answer: RobotsNeeded, reserve: float, path: Path | None, output: Output) -> Exit:
+    """Print the answer, and return the exit code.
+
+    Args:
+        answer: the answer.
+        reserve: that was asked for.
+        path: of the plan, where it was saved.
+        output: where to print.
+    """
     output.record(answer.to_dict() | {"plan": None if path is None or answer.plan is None else str(path)})
     spent = f"{answer.seconds:.1f} s, {answer.verdicts} verdicts"
     fewer = [f"with {n}: {reason}" for n, reason in enumerate(answer.reasons, 1)]
@@ -113,4 +119,7 @@ def report(answer: RobotsNeeded, path: Path | None, output: Output) -> Exit:
         return Exit.INTERRUPTED
     if answer.deadline_passed and not answer.proven:
         output.note("the deadline ended the search; more time may find a plan or a proof")
-    return Exit.DONE if answer.robots is not None else Exit.NO
+    lacking = "" if answer.plan is None else lacks_reserve(answer.plan, reserve)
+    if lacking:
+        output.note(lacking)
+    return Exit.DONE if answer.robots is not None and not lacking else Exit.NO

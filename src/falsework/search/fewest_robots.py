@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED, held_count
-from falsework.search.find import TaskRules, plan_of, task_of
+from falsework.search.find import FIRST_SHARE, PLANS, TaskRules, plan_of, task_of
 from falsework.search.planner import Planner
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
@@ -24,6 +24,7 @@ from falsework.search.problem.timed_oracle import timed
 from falsework.search.settings import PlannerSettings
 from falsework.search.support.planner import SupportPlanner, planner_for
 from falsework.stability.oracle import Stability
+from falsework.stability.settings import StabilitySettings
 
 DEADLINE = 60.0
 """Seconds for the whole question unless another deadline is given."""
@@ -90,6 +91,7 @@ def robots_needed(
     assembly: AnyStructure,
     *,
     oracle: Stability | None = None,
+    stability: StabilitySettings = PLANS,
     settings: PlannerSettings = PlannerSettings(),
     deadline: float | None = DEADLINE,
     progress: Progress | None = None,
@@ -104,6 +106,8 @@ def robots_needed(
     Args:
         assembly: the structure, or its name or path.
         oracle: decides stability; pass an existing one to reuse its cache.
+        stability: criterion, reserve and robots, where no oracle is given. Where no plan keeps the reserve with any
+            number of robots, half of the deadline is left to ask for plans without; `Plan.claim` has its reserve.
         settings: effort of the search for each plan.
         deadline: seconds for all searches together; None for as long as they take.
         progress: called after every level of every search.
@@ -117,7 +121,14 @@ def robots_needed(
         InputError: a deadline of zero or less, or rules that the structure cannot keep.
     """
     clock, assembly = Deadline(deadline), as_assembly(assembly)
-    return _Inquiry(assembly, oracle or Stability(assembly), settings, clock, progress, forces, rules).answer()
+    first = oracle or Stability(assembly, stability)
+    again = oracle is None and stability.reserve > 1.0 and first.replayer is not None
+    share = Deadline(None if deadline is None else FIRST_SHARE * deadline) if again else clock
+    answer = _Inquiry(assembly, first, settings, share, progress, forces, rules).answer()
+    if answer.robots is not None or not again or answer.interrupted or clock.passed:
+        return answer
+    weaker = Stability(assembly, replace(stability, reserve=1.0))
+    return _Inquiry(assembly, weaker, settings, clock, progress, forces, rules).answer()
 
 
 class _Inquiry:

@@ -8,10 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from falsework.assembly.state import REMOVED, States, held_count
+from falsework.assembly.state import REMOVED, held_count
 from falsework.errors import InputError
 from falsework.search.planner import Planner
-from falsework.search.plans.plan_replay import PlanReplay, replayer_of
+from falsework.search.plans.plan_replay import PlanReplay
+from falsework.search.plans.route_tests import RouteTests
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import Outcome, Progress, Route, SearchCounters, SearchResult, Stop, unstable_end
@@ -60,21 +61,26 @@ class SupportPlanner:
         self.settings = settings
         self.routes: list[Route] = []
         """The plan, once it is found."""
-        self.fallen: tuple[Route, int] | None = None
-        """Route whose replay gets farthest before it fails, and the step of assembly at which it fails."""
-        self.replays: dict[bytes, PlanReplay] = {}
-        """Replays that come to rest in every state, by the states of the routes."""
         self.done = False
         """Whether there is nothing left to do."""
         self._oracle, self._guide = oracle, guide
-        self._replayer = replayer_of(oracle, settings)
+        self._tests = RouteTests(oracle, settings, task.part_count)
         self._todo = self._searches()
         self._running: _Search | None = None
-        self._forbidden: list[States] = []
         self._falls = 0
         self._failure: SearchResult | None = None
         self._counters, self._now = SearchCounters(), SearchCounters()
         self._seconds = 0.0
+
+    @property
+    def fallen(self) -> tuple[Route, int] | None:
+        """Route whose replay gets farthest before it fails, and the step of assembly at which it fails."""
+        return self._tests.fallen
+
+    @property
+    def replays(self) -> dict[bytes, PlanReplay]:
+        """Replays that come to rest in every state, by the states of the routes."""
+        return self._tests.replays
 
     @property
     def counters(self) -> SearchCounters:
@@ -138,22 +144,16 @@ class SupportPlanner:
         return [*beams, lambda: SupportEverywhere(task, oracle, state_limit=STATE_LIMIT)]
 
     def _take(self, route: Route) -> None:
-        """Accept a route whose replay succeeds; else exclude the state in which it fails."""
-        if isinstance(self._running, Planner):
+        """Accept a route that passes all tests; else exclude the states in which it fails."""
+        excluded = len(self._tests.forbidden)
+        if isinstance(self._running, Planner):  # which has tested it
             self.replays.update(self._running.replays)
-        if self._replayer is not None and route.states.tobytes() not in self.replays:
-            found = self._replayer.replay(route.states[::-1])
-            if not found.good:
-                row, last = found.falls_at or 0, len(route.states) - 1
-                if self.fallen is None or row > self.fallen[1]:
-                    self.fallen = route, row
-                # Both ends belong to every route, so if one fails, the state next to it is excluded.
-                self._forbidden.append(route.states[::-1][min(max(row, 1), max(last - 1, 0))])
-                self._falls += 1
-                if isinstance(self._running, SupportBeam | SupportEverywhere):
-                    self._running.forbid(self._forbidden[-1])
-                return
-            self.replays[route.states.tobytes()] = PlanReplay.of(found)
+        elif not self._tests.passes(route):
+            self._falls += 1
+            if isinstance(self._running, SupportBeam | SupportEverywhere):
+                for state in self._tests.forbidden[excluded:]:
+                    self._running.forbid(state)
+            return
         self.routes, self.done = [route], True
 
     def _failed(self, result: SearchResult) -> None:
