@@ -50,10 +50,10 @@ def vault_plan(path: Path) -> None:
 
 
 def press(path: Path) -> None:
-    """First step of a plan for the built-in vault in which a robot presses, with all forces."""
+    """First step of a plan for a vault of 126 parts in which a robot presses, with all forces."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "plan.json"
-        run("plan", "vault", "--robots", "2", "--out", str(file))
+        run("plan", "vault:parts=125", "--robots", "2", "--out", str(file))
         step = next(step for step, presses in enumerate(load_plan(file).assembly_presses) if presses)
         options = ("--step", str(step), "--forces", "--azimuth", "-40", "--elevation", "35")
         run("picture", str(file), *options, "--out", str(path))
