@@ -103,8 +103,8 @@ class SupportOptions(RuleOptions):
 class HoldOptions:
     """What robots that hold parts can do, and the reserve that a plan keeps; under the criterion `contact`."""
 
-    hold_force: Annotated[float | None, arg(metavar="N", help_behavior_hint="(default: 10 weights)")] = None
-    """Largest force of a robot on a part that it holds, N; by default ten weights of the heaviest part."""
+    hold_force: Annotated[float | None, arg(metavar="N", help_behavior_hint="(default: 50 weights)")] = None
+    """Largest force of a robot on a part that it holds, N; by default fifty weights of the heaviest part."""
     hold_stiffness: Annotated[float, arg(metavar="N/m", help_behavior_hint="(default: inf)")] = float("inf")
     """Stiffness of a robot at its gripper, N/m, where its controller does not keep the pose of the part that it holds.
     An industrial arm has 1e6 to 1e8."""

@@ -25,8 +25,9 @@ Array = NDArray[np.float64]
 PRESS_STIFFNESS = 1e6
 """Largest stiffness of a robot while it presses, N/m: a stiffer one would turn errors of position into errors of force.
 """
-FORCE_WEIGHTS = 10.0
-"""Default largest force of a robot, in weights of the heaviest part that it may have to carry."""
+FORCE_WEIGHTS = 50.0
+"""Default largest force of a robot, in weights of the heaviest part that it may have to carry. The end of an arch that
+is not closed yet presses with the weight of many parts; most plans need far less."""
 _OFF_SIZE, _OFF_DIRECTION = 0.1, np.radians(5.0)
 """Share of its size, and angle, by which a robot may miss the force of a press."""
 _LEVER = 2.0
@@ -41,7 +42,7 @@ class HoldSettings:
     """Stiffness of a hold, N/m; against turning it is this times the square of the radius of gyration, N m/rad.
     Infinite: the robot keeps the pose of the part."""
     force: float | None = None
-    """Largest force on a held part, N; ten weights of the heaviest part if not given. With 0 robots never press, and
+    """Largest force on a held part, N; fifty weights of the heaviest part if not given. With 0 robots never press, and
     what they bear has no limit."""
     moment: float | None = None
     """Largest moment about the centre of mass of a held part, N m; if not given, twice the largest force times the

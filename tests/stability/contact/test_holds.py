@@ -148,8 +148,8 @@ def test_limits_are_those_of_the_heaviest_part_that_moves(scenes: Any) -> None:
     tower = scenes.tower(2)
     weight = weight_of(tower, 0)
     limits = limits_of(tower, HoldSettings())
-    np.testing.assert_allclose(limits.force, 10 * weight)
-    np.testing.assert_allclose(limits.moment, 20 * weight * np.sqrt(1 / 6))
+    np.testing.assert_allclose(limits.force, 50 * weight)
+    np.testing.assert_allclose(limits.moment, 100 * weight * np.sqrt(1 / 6))
     assert np.isinf(limits_of(tower, HoldSettings(force=0.0)).force).all()
     with pytest.raises(InputError, match=r"cannot carry part block-0, which weighs .* raise the largest force"):
         limits_of(tower, HoldSettings(force=0.9 * weight))
