@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -150,6 +151,7 @@ def pack_presses(presses: Sequence[Sequence[Press]]) -> tuple[NDArray[np.int32],
     return start, parts, np.array([press.wrench for press in flat], dtype=np.float64).reshape(-1, 6)
 
 
+@cache
 def inexact_wrenches() -> Array:
     """Return the maps from a wrench to those that a robot may exert instead: itself, 10 % off, or 5 degrees off.
 

@@ -79,6 +79,11 @@ def _histories(
     return tuple(found)
 
 
+def _of_all(presses: tuple[tuple[Press, ...], ...], states: States) -> tuple[tuple[Press, ...], ...]:
+    """Return one entry for every state: a replay has none for those that it did not reach."""
+    return (*presses, *((),) * (len(states) - len(presses)))
+
+
 class Acceptance:
     """Last test of a route: it comes to rest under the true friction too, and no state of it tips.
 
@@ -107,7 +112,7 @@ class Acceptance:
         """
         if self._plain is None:
             return None
-        presses = (*presses, *((),) * (len(states) - len(presses)))  # of states that a replay did not reach
+        presses = _of_all(presses, states)
         found = self._plain.replay(states, presses=presses)
         if not found.good:
             return PlanReplay.of(found)
@@ -125,7 +130,7 @@ class Acceptance:
         """
         if self._judge is None:
             return found
-        presses = (*found.presses, *((),) * (len(states) - len(found.presses)))
+        presses = _of_all(found.presses, states)
         return replace(found, judgement=self._judge.judge(states, presses, stop or (lambda: False)))
 
     def falls_at(self, states: States) -> int | None:

@@ -116,7 +116,7 @@ def closing_points(assembly: Assembly, springs: Springs, motion: Array, relative
 def into_cone(forces: Array, strength: Strength, cone: str) -> tuple[Array, Array]:
     """Return forces with tangents shrunk until they are admissible, and how far outside the cone they were, in N.
 
-    Those of idle points are zero, and count as inside: nobody relies on them.
+    Those of idle points are zero and count as inside.
 
     Shapes (batch, points, 3) and (batch, points).
     """
