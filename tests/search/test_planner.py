@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,7 @@ from falsework.search import (
     validate_proofs,
 )
 from falsework.search.planner import insertion_steps
-from falsework.search.settings import COMPACT
+from falsework.search.settings import EDGES
 from falsework.stability import Stability
 
 
@@ -96,10 +95,10 @@ def test_resuming_changes_nothing(rules: Any, tmp_path: Path, seed: int, alterna
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_resuming_a_search_in_one_place_changes_nothing(
+def test_resuming_strategies_that_take_turns_changes_nothing(
     rules: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int
 ) -> None:
-    monkeypatch.setattr("falsework.search.settings._FREE_DEATHS", 0)
+    monkeypatch.setattr("falsework.search.settings._FIRST_SHARE", 0.125)
     oracle, _ = rules.random(seed, 8)
     row = np.stack([np.arange(7), np.arange(1, 8)], axis=1)
     task = Task.create(rules.ground(8), 2, contacts=row)
@@ -117,16 +116,21 @@ def test_resuming_a_search_in_one_place_changes_nothing(
     assert result.counters == expected.counters
 
 
-def test_a_beam_in_one_place_has_its_turn_where_the_first_died_often() -> None:
-    attempts = PlannerSettings().attempts(compact=True)
-    first, second, third = attempts[:3]
-    assert (first.direction, first.width, first.beam) == (Direction.ASSEMBLY, 1, "assembly")
-    assert second == replace(first, beam=COMPACT, deaths=second.deaths)
-    assert third == replace(first, deaths=None)
-    assert attempts[2:] == PlannerSettings().attempts()
+def test_each_strategy_has_twice_as_many_verdicts_in_each_round() -> None:
+    both = PlannerSettings().portfolio("plan", 100)
+    assert both.strategies == (Direction.ASSEMBLY, Direction.DISASSEMBLY)
+    turns = np.diff([0, *(both.allowance(number) for number in range(4))])
+    assert turns[0] > 0
+    assert (turns[1:] == 2 * turns[:-1]).all()
+    assert PlannerSettings().portfolio("plan", 200).allowance(0) == 2 * both.allowance(0)
+    edges = PlannerSettings().portfolio("plan", 100, edges=True)
+    assert edges.strategies == (EDGES, *both.strategies)
     backwards = PlannerSettings(directions=(Direction.DISASSEMBLY,))
-    assert backwards.attempts(compact=True) == backwards.attempts()
-    assert not any(attempt.beam == COMPACT for attempt in PlannerSettings().attempts("alternatives", compact=True))
+    assert backwards.portfolio("plan", 100, edges=True) == backwards.portfolio("plan", 100)
+    others = PlannerSettings().portfolio("alternatives", 100, edges=True)
+    assert others.strategies == (Direction.DISASSEMBLY, Direction.ASSEMBLY)
+    assert others.allowance(0) == np.inf
+    assert PlannerSettings(width=2).portfolio("postpone", 100).widest == 2
 
 
 def test_a_checkpoint_of_another_search_is_refused(rules: Any, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Planner: adaptive beams from both ends, postponement of missing parts, and alternative plans."""
+"""Planner: a portfolio of beams from both ends, postponement of missing parts, and alternative plans."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED
 from falsework.errors import InputError
-from falsework.search.beam.adaptive import AdaptiveBeam, AdaptiveSettings
+from falsework.search.beam.backjumping import BackjumpingBeam, BackjumpingSettings
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.plans.route_tests import RouteTests
@@ -29,16 +29,16 @@ from falsework.search.problem.result import (
     unstable_end,
 )
 from falsework.search.problem.task import Direction, Task
-from falsework.search.settings import COMPACT, EDGES, Attempt, PlannerSettings
+from falsework.search.settings import EDGES, PlannerSettings, Portfolio, direction_of
 from falsework.utils.archive import read_archive, write_archive
 from falsework.utils.files.damage import blamed_on
 
-FORMAT = "falsework.planner/9"
+FORMAT = "falsework.planner/10"
 
+_ROWS_AHEAD = 16
+"""States that a beam which closes free edges first keeps ahead under `equilibrium`, where it keeps to its rows."""
 _MOST_FALLS = 64
 """Number of routes with a failing replay before an attempt is given up."""
-_NOVEL_WIDTH = 4
-"""Narrowest beam for a plan unlike others: one state a level leaves no choice."""
 
 
 class Planner:
@@ -77,8 +77,10 @@ class Planner:
         self._edge_guide = self._preferring("edges_first", guide)
         self._guide = self._preferring("beside_held", guide) or guide
         self._stage = "plan"
-        self._attempt = 0
-        self._beams: dict[str, AdaptiveBeam] = {}
+        self._left = list(self._portfolio.strategies)
+        """Strategies of the present search that have not given up."""
+        self._round = self._turn = 0
+        self._beams: dict[str, BackjumpingBeam] = {}
         self._rank = 0
         self._trial: tuple[int, ...] = (0,) * len(task.missing)
         self._trial_reached = -1
@@ -170,7 +172,9 @@ class Planner:
             "task": self.task.to_dict(),
             "settings": _settings_header(self.settings),
             "stage": self._stage,
-            "attempt": self._attempt,
+            "left": self._left,
+            "round": self._round,
+            "turn": self._turn,
             "rank": self._rank,
             "trial": list(self._trial),
             "high": self._high,
@@ -208,7 +212,8 @@ class Planner:
         return planner
 
     def _restore(self, header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
-        self._stage, self._attempt = str(header["stage"]), int(header["attempt"])
+        self._stage, self._left = str(header["stage"]), [str(name) for name in header["left"]]
+        self._round, self._turn = int(header["round"]), int(header["turn"])
         self._rank, self._high = int(header["rank"]), int(header["high"])
         self._trial = tuple(int(steps) for steps in header["trial"])
         self._trial_reached = int(header["trial_reached"])
@@ -220,24 +225,33 @@ class Planner:
         task = self.task.postpone(self._trial)
         for name, packed in header["beams"].items():
             inner = {key.removeprefix(f"{name}_"): array for key, array in arrays.items() if key.startswith(f"{name}_")}
-            beam = AdaptiveBeam.unpack(packed, inner, task, self._oracle, guide=self._beam_guide(name))
+            beam = BackjumpingBeam.unpack(packed, inner, task, self._oracle, guide=self._beam_guide(name))
             self._beams[name] = beam
 
     def _advance(self, report: Progress, stop: Stop | None) -> bool:
-        """Run the current attempt to its end and decide on the next; True if it was interrupted."""
-        attempt = self._attempts[self._attempt]
-        name = attempt.beam
+        """Run the strategy whose turn it is, and decide on the next; True if it was interrupted."""
+        portfolio, name = self._portfolio, self._left[self._turn]
         if name not in self._beams:
-            narrowest = min(_NOVEL_WIDTH if self._stage == "alternatives" else 1, self.settings.width)
-            base, edges = (narrowest, name == COMPACT, self.settings.seed), name == EDGES
             task = self.task.postpone(self._trial)
-            settings = AdaptiveSettings(attempt.direction, *base, edges, edges and task.holds_keep_stable)
-            self._beams[name] = AdaptiveBeam(task, self._oracle, settings, guide=self._beam_guide(name))
-        beam = self._beams[name]
-        result = beam.run(attempt.width, deaths=attempt.deaths, progress=report, stop=stop)
-        if result.interrupted:
+            settings = BackjumpingSettings(direction_of(name), portfolio.narrowest, self.settings.seed)
+            if name == EDGES and task.holds_keep_stable:
+                settings = replace(settings, lookahead=_ROWS_AHEAD)
+            self._beams[name] = BackjumpingBeam(task, self._oracle, settings, guide=self._beam_guide(name))
+        beam, paused = self._beams[name], False
+
+        def halt() -> bool:
+            nonlocal paused
+            if stop is not None and stop():
+                return True
+            paused = beam.search.asked >= portfolio.allowance(self._round)
+            return paused
+
+        result = beam.run(portfolio.widest, progress=report, stop=halt)
+        if paused and not result.found:
+            self._turn += 1
+        elif result.interrupted:
             return True
-        if self._stage == "alternatives":
+        elif self._stage == "alternatives":
             self._gather(beam, result, stop)
         elif result.found and not self._tests.passes(result.routes[0], beam.search, stop):
             self._falls += 1
@@ -252,15 +266,24 @@ class Planner:
             self._next_trial(begin=begin)
         else:
             self._failed(result)
+        if self._turn >= len(self._left):
+            self._round, self._turn = self._round + 1, 0
         return False
 
     def _drop_beams(self) -> None:
         """Forget the beams of an attempt that is over, but not the work that they did."""
         self._counters = self.counters
         self._beams = {}
-        self._attempt = self._falls = 0
+        self._left = list(self._portfolio.strategies)
+        self._round = self._turn = self._falls = 0
 
-    def _gather(self, beam: AdaptiveBeam, result: SearchResult, stop: Stop | None) -> None:
+    def _give_up(self) -> bool:
+        """Leave the present strategy out from now on; return whether it was the last."""
+        del self._left[self._turn]
+        self._falls = 0
+        return not self._left
+
+    def _gather(self, beam: BackjumpingBeam, result: SearchResult, stop: Stop | None) -> None:
         """Keep the states of a search for another plan, and continue with the next."""
         self.states = np.concatenate([self.states, *([beam.search.states()] if result.found else [])])
         if result.found and self._tests.passes(result.routes[0], beam.search, stop):
@@ -269,25 +292,24 @@ class Planner:
         elif result.found and self._falls < _MOST_FALLS:
             self._falls += 1
             beam.search.forbid(self._tests.forbidden)
-        else:
-            self._attempt, self._falls = self._attempt + 1, 0
-        if len(self.routes) == self.settings.alternatives or self._last_attempt_failed():
+        elif self._give_up():
+            self._finish()
+        if len(self.routes) == self.settings.alternatives:
             self._finish()
 
     def _failed(self, result: SearchResult) -> None:
         """Try the next attempt, or give this trial up."""
         proved = result.outcome is Outcome.PROVED_IMPOSSIBLE and not len(self._tests.forbidden)
-        self._attempt += 1
-        self._falls = 0
+        over = self._give_up() or proved
         if self._stage == "plan":
             if proved or self._failure is None or result.reached >= self._failure.reached:
                 self._failure = result
-            if proved or self._last_attempt_failed():
+            if over:
                 self._finish()
             return
         if result.direction is Direction.ASSEMBLY:
             self._trial_reached = max(self._trial_reached, result.reached)
-        if proved or self._last_attempt_failed():
+        if over:
             self._high = self._trial[self._rank]
             if self._trial_reached >= 0:
                 # Without this part assembly got no further, so it is needed by then.
@@ -295,24 +317,18 @@ class Planner:
             self._next_trial(begin=False)
 
     @property
-    def _attempts(self) -> tuple[Attempt, ...]:
-        # A single robot is nowhere near another, and what is near is known from the contacts.
-        compact = self.task.robots > 1 and self.task.neighbours is not None
-        return self.settings.attempts(self._stage, compact=compact, edges=self._edge_guide is not None)
-
-    def _last_attempt_failed(self) -> bool:
-        return self._attempt == len(self._attempts)
+    def _portfolio(self) -> Portfolio:
+        return self.settings.portfolio(self._stage, self.task.part_count, edges=self._edge_guide is not None)
 
     def _finish(self) -> None:
         self._drop_beams()
-        self._stage = "done"
+        self._stage, self._left = "done", []
 
     def _next_trial(self, *, begin: bool) -> None:
         """Choose the next search, now that a plan is known; `begin` with the first missing part."""
         count = len(self.task.missing)
+        self._stage, self._trial_reached = "postpone", -1
         self._drop_beams()
-        self._trial_reached = -1
-        self._stage = "postpone"
         if begin:
             self._rank, self._high = 0, self.task.steps - count + 1
         ambitious = begin
@@ -327,6 +343,7 @@ class Planner:
             ambitious, self._high = True, self.task.steps - count + self._rank + 1
         self._trial = self.postponed
         self._stage = "alternatives"
+        self._drop_beams()
         if self.settings.alternatives == 1:
             self._finish()
 

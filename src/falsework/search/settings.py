@@ -2,46 +2,48 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+
+import numpy as np
 
 from falsework.errors import InputError
 from falsework.search.problem.task import Direction
 from falsework.utils.quantity import check_seed
 
-COMPACT, EDGES = "compact", "edges"
-"""Names of the beam in which robots work in one place (see `BeamSettings`), and of the one that closes free edges first
-(see `EdgeGuide`); others are named after their direction."""
+EDGES = "edges"
+"""Name of the strategy that closes free edges first (see `EdgeGuide`); others are named after their direction."""
 
 _BOTH = (Direction.ASSEMBLY, Direction.DISASSEMBLY)
-_FIRST_WIDTH = 1
-"""Beams grow to this width from one end before the other end is tried, which is often easier ..."""
-_WIDENING = 4
-"""... and then to widths this many times larger, in turn."""
-_OTHER_WIDTH = 16
-"""Widest beam for a plan unlike others."""
+_FIRST_SHARE = 8
+"""Verdicts for each part of the structure that each strategy may ask for in the first round, and twice as many in each
+further one. Searches without dead ends take half as many."""
 _TRIAL_WIDTH = 4
 """Widest beam for a plan with missing parts later: independent of the width for the first plan."""
-_EDGE_DEATHS = 128
-"""Deaths of the beam that closes free edges first before the beam that is first elsewhere begins. In large shells it
-dies in most rows (22 times in 30 rows of 3,998 parts), and passes after backtracking."""
-_FREE_DEATHS = 16
-"""Times that this one dies before one is tried in which robots work in one place ..."""
-_COMPACT_DEATHS = 64
-"""... and times that this one dies before the first goes on."""
+_NOVEL_WIDTHS = 4, 16
+"""Narrowest and widest beam for a plan unlike others: one state a level leaves no choice."""
 
 
 @dataclass(frozen=True)
-class Attempt:
-    """Search with beams up to a width from one end."""
+class Portfolio:
+    """Strategies of one search, each a beam from one end, which take turns."""
 
-    direction: Direction
-    """Which end to begin at."""
-    width: int
-    """Widest beam."""
-    beam: str
-    """Name of the beam; attempts with the same name go on with it."""
-    deaths: int | None = None
-    """Times that the beam dies before the next attempt; another attempt may go on with it."""
+    strategies: tuple[str, ...]
+    """Names in the order of their turns: `EDGES`, or a direction."""
+    narrowest: int
+    """Width of beams to begin with."""
+    widest: int
+    """Width up to which they restart."""
+    share: int | None = None
+    """Verdicts of the first turn of each; each further turn has twice as many. None: until it gives up."""
+
+    def allowance(self, round: int) -> float:
+        """Return the verdicts that a strategy may ask for up to and with a round, counted from 0."""
+        return np.inf if self.share is None else self.share * (2.0 ** (round + 1) - 1.0)
+
+
+def direction_of(strategy: str) -> Direction:
+    """Return the direction in which a strategy searches."""
+    return Direction.ASSEMBLY if strategy == EDGES else Direction(strategy)
 
 
 @dataclass(frozen=True)
@@ -74,28 +76,22 @@ class PlannerSettings:
             raise InputError("the judge takes minutes for alternatives; ask for one plan, or leave the judge out")
         check_seed(self.seed)
 
-    def attempts(self, stage: str = "plan", *, compact: bool = False, edges: bool = False) -> tuple[Attempt, ...]:
-        """Return attempts in their order.
+    def portfolio(self, stage: str, parts: int, *, edges: bool = False) -> Portfolio:
+        """Return the strategies of a search.
 
         Args:
             stage: `plan`, `postpone` or `alternatives`.
-            compact: in stage `plan`, have a beam in which robots work in one place try early on.
+            parts: of the structure.
             edges: in stage `plan`, begin with a beam that closes free edges first.
         """
-        first = {"plan": _FIRST_WIDTH, "postpone": _TRIAL_WIDTH, "alternatives": _OTHER_WIDTH}[stage]
-        widths = [min(first, self.width)]
-        while widths[-1] < self.width and stage == "plan":
-            widths.append(min(widths[-1] * _WIDENING, self.width))
-        directions = self.directions
+        names = [direction.value for direction in self.directions]
+        if stage == "postpone":
+            return Portfolio(tuple(names), 1, min(_TRIAL_WIDTH, self.width))
         if stage == "alternatives":
             # Disassembly leaves more freedom in the order of removal than assembly.
-            directions = tuple(sorted(directions, key=lambda direction: direction is not Direction.DISASSEMBLY))
-        attempts = [Attempt(direction, width, direction.value) for width in widths for direction in directions]
-        if stage == "plan" and Direction.ASSEMBLY in directions:
-            free = directions.index(Direction.ASSEMBLY)
-            first_beam = replace(attempts[free], deaths=_FREE_DEATHS)
-            if compact:
-                attempts[free:free] = [first_beam, replace(first_beam, beam=COMPACT, deaths=_COMPACT_DEATHS)]
-            if edges:
-                attempts[:0] = [replace(first_beam, beam=EDGES, deaths=_EDGE_DEATHS)]
-        return tuple(attempts)
+            names.sort(key=lambda name: name != Direction.DISASSEMBLY)
+            narrowest, widest = (min(width, self.width) for width in _NOVEL_WIDTHS)
+            return Portfolio(tuple(names), narrowest, widest)
+        if edges and Direction.ASSEMBLY in self.directions:
+            names.insert(0, EDGES)
+        return Portfolio(tuple(names), 1, self.width, _FIRST_SHARE * parts)
