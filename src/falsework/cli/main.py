@@ -54,7 +54,8 @@ COMMANDS = {
     "robots check": "CheckRobots",
     "robots export": "ExportRobots",
 }
-"""Module of each subcommand in this package, named like the first word, and its class there."""
+"""Class of each subcommand; its module in this package is named like the first word, or listed in `_MODULES`."""
+_MODULES = {"robots export": "robots_export"}
 
 _ABOUT = """Plan assembly sequences for rigid-block structures, with robots as temporary supports.
 
@@ -190,7 +191,7 @@ def _command_class(name: str) -> type[Command]:
 
 
 def _module(name: str) -> str:
-    return name.split()[0].replace("-", "_")
+    return _MODULES.get(name, name.split()[0].replace("-", "_"))
 
 
 @cache

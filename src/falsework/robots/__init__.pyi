@@ -6,6 +6,8 @@ from falsework.robots.cells.validate import check_cell as check_cell
 from falsework.robots.checks.check import CheckReport as CheckReport
 from falsework.robots.checks.check import check_robot_plan as check_robot_plan
 from falsework.robots.checks.delays import DelayReport as DelayReport
+from falsework.robots.exports.export import export_plan as export_plan
+from falsework.robots.exports.ros2 import joint_trajectory as joint_trajectory
 from falsework.robots.grasping.reachability import BaseProposal as BaseProposal
 from falsework.robots.grasping.reachability import ReachTable as ReachTable
 from falsework.robots.grasping.reachability import propose_bases as propose_bases
@@ -28,8 +30,6 @@ from falsework.robots.planning.hybrid_result import HybridProgress as HybridProg
 from falsework.robots.planning.hybrid_result import HybridResult as HybridResult
 from falsework.robots.planning.hybrid_result import HybridSettings as HybridSettings
 from falsework.robots.planning.plan_together import plan_together as plan_together
-from falsework.robots.plans.export import export_plan as export_plan
-from falsework.robots.plans.export import joint_trajectory as joint_trajectory
 from falsework.robots.plans.grip_loads import GripLoad as GripLoad
 from falsework.robots.plans.grip_loads import grip_loads as grip_loads
 from falsework.robots.plans.plan_problem import PlanProblem as PlanProblem

@@ -90,8 +90,14 @@ def test_built_in_cells_can_work(name: str, shared_assembly) -> None:
         (('gripper = "cup"', 'gripper = "claw"'), r"robots\[0\]\.gripper is 'claw'.*there are: cup"),
         (('gripper = "cup"\n', ""), r"cell\.toml: robots\[0\]\.gripper is missing"),
         (("home = [0, -40, 30, 0, 60, 0]", "home = { joint_9 = 3 }"), r"home names joint 'joint_9'.*it has joint_1"),
-        (("home = [0, -40, 30, 0, 60, 0]", "home = [0, -40]"), r"robots\[0\]\.home is \[0, -40\]; give 6 numbers"),
-        (("home = [0, -40, 30, 0, 60, 0]", "home = [0, 170, 0, 0, 0, 0]"), r"home cannot be reached: home: joint_2"),
+        (
+            ("home = [0, -40, 30, 0, 60, 0]", "home = [0, -40]"),
+            r"\[0\]\.home has 2 values, but irb2600.* has 6 joints: joint_1,",
+        ),
+        (
+            ("home = [0, -40, 30, 0, 60, 0]", "home = [0, 170, 0, 0, 0, 0]"),
+            r"home cannot be reached: joint_2 is 170 degrees, outside its limits -95 to 155",
+        ),
         (("cup = 0.02\n", ""), r"grippers\.cup\.cup is missing"),
         (('kind = "suction"', 'kind = "magnet"'), r"grippers\.cup\.kind is 'magnet'; give suction or jaw"),
         (("payload = 5.0", "payload = -1"), r"grippers\.cup\.payload is -1; give a number at least 0"),

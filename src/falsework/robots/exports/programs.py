@@ -1,7 +1,7 @@
 """Programs for robot controllers, ABB RAPID and URScript, that keep the order of a robot plan across robots.
 
 Controllers share the counts of `commands_of` by their own means: RAPID by group signals, URScript by the Modbus
-registers of each controller.
+registers of each controller. Loads of tools and signals of grippers are those of the cell.
 """
 
 from __future__ import annotations
@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
-from falsework.robots.plans.commands import COUNT_FROM, Begin, Grip, Pressing, PublishCount, Wait, commands_of
+from falsework.robots.exports.commands import COUNT_FROM, Begin, Grip, Pressing, PublishCount, Wait, commands_of
+from falsework.robots.exports.controller import grip_signal, rapid_load, tool_load, ur_payload
+from falsework.robots.model.cell import Cell, CellRobot
 from falsework.robots.plans.presses import TimedPress
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import nodes_of
@@ -28,7 +30,7 @@ _UR_LIMITS = (0.005, 0.005, 0.01, 0.05, 0.05, 0.05)
 """Largest deviation across a press, m and rad, and largest speed along it, m/s, in force mode."""
 
 
-def rapid_modules(plan: RobotPlan, presses: Sequence[TimedPress] = ()) -> Iterator[tuple[str, str]]:
+def rapid_modules(plan: RobotPlan, cell: Cell, presses: Sequence[TimedPress] = ()) -> Iterator[tuple[str, str]]:
     """Yield file names and RAPID modules, one for each arm.
 
     Knots become joint targets in degrees for `MoveAbsJ` with the durations of the plan. An arm sets the
@@ -36,11 +38,13 @@ def rapid_modules(plan: RobotPlan, presses: Sequence[TimedPress] = ()) -> Iterat
     by force and moment over its stiffness, on a slow line from where it holds the part, and stays there.
 
     Raises:
-        InputError: an arm with another number of joints than 6 or 7, or too many motions for 16 bits.
+        InputError: an arm with another number of joints than 6 or 7, too many motions for 16 bits, or an output that is
+            no name in RAPID.
     """
     names = _names(plan, presses)
     for robot, name in enumerate(names):
-        record = plan.robots[robot]
+        record, signals = plan.robots[robot], cell.robots[robot].signals
+        output, closed = grip_signal(cell.robots[robot], name, "rapid"), int(signals.closed)
         if len(record.joint_names) not in (6, 7):
             raise InputError(f"RAPID supports robots of 6 or 7 joints; {record.name} has {len(record.joint_names)}")
         about = f"{_ascii(plan.plan.name)}: {plan.direction.value} with {_ascii(record.model)}, {len(plan)} steps"
@@ -91,15 +95,20 @@ def rapid_modules(plan: RobotPlan, presses: Sequence[TimedPress] = ()) -> Iterat
                 [
                     f"MODULE {name}",
                     f"  ! {about}",
-                    f"  PERS tooldata {name}_tool := {_tooldata(record.tool)};",
+                    f"  ! digital output {output} at {closed} closes the gripper",
+                    *(
+                        f"  ! group input gi_{other}_count, 16 bits, is connected to group output go_{other}_count"
+                        for other in others
+                    ),
+                    f"  PERS tooldata {name}_tool := {_tooldata(record.tool, cell.robots[robot])};",
                     *targets,
                     f"  PROC {name}_gripper(bool closed)",
                     "    IF closed THEN",
-                    f"      SetDO do_{name}_grip, 1;",
+                    f"      SetDO {output}, {closed};",
                     "    ELSE",
-                    f"      SetDO do_{name}_grip, 0;",
+                    f"      SetDO {output}, {1 - closed};",
                     "    ENDIF",
-                    "    WaitTime\\InPos, 0.5;",
+                    f"    WaitTime\\InPos, {signals.seconds:g};",
                     "  ENDPROC",
                     *body,
                     *(["  ENDPROC"] if body else []),
@@ -113,7 +122,9 @@ def rapid_modules(plan: RobotPlan, presses: Sequence[TimedPress] = ()) -> Iterat
         )
 
 
-def ur_scripts(plan: RobotPlan, rate: float, presses: Sequence[TimedPress] = ()) -> Iterator[tuple[str, str]]:
+def ur_scripts(
+    plan: RobotPlan, cell: Cell, rate: float, presses: Sequence[TimedPress] = ()
+) -> Iterator[tuple[str, str]]:
     """Yield file names and URScript programs, one for each arm.
 
     Motions are positions at a fixed rate for `servoj`, with a `movej` to the last of each. An arm writes its count to
@@ -123,15 +134,18 @@ def ur_scripts(plan: RobotPlan, rate: float, presses: Sequence[TimedPress] = ())
 
     Args:
         plan: the robot plan.
+        cell: its cell.
         rate: positions per second.
         presses: of the plan.
 
     Raises:
-        InputError: an arm with another number of joints than 6, or too many motions for 16 bits.
+        InputError: an arm with another number of joints than 6, too many motions for 16 bits, or an output that a UR
+            controller does not have.
     """
     names = _names(plan, presses)
     for robot, name in enumerate(names):
-        record = plan.robots[robot]
+        record, signals = plan.robots[robot], cell.robots[robot].signals
+        kind, number = grip_signal(cell.robots[robot], name, "urscript").split()
         if len(record.joint_names) != 6:
             raise InputError(f"URScript supports robots of 6 joints; {record.name} has {len(record.joint_names)}")
         others = [other for other in names if other != name]
@@ -139,9 +153,12 @@ def ur_scripts(plan: RobotPlan, rate: float, presses: Sequence[TimedPress] = ())
             f"def {name}():",
             f"  # {_ascii(plan.plan.name)}: {plan.direction.value} with {_ascii(record.model)}, {len(plan)} steps",
         ]
+        addresses = {
+            names[k]: _text(entry.signals.address or f"{names[k]}.local") for k, entry in enumerate(cell.robots)
+        }
         for other in others:
             lines += [
-                f'  modbus_add_signal("{other}.local", 255, {REGISTER}, 2, "{other}_count", False)',
+                f'  modbus_add_signal("{addresses[other]}", 255, {REGISTER}, 2, "{other}_count", False)',
                 f'  modbus_set_signal_update_frequency("{other}_count", 50)',
                 f"  def {other}_count():",
                 f'    return modbus_get_signal_status("{other}_count", False)',
@@ -149,10 +166,11 @@ def ur_scripts(plan: RobotPlan, rate: float, presses: Sequence[TimedPress] = ())
             ]
         lines += [
             "  def gripper(closed):",
-            "    set_standard_digital_out(0, closed)",
-            "    sleep(0.5)",
+            f"    set_{kind}_digital_out({number}, {'closed' if signals.closed else 'not closed'})",
+            f"    sleep({signals.seconds:g})",
             "  end",
             f"  set_tcp({_ur_pose(record.tool)})",
+            f"  {ur_payload(tool_load(cell.robots[robot].gripper))}",
             f"  movej({_ur_joints(plan.keyframes[0].configurations[robot])}, a=0.5, v=0.5)",
         ]
         if others:
@@ -231,13 +249,13 @@ def _jointtarget(values: Array) -> str:
     return f"[[{robax}],[{seventh},9E9,9E9,9E9,9E9,9E9]]"
 
 
-def _tooldata(tool: Array) -> str:
+def _tooldata(tool: Array, robot: CellRobot) -> str:
     from scipy.spatial.transform import Rotation
 
     x, y, z, w = Rotation.from_matrix(tool[:3, :3]).as_quat()
     turn = ",".join(f"{value:.7f}" for value in (w, x, y, z))
     place = ",".join(f"{1000 * value:.3f}" for value in tool[:3, 3])
-    return f"[TRUE,[[{place}],[{turn}]],[1,[0,0,50],[1,0,0,0],0,0,0]]"
+    return f"[TRUE,[[{place}],[{turn}]],{rapid_load(tool_load(robot.gripper))}]"
 
 
 def _ur_joints(values: Array) -> str:
@@ -270,3 +288,8 @@ def _distinct(names: list[str]) -> list[str]:
 
 def _ascii(text: str) -> str:
     return re.sub(r"[^ -~]", "?", text)
+
+
+def _text(text: str) -> str:
+    """Return text for a string of URScript, which has no escapes."""
+    return _ascii(text).replace('"', "'")
