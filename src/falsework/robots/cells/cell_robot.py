@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import CellError
-from falsework.robots.cells.urdf import load_urdf
+from falsework.robots.cells.urdf import LIMITS_FILE, load_urdf
 from falsework.robots.cells.urdf_review import CellWarning
 from falsework.robots.model.builtin_robots import BUILTIN, builtin_robot
 from falsework.robots.model.cell import CellRobot, Gripper, Signals
@@ -108,7 +108,7 @@ def _model(table: Table, folder: Path) -> RobotModel:
         known = ", ".join(sorted(BUILTIN))
         raise table.fail("model", f"is {name!r}; give the path of a URDF file or one of {known}")
     try:
-        return _from_file(str(folder / name), base, tip, srdf, limits)
+        return _from_file(str(folder / name), base, tip, srdf, limits, _changed(folder / name, srdf, limits))
     except CellError as error:
         raise CellError(f"{table.source}: {table.name('model')}: {error}") from error
 
@@ -119,8 +119,21 @@ def _builtin(name: str) -> RobotModel:
 
 
 @lru_cache(maxsize=16)
-def _from_file(path: str, base: str | None, tip: str | None, srdf: str | None, joint_limits: str | None) -> RobotModel:
+def _from_file(
+    path: str, base: str | None, tip: str | None, srdf: str | None, joint_limits: str | None, changed: tuple[int, ...]
+) -> RobotModel:
+    """Return the arm of a file; `changed` tells the cache of files that have changed."""
     return load_urdf(path, base=base, tip=tip, srdf=srdf, joint_limits=joint_limits)
+
+
+def _changed(urdf: Path, srdf: str | None, joint_limits: str | None) -> tuple[int, ...]:
+    """Return when the files of an arm were changed, nanoseconds; 0 for one that is not there."""
+    files = (
+        urdf,
+        urdf.with_suffix(".srdf") if srdf is None else Path(srdf),
+        urdf.parent / LIMITS_FILE if joint_limits is None else Path(joint_limits),
+    )
+    return tuple(file.stat().st_mtime_ns if file.is_file() else 0 for file in files)
 
 
 def _joint_values(table: Table, key: str, model: RobotModel) -> Array:

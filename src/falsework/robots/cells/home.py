@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.robots.kinematics.forward import tool_pose
-from falsework.robots.model.cell import Cell
+from falsework.robots.kinematics.inverse import inverse
+from falsework.robots.model.cell import Cell, CellRobot
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.robot_model import RobotModel
-from falsework.robots.motion.collision_world import CollisionWorld, Scene
+from falsework.robots.motion.collision_world import CollisionQuery, CollisionWorld, Scene
 from falsework.robots.motion.near_pairs import NearPair, near_pairs
 
 Array = NDArray[np.float64]
@@ -21,6 +22,9 @@ _SAMPLES = 4000
 """Random configurations that are tried."""
 _STEPS = (0.1, 0.3, 1.0)
 """Shares of the range of the joints within which they are drawn: near the given configuration first."""
+_AHEAD, _HEIGHTS, _TURNS = (0.4, 0.5, 0.3), (0.4, 0.5, 0.3), 8
+"""Distances in front of a base and heights above it, as shares of the reach, and rotations about the vertical, in which
+the tool of an arm without a home is tried."""
 _MARGIN = 0.02
 """Distance that a proposal keeps where it can, metres."""
 
@@ -32,11 +36,17 @@ def home_faults(cell: Cell, parts: PartShapes, robot: int) -> list[NearPair]:
     return near_pairs(view, home) if view.collides(home)[0] else []
 
 
-def propose_home(cell: Cell, parts: PartShapes, robot: int) -> Array | None:
-    """Return a configuration without collisions near the home of a robot, with the others at home.
+def has_home(robot: CellRobot) -> bool:
+    """Return whether the cell, the SRDF of an arm or its built-in model says where it is at home."""
+    model = robot.model
+    return model.source == "built-in" or "home" in dict(model.group_states) or robot.home is not model.home
 
-    Of those that are equally near, the tool of the one that is taken points down and is well above the floor. The
-    result is deterministic.
+
+def propose_home(cell: Cell, parts: PartShapes, robot: int) -> Array | None:
+    """Return a configuration without collisions for a robot, with the others at home.
+
+    It is near the home of the robot, and its tool points down if it can. For an arm without a home the tool is in
+    front of the base and points down, with the joints far from their limits. The result is deterministic.
 
     Args:
         cell: the cell.
@@ -49,6 +59,10 @@ def propose_home(cell: Cell, parts: PartShapes, robot: int) -> Array | None:
     """
     world, scene = CollisionWorld(cell, parts), Scene.at_home(cell, parts)
     entry = cell.robots[robot]
+    if not has_home(entry):
+        found = _in_front(cell, world.view(scene, robot, margin=max(_MARGIN, cell.margins.free)), robot)
+        if found is not None:
+            return found
     model, rng = entry.model, np.random.default_rng(0)
     start = np.clip(entry.home, model.lower, model.upper)
     # A joint that turns more than once need not.
@@ -64,6 +78,30 @@ def propose_home(cell: Cell, parts: PartShapes, robot: int) -> Array | None:
             if len(free):
                 return free[int(np.argmax(_quality(cell, robot, free, start, high - low)))]
     return None
+
+
+def _in_front(cell: Cell, view: CollisionQuery, robot: int) -> Array | None:
+    """Return a free configuration with the tool in front of the base and pointing down; None without one."""
+    entry = cell.robots[robot]
+    model = entry.model
+    tools = []
+    for ahead in _AHEAD:
+        for height in _HEIGHTS:
+            for turn in range(_TURNS):
+                angle = 2 * np.pi * turn / _TURNS
+                at = np.eye(4)
+                at[:3, :3] = [[np.cos(angle), np.sin(angle), 0], [np.sin(angle), -np.cos(angle), 0], [0, 0, -1]]
+                at[:3, 3] = (ahead * model.reach, 0.0, height * model.reach)
+                tools.append(entry.base @ at)
+    solutions = _rounded(model, np.concatenate(inverse(entry, np.array(tools))))
+    free = solutions[model.within_limits(solutions)]
+    free = free[~view.collides(free)] if len(free) else free
+    if not len(free):
+        return None
+    # Far from the limits, and not turned without need.
+    room = np.minimum(free - model.lower, model.upper - free) / (model.upper - model.lower)
+    turned = np.where(model.prismatic, 0.0, np.abs(free) / np.pi)
+    return free[int(np.argmax(np.minimum(room, 0.2).min(axis=1) - 0.05 * turned.sum(axis=1)))]
 
 
 def home_text(model: RobotModel, values: ArrayLike) -> str:

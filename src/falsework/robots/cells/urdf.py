@@ -124,7 +124,7 @@ def _load(file: Path, base: str | None, tip: str | None, srdf: Path, limits_file
     beside: dict[str, Any] = {}
     left_out = []
     for name, link in links.items():
-        at, shown = _carrier(name, below, frame_of), list(collision_shapes(file, link))
+        at, shown = carrier_of(name, below, frame_of), list(collision_shapes(file, link))
         if not shown:
             continue
         if at is None:
@@ -284,8 +284,14 @@ def _chain(file: Path, below: dict[str, Any], root: str, end: str) -> list[Any]:
     return found[::-1]
 
 
-def _carrier(name: str, below: dict[str, Any], frame_of: dict[str, tuple[int, Array]]) -> tuple[int, Array] | None:
-    """Return the frame that carries a link and the pose of the link in it; joints off the chain stay at zero."""
+def carrier_of(name: str, below: dict[str, Any], frame_of: dict[str, tuple[int, Array]]) -> tuple[int, Array] | None:
+    """Return the frame that carries a link and the pose of the link in it; joints off the chain stay at zero.
+
+    Args:
+        name: the link.
+        below: joint above each link, by its name.
+        frame_of: frame of the links of the chain, and their poses in it.
+    """
     pose = np.eye(4)
     while name not in frame_of:
         if name not in below:

@@ -82,24 +82,82 @@ def hull_mesh(points: Array) -> TriangleMesh:
 def _read_mesh(file: Path, mesh: Any) -> TriangleMesh:
     import trimesh
 
-    found = find_mesh(file, str(mesh.filename))
-    scale = np.ones(3) if mesh.scale is None else np.broadcast_to(np.asarray(mesh.scale, float), 3)
-    if not (np.isfinite(scale) & (scale != 0)).all():
-        raise CellError(f"{file}: mesh {mesh.filename} has scale {scale.tolist()}; give numbers other than zero")
-    if found is None:
-        raise CellError(f"{file}: mesh {mesh.filename} does not exist; keep it beside the description")
-    if found.suffix.lower() not in _MESHES:
-        raise CellError(f"{file}: mesh {mesh.filename} is no {', '.join(_MESHES)}; convert it to one of these")
+    found, scale = _mesh_file(file, mesh)
     try:
         scene: Any = trimesh.load(found, force="scene")
-        shapes = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
-        check_growth(found, sum(len(shape.vertices) + len(getattr(shape, "faces", ())) for shape in shapes))
+        _check_size(found, scene)
         loaded: Any = trimesh.load(found, force="mesh")
         points, faces = np.asarray(loaded.vertices, float), np.asarray(loaded.faces)
         if len(points) < 4:
             raise InputError("too few vertices")
     except Exception as error:
         raise CellError(f"{file}: mesh {found.name} cannot be read: {' '.join(str(error).split())}") from error
+    return _scaled(found, points, faces, scale)
+
+
+def colored_meshes(file: Path, link: str, entry: Any) -> list[tuple[TriangleMesh, tuple[float, float, float] | None]]:
+    """Return the pieces of a visual shape in the frame of its link, and the colour that its mesh file has for each.
+
+    Args:
+        file: the URDF.
+        link: name of the link.
+        entry: the shape, as yourdfpy reads it.
+
+    Raises:
+        CellError: a mesh that is not there or cannot be read.
+    """
+    if entry.geometry.mesh is None:
+        return [(shape_mesh(file, link, entry), None)]
+    import trimesh
+
+    found, scale = _mesh_file(file, entry.geometry.mesh)
+    pose = np.eye(4) if entry.origin is None else np.asarray(entry.origin, float)
+    made: list[tuple[TriangleMesh, tuple[float, float, float] | None]] = []
+    try:
+        scene: Any = trimesh.load(found, force="scene")
+        _check_size(found, scene)
+        for node in scene.graph.nodes_geometry:
+            at, name = scene.graph[node]
+            shape = scene.geometry[name]
+            if len(getattr(shape, "faces", ())) == 0:
+                continue
+            points = move(np.asarray(at, float), np.asarray(shape.vertices, float))
+            whole = _scaled(found, points, np.asarray(shape.faces), scale)
+            made.append((replace(whole, name=link, vertices=move(pose, whole.vertices)), _own_color(shape.visual)))
+        if not made:
+            raise InputError("it has no triangles")
+    except Exception as error:
+        raise CellError(f"{file}: mesh {found.name} cannot be read: {' '.join(str(error).split())}") from error
+    return made
+
+
+def _own_color(visual: Any) -> tuple[float, float, float] | None:
+    """Return the colour of a shape of a mesh file; None where the file has none."""
+    if visual is None or visual.kind is None:
+        return None
+    color = np.asarray(visual.material.main_color if visual.kind == "texture" else visual.main_color, float) / 255
+    return float(color[0]), float(color[1]), float(color[2])
+
+
+def _mesh_file(file: Path, mesh: Any) -> tuple[Path, Array]:
+    """Return the file of a mesh and its scale, shape (3,)."""
+    found = find_mesh(file, str(mesh.filename))
+    scale = np.ones(3) if mesh.scale is None else np.array(np.broadcast_to(np.asarray(mesh.scale, float), 3))
+    if not (np.isfinite(scale) & (scale != 0)).all():
+        raise CellError(f"{file}: mesh {mesh.filename} has scale {scale.tolist()}; give numbers other than zero")
+    if found is None:
+        raise CellError(f"{file}: mesh {mesh.filename} does not exist; keep it beside the description")
+    if found.suffix.lower() not in _MESHES:
+        raise CellError(f"{file}: mesh {mesh.filename} is no {', '.join(_MESHES)}; convert it to one of these")
+    return found, scale
+
+
+def _check_size(found: Path, scene: Any) -> None:
+    shapes = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
+    check_growth(found, sum(len(shape.vertices) + len(getattr(shape, "faces", ())) for shape in shapes))
+
+
+def _scaled(found: Path, points: Array, faces: NDArray[Any], scale: Array) -> TriangleMesh:
     # A mirror image has its triangles the other way round.
     faces = faces[:, ::-1] if np.prod(scale) < 0 else faces
     return TriangleMesh.from_arrays(found.name, points * scale * _unit(found), np.ascontiguousarray(faces))

@@ -62,7 +62,7 @@ def check_bases(cell: Cell, parts: PartShapes | None = None) -> None:
             depth = cell.floor - lowest
             raise CellError(
                 f"{cell.name}: the base of robot {robot.name} is {millimetres(depth)} below the floor; raise it to "
-                f"z = {robot.base[2, 3] + depth:.4g}, or set floor to {lowest:.4g}"
+                f"z = {round(robot.base[2, 3] + depth, 4) + 0.0:g}, or set floor to {round(lowest, 4):g}"
             )
 
 

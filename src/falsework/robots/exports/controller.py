@@ -12,6 +12,7 @@ from scipy.spatial import ConvexHull
 
 from falsework.errors import InputError
 from falsework.robots.model.cell import Cell, CellRobot, Gripper
+from falsework.robots.model.maker import maker_of
 from falsework.robots.model.shapes import Pieces
 
 Array = NDArray[np.float64]
@@ -19,11 +20,6 @@ Language = Literal["rapid", "urscript"]
 
 MAKERS: dict[Language, str] = {"rapid": "ABB", "urscript": "Universal Robots"}
 """Maker whose controllers run a language."""
-_NAMES = {
-    "ABB": re.compile(r"(abb[\W_]|(abb[\W_]?)?(irb|crb)[\W_]?\d)", re.IGNORECASE),
-    "Universal Robots": re.compile(r"(universal[\W_]?robots?|ur(\d+(e|cb\d?)?)?)($|[\W_])", re.IGNORECASE),
-}
-"""Names of models, from their beginning: built-in arms, and robot names of URDF files."""
 _LEAST_MASS = 0.001
 """Mass of a tool without one, kg: that of `tool0`, since RAPID accepts no zero."""
 _SIGNALS: dict[Language, tuple[str, str]] = {
@@ -42,15 +38,6 @@ class ToolLoad:
     """Centre of mass, metres, shape (3,)."""
     inertia: Array
     """About the centre of mass, kg m2, shape (3, 3); zero where it is unknown."""
-
-
-def maker_of(robot: CellRobot) -> tuple[str | None, bool]:
-    """Return the maker of an arm, and whether it is only taken from the name in a URDF file; None if it is unknown."""
-    if robot.maker is not None:
-        return robot.maker, False
-    name = robot.model.name
-    found = next((maker for maker, pattern in _NAMES.items() if pattern.match(name)), None)
-    return found, found is not None and robot.model.source != "built-in"
 
 
 def check_makers(cell: Cell, language: Language) -> None:
