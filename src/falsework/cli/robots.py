@@ -57,7 +57,7 @@ class PlanRobots(Command):
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework robots plan my-folder --cell cell.toml --out robot_plan.json",
-        "falsework robots plan my-folder --cell cell.toml --policy my-run --robots-seed 3 --deadline 60",
+        "falsework robots plan my-folder --cell cell.toml --policy my-run --seed 3 --deadline 60",
         "falsework robots plan my-folder --cell cell.toml --state 2210 --joints now.json --holding left=3 --support",
         "falsework robots plan my-folder --cell cell.toml --direction assembly --state 2110 --joints now.json "
         "--holding left=2,right=3 --grips robot_plan.json --out rest.json",
@@ -70,7 +70,7 @@ class PlanRobots(Command):
     """File to write."""
     policy: Annotated[Path | None, arg(metavar="RUN", help_behavior_hint=UNSET)] = None
     """Trained run whose policy proposes the actions."""
-    robots_seed: int = 0
+    seed: int = 0
     """Random seed; results are reproducible on one machine."""
     deadline: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint=UNSET)] = None
     """Time limit."""
@@ -99,7 +99,7 @@ class PlanRobots(Command):
     assembly_order: bool = False
     """Write the motions in the order of assembly."""
     sequential: bool = False
-    """One robot moves at a time."""
+    """One robot moves at a time; without this, robots move together wherever that is proven safe."""
     proofs: bool = False
     """Write the contact forces that prove each state into the plan."""
     holds: HoldOptions
@@ -120,7 +120,7 @@ class PlanRobots(Command):
         writable(self.out)
         cell = load_cell(self.cell)
         together = not self.sequential and cell.robot_count > 1 and can_schedule(output)
-        settings = HybridSettings(seed=self.robots_seed, deadline=self.deadline, forces=self.proofs)
+        settings = HybridSettings(seed=self.seed, deadline=self.deadline, forces=self.proofs)
         assembly = self.structure.load()
         building = self.direction == "assembly"
         held = parse_holding(self.holding, cell, assembly)

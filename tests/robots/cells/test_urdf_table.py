@@ -20,6 +20,7 @@ from falsework.robots.cells.urdf_review import CellWarning
 from falsework.robots.kinematics.forward import flange_pose
 from falsework.robots.model.robot_model import RobotModel
 from tests.robots.cells.arm_description import urdf_text
+from tests.robots.cells.cell_texts import TWO_JOINTS as CELL
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "cells.md"
 TABLE = PAGE.read_text(encoding="utf-8").partition("## URDF files")[2]
@@ -316,23 +317,6 @@ def test_a_row_of_the_table(tmp_path: Path, row: str, does: str) -> None:
     from falsework.robots.checks.descriptions import description_fault
 
     assert description_fault(model) == ""
-
-
-CELL = """
-format = "falsework.cell/1"
-name = "cell"
-[grippers.cup]
-kind = "suction"
-payload = 5.0
-cup = 0.02
-tool = { position = [0.0, 0.0, 0.1] }
-shapes = [{ cylinder = { radius = 0.03, low = 0.0, high = 0.099 } }]
-[[robots]]
-name = "arm"
-model = "arm.urdf"
-gripper = "cup"
-base = { position = [0.0, 0.0, 0.2] }
-"""
 
 
 def test_accelerations_of_a_cell(tmp_path: Path) -> None:
