@@ -142,7 +142,8 @@ class CellPage:
             said += [html_text(pair.words) for pair in pairs[:_MOST_PAIRS]]
             if len(pairs) > _MOST_PAIRS:
                 said.append(f"and {len(pairs) - _MOST_PAIRS} more")
-            said = said or ["no faults; nothing is too near in these configurations"]
+            if self.sight.cell is not None and not pairs:
+                said.append("nothing is too near in these configurations")
             said += [html_text(self._news)] if self._news else []
             self._said.content = _block("falsework-faults", "".join(f"<div>{text}</div>" for text in said))
             for text, robot, values in zip(self._texts, self._robots, self.configurations, strict=True):
@@ -189,8 +190,8 @@ class CellPage:
         camera = self.server.initial_camera
         middle = box.mean(axis=0)
         # Slightly right of the centre, since the controls cover the right of the window.
-        aside = np.array([0.80, 0.60, 0.0]) * 0.12 * size
-        camera.position = middle + np.array([0.70, -0.95, 0.55]) * size * 1.15 + aside
+        aside = np.array([0.80, 0.60, 0.0]) * 0.22 * size
+        camera.position = middle + np.array([0.70, -0.95, 0.55]) * size * 1.35 + aside
         camera.look_at = middle + aside
         camera.fov = np.radians(36.0)
         self._said = gui.add_html("")
@@ -218,7 +219,7 @@ class CellPage:
                 for joint, name in enumerate(model.joint_names):
                     step = 0.001 if model.prismatic[joint] else 0.5
                     low, start, high = (
-                        float(values[joint] / units[joint])
+                        round(float(values[joint] / units[joint]), 6)
                         for values in (model.lower, self.configurations[-1], model.upper)
                     )
                     low, high = np.ceil(low / step) * step, np.floor(high / step) * step
