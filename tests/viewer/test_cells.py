@@ -242,6 +242,7 @@ def wait_for(true: Any) -> None:
         time.sleep(0.05)
 
 
+@pytest.mark.slow
 def test_in_a_browser(file: Path, tmp_path: Path) -> None:
     """The fault is on the page, a click brings the arm to a proposed home, and the arm is drawn."""
     pytest.importorskip("viser", reason="the page needs viser; pip install 'falsework[viewer]'")

@@ -11,7 +11,7 @@ from tyro.conf import Positional, arg
 from falsework.cli.command import UNSET, Command, LoadOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.output import counted
-from falsework.errors import InputError
+from falsework.errors import CellError, InputError
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output
@@ -47,6 +47,8 @@ class NewCell(Command):
         from falsework.assembly.load import load_structure
         from falsework.robots.cells.cell_file import load_faulty_cell
         from falsework.robots.cells.new_cell import new_cell
+        from falsework.robots.cells.validate import check_cell
+        from falsework.robots.model.part_shapes import place_parts
         from falsework.utils.files.output_file import write_whole
 
         if self.out.suffix.lower() != ".toml":
@@ -57,7 +59,12 @@ class NewCell(Command):
         arms = parse_arms(self.arms)
         text = new_cell(arms, self.out.parent, gripper=self.gripper, assembly=assembly)
         write_whole(self.out, lambda file: file.write(text.encode()))
-        _, faults = load_faulty_cell(self.out)
+        cell, faults = load_faulty_cell(self.out)
+        if cell is not None and assembly is not None and not faults:
+            try:
+                check_cell(cell, place_parts(assembly, cell.placement))
+            except CellError as error:
+                faults = [str(error)]
         output.record({"cell": str(self.out), "robots": [arm.name for arm in arms], "faults": faults})
         output.say(f"{self.out}: {counted(len(arms), 'robot')}; falsework view {self.out} shows it while you edit it")
         for fault in faults:

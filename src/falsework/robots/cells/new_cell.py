@@ -29,6 +29,8 @@ GripperKind = Literal["suction", "jaw"]
 
 DISTANCE = 0.62
 """Distance of the bases from the middle of the structure, as a share of the longest reach."""
+CLEAR = 0.2
+"""Distance of a base from the structure, and width that it needs, as shares of the longest reach."""
 _PLACES = (0.50, 0.42, 0.34, 0.26)
 """Distances of places beside an arm that are tried, as shares of its reach."""
 _GRIPPERS = {
@@ -80,10 +82,10 @@ def new_cell(
     """Return the text of a cell file with some arms.
 
     Args:
-        arms: the arms; their bases are evenly spaced around the origin, and face it.
+        arms: the arms; their bases are evenly spaced around the structure, and face its middle.
         folder: folder of the file to be.
         gripper: kind of the gripper of all arms.
-        assembly: structure in the middle; homes are clear of it.
+        assembly: the structure; bases and homes are clear of it. Without it the origin is in the middle.
 
     Raises:
         CellError: no arms, two of the same name, or one that cannot be read.
@@ -93,24 +95,41 @@ def new_cell(
         raise CellError(f"a cell needs an arm; give built-in ones, {', '.join(sorted(BUILTIN))}, or URDF files")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", CellWarning)  # the cell is read again, with warnings, when it is used
-        cell = parse_cell(_text(arms, folder, gripper, None), "the new cell", folder)
-        distance = DISTANCE * max(robot.model.reach for robot in cell.robots)
-        cell = parse_cell(_text(arms, folder, gripper, cell, distance), "the new cell", folder)
+        nowhere = [(0.0, 0.0, 0.0)] * len(arms)
+        cell = parse_cell(_text(arms, folder, gripper, nowhere), "the new cell", folder)
         parts = no_parts() if assembly is None else place_parts(assembly, cell.placement)
+        bases = _bases(cell, parts)
+        cell = parse_cell(_text(arms, folder, gripper, bases), "the new cell", folder)
         wrong = [
             robot for robot, entry in enumerate(cell.robots) if not has_home(entry) or home_faults(cell, parts, robot)
         ]
         cell = with_homes(cell, parts, wrong)
-    return _text(arms, folder, gripper, cell, distance, parts)
+    return _text(arms, folder, gripper, bases, cell)
+
+
+def _bases(cell: Cell, parts: PartShapes) -> list[tuple[float, float, float]]:
+    """Return x and y, metres, and yaw, degrees, of the base of each robot: around the structure, and clear of it."""
+    points = np.concatenate([mesh.vertices[:, :2] for mesh in parts.meshes]) if parts.meshes else np.zeros((1, 2))
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    reach = max(robot.model.reach for robot in cell.robots)
+    found = []
+    for number in range(len(cell.robots)):
+        angle = np.pi + 2 * np.pi * number / len(cell.robots)
+        way = np.array([np.cos(angle), np.sin(angle)])
+        ahead = (points - middle) @ way
+        near = np.abs((points - middle) @ [-way[1], way[0]]) < CLEAR * reach
+        extent = float(ahead[near].max(initial=0.0))
+        x, y = middle + max(DISTANCE * reach, extent + CLEAR * reach) * way
+        found.append((round(float(x), 3) + 0.0, round(float(y), 3) + 0.0, float(np.degrees(angle) + 180) % 360))
+    return found
 
 
 def _text(
     arms: Sequence[Arm],
     folder: Path,
     gripper: GripperKind,
-    cell: Cell | None,
-    distance: float = 1.0,
-    parts: PartShapes | None = None,
+    bases: Sequence[tuple[float, float, float]],
+    cell: Cell | None = None,
 ) -> str:
     lines = [
         "# Lengths in metres, angles in degrees, masses in kilograms. Look at it while you edit: falsework view",
@@ -125,18 +144,15 @@ def _text(
         "",
         _GRIPPERS[gripper],
     ]
-    for number, arm in enumerate(arms):
-        angle = np.pi + 2 * np.pi * number / len(arms)
-        x, y = distance * np.cos(angle), distance * np.sin(angle)
-        yaw = (np.degrees(angle) + 180) % 360
+    for number, (arm, (x, y, yaw)) in enumerate(zip(arms, bases, strict=True)):
         lines += [
             "[[robots]]",
             f'name = "{_quoted(arm.name)}"',
             f'model = "{_quoted(_model(arm.model, folder))}"',
             f'gripper = "{"cup" if gripper == "suction" else "jaw"}"',
-            f"base = {{ position = [{round(x, 3) + 0.0:g}, {round(y, 3) + 0.0:g}, 0.0], yaw = {yaw:g} }}",
+            f"base = {{ position = [{x:g}, {y:g}, 0.0], yaw = {yaw:g} }}",
         ]
-        if cell is not None and parts is not None:
+        if cell is not None:
             lines += _of_robot(cell, number)
         lines.append("")
     return "\n".join(lines)
@@ -149,7 +165,7 @@ def _of_robot(cell: Cell, number: int) -> list[str]:
     lines = [f"home = {home_text(model, robot.home)}  # of {', '.join(model.joint_names)}"]
     if model.assumed:
         limits = np.where(model.prismatic, model.acceleration, np.degrees(model.acceleration))
-        numbers = ", ".join(f"{value:.3g}" for value in limits)
+        numbers = ", ".join(f"{round(float(value), 2):g}" for value in limits)
         lines.append(f"# acceleration = [{numbers}]  # from the data sheet; these are assumed")
     if model.source != "built-in":
         maker, _ = maker_of(robot)
