@@ -178,6 +178,8 @@ def test_payload_and_cup_decide(arch, cup: Gripper) -> None:
     assert grasps(assembly, parts, part, there, wide) == []
     with pytest.raises(StateError, match=r"present has shape \(2,\)"):
         grasps(assembly, parts, part, [1, 1], strong(cup))
+    with pytest.raises(StateError, match="no part 99"):
+        grasps(assembly, parts, 99, there, strong(cup))
 
 
 def test_a_part_without_a_grasp_is_told_with_its_size_and_that_of_the_gripper(cup: Gripper) -> None:
@@ -197,8 +199,6 @@ def test_a_part_without_a_grasp_is_told_with_its_size_and_that_of_the_gripper(cu
     text = grasp_fault(parts, 0, jaw, blocked=False)
     assert text.endswith("its jaws open to 40 mm and are 30 mm deep, the part is at least 50 mm wide")
     assert "among the other parts, which leave it no room: its cup" in grasp_fault(parts, 0, cup, blocked=True)
-    with pytest.raises(StateError, match="no part 99"):
-        grasps(assembly, parts, 99, there, strong(cup))
 
 
 def test_jaws_close_on_opposite_faces() -> None:

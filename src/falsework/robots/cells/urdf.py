@@ -178,7 +178,7 @@ def _load(file: Path, base: str | None, tip: str | None, srdf: Path, limits_file
                 raise CellError(f"{srdf}: state home has joint {outside[0]} outside its limits; correct one of them")
             model = replace(model, home=states[HOME_STATE])
     else:
-        pairs = always_touching(model) - ignored
+        pairs = always_touching(model) - ignored if any(shapes) else set()
         said = ", ".join(f"{names[a]} and {names[b]}" for a, b in sorted(pairs))
         if pairs:
             notes.append(
