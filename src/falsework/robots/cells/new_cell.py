@@ -131,10 +131,11 @@ def _text(
     bases: Sequence[tuple[float, float, float]],
     cell: Cell | None = None,
 ) -> str:
+    names = [arm.name for arm in arms]
     lines = [
         "# Lengths in metres, angles in degrees, masses in kilograms. Look at it while you edit: falsework view",
         f'format = "{FORMAT}"',
-        f'name = "{_quoted(" and ".join(arm.name for arm in arms))}"',
+        f'name = "{_quoted(" and ".join([", ".join(names[:-1])] * bool(names[:-1]) + names[-1:]))}"',
         "speed = 0.5                         # share of the largest speed of the arms",
         "floor = 0.0",
         "",

@@ -36,7 +36,7 @@ from falsework.robots.model.robot_model import ACCELERATION_TIME, RobotModel
 from falsework.robots.model.shapes import move
 from falsework.robots.model.simplify import outer_hull
 from falsework.utils.files.damage import blamed_on
-from falsework.utils.xml_text import read_xml_text
+from falsework.utils.files.xml_text import read_xml_text
 
 Array = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import CellError
-from falsework.utils.xml_text import read_xml_text
+from falsework.utils.files.xml_text import read_xml_text
 
 Element = ElementTree.Element
 

@@ -118,7 +118,7 @@ def _of_file(model: RobotModel) -> tuple[tuple[VisualShape, ...], ...]:
             stated = _color(entry.material, named)
             for mesh, own in shapes:
                 faces = seen_from_both_sides(mesh.faces.astype(np.int64))
-                moved = TriangleMesh(mesh.name, move(at[1], mesh.vertices), faces)
+                moved = TriangleMesh.from_arrays(mesh.name, move(at[1], mesh.vertices), faces)
                 found[at[0]].setdefault(stated or own or PLAIN, []).append(moved)
     return tuple(
         tuple(_joined(meshes, color) for color, meshes in shapes.items()) or _shapes_of(pieces)

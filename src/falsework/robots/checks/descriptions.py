@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from falsework.robots.checks.libraries import import_pinocchio
 from falsework.robots.model.robot_model import RobotModel
-from falsework.utils.xml_text import read_xml_text
+from falsework.utils.files.xml_text import read_xml_text
 
 Array = NDArray[np.float64]
 

@@ -40,7 +40,7 @@ class Body:
     name: str
     """As in `NearPair`."""
     vertices: Array
-    faces: NDArray[np.int64]
+    faces: NDArray[np.integer]
     color: str
 
 
