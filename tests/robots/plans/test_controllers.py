@@ -75,15 +75,15 @@ def test_programs_are_for_arms_of_their_maker(robot_plan: RobotPlan, cell: Cell,
         (
             "panda",
             {},
-            rf"{form} programs are for arms of {wanted}, and the maker of robot arm 1, panda, is unknown; write "
-            rf'maker = "{wanted}"',
+            rf"{form} programs are for arms of {wanted}, and the maker of robot arm 1, panda, is unknown; if it is "
+            rf'one, write maker = "{wanted}"',
         ),
         (
             "panda",
             {"maker": "Franka"},
             rf"{form} programs are for arms of {wanted}, and robot arm 1 \(panda\) is of Franka",
         ),
-        (other, {}, rf"robot arm 1 \({other}\) is of .*; choose another format, or force the export"),
+        (other, {}, rf"robot arm 1 \({other}\) is of .*; choose another format"),
     ):
         given = renamed(cell, name, **changes)
         plan = planned_for(robot_plan, given)

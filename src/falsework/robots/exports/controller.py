@@ -52,13 +52,13 @@ def check_makers(cell: Cell, language: Language) -> None:
         if maker is None:
             raise InputError(
                 f"{language} programs are for arms of {wanted}, and the maker of robot {robot.name}, "
-                f'{robot.model.name}, is unknown; write maker = "{wanted}" into its entry of the cell, or force the '
-                "export"
+                f'{robot.model.name}, is unknown; if it is one, write maker = "{wanted}" into its entry of the cell '
+                "(--force writes them all the same)"
             )
         if maker.strip().casefold() != wanted.casefold():
             raise InputError(
                 f"{language} programs are for arms of {wanted}, and robot {robot.name} ({robot.model.name}) is of "
-                f"{maker}; choose another format, or force the export"
+                f"{maker}; choose another format (--force writes them all the same)"
             )
 
 
@@ -78,14 +78,14 @@ def rapid_load(load: ToolLoad) -> str:
         moments, axes = np.diag(load.inertia), np.eye(3)
     axes = axes * np.where(np.arange(3) == 2, np.sign(np.linalg.det(axes)), 1.0)
     x, y, z, w = Rotation.from_matrix(axes).as_quat()
-    center = ",".join(f"{1000 * value:.3f}" for value in load.center)
+    center = ",".join(f"{round(1000 * value, 3) + 0.0:.3f}" for value in load.center)
     turn = ",".join(f"{value:.7g}" for value in (w, x, y, z))
     return f"[{max(load.mass, _LEAST_MASS):.4f},[{center}],[{turn}],{','.join(f'{value:.6g}' for value in moments)}]"
 
 
 def ur_payload(load: ToolLoad) -> str:
     """Return the URScript command that sets a load: kg, m, kg m2."""
-    center = ", ".join(f"{value:.6f}" for value in load.center)
+    center = ", ".join(f"{round(value, 6) + 0.0:.6f}" for value in load.center)
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = load.inertia.tolist()
     inertia = ", ".join(f"{value:.6g}" for value in (xx, yy, zz, xy, xz, yz))
     return f"set_target_payload({load.mass:.4f}, [{center}], [{inertia}])"
