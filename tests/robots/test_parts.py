@@ -260,6 +260,7 @@ def test_cell_check_prints_reach_and_proposes_bases(tmp_path: Path, capsys: pyte
     said = capsys.readouterr()
     assert "out of reach" in said.out
     assert "better bases" in said.out
+    assert "grippers without force and moment bear fifty weights of the heaviest part in planning: cup" in said.out
     assert "no robot reaches" in said.err
 
 
