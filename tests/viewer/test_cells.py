@@ -191,7 +191,7 @@ def test_on_the_command_line(file: Path, tmp_path: Path, capsys: pytest.CaptureF
     assert main(["picture", str(file), "--step", "2", "--forces", "--out", str(out)]) == 2
     assert "a cell has no states; leave out --step and --forces" in capsys.readouterr().err
     assert main(["animate", str(file), "--out", str(tmp_path / "cell.gif")]) == 2
-    assert "cell.toml is a cell, which has no steps; `falsework view` and" in capsys.readouterr().err
+    assert "cell.toml is a cell, which has no steps; falsework view and" in capsys.readouterr().err
 
 
 def test_the_page_moves_arms_and_reads_the_file_again(file: Path) -> None:

@@ -57,7 +57,10 @@ COMMANDS = {
 }
 """Class of each subcommand; its module in this package is named like the first word, or listed in `_MODULES`."""
 _GROUPS = {
-    "cell": "Write and check cells: the robots, their bases and grippers, and the obstacles around them.",
+    "cell": """Write and check cells: the robots, their bases and grippers, and the obstacles around them.
+
+Built-in cells: bottle-12, dome-37, dome-72, vault-62-a, vault-62-b.
+Built-in arms: crb15000-5/0.95, irb2600-12/1.65, ur10e.""",
     "robots": "Plan motions of robot arms, check them, and export them to controllers.",
 }
 """Descriptions of commands of two words."""

@@ -11,7 +11,7 @@ import pytest
 
 from falsework.cli.main import main
 from falsework.cli.new_cell import NewCell
-from falsework.robots.cells.cell_file import load_cell
+from falsework.robots.cells.cell_file import builtin_cells, load_cell
 from falsework.robots.cells.validate import check_cell
 from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.builtin_robots import BUILTIN
@@ -101,6 +101,7 @@ def test_the_help_lists_the_built_in_arms(tmp_path: Path, capsys: pytest.Capture
     assert main(["cell", "--help"]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "Write and check cells" in said
+    assert f"Built-in cells: {', '.join(builtin_cells())}. Built-in arms: {', '.join(sorted(BUILTIN))}." in said
     assert main(["cell", "new", "ur10e", "--out", str(tmp_path / "a.toml"), "--json"]) == 0
     record = json.loads(capsys.readouterr().out)
     assert record == {"cell": str(tmp_path / "a.toml"), "robots": ["arm 1"], "faults": []}

@@ -140,7 +140,12 @@ def test_signals_of_grippers_are_settings(robot_plan: RobotPlan, cell: Cell, tmp
     assert closing is not None
     assert closing.groups() == ("do_vacuum", "0", "do_vacuum", "1")
     assert "WaitTime\\InPos, 1.25;" in texts[0]
-    assert "digital output do_vacuum at 0 closes the gripper" in texts[0]
+    assert "  ! digital output do_vacuum at 0 closes the gripper" in texts[0]
+    assert "  ! group input gi_arm_2_count, 16 bits, is connected to go_arm_2_count" in texts[0]
+    noted = export_notes(robot_plan, "rapid", given)
+    assert noted[-2].startswith(
+        "set up the controller of arm 1: digital output do_vacuum at 0 closes the gripper; group"
+    )
     assert "SetDO do_arm_2_grip, 1;" in texts[1]
     given = set_up(Signals(grip="tool 1", closed=False, address="10.0.0.7"))
     texts = [p.read_text() for p in export_plan(robot_plan, tmp_path / "ur", "urscript", cell=given, force=True)]
@@ -148,6 +153,7 @@ def test_signals_of_grippers_are_settings(robot_plan: RobotPlan, cell: Cell, tmp
     assert "set_standard_digital_out(0, closed)" in texts[1]
     assert 'modbus_add_signal("10.0.0.7", 255' in texts[1]
     assert 'modbus_add_signal("arm_2.local", 255' in texts[0]
+    assert "  # its register 128 is read at 10.0.0.7 by the others" in texts[0]
     for form, grip, message in (
         ("rapid", "tool 0", r"signals\.grip of robot arm 1 is 'tool 0'; for rapid give the name of a digital output"),
         ("urscript", "do_vacuum", r"signals\.grip of robot arm 1 is 'do_vacuum'; for urscript give standard, config"),

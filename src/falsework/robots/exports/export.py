@@ -15,7 +15,7 @@ from falsework.errors import InputError, PlanError
 from falsework.robots.cells.cell_file import AnyCell, as_cell
 from falsework.robots.exports.controller import MAKERS, check_makers, program_notes
 from falsework.robots.exports.mcap_bag import PlacedParts, write_bag
-from falsework.robots.exports.programs import rapid_modules, ur_scripts
+from falsework.robots.exports.programs import controller_settings, rapid_modules, ur_scripts
 from falsework.robots.exports.ros2 import lost_schedule, ros2_goals, ros2_messages
 from falsework.robots.exports.tables import csv_tables
 from falsework.robots.exports.written import Written
@@ -129,7 +129,13 @@ def export_notes(plan: RobotPlan, form: str, cell: Cell) -> list[str]:
     """
     lost = lost_schedule(plan, form)
     language = next((language for language in MAKERS if language == form), None)
-    return ([lost] if lost else []) + ([] if language is None else program_notes(cell, language))
+    notes = [lost] if lost else []
+    if language is not None:
+        notes += program_notes(cell, language)
+        for number, robot in enumerate(cell.robots):
+            set_up = "; ".join(controller_settings(plan, cell, number, language))
+            notes.append(f"set up the controller of {robot.name}: {set_up}")
+    return notes
 
 
 def _needed(cell: AnyCell | None) -> Cell:

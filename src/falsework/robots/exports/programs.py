@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from falsework.errors import InputError
 from falsework.robots.exports.commands import COUNT_FROM, Begin, Grip, Pressing, PublishCount, Wait, commands_of
-from falsework.robots.exports.controller import grip_signal, rapid_load, tool_load, ur_payload
+from falsework.robots.exports.controller import Language, grip_signal, rapid_load, tool_load, ur_payload
 from falsework.robots.model.cell import Cell, CellRobot
 from falsework.robots.plans.presses import TimedPress
 from falsework.robots.plans.robot_plan import RobotPlan
@@ -95,11 +95,7 @@ def rapid_modules(plan: RobotPlan, cell: Cell, presses: Sequence[TimedPress] = (
                 [
                     f"MODULE {name}",
                     f"  ! {about}",
-                    f"  ! digital output {output} at {closed} closes the gripper",
-                    *(
-                        f"  ! group input gi_{other}_count, 16 bits, is connected to group output go_{other}_count"
-                        for other in others
-                    ),
+                    *(f"  ! {line}" for line in controller_settings(plan, cell, robot, "rapid")),
                     f"  PERS tooldata {name}_tool := {_tooldata(record.tool, cell.robots[robot])};",
                     *targets,
                     f"  PROC {name}_gripper(bool closed)",
@@ -152,10 +148,9 @@ def ur_scripts(
         lines = [
             f"def {name}():",
             f"  # {_ascii(plan.plan.name)}: {plan.direction.value} with {_ascii(record.model)}, {len(plan)} steps",
+            *(f"  # {line}" for line in controller_settings(plan, cell, robot, "urscript")),
         ]
-        addresses = {
-            names[k]: _text(entry.signals.address or f"{names[k]}.local") for k, entry in enumerate(cell.robots)
-        }
+        addresses = {names[k]: _address(entry, names[k]) for k, entry in enumerate(cell.robots)}
         for other in others:
             lines += [
                 f'  modbus_add_signal("{addresses[other]}", 255, {REGISTER}, 2, "{other}_count", False)',
@@ -199,6 +194,35 @@ def ur_scripts(
                 lines.append("  stopj(10)")
                 lines.append(f"  movej({_ur_joints(command.positions[-1])}, a=0.5, v=0.5)")
         yield f"{name}.script", "\n".join([*lines, "end", ""])
+
+
+def controller_settings(plan: RobotPlan, cell: Cell, robot: int, language: Language) -> list[str]:
+    """Return what must be set up at the controller of a robot for its program, each in one line.
+
+    Args:
+        plan: the robot plan.
+        cell: its cell.
+        robot: index of the robot.
+        language: of the program.
+
+    Raises:
+        InputError: the cell names an output that the language does not have.
+    """
+    names = _distinct([_identifier(record.name) for record in plan.robots])
+    entry, level = cell.robots[robot], int(cell.robots[robot].signals.closed)
+    output = grip_signal(entry, names[robot], language)
+    lines = [f"digital output {output} at {level} closes the gripper"]
+    others = [k for k in range(len(names)) if k != robot]
+    if language == "urscript":
+        reads = [f"its register {REGISTER} is read at {_address(entry, names[robot])} by the others"]
+    else:
+        reads = [f"group output go_{names[robot]}_count, 16 bits, counts its motions"]
+        reads += [f"group input gi_{names[k]}_count, 16 bits, is connected to go_{names[k]}_count" for k in others]
+    return lines + reads * bool(others)
+
+
+def _address(robot: CellRobot, name: str) -> str:
+    return _text(robot.signals.address or f"{name}.local")
 
 
 def _press_in_words(plan: RobotPlan, command: Pressing) -> str:
