@@ -14,7 +14,7 @@ import pytest
 from falsework.cli.main import main
 from falsework.errors import InputError
 from falsework.robots.cells.cell_file import load_cell
-from falsework.robots.cells.visuals import PLAIN, link_visuals, seen_from_both_sides
+from falsework.robots.cells.visuals import PLAIN, link_visuals, seen_from_both_sides, thinned
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.builtin_robots import builtin_robot
 from falsework.viewer.cells.cell_picture import picture_cell
@@ -135,12 +135,31 @@ def test_links_look_like_their_visual_shapes(tmp_path: Path) -> None:
 
 
 def test_surfaces_with_gaps_are_seen_from_both_sides() -> None:
-    closed = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
+    closed = closed_faces()
     assert len(seen_from_both_sides(closed)) == 4
     assert len(seen_from_both_sides(closed[:3])) == 6
     turned = closed.copy()
     turned[0] = turned[0, ::-1]
     assert len(seen_from_both_sides(turned)) == 8
+
+
+def test_fine_meshes_are_thinned_out() -> None:
+    """As far as it takes, and no point by more than a cube; coarse ones stay as they are."""
+    import trimesh
+
+    ball = trimesh.creation.icosphere(subdivisions=6)
+    vertices, faces = thinned(ball.vertices, ball.faces)
+    assert len(ball.faces) > 80_000
+    assert 6_000 < len(faces) <= 12_000
+    assert np.abs(np.linalg.norm(vertices, axis=1) - 1).max() < 0.03
+    assert (np.linalg.norm(vertices[faces].mean(axis=1), axis=1) > 0.95).all()
+    same, kept = thinned(ball.vertices[:4], closed_faces())
+    assert len(kept) == len(closed_faces())
+    np.testing.assert_array_equal(same, ball.vertices[:4])
+
+
+def closed_faces() -> np.ndarray:
+    return np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
 
 
 def test_colours_of_a_mesh_file_count_where_the_urdf_has_none(tmp_path: Path) -> None:

@@ -22,6 +22,10 @@ from falsework.robots.model.shapes import Pieces, move
 Array = NDArray[np.float64]
 Color = tuple[float, float, float]
 
+MOST_TRIANGLES = 12_000
+"""Triangles of a visual mesh above which it is thinned out: pages send it to every browser."""
+_FINEST, _COARSEST = 500, 30
+"""Cubes along a mesh in which vertices become one."""
 _GAPS = 0.03
 """Share of the edges of a visual mesh that may lack a neighbour for it to be drawn from outside only."""
 PLAIN: Color = (0.80, 0.81, 0.83)
@@ -59,6 +63,32 @@ def link_visuals(model: RobotModel) -> tuple[tuple[VisualShape, ...], ...]:
 def shape_of_pieces(pieces: Pieces) -> VisualShape | None:
     """Return convex pieces as one shape; None without any."""
     return next(iter(_shapes_of(pieces)), None)
+
+
+def thinned(vertices: Array, faces: NDArray[np.int64], most: int = MOST_TRIANGLES) -> tuple[Array, NDArray[np.int64]]:
+    """Return a mesh with fewer triangles where it has more than wanted: vertices within a cube of a grid become one.
+
+    Args:
+        vertices: shape (vertices, 3).
+        faces: shape (faces, 3).
+        most: number of triangles that are enough.
+    """
+    if len(faces) <= most:
+        return vertices, faces
+    low, size = vertices.min(axis=0), float(np.ptp(vertices, axis=0).max())
+    cubes = _FINEST
+    while True:
+        places = np.floor((vertices - low) / max(size, 1e-12) * cubes).astype(np.int64)
+        _, cluster, count = np.unique(places, axis=0, return_inverse=True, return_counts=True)
+        cluster = cluster.reshape(-1)
+        corners = cluster[faces]
+        kept = corners[(corners != np.roll(corners, 1, axis=1)).all(axis=1)]
+        if len(kept) <= most or cubes <= _COARSEST:
+            break
+        cubes = max(int(0.8 * cubes), _COARSEST)
+    middle = np.zeros((len(count), 3))
+    np.add.at(middle, cluster, vertices)
+    return middle / count[:, None], kept
 
 
 def seen_from_both_sides(faces: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -117,8 +147,9 @@ def _of_file(model: RobotModel) -> tuple[tuple[VisualShape, ...], ...]:
                 continue
             stated = _color(entry.material, named)
             for mesh, own in shapes:
-                faces = seen_from_both_sides(mesh.faces.astype(np.int64))
-                moved = TriangleMesh.from_arrays(mesh.name, move(at[1], mesh.vertices), faces)
+                vertices, faces = thinned(mesh.vertices, mesh.faces.astype(np.int64))
+                faces = seen_from_both_sides(faces)
+                moved = TriangleMesh.from_arrays(mesh.name, move(at[1], vertices), faces)
                 found[at[0]].setdefault(stated or own or PLAIN, []).append(moved)
     return tuple(
         tuple(_joined(meshes, color) for color, meshes in shapes.items()) or _shapes_of(pieces)
