@@ -34,7 +34,7 @@ _REACH_SAMPLES = 2000
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class FixedBody:
     """Body of a cell that does not move."""
 
     name: str
@@ -75,15 +75,15 @@ class CellSight:
         return [link for number, robot in enumerate(robots) for link in links_of(number, robot)]
 
     @cached_property
-    def bodies(self) -> list[Body]:
+    def bodies(self) -> list[FixedBody]:
         """Obstacles and parts."""
         found = []
         for obstacle in () if self.cell is None else self.cell.obstacles:
             for piece in obstacle.pieces:
                 mesh = hull_mesh(np.asarray(piece))
-                found.append(Body(obstacle.name, mesh.vertices, mesh.faces, OBSTACLE))
+                found.append(FixedBody(obstacle.name, mesh.vertices, mesh.faces, OBSTACLE))
         for name, mesh, fixed in zip(self.parts.names, self.parts.meshes, self.parts.boundary, strict=True):
-            found.append(Body(f"part {name}", mesh.vertices, mesh.faces, BOUNDARY if fixed else INSTALLED))
+            found.append(FixedBody(f"part {name}", mesh.vertices, mesh.faces, BOUNDARY if fixed else INSTALLED))
         return found
 
     @cached_property
