@@ -88,6 +88,15 @@ def near_pairs(query: CollisionQuery, configuration: ArrayLike) -> list[NearPair
     return sorted(found.values(), key=lambda pair: pair.distance - pair.wanted)
 
 
+def nearest_pair(query: CollisionQuery, configuration: ArrayLike) -> NearPair | None:
+    """Return the bodies that overlap most, or are nearest, where a query finds a collision; None where it does not."""
+    hit = query.explain(configuration)
+    if hit is None:
+        return None
+    # Of bodies that only just touch, the compiled query may see one more than distances do.
+    return next(iter(near_pairs(query, configuration)), NearPair(*hit, 0.0, query.margin))
+
+
 def near_pairs_of(world: CollisionWorld, scene: Scene) -> list[NearPair]:
     """Return the pairs that are too near of all arms of a scene; two arms that are near each other count once."""
     found: dict[frozenset[str], NearPair] = {}
