@@ -166,7 +166,9 @@ def mock_controllers(content: dict[str, Any], cell: Cell, folder: Path) -> Itera
         subprocess.Popen(["ros2", "run", "controller_manager", "ros2_control_node", *given]),
     ]
     try:
-        subprocess.run(["ros2", "run", "controller_manager", "spawner", *names], check=True, timeout=PATIENCE)
+        # From Jazzy on controllers get their parameters from the spawner, before from the controller manager.
+        spawner = ["ros2", "run", "controller_manager", "spawner", *names, "--param-file", str(file)]
+        subprocess.run(spawner, check=True, timeout=PATIENCE)
         yield
     finally:
         for process in started:
