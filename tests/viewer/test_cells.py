@@ -226,6 +226,10 @@ def test_the_page_moves_arms_and_reads_the_file_again(file: Path) -> None:
         assert "floor" in page._said.content
         assert [round(slider.value, 3) for slider in sliders][:2] == [10, 95]
         assert COLLIDES in marks_of(page.sight.pairs(page.configurations)).values()
+        sliders[1].value = 20.0  # as a browser sets it
+        page._moved(0)
+        assert np.degrees(page.configurations[0])[:2].round(6).tolist() == [10, 20]
+        page.set_configuration(0, np.radians([10, 95, 0, 0, 0, 0]))
         page._propose(0)
         assert "nothing is too near" in page._said.content
         assert "home = [" in page._texts[0].content

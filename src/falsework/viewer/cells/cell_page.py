@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.load import AnyStructure, as_assembly
-from falsework.errors import FalseworkError, InputError
+from falsework.errors import InputError
 from falsework.robots.cells.home import home_text, propose_home
 from falsework.robots.model.cell import Cell, CellRobot
 from falsework.utils.files.printable import printable
@@ -102,6 +102,7 @@ class CellPage:
         self._texts: list[Any] = []
         self._folders: list[Any] = []
         self._quiet = False
+        self._latest: dict[int, int] = {}
         self._news = ""
         self._arrange()
         self.scene = CellScene(self.server.scene, self.sight)
@@ -239,10 +240,13 @@ class CellPage:
     def _moved(self, robot: int) -> None:
         if self._quiet:
             return
+        mine = self._latest[robot] = self._latest.get(robot, 0) + 1
         with self._lock:
+            if mine != self._latest[robot] or robot >= len(self._sliders):
+                return  # a later value of a slider waits for its turn, or the arm is no longer there
             shown = np.array([slider.value for slider in self._sliders[robot]], dtype=float)
             self.configurations[robot] = shown * _units(self._robots[robot])
-        self.refresh()
+            self.refresh()
 
     def _propose(self, robot: int) -> None:
         cell = self.sight.cell
@@ -269,7 +273,7 @@ class CellPage:
                     continue
                 self._stamps = stamps
                 self.read_again()
-            except (FalseworkError, OSError) as error:  # such as a file that is just being written
+            except Exception as error:  # whatever is in a file that is just being written, the page goes on
                 with self._lock:
                     self._news = f"not read again: {' '.join(str(error).split())}"
                 self.refresh()
