@@ -55,6 +55,13 @@ def test_a_cell_is_known_by_its_file_or_name(file: Path, tmp_path: Path, monkeyp
         ("home = [0, -40, 30, 0, 60, 0]", "home = [0, 170, 0, 0, 0, 0]", "joint_2 is 170 degrees, outside", 1),
         ("payload = 5.0", "payload = -1", "grippers.cup.payload is -1", 1),
         ("high = [0.3, 0.3, 0.4]", "high = [0.3, -0.4, 0.4]", "obstacles[0].box.high", 1),
+        ("radius = 0.03, low = 0.0", "radius = 0.03, low = 0.2", "grippers.cup.shapes[0].cylinder.high is 0.099", 1),
+        (
+            "low = [-0.3, -0.3, 0.0], high",
+            "low = [0.2999999999999999, -0.3, 0.0], high",
+            "too thin for a collision shape",
+            1,
+        ),
         ('model = "irb2600-12/1.65"', 'model = "gone.urdf"', "no robot description", 0),
         ('name = "one arm"', "name = ", "is not valid TOML", 0),
     ],

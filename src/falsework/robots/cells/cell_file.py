@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.errors import CellError, InputError
+from falsework.errors import CellError, DependencyError, InputError
 from falsework.robots.cells.cell_robot import read_pose, read_robot
 from falsework.robots.cells.urdf_review import CellWarning
 from falsework.robots.cells.validate import check_cell
@@ -88,11 +88,11 @@ def _text_of(name: str | Path) -> tuple[str, str, Path]:
 
 @contextmanager
 def _noted(faults: list[str] | None) -> Iterator[None]:
-    """Note an error of a cell instead of raising it, if there is a list for it."""
+    """Note an error of a cell instead of raising it, if there is a list for it; a missing package is none."""
     try:
         yield
-    except CellError as error:
-        if faults is None:
+    except InputError as error:
+        if faults is None or isinstance(error, DependencyError):
             raise
         faults.append(" ".join(str(error).split()))
 

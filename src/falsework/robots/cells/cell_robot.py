@@ -64,7 +64,7 @@ def read_robot(table: Table, grippers: dict[str, Gripper], folder: Path, faults:
     except CellError as error:
         if faults is None:
             raise
-        faults.append(str(error))
+        faults.append(f"{error} (robot {name} is shown in another one)")
     local = np.array([place.numbers("position", 3) for place in table.tables("places")]).reshape(-1, 3)
     for place in table.tables("places"):
         place.numbers("position", 3)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
-from falsework.errors import CellError, InputError
+from falsework.errors import InputError
 from falsework.robots.cells.cell_file import builtin_cells, load_faulty_cell
 from falsework.robots.cells.urdf_meshes import hull_mesh
 from falsework.robots.cells.validate import check_cell, no_parts
@@ -206,6 +206,6 @@ def see_cell(subject: Cell | str | Path, structure: AnyStructure | None = None, 
 def _faults(cell: Cell, parts: PartShapes) -> list[str]:
     try:
         check_cell(cell, parts)
-    except CellError as error:
+    except InputError as error:
         return [str(error)]
     return []
