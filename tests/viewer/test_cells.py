@@ -59,7 +59,7 @@ def test_a_cell_is_known_by_its_file_or_name(file: Path, tmp_path: Path, monkeyp
         (
             "low = [-0.3, -0.3, 0.0], high",
             "low = [0.2999999999999999, -0.3, 0.0], high",
-            "too thin for a collision shape",
+            "cell.toml: obstacles[0].box: a box from",
             1,
         ),
         ('model = "irb2600-12/1.65"', 'model = "gone.urdf"', "no robot description", 0),

@@ -10,7 +10,7 @@ import pytest
 
 from falsework.errors import CellError
 from falsework.robots.cells.cell_file import parse_cell
-from falsework.robots.cells.home import home_faults, home_text, propose_home
+from falsework.robots.cells.home import home_faults, home_text, missing_homes, propose_home
 from falsework.robots.cells.validate import check_cell, no_parts
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Cell
@@ -88,10 +88,14 @@ def test_a_proposal_is_free_near_a_home_and_in_front_without_one(robot_file) -> 
         tool = tool_pose(robot, found)
         assert tool[2, 2] < -0.98
         assert tool[0, 3] > 0.15
+        (line,) = missing_homes(cell, no_parts())
+        assert line.startswith("robot arm has no home, so its joints are at zero; home = [")
+        assert home_text(robot.model, found) in line
         again = propose_home(cell, no_parts(), 0)
         assert again is not None
         np.testing.assert_array_equal(found, again)
     near = cell_of(ONE_ARM.replace("[0, -40, 30, 0, 60, 0]", "[0, 95, 0, 0, 0, 0]"))
+    assert missing_homes(near, no_parts()) == []
     close = propose_home(near, no_parts(), 0)
     assert close is not None
     assert np.abs(close - near.robots[0].home).max() < np.pi

@@ -257,7 +257,10 @@ def _shapes(table: Table) -> list[Array]:
         low, high = shape.numbers("low", 3), shape.numbers("high", 3)
         if not (low < high).all():
             raise shape.fail("high", f"is {high.tolist()}; every coordinate must be above that of low")
-        found.append(move(at, block(low, high)))
+        try:
+            found.append(move(at, block(low, high)))
+        except InputError as error:
+            raise CellError(f"{shape.source}: {shape.where}: {error}") from error
         shape.done()
     if table.has("cylinder"):
         shape = table.table("cylinder")

@@ -118,6 +118,16 @@ def proposal_text(cell: Cell, parts: PartShapes, robot: int) -> str:
     return "" if found is None else f"home = {home_text(cell.robots[robot].model, found)} is free"
 
 
+def missing_homes(cell: Cell, parts: PartShapes) -> list[str]:
+    """Return for each robot without a home, whose joints are taken at zero, a line that proposes one."""
+    found = []
+    for number, robot in enumerate(cell.robots):
+        if not has_home(robot):
+            proposal = proposal_text(cell, parts, number) or "no free one was found"
+            found.append(f"robot {robot.name} has no home, so its joints are at zero; {proposal}")
+    return found
+
+
 def with_homes(cell: Cell, parts: PartShapes, robots: Sequence[int]) -> Cell:
     """Return a cell in which some robots have proposed homes, one after the other; those without one keep theirs."""
     for robot in robots:
