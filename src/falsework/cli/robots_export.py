@@ -40,7 +40,8 @@ class ExportRobots(Command):
     out: Annotated[Path, arg(metavar="FOLDER")]
     """Folder to write into."""
     structure: Annotated[str | None, arg(metavar="STRUCTURE", help_behavior_hint=UNSET)] = None
-    """Structure whose shapes a bag has, and whose parts robots press, instead of the one that the plan names."""
+    """Structure whose shapes a bag has, and whose parts robots carry and press, instead of the one that the plan
+    names."""
     cell: Annotated[str | None, arg(metavar="CELL", help_behavior_hint=UNSET)] = None
     """Cell that the programs are for, instead of the one that the plan names."""
     rate: float = 50.0
@@ -65,14 +66,15 @@ class ExportRobots(Command):
         if self.assembly_order and plan.direction is Direction.DISASSEMBLY:
             plan = plan.reverse()
         cell, shapes = load_cell(self.cell or plan.cell_place(self.plan)), None
-        pressed = has_presses(plan)
-        if self.format == "mcap" or pressed:
+        pressed, lacking = has_presses(plan), []
+        if self.format in ("mcap", "rapid", "urscript") or pressed:
             try:
                 shapes = structure_of_plan(plan.plan, self.plan, self.structure)
             except InputError as error:
                 if self.structure is not None or pressed:
                     raise
-                output.note(f"falsework: the bag has no shapes of parts: {error}")
+                what = "the bag has no shapes" if self.format == "mcap" else "programs have no loads"
+                lacking = [f"{what} of parts: {error}"]
         paths = export_plan(
             plan,
             self.out,
@@ -83,7 +85,7 @@ class ExportRobots(Command):
             joint_prefix=self.joint_prefix,
             force=self.force,
         )
-        notes = export_notes(plan, self.format, cell)
+        notes = lacking + export_notes(plan, self.format, cell)
         output.record({"folder": str(self.out), "files": [path.name for path in paths], "notes": notes})
         output.say(f"{counted(len(paths), 'file')} in {self.out}")
         for note in notes:

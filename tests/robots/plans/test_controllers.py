@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import json
 import re
 from dataclasses import replace
@@ -17,8 +18,10 @@ from falsework.assembly.model import Assembly
 from falsework.cli.main import main
 from falsework.errors import InputError, PlanError
 from falsework.robots.exports.commands import Grip, events_of
-from falsework.robots.exports.controller import rapid_load, tool_load, ur_payload
+from falsework.robots.exports.controller import ToolLoad, rapid_load, tool_load, ur_payload
 from falsework.robots.exports.export import export_notes, export_plan
+from falsework.robots.exports.part_loads import part_loads, together
+from falsework.robots.kinematics.forward import flange_pose
 from falsework.robots.model.cell import Cell, CellRobot, Gripper, Signals
 from falsework.robots.model.maker import maker_of
 from falsework.robots.model.shapes import block
@@ -118,6 +121,53 @@ def test_loads_of_tools_are_those_of_the_cell(robot_plan: RobotPlan, cell: Cell,
     assert [float(value) for value in payload[1].split(",")] == [0.01, -0.02, 0.06]
     rows, columns = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
     np.testing.assert_allclose([float(value) for value in payload[2].split(",")], inertia[rows, columns], rtol=1e-4)
+
+
+@pytest.mark.parametrize("assembles", [False, True])
+def test_loads_of_parts_are_set_while_they_are_carried(
+    robot_plan: RobotPlan, column: Assembly, cell: Cell, tmp_path: Path, assembles: bool
+) -> None:
+    """Masses in the cell; centres at the places of the parts, seen from the flange; none before and after."""
+    given = replace(cell, placement=replace(cell.placement, density=500.0))
+    plan = planned_for(robot_plan.reverse() if assembles else robot_plan, given)
+    loads = part_loads(plan, column, given)
+    carrying = {
+        (k, m) for k, step in enumerate(plan.steps) for m, leg in enumerate(step.trajectories) if leg.part is not None
+    }
+    assert set(loads) == carrying
+    for (step, _), load in loads.items():
+        entry, part = plan.steps[step], int(plan.actions[step]) % len(plan.plan.boundary)
+        grip = plan.keyframes[step + assembles].configurations[entry.robot]
+        robot = given.robots[entry.robot]
+        assert load.mass == pytest.approx(2 * column.mass.mass[part])
+        flange = flange_pose(robot.model, grip, robot.base)
+        np.testing.assert_allclose(flange[:3, :3] @ load.center + flange[:3, 3], column.mass.center[part], atol=1e-9)
+        world = flange[:3, :3] @ load.inertia @ flange[:3, :3].T
+        np.testing.assert_allclose(world, 2 * column.mass.inertia[part], atol=1e-9)
+    for path in export_plan(plan, tmp_path / "rapid", "rapid", cell=given, structure=column):
+        text = path.read_text()
+        set_ones = re.findall(r"GripLoad (\w+);", text)
+        declared = re.findall(r"PERS loaddata (\w+) := \[([\d.]+),", text)
+        assert [name for name in set_ones if name != "load0"] == [name for name, _ in declared]
+        assert all(float(mass) == pytest.approx(2 * column.mass.mass[0], abs=1e-4) for _, mass in declared)
+    for path in export_plan(plan, tmp_path / "ur", "urscript", cell=given, structure=column, force=True):
+        masses = [float(mass) for mass in re.findall(r"set_target_payload\(([\d.]+),", path.read_text())]
+        assert masses[0] == 1.0
+        assert set(masses[1:]) <= {1.0, round(1.0 + 2 * float(column.mass.mass[0]), 4)}
+        assert all(a != b for a, b in itertools.pairwise(masses))
+    assert "GripLoad" not in export_plan(plan, tmp_path / "none", "rapid", cell=given)[0].read_text()
+    with pytest.raises(PlanError, match="another"):
+        export_plan(plan, tmp_path / "other", "rapid", cell=given, structure="stack:blocks=2")
+
+
+def test_two_loads_are_one() -> None:
+    """Two point masses on an axis: their inertia is that of a dumbbell."""
+    first = ToolLoad(1.0, np.array([0.0, 0.0, 0.1]), np.zeros((3, 3)))
+    second = ToolLoad(3.0, np.array([0.0, 0.0, 0.5]), np.zeros((3, 3)))
+    both = together(first, second)
+    assert both.mass == 4.0
+    np.testing.assert_allclose(both.center, [0, 0, 0.4])
+    np.testing.assert_allclose(both.inertia, np.diag([0.12, 0.12, 0.0]), atol=1e-12)
 
 
 def test_a_load_that_the_cell_lacks(cell: Cell) -> None:

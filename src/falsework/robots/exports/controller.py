@@ -79,8 +79,13 @@ def rapid_load(load: ToolLoad) -> str:
     axes = axes * np.where(np.arange(3) == 2, np.sign(np.linalg.det(axes)), 1.0)
     x, y, z, w = Rotation.from_matrix(axes).as_quat()
     center = ",".join(f"{round(1000 * value, 3) + 0.0:.3f}" for value in load.center)
-    turn = ",".join(f"{value:.7g}" for value in (w, x, y, z))
-    return f"[{max(load.mass, _LEAST_MASS):.4f},[{center}],[{turn}],{','.join(f'{value:.6g}' for value in moments)}]"
+    turn = ",".join(map(_plain, (w, x, y, z)))
+    return f"[{max(load.mass, _LEAST_MASS):.4f},[{center}],[{turn}],{','.join(map(_plain, moments.tolist()))}]"
+
+
+def _plain(value: float) -> str:
+    """Return a number without an exponent, to the seventh digit after the point."""
+    return f"{round(value, 7) + 0.0:.7f}".rstrip("0").rstrip(".")
 
 
 def ur_payload(load: ToolLoad) -> str:

@@ -15,6 +15,7 @@ from falsework.errors import InputError, PlanError
 from falsework.robots.cells.cell_file import AnyCell, as_cell
 from falsework.robots.exports.controller import MAKERS, check_makers, program_notes
 from falsework.robots.exports.mcap_bag import PlacedParts, write_bag
+from falsework.robots.exports.part_loads import PartLoads, part_loads
 from falsework.robots.exports.programs import controller_settings, rapid_modules, ur_scripts
 from falsework.robots.exports.ros2 import lost_schedule, ros2_goals, ros2_messages
 from falsework.robots.exports.tables import csv_tables
@@ -54,8 +55,8 @@ def export_plan(
             one for presses if there are any), `rapid` and `urscript` (one program per robot, synchronised according to
             the schedule), or `mcap` (one bag with the times of the schedule).
         rate: positions per second for `csv` and `urscript`; the other formats get the knots.
-        structure: structure of the plan; with it and the cell a bag has the shapes of the parts. A plan for assembly in
-            which robots press needs both.
+        structure: structure of the plan; with it and the cell a bag has the shapes of the parts, and programs have the
+            loads of carried parts. A plan for assembly in which robots press needs both.
         cell: cell of the plan; with it nothing is written for other robots than those of the cell, nor motions and
             presses beyond its limits. Without it the plan is taken as it is. Programs need it: it has the loads of the
             tools and the signals of the grippers.
@@ -83,10 +84,11 @@ def export_plan(
         "ros2-yaml": lambda: ros2_messages(plan, presses, "yaml", joint_prefix),
         "ros2-goals": lambda: ros2_goals(plan, presses, joint_prefix),
         "csv": lambda: csv_tables(plan, presses, rate),
-        "rapid": lambda: starmap(Written, rapid_modules(plan, _needed(cell), presses)),
-        "urscript": lambda: starmap(Written, ur_scripts(plan, _needed(cell), rate, presses)),
+        "rapid": lambda: starmap(Written, rapid_modules(plan, _needed(cell), presses, loads)),
+        "urscript": lambda: starmap(Written, ur_scripts(plan, _needed(cell), rate, presses, loads)),
     }
-    placed = None
+    placed: PlacedParts | None = None
+    loads: PartLoads | None = None
     if cell is not None:
         cell = as_cell(cell)
         plan.check_cell(cell)
@@ -99,6 +101,10 @@ def export_plan(
             raise PlanError(f"{form} programs have the loads and signals of a cell; give the cell of the plan")
         if not force:
             check_makers(cell, language)
+        if structure is not None:
+            structure = as_assembly(structure)
+            plan.check_identity(structure, cell)
+            loads = part_loads(plan, structure, cell)
     if form == "mcap" and structure is not None and cell is not None:
         structure = as_assembly(structure)
         plan.check_identity(structure, cell)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from falsework.errors import InputError
 from falsework.robots.exports.commands import COUNT_FROM, Begin, Grip, Pressing, PublishCount, Wait, commands_of
 from falsework.robots.exports.controller import Language, grip_signal, rapid_load, tool_load, ur_payload
+from falsework.robots.exports.part_loads import PartLoads, in_tool, together
 from falsework.robots.model.cell import Cell, CellRobot
 from falsework.robots.plans.presses import TimedPress
 from falsework.robots.plans.robot_plan import RobotPlan
@@ -30,12 +31,20 @@ _UR_LIMITS = (0.005, 0.005, 0.01, 0.05, 0.05, 0.05)
 """Largest deviation across a press, m and rad, and largest speed along it, m/s, in force mode."""
 
 
-def rapid_modules(plan: RobotPlan, cell: Cell, presses: Sequence[TimedPress] = ()) -> Iterator[tuple[str, str]]:
+def rapid_modules(
+    plan: RobotPlan, cell: Cell, presses: Sequence[TimedPress] = (), loads: PartLoads | None = None
+) -> Iterator[tuple[str, str]]:
     """Yield file names and RAPID modules, one for each arm.
 
     Knots become joint targets in degrees for `MoveAbsJ` with the durations of the plan. An arm sets the
     group output `go_NAME_count`, and reads those of others as `gi_NAME_count`. An arm that presses moves its set point
     by force and moment over its stiffness, on a slow line from where it holds the part, and stays there.
+
+    Args:
+        plan: the robot plan.
+        cell: its cell.
+        presses: of the plan.
+        loads: of carried parts; None leaves them out.
 
     Raises:
         InputError: an arm with another number of joints than 6 or 7, too many motions for 16 bits, or an output that is
@@ -49,6 +58,7 @@ def rapid_modules(plan: RobotPlan, cell: Cell, presses: Sequence[TimedPress] = (
             raise InputError(f"RAPID supports robots of 6 or 7 joints; {record.name} has {len(record.joint_names)}")
         about = f"{_ascii(plan.plan.name)}: {plan.direction.value} with {_ascii(record.model)}, {len(plan)} steps"
         targets: list[str] = []
+        carried, number, motion, step = "", 0, 0, 0
         offset = np.zeros(6)  # of what the arm has pressed since it last moved
         body: list[str] = []
         run = [f"    MoveAbsJ {_jointtarget(plan.keyframes[0].configurations[robot])}, v200, fine, {name}_tool;"]
@@ -61,6 +71,7 @@ def rapid_modules(plan: RobotPlan, cell: Cell, presses: Sequence[TimedPress] = (
             run += [f"    SetGO go_{name}_count, {COUNT_FROM};"]
         for command in commands_of(plan, robot, presses):
             if isinstance(command, Begin):
+                motion, step = 0, command.step
                 if body:
                     body.append("  ENDPROC")
                 body += [f"  PROC {name}_step{command.step + 1}()", f"    ! {_ascii(plan.does(command.step))}"]
@@ -71,6 +82,9 @@ def rapid_modules(plan: RobotPlan, cell: Cell, presses: Sequence[TimedPress] = (
                 body.append(f"    SetGO go_{name}_count, {command.count};")
             elif isinstance(command, Grip):
                 body.append(f"    {name}_gripper {'TRUE' if command.close else 'FALSE'};")
+                if carried and not command.close:
+                    body.append("    GripLoad load0;")
+                    carried = ""
             elif isinstance(command, Pressing):
                 body.append(f"    ! {_press_in_words(plan, command)}")
                 if command.begins:
@@ -82,6 +96,14 @@ def rapid_modules(plan: RobotPlan, cell: Cell, presses: Sequence[TimedPress] = (
                     body += [f"    MoveL {place}, v5, fine, {name}_tool;", "    WaitTime\\InPos, 0.5;"]
             else:
                 offset = np.zeros(6)
+                load, motion = None if loads is None else loads.get((step, motion)), motion + 1
+                now = "" if load is None else rapid_load(in_tool(load, record.tool))
+                if now != carried:
+                    number += bool(now)
+                    if now:
+                        targets.append(f"  PERS loaddata {name}_load{number} := {now};")
+                    body.append(f"    GripLoad {f'{name}_load{number}' if now else 'load0'};")
+                    carried = now
                 last = len(command.times) - 1
                 for knot in range(1, last + 1):
                     target = f"{name}_j{len(targets) + 1}"
@@ -119,7 +141,11 @@ def rapid_modules(plan: RobotPlan, cell: Cell, presses: Sequence[TimedPress] = (
 
 
 def ur_scripts(
-    plan: RobotPlan, cell: Cell, rate: float, presses: Sequence[TimedPress] = ()
+    plan: RobotPlan,
+    cell: Cell,
+    rate: float,
+    presses: Sequence[TimedPress] = (),
+    loads: PartLoads | None = None,
 ) -> Iterator[tuple[str, str]]:
     """Yield file names and URScript programs, one for each arm.
 
@@ -133,6 +159,7 @@ def ur_scripts(
         cell: its cell.
         rate: positions per second.
         presses: of the plan.
+        loads: of carried parts; None leaves them out.
 
     Raises:
         InputError: an arm with another number of joints than 6, too many motions for 16 bits, or an output that a UR
@@ -145,6 +172,8 @@ def ur_scripts(
         if len(record.joint_names) != 6:
             raise InputError(f"URScript supports robots of 6 joints; {record.name} has {len(record.joint_names)}")
         others = [other for other in names if other != name]
+        own_load = carried = ur_payload(tool_load(cell.robots[robot].gripper))
+        motion = step = 0
         lines = [
             f"def {name}():",
             f"  # {_ascii(plan.plan.name)}: {plan.direction.value} with {_ascii(record.model)}, {len(plan)} steps",
@@ -165,7 +194,7 @@ def ur_scripts(
             f"    sleep({signals.seconds:g})",
             "  end",
             f"  set_tcp({_ur_pose(record.tool)})",
-            f"  {ur_payload(tool_load(cell.robots[robot].gripper))}",
+            f"  {own_load}",
             f"  movej({_ur_joints(plan.keyframes[0].configurations[robot])}, a=0.5, v=0.5)",
         ]
         if others:
@@ -176,6 +205,7 @@ def ur_scripts(
             lines.append(f"  write_port_register({REGISTER}, {COUNT_FROM})")
         for command in commands_of(plan, robot, presses):
             if isinstance(command, Begin):
+                motion, step = 0, command.step
                 lines.append(f"  # step {command.step + 1}: {_ascii(plan.does(command.step))}")
             elif isinstance(command, Wait):
                 lines += _until(f"{names[command.robot]}_count() >= {command.count}")
@@ -183,14 +213,22 @@ def ur_scripts(
                 lines.append(f"  write_port_register({REGISTER}, {command.count})")
             elif isinstance(command, Grip):
                 lines.append(f"  gripper({'True' if command.close else 'False'})")
+                if carried != own_load and not command.close:
+                    lines.append(f"  {own_load}")
+                    carried = own_load
             elif isinstance(command, Pressing):
                 lines.append(f"  # {_press_in_words(plan, command)}")
                 lines += _ur_press(command.press) if command.begins else ["  end_force_mode()"]
             else:
+                load, motion = None if loads is None else loads.get((step, motion)), motion + 1
+                now = own_load if load is None else ur_payload(together(tool_load(cell.robots[robot].gripper), load))
+                if now != carried:
+                    lines.append(f"  {now}")
+                    carried = now
                 count = max(int(np.ceil(command.seconds * rate)), 1)
-                step = command.seconds / count
-                for values in command.sample(np.linspace(step, command.seconds, count)):
-                    lines.append(f"  servoj({_ur_joints(values)}, t={step:.6f}, lookahead_time=0.1, gain=300)")
+                pause = command.seconds / count
+                for values in command.sample(np.linspace(pause, command.seconds, count)):
+                    lines.append(f"  servoj({_ur_joints(values)}, t={pause:.6f}, lookahead_time=0.1, gain=300)")
                 lines.append("  stopj(10)")
                 lines.append(f"  movej({_ur_joints(command.positions[-1])}, a=0.5, v=0.5)")
         yield f"{name}.script", "\n".join([*lines, "end", ""])
