@@ -23,8 +23,8 @@ from falsework.search import (
     validate_plan,
     validate_proofs,
 )
-from falsework.search.planner import insertion_steps
-from falsework.search.settings import EDGES
+from falsework.search.problem.result import insertion_steps
+from falsework.search.strategies import EDGES, EVERYWHERE, Portfolio
 from falsework.stability import Stability
 
 
@@ -98,7 +98,7 @@ def test_resuming_changes_nothing(rules: Any, tmp_path: Path, seed: int, alterna
 def test_resuming_strategies_that_take_turns_changes_nothing(
     rules: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int
 ) -> None:
-    monkeypatch.setattr("falsework.search.settings._FIRST_SHARE", 0.125)
+    monkeypatch.setattr("falsework.search.strategies._FIRST_SHARE", 0.125)
     oracle, _ = rules.random(seed, 8)
     row = np.stack([np.arange(7), np.arange(1, 8)], axis=1)
     task = Task.create(rules.ground(8), 2, contacts=row)
@@ -117,20 +117,24 @@ def test_resuming_strategies_that_take_turns_changes_nothing(
 
 
 def test_each_strategy_has_twice_as_many_verdicts_in_each_round() -> None:
-    both = PlannerSettings().portfolio("plan", 100)
-    assert both.strategies == (Direction.ASSEMBLY, Direction.DISASSEMBLY)
+    def portfolio(stage: str = "plan", parts: int = 100, *, edges: bool = False, support: bool = False, **how: Any):
+        task = Task.create(np.arange(parts) == 0, 2, support=support)
+        return Portfolio.of(PlannerSettings(**how), stage, task, edges=edges)
+
+    both = portfolio()
+    assert both.names == (Direction.ASSEMBLY, Direction.DISASSEMBLY)
     turns = np.diff([0, *(both.allowance(number) for number in range(4))])
     assert turns[0] > 0
     assert (turns[1:] == 2 * turns[:-1]).all()
-    assert PlannerSettings().portfolio("plan", 200).allowance(0) == 2 * both.allowance(0)
-    edges = PlannerSettings().portfolio("plan", 100, edges=True)
-    assert edges.strategies == (EDGES, *both.strategies)
-    backwards = PlannerSettings(directions=(Direction.DISASSEMBLY,))
-    assert backwards.portfolio("plan", 100, edges=True) == backwards.portfolio("plan", 100)
-    others = PlannerSettings().portfolio("alternatives", 100, edges=True)
-    assert others.strategies == (Direction.DISASSEMBLY, Direction.ASSEMBLY)
+    assert portfolio(parts=200).allowance(0) == 2 * both.allowance(0)
+    assert portfolio(edges=True).names == (EDGES, *both.names)
+    backwards = {"directions": (Direction.DISASSEMBLY,)}
+    assert portfolio(edges=True, **backwards) == portfolio(**backwards)
+    others = portfolio("alternatives", edges=True)
+    assert others.names == (Direction.DISASSEMBLY, Direction.ASSEMBLY)
     assert others.allowance(0) == np.inf
-    assert PlannerSettings(width=2).portfolio("postpone", 100).widest == 2
+    assert portfolio("postpone", width=2).widest == 2
+    assert EVERYWHERE in portfolio(support=True).names
 
 
 def test_a_checkpoint_of_another_search_is_refused(rules: Any, tmp_path: Path) -> None:
@@ -200,14 +204,14 @@ def test_says_how_far_it_came(rules: Any) -> None:
 
 def test_no_plan_found_is_not_no_plan(rules: Any) -> None:
     """With width one and no choice ahead of a hard place the planner gives up, and says that it did."""
-    oracle = rules.blocks(400)
-    # Everything needs part 399, which the guide tries last; 256 candidates ahead do not reach it.
-    oracle.supports[1:] = [[frozenset({399})] if part != 399 else [frozenset()] for part in range(1, 400)]
+    oracle = rules.blocks(100)
+    # Everything needs part 99, which the guide tries last; 64 candidates ahead do not reach it.
+    oracle.supports[1:] = [[frozenset({99})] if part != 99 else [frozenset()] for part in range(1, 100)]
 
     def guide(states: Any, actions: Any, direction: Direction) -> Any:
-        return np.tile(-np.arange(400.0), 2)[None].repeat(len(states), axis=0)
+        return np.tile(-np.arange(100.0), 2)[None].repeat(len(states), axis=0)
 
-    task = Task.create(rules.ground(400), 1)
+    task = Task.create(rules.ground(100), 1)
     settings = PlannerSettings(width=1, directions=(Direction.ASSEMBLY,))
     result = Planner(task, oracle, settings, guide=guide).run()
     assert result.outcome is Outcome.NOT_FOUND

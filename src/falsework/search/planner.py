@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import REMOVED
 from falsework.errors import InputError
-from falsework.search.beam.backjumping import BackjumpingBeam, BackjumpingSettings
+from falsework.search.beam.backjumping import BackjumpingBeam
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.plans.route_tests import RouteTests
@@ -26,17 +25,18 @@ from falsework.search.problem.result import (
     SearchProgress,
     SearchResult,
     Stop,
+    insertion_steps,
     unstable_end,
 )
 from falsework.search.problem.task import Direction, Task
-from falsework.search.settings import EDGES, PlannerSettings, Portfolio, direction_of
+from falsework.search.settings import PlannerSettings
+from falsework.search.strategies import EDGES, Portfolio, Strategy, regrasps, start
+from falsework.search.support.everywhere import SupportEverywhere
 from falsework.utils.archive import read_archive, write_archive
 from falsework.utils.files.damage import blamed_on
 
 FORMAT = "falsework.planner/10"
 
-_ROWS_AHEAD = 16
-"""States that a beam which closes free edges first keeps ahead under `equilibrium`, where it keeps to its rows."""
 _MOST_FALLS = 64
 """Number of routes with a failing replay before an attempt is given up."""
 
@@ -63,8 +63,16 @@ class Planner:
             task: rules between start and target.
             oracle: decides stability.
             settings: effort of the search.
-            guide: scores actions; `SupportGuide` is a good one.
+            guide: scores actions; `SupportGuide` is a good one. Repeated holds need one.
+
+        Raises:
+            InputError: a judge or alternatives, where parts are held again.
         """
+        self.regrasps = regrasps(task)
+        """Whether plans may hold parts again."""
+        if self.regrasps and (settings.judge or settings.alternatives > 1):
+            what = "judge yet; leave it out" if settings.judge else "alternatives yet; ask for one plan"
+            raise InputError(f"plans with repeated holds have no {what}")
         self.task = task.judged_by(oracle)
         self.settings = settings
         self.routes: list[Route] = []
@@ -77,10 +85,12 @@ class Planner:
         self._edge_guide = self._preferring("edges_first", guide)
         self._guide = self._preferring("beside_held", guide) or guide
         self._stage = "plan"
-        self._left = list(self._portfolio.strategies)
+        self._left = list(self._portfolio.names)
         """Strategies of the present search that have not given up."""
         self._round = self._turn = 0
-        self._beams: dict[str, BackjumpingBeam] = {}
+        self._beams: dict[str, Strategy] = {}
+        self._last: dict[str, SearchResult] = {}
+        """How far each of these came."""
         self._rank = 0
         self._trial: tuple[int, ...] = (0,) * len(task.missing)
         self._trial_reached = -1
@@ -107,7 +117,7 @@ class Planner:
     @property
     def counters(self) -> SearchCounters:
         """Work done so far by all attempts."""
-        return sum((beam.search.counters for beam in self._beams.values()), self._counters)
+        return sum((beam.counters for beam in self._beams.values()), self._counters)
 
     @property
     def postponed(self) -> tuple[int, ...]:
@@ -144,7 +154,7 @@ class Planner:
         def report(event: SearchProgress) -> None:
             if progress is not None:
                 seconds = self._seconds + time.perf_counter() - begun
-                asked = self._counters.asked + sum(beam.search.asked for beam in self._beams.values())
+                asked = self._counters.asked + sum(beam.asked for beam in self._beams.values())
                 progress(replace(event, asked=asked, seconds=seconds))
 
         interrupted = False
@@ -163,9 +173,16 @@ class Planner:
         return self._result(interrupted)
 
     def save(self, path: Path | str) -> None:
-        """Write the current search, to be resumed by `load`."""
+        """Write the current search, to be resumed by `load`.
+
+        Raises:
+            InputError: plans may hold parts again.
+        """
+        if self.regrasps:
+            raise InputError("a search with repeated holds cannot be saved; leave out the checkpoint")
         beams, arrays = {}, {}
         for key, beam in self._beams.items():
+            assert isinstance(beam, BackjumpingBeam)
             beams[key], packed = beam.pack()
             arrays |= {f"{key}_{name}": array for name, array in packed.items()}
         header = {
@@ -232,31 +249,28 @@ class Planner:
         """Run the strategy whose turn it is, and decide on the next; True if it was interrupted."""
         portfolio, name = self._portfolio, self._left[self._turn]
         if name not in self._beams:
-            task = self.task.postpone(self._trial)
-            settings = BackjumpingSettings(direction_of(name), portfolio.narrowest, self.settings.seed)
-            if name == EDGES and task.holds_keep_stable:
-                settings = replace(settings, lookahead=_ROWS_AHEAD)
-            self._beams[name] = BackjumpingBeam(task, self._oracle, settings, guide=self._beam_guide(name))
+            rules = self.task.postpone(self._trial), self._oracle, portfolio, self.settings.seed
+            self._beams[name] = start(name, *rules, self._beam_guide)
         beam, paused = self._beams[name], False
 
         def halt() -> bool:
             nonlocal paused
             if stop is not None and stop():
                 return True
-            paused = beam.search.asked >= portfolio.allowance(self._round)
+            paused = beam.asked >= portfolio.allowance(self._round)
             return paused
 
-        result = beam.run(portfolio.widest, progress=report, stop=halt)
+        result = self._last[name] = beam.run(portfolio.widest, progress=report, stop=halt)
         if paused and not result.found:
             self._turn += 1
         elif result.interrupted:
             return True
         elif self._stage == "alternatives":
             self._gather(beam, result, stop)
-        elif result.found and not self._tests.passes(result.routes[0], beam.search, stop):
+        elif result.found and not self._tests.passes(result.routes[0], beam, stop):
             self._falls += 1
             if self._falls < _MOST_FALLS:
-                beam.search.forbid(self._tests.forbidden)
+                beam.forbid(self._tests.forbidden)
             else:
                 limit = f"{self._falls} plans were found, and in each a state tips or the replay fails"
                 self._failed(replace(result, outcome=Outcome.NOT_FOUND, routes=(), limit=limit))
@@ -273,8 +287,8 @@ class Planner:
     def _drop_beams(self) -> None:
         """Forget the beams of an attempt that is over, but not the work that they did."""
         self._counters = self.counters
-        self._beams = {}
-        self._left = list(self._portfolio.strategies)
+        self._beams, self._last = {}, {}
+        self._left = list(self._portfolio.names)
         self._round = self._turn = self._falls = 0
 
     def _give_up(self) -> bool:
@@ -283,15 +297,16 @@ class Planner:
         self._falls = 0
         return not self._left
 
-    def _gather(self, beam: BackjumpingBeam, result: SearchResult, stop: Stop | None) -> None:
+    def _gather(self, beam: Strategy, result: SearchResult, stop: Stop | None) -> None:
         """Keep the states of a search for another plan, and continue with the next."""
-        self.states = np.concatenate([self.states, *([beam.search.states()] if result.found else [])])
-        if result.found and self._tests.passes(result.routes[0], beam.search, stop):
+        if result.found and isinstance(beam, BackjumpingBeam):
+            self.states = np.concatenate([self.states, beam.search.states()])
+        if result.found and self._tests.passes(result.routes[0], beam, stop):
             self.routes.append(result.routes[0])
             self._drop_beams()
         elif result.found and self._falls < _MOST_FALLS:
             self._falls += 1
-            beam.search.forbid(self._tests.forbidden)
+            beam.forbid(self._tests.forbidden)
         elif self._give_up():
             self._finish()
         if len(self.routes) == self.settings.alternatives:
@@ -299,10 +314,15 @@ class Planner:
 
     def _failed(self, result: SearchResult) -> None:
         """Try the next attempt, or give this trial up."""
-        proved = result.outcome is Outcome.PROVED_IMPOSSIBLE and not len(self._tests.forbidden)
-        over = self._give_up() or proved
+        decided = result.outcome is Outcome.PROVED_IMPOSSIBLE and not len(self._tests.forbidden)
+        if self.regrasps:  # beams in which parts are held once prove nothing; even without a proof, nothing is left
+            everywhere = self._beams[self._left[self._turn]]
+            decided = isinstance(everywhere, SupportEverywhere) and everywhere.examined_all
+            if not decided:
+                result = replace(result, outcome=Outcome.NOT_FOUND)
+        over = self._give_up() or decided
         if self._stage == "plan":
-            if proved or self._failure is None or result.reached >= self._failure.reached:
+            if decided or self._failure is None or result.reached >= self._failure.reached:
                 self._failure = result
             if over:
                 self._finish()
@@ -318,7 +338,7 @@ class Planner:
 
     @property
     def _portfolio(self) -> Portfolio:
-        return self.settings.portfolio(self._stage, self.task.part_count, edges=self._edge_guide is not None)
+        return Portfolio.of(self.settings, self._stage, self.task, edges=self._edge_guide is not None)
 
     def _finish(self) -> None:
         self._drop_beams()
@@ -379,18 +399,11 @@ class Planner:
                 notes=notes,
             )
         best = self._failure
-        for beam in self._beams.values():
-            running = beam.search.result(interrupted=True)
+        for running in self._last.values():
             best = running if best is None or running.reached > best.reached else best
         if best is None:  # interrupted before the first search began
             best = BeamSearch(self.task, self._oracle).result(interrupted=True)
         return replace(best, counters=counters, seconds=self._seconds, interrupted=interrupted)
-
-
-def insertion_steps(route: Route, task: Task) -> tuple[int, ...]:
-    """Return the steps of assembly of a route before the first, second, ... missing part is inserted. Ascending."""
-    present = route.states[::-1][:, list(task.missing)] != REMOVED
-    return tuple(sorted(int(steps) for steps in present.argmax(axis=0) - 1))
 
 
 def _settings_header(settings: PlannerSettings) -> dict[str, Any]:

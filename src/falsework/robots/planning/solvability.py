@@ -30,7 +30,6 @@ from falsework.search.problem.result import Route, SearchResult, Stop
 from falsework.search.problem.rollout import roll_out
 from falsework.search.problem.task import Direction, Task
 from falsework.search.settings import PlannerSettings
-from falsework.search.support.planner import SupportPlanner, planner_for
 from falsework.stability.oracle import Stability
 
 ActionScore = Callable[[States, Mask], NDArray[np.floating]]
@@ -109,8 +108,8 @@ class SolvabilityCheck:
             self.task = self.task.postpone(planner.postponed)
             self._follow(planner.routes)
         elif self.task.support:
-            again = planner_for(self.task, self.oracle, settings, guide=self._guide)
-            if isinstance(again, SupportPlanner):
+            again = Planner(self.task, self.oracle, settings, guide=self._guide)
+            if again.regrasps:
                 result, self.fallen = again.run(stop=stop).unless_interrupted(stop), again.fallen
                 self._follow(again.routes)
         return result

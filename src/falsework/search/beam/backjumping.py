@@ -8,13 +8,15 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from falsework.assembly.state import States
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.beam.conflicts import luby
 from falsework.search.beam.settings import BeamSettings
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.oracle import Oracle
-from falsework.search.problem.result import Progress, SearchResult, Stop
+from falsework.search.problem.result import Progress, SearchCounters, SearchResult, Stop
 from falsework.search.problem.task import Direction, Task
+from falsework.stability.holds import Press
 
 WIDENING = 4
 """A beam that restarts is so many times wider."""
@@ -77,6 +79,24 @@ class BackjumpingBeam:
     def infeasible(self) -> bool:
         """Whether the search is dead with no state left out: there is no plan."""
         return self.search.done and not self.search.found and self.search.exhaustive
+
+    @property
+    def asked(self) -> int:
+        """Verdicts requested so far."""
+        return self.search.asked
+
+    @property
+    def counters(self) -> SearchCounters:
+        """Work done so far."""
+        return self.search.counters
+
+    def forbid(self, states: States) -> None:
+        """Leave states out from now on, see `BeamSearch.forbid`."""
+        self.search.forbid(states)
+
+    def replay_summary(self) -> tuple[float, int, None, tuple[tuple[Press, ...], ...]] | None:
+        """Return the replay of the route found, see `BeamSearch.replay_summary`."""
+        return self.search.replay_summary()
 
     def run(self, widest: int, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
         """Search until the goal is reached, a beam wider than `widest` would be needed, or `stop` returns true.
