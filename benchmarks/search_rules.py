@@ -115,10 +115,10 @@ def _probe_jumps(note: Note) -> None:
 
 
 def _patch_few_ahead() -> None:
-    from falsework.search import planner
+    from falsework.search import strategies
     from falsework.search.beam.backjumping import BackjumpingSettings
 
-    vars(planner)["_ROWS_AHEAD"] = BackjumpingSettings().lookahead
+    vars(strategies)["_ROWS_AHEAD"] = BackjumpingSettings().lookahead
 
 
 def _probe_few_ahead(note: Note) -> None:

@@ -15,7 +15,7 @@ from search_rules import ALL, EACH, LEFT_OUT, RULES, acts_in, each_of, parts_of,
 
 from falsework.assembly import load_structure
 from falsework.assembly.state import States
-from falsework.search import SupportGuide, Task, planner
+from falsework.search import SupportGuide, Task, strategies
 from falsework.search.beam import backjumping, beam, conflicts, failures
 from falsework.search.beam.backjumping import BackjumpingBeam, BackjumpingSettings
 from falsework.search.problem import guide
@@ -24,7 +24,7 @@ from falsework.stability.cpu import solver
 from falsework.stability.settings import EQUILIBRIUM
 
 PATCHED = (
-    *(backjumping, beam, planner, solver, BackjumpingSettings),
+    *(backjumping, beam, strategies, solver, BackjumpingSettings),
     *(conflicts.Conflicts, guide.SupportGuide, failures.FailureMemory, solver.CpuSolver),
 )
 """Modules and classes that patches and probes change."""
@@ -76,7 +76,7 @@ def begin(what: str, name: str) -> None:
 
 def few_ahead() -> None:
     """Ask for the settings of a beam of free edges under `equilibrium`."""
-    BackjumpingSettings(lookahead=vars(planner)["_ROWS_AHEAD"]).beam(1)
+    BackjumpingSettings(lookahead=vars(strategies)["_ROWS_AHEAD"]).beam(1)
 
 
 USES: dict[str, Callable[[], Any]] = {

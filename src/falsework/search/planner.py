@@ -68,20 +68,16 @@ class Planner:
         Raises:
             InputError: a judge or alternatives, where parts are held again.
         """
-        self.regrasps = regrasps(task)
+        self.regrasps = regrasps(task, settings)
         """Whether plans may hold parts again."""
-        if self.regrasps and (settings.judge or settings.alternatives > 1):
-            what = "judge yet; leave it out" if settings.judge else "alternatives yet; ask for one plan"
-            raise InputError(f"plans with repeated holds have no {what}")
         self.task = task.judged_by(oracle)
         self.settings = settings
         self.routes: list[Route] = []
         """Plans found so far; the first keeps missing parts out longest."""
         self.states = np.empty((0, task.part_count), dtype=np.uint8)
         """States found by the searches for alternative plans, shape (count, parts)."""
-        self._oracle = oracle
+        self._oracle, self._falls = oracle, 0
         self._tests = RouteTests(oracle, settings, task.part_count)
-        self._falls = 0
         self._edge_guide = self._preferring("edges_first", guide)
         self._guide = self._preferring("beside_held", guide) or guide
         self._stage = "plan"
@@ -91,13 +87,10 @@ class Planner:
         self._beams: dict[str, Strategy] = {}
         self._last: dict[str, SearchResult] = {}
         """How far each of these came."""
-        self._rank = 0
+        self._rank, self._high, self._trial_reached = 0, 0, -1
         self._trial: tuple[int, ...] = (0,) * len(task.missing)
-        self._trial_reached = -1
-        self._high = 0
         self._failure: SearchResult | None = None
-        self._counters = SearchCounters()
-        self._seconds = 0.0
+        self._counters, self._seconds = SearchCounters(), 0.0
 
     @property
     def done(self) -> bool:
@@ -159,8 +152,7 @@ class Planner:
 
         interrupted = False
         try:
-            unstable = unstable_end(self.task, self._oracle)
-            if unstable is not None:
+            if (unstable := unstable_end(self.task, self._oracle)) is not None:
                 return unstable
             for route in self.routes if self.settings.judge else ():  # given, or of a search that was resumed
                 if route.states.tobytes() not in self.replays:
@@ -255,10 +247,8 @@ class Planner:
 
         def halt() -> bool:
             nonlocal paused
-            if stop is not None and stop():
-                return True
             paused = beam.asked >= portfolio.allowance(self._round)
-            return paused
+            return paused or (stop is not None and stop())
 
         result = self._last[name] = beam.run(portfolio.widest, progress=report, stop=halt)
         if paused and not result.found:
@@ -267,7 +257,7 @@ class Planner:
             return True
         elif self._stage == "alternatives":
             self._gather(beam, result, stop)
-        elif result.found and not self._tests.passes(result.routes[0], beam, stop):
+        elif result.found and not self._tests.passes(result.routes[0], beam.replay_summary(), stop):
             self._falls += 1
             if self._falls < _MOST_FALLS:
                 beam.forbid(self._tests.forbidden)
@@ -285,7 +275,7 @@ class Planner:
         return False
 
     def _drop_beams(self) -> None:
-        """Forget the beams of an attempt that is over, but not the work that they did."""
+        """Forget the beams of a search that is over, but not the work that they did."""
         self._counters = self.counters
         self._beams, self._last = {}, {}
         self._left = list(self._portfolio.names)
@@ -301,7 +291,7 @@ class Planner:
         """Keep the states of a search for another plan, and continue with the next."""
         if result.found and isinstance(beam, BackjumpingBeam):
             self.states = np.concatenate([self.states, beam.search.states()])
-        if result.found and self._tests.passes(result.routes[0], beam, stop):
+        if result.found and self._tests.passes(result.routes[0], beam.replay_summary(), stop):
             self.routes.append(result.routes[0])
             self._drop_beams()
         elif result.found and self._falls < _MOST_FALLS:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from falsework.assembly.state import States, held_count
+from falsework.errors import InputError
 from falsework.search.beam.backjumping import BackjumpingBeam, BackjumpingSettings
+from falsework.search.beam.histories import ReplaySummary
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import Progress, SearchCounters, SearchResult, Stop
@@ -57,7 +59,7 @@ class Strategy(Protocol):
         """Leave states out from now on, shape (count, parts)."""
         ...
 
-    def replay_summary(self) -> Any:
+    def replay_summary(self) -> ReplaySummary | None:
         """Return the replay of the route found, see `Histories.summary`; None where it is not known."""
         ...
 
@@ -98,7 +100,7 @@ class Portfolio:
             narrowest, widest = (min(width, settings.width) for width in _NOVEL_WIDTHS)
             return cls(tuple(names), narrowest, widest)
         share = _FIRST_SHARE * task.part_count
-        if regrasps(task):
+        if regrasps(task, settings):
             again = [REGRASP + name for name in names]
             once = names[:1] if (STAGE[task.target] >= STAGE[task.start]).all() else []
             return cls((again[0], EVERYWHERE, *again[1:], *once), 1, settings.width, share)
@@ -107,14 +109,22 @@ class Portfolio:
         return cls(tuple(names), 1, settings.width, share)
 
 
-def regrasps(task: Task) -> bool:
+def regrasps(task: Task, settings: PlannerSettings) -> bool:
     """Return whether holding parts again is allowed and can make a difference.
 
     A single robot that releases a part without removing it returns to the state before the hold. So between states in
     which nothing is held, and without props, repeated holds allow it nothing more.
+
+    Raises:
+        InputError: they do, and the settings ask for a judge or for alternatives.
     """
     nothing_held = not held_count(np.stack([task.start, task.target]), task.boundary).any()
-    return task.support and not (task.robots == 1 and not task.prop_limit and nothing_held)
+    if not task.support or (task.robots == 1 and not task.prop_limit and nothing_held):
+        return False
+    if settings.judge or settings.alternatives > 1:
+        what = "judge yet; leave it out" if settings.judge else "alternatives yet; ask for one plan"
+        raise InputError(f"plans with repeated holds have no {what}")
+    return True
 
 
 def direction_of(name: str) -> Direction:

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from falsework.assembly.state import States
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.beam.conflicts import luby
+from falsework.search.beam.histories import ReplaySummary
 from falsework.search.beam.settings import BeamSettings
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import Progress, SearchCounters, SearchResult, Stop
 from falsework.search.problem.task import Direction, Task
-from falsework.stability.holds import Press
 
 WIDENING = 4
 """A beam that restarts is so many times wider."""
@@ -94,7 +94,7 @@ class BackjumpingBeam:
         """Leave states out from now on, see `BeamSearch.forbid`."""
         self.search.forbid(states)
 
-    def replay_summary(self) -> tuple[float, int, None, tuple[tuple[Press, ...], ...]] | None:
+    def replay_summary(self) -> ReplaySummary | None:
         """Return the replay of the route found, see `BeamSearch.replay_summary`."""
         return self.search.replay_summary()
 

@@ -14,6 +14,7 @@ from falsework.errors import InputError
 from falsework.search.beam.conflicts import Conflicts
 from falsework.search.beam.failures import FailureMemory
 from falsework.search.beam.frontier import Frontier, Level, expand, pack
+from falsework.search.beam.histories import ReplaySummary
 from falsework.search.beam.level_search import LevelSearch
 from falsework.search.beam.scores import Scores
 from falsework.search.beam.selection import Selector
@@ -24,7 +25,6 @@ from falsework.search.problem.hashing import StateHash
 from falsework.search.problem.oracle import CountingOracle, Oracle
 from falsework.search.problem.result import Outcome, SearchCounters, SearchResult, beam_failure
 from falsework.search.problem.task import Direction, Task
-from falsework.stability.holds import Press
 
 _REPORTED_STATES = 64
 """States handed back as deepest and as rejected, at most."""
@@ -156,7 +156,7 @@ class BeamSearch(LevelSearch):
                 raise InputError(f"the guide returned scores of shape {guide.shape}; expected {frontier.moves.shape}")
         return Scores(frontier, before, guide)
 
-    def replay_summary(self) -> tuple[float, int, None, tuple[tuple[Press, ...], ...]] | None:
+    def replay_summary(self) -> ReplaySummary | None:
         """Return the replay of the route found, see `Histories.summary`; None where no histories are kept."""
         replays = self._ways.replays
         return None if replays is None or not self.found else replays.histories.summary(0)

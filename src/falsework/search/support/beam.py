@@ -89,8 +89,7 @@ class SupportBeam:
         self._refuted: set[bytes] = set()
         """Sets of parts that led to dead ends."""
         self._last: list[bytes] = []
-        self._wrong: list[States] = []
-        self._rejected: list[States] = []
+        self._wrong, self._rejected = list[States](), list[States]()
         self._pending: list[History] | None = None
         self._seconds = 0.0
 
@@ -399,6 +398,3 @@ class SupportBeam:
 
 def _array(key: bytes) -> States:
     return np.frombuffer(key, dtype=np.uint8)
-
-
-__all__ = ["SupportBeam"]
