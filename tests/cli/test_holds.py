@@ -139,7 +139,7 @@ def test_robots_of_no_force_never_press(falsework: Run, tmp_path: Path) -> None:
     done = falsework("plan", "arch:blocks=5", "--hold-force", 0, "--out", out)
     assert done.code == 0, done.error
     assert "press" not in done.out
-    assert json.loads(out.read_text())["stability"]["holds"]["press"] is False
+    assert json.loads(out.read_text())["stability"]["holds"]["mode"] == "locked"
 
 
 def test_wrong_settings() -> None:

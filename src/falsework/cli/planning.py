@@ -108,6 +108,12 @@ class HoldOptions:
     hold_stiffness: Annotated[float, arg(metavar="N/m", help_behavior_hint="(default: inf)")] = float("inf")
     """Stiffness of a robot at its gripper, N/m, where its controller does not keep the pose of the part that it holds.
     An industrial arm has 1e6 to 1e8."""
+    hold_moment: Annotated[float | None, arg(metavar="NM", help_behavior_hint=UNSET)] = None
+    """Largest moment of a robot about the centre of mass of a part that it holds, N m; by default twice the largest
+    force times the largest radius of gyration of a part."""
+    press_mode: Literal["force", "hybrid"] = "hybrid"
+    """What a robot controls that presses on a part while another part is released: its force in all directions, or
+    along one direction only, with the position of the part across it."""
     no_press: bool = False
     """Robots only hold; they do not press on parts while another part is released."""
     reserve: Annotated[float | None, arg(metavar="FACTOR", help_behavior_hint="(default: 1.1)")] = None
@@ -121,14 +127,17 @@ class HoldOptions:
         """
         from falsework.search.find import PLANS
         from falsework.stability import StabilitySettings
-        from falsework.stability.holds import HoldSettings
+        from falsework.stability.holds import HoldMode, HoldSettings
 
         given = self != HoldOptions()
         if criterion == "equilibrium" and given and self != HoldOptions(reserve=self.reserve):
             raise InputError("under equilibrium robots hold with any force; leave out the options of holds")
         if self.reserve is not None and not self.reserve >= 1:
             raise InputError(f"--reserve is {self.reserve:g}; give 1 for none, or more")
-        holds = HoldSettings(self.hold_stiffness, self.hold_force, press=not self.no_press)
+        if self.no_press and self.press_mode != HoldOptions.press_mode:
+            raise InputError("--press-mode is for robots that press; leave out one of --press-mode and --no-press")
+        mode = HoldMode.LOCKED if self.no_press else HoldMode(self.press_mode)
+        holds = HoldSettings(self.hold_stiffness, self.hold_force, self.hold_moment, mode)
         reserve = self.reserve or (PLANS.reserve if criterion == "contact" else 1.0)
         return StabilitySettings(criterion=criterion, cone=cone, solver=solver, reserve=reserve, holds=holds)
 

@@ -16,7 +16,7 @@ from falsework.errors import InputError, StateError
 from falsework.search.plans.plan_file import plan_schema
 from falsework.service.settings import LONGEST_DEADLINE, ServiceSettings
 from falsework.service.worker import NOT_YET
-from falsework.stability.holds import FORCE_WEIGHTS, HoldSettings, limits_of
+from falsework.stability.holds import FORCE_WEIGHTS, HoldMode, HoldSettings, limits_of
 from falsework.stability.verdict import Criterion
 
 SHORTEST_DEADLINE = 10
@@ -74,7 +74,11 @@ class Holds(Strict):
         description="largest moment about the centre of mass of a held part, N m; by default twice the force times the "
         "largest radius of gyration, null for no limit",
     )
-    press: bool = Field(default=True, description="whether robots may press held parts while another is released")
+    mode: HoldMode = Field(
+        default=HoldSettings().mode,
+        description="what robots control while a part is released: the pose (they never press), the wrench of a part "
+        "that they press, or its force along one direction and its pose across it",
+    )
 
 
 @dataclass(frozen=True)
@@ -235,7 +239,7 @@ def complaint(error: ValidationError, parts: int) -> str:
         inside = place[-2] if len(place) > 1 else "this request"
         return f"there is no entry {ascii(place[-1])[:_SHOWN]} in {inside}; /docs lists those that there are"
     if place == ["holds"]:
-        return "holds: give an object with any of stiffness, force, moment and press"
+        return "holds: give an object with any of stiffness, force, moment and mode"
     if place == ["states"]:
         return f"states: give a list of states ({first['msg'][:_SHOWN]})"
     if place[0] in ("state", "target", "states"):

@@ -20,14 +20,16 @@ from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.plans.plan_source import wrong_source
 from falsework.search.problem.task import Direction
 from falsework.stability.certificate import StabilityCriterion
-from falsework.stability.holds import HoldSettings, Press
+from falsework.stability.holds import HoldMode, HoldSettings, Press
 from falsework.stability.judges.build_judge import Judgement
 from falsework.stability.state_arrays import StateArrays
 from falsework.stability.stiffness import TANGENTIAL_RATIO
 from falsework.stability.verdict import Proof, Verdict
 from falsework.utils.json_file import Reader
 
-FORMAT = "falsework.plan/3"
+FORMAT = "falsework.plan/4"
+THIRD_FORMAT = "falsework.plan/3"
+"""Plans of version 3 say only whether robots press, under force control, and not what they bear."""
 SECOND_FORMAT = "falsework.plan/2"
 """Plans of version 2 are for robots that hold parts rigidly, without limits, and never press; under `contact` each of
 their states was proved from rest."""
@@ -86,7 +88,18 @@ def _from_version_2(data: dict[str, Any], source: str) -> dict[str, Any]:
             data["start"] = _from_rest(data.get("start"))
             if isinstance(data.get("steps"), list):
                 data["steps"] = [_from_rest(step) for step in data["steps"]]
-    return data | {"format": FORMAT, "stability": stability}
+    return data | {"format": THIRD_FORMAT, "stability": stability}
+
+
+def _from_version_3(data: dict[str, Any]) -> dict[str, Any]:
+    """Convert a plan of version 3; malformed entries are left for the reader to report."""
+    stability = data.get("stability")
+    holds = stability.get("holds") if isinstance(stability, dict) else None
+    if isinstance(holds, dict) and isinstance(holds.get("press"), bool):
+        mode = HoldMode.FORCE if holds["press"] else HoldMode.LOCKED
+        kept = {key: value for key, value in holds.items() if key != "press"}
+        data = data | {"stability": {**stability, "holds": kept | {"mode": mode.value}}}
+    return data | {"format": FORMAT}
 
 
 def _from_rest(record: Any) -> Any:
@@ -115,6 +128,8 @@ class PlanReader(Reader):
             data = _from_version_1(data)
         if isinstance(data, dict) and data.get("format") == SECOND_FORMAT:
             data = _from_version_2(data, self._source)
+        if isinstance(data, dict) and data.get("format") == THIRD_FORMAT:
+            data = _from_version_3(data)
         self._header(data, _KEYS, optional=frozenset({"forces", "displacements", "replay", "margins"}))
         structure, rules, stability = data["structure"], data["rules"], data["stability"]
         self._keys(
@@ -321,16 +336,16 @@ class PlanReader(Reader):
             self._fail("stability.holds must be there under contact, and not under equilibrium")
         if value is None:
             return HoldSettings()
-        self._keys(value, {"stiffness", "force", "moment", "press"}, "stability.holds")
+        self._keys(value, {"stiffness", "force", "moment", "mode"}, "stability.holds")
         numbers = {
             key: np.inf if value[key] is None else self._number(value[key], f"stability.holds.{key}")
             for key in ("stiffness", "force", "moment")
         }
-        if not isinstance(value["press"], bool):
-            self._fail("stability.holds.press must be true or false")
+        if value["mode"] not in tuple(HoldMode):
+            self._fail(f"stability.holds.mode is {value['mode']!r}", f"it must be {', '.join(HoldMode)}")
         if numbers["stiffness"] == 0:
             self._fail("stability.holds.stiffness is 0", "it must be a positive number, or null for rigid holds")
-        return HoldSettings(**numbers, press=value["press"])
+        return HoldSettings(**numbers, mode=HoldMode(value["mode"]))
 
     def _presses(self, step: dict[str, Any], number: int, parts: int) -> tuple[Press, ...]:
         """Read the presses of a step; whether robots hold these parts is for the check."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.stability.contact.law import contact_force
-from falsework.stability.contact.tangent import assemble_tangent
+from falsework.stability.contact.tangent import LOCKED, assemble_tangent
 from falsework.stability.cpu.elimination import lay_out_panels
 from falsework.stability.cpu.layout import FAST, add_pair_wrench, pair_velocity, point_velocity
 from falsework.stability.cpu.panels import factor_panels, solve_panels
@@ -89,6 +89,8 @@ class ContactArrays(NamedTuple):
     """Largest whitened force of a robot on each part, shape (parts,)."""
     moment_limit: NDArray[np.float64]
     """Largest moment of a robot on each part about its centre of mass, N m, shape (parts,)."""
+    hybrid: bool
+    """Whether robots that press control the force along one direction only, and the position across it."""
 
 
 class ContactScratch(NamedTuple):
@@ -117,6 +119,11 @@ class ContactScratch(NamedTuple):
     step: NDArray[np.float64]
     grip: NDArray[np.float64]
     """Scaled stiffness of the hold on each part, zero for parts that nothing holds, shape (n,)."""
+    across: NDArray[np.float64]
+    """Scaled stiffness across `line` of a hold that controls the force along it; `LOCKED` where the part may not move
+    across it; zero for other parts, shape (n,)."""
+    line: NDArray[np.float64]
+    """Direction of the force of such a hold, a unit vector, shape (n, 3)."""
 
 
 @njit(cache=True)
@@ -139,6 +146,8 @@ def make_contact_scratch(structure):
         np.zeros((n, 6)),
         np.zeros((n, 6)),
         np.zeros(n),
+        np.zeros(n),
+        np.zeros((n, 3)),
     )
 
 
@@ -173,9 +182,39 @@ def evaluate(structure, work, contact, pairs, displacement, trial, out):
     total = 0.0
     for j in range(len(free)):
         if free[j]:
+            if contact.across[j] != 0.0:
+                _resist_across(contact, j, displacement, out)
             for r in range(6):
                 total += out[j, r] * out[j, r]
     return np.sqrt(total)
+
+
+@njit(cache=True)
+def along_line(contact, j, motion):
+    """Leave of a motion or wrench of a part, row `j` of shape (n, 6), what is along the line of its hold."""
+    line = contact.line
+    size = motion[j, 0] * line[j, 0] + motion[j, 1] * line[j, 1] + motion[j, 2] * line[j, 2]
+    for r in range(3):
+        motion[j, r], motion[j, 3 + r] = size * line[j, r], 0.0
+
+
+@njit(cache=True)
+def add_across(contact, j, displacement, factor, out):
+    """Add `factor` times the wrench of the spring across the line of a hold, beyond that of `grip`."""
+    line, more = contact.line, factor * (contact.across[j] - contact.grip[j])
+    size = displacement[j, 0] * line[j, 0] + displacement[j, 1] * line[j, 1] + displacement[j, 2] * line[j, 2]
+    for r in range(3):
+        out[j, r] += more * (displacement[j, r] - size * line[j, r])
+        out[j, 3 + r] += more * displacement[j, 3 + r]
+
+
+@njit(cache=True)
+def _resist_across(contact, j, displacement, out):
+    """Balance a part across the line of its hold: by the spring of the robot, or whatever it takes."""
+    if contact.across[j] == LOCKED:
+        along_line(contact, j, out)
+    else:
+        add_across(contact, j, displacement, -1.0, out)
 
 
 @njit(cache=True)
@@ -296,6 +335,9 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
                 for r in range(6):
                     step[j, r] = residual[j, r]
         solve_panels(panels, step, False)
+        for j in range(len(free)):
+            if free[j] and contact.across[j] == LOCKED:
+                along_line(contact, j, step)
         length, limit = 1.0, max(size, pace.memory * before)
         while True:
             for j in range(len(free)):

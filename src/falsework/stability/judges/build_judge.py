@@ -93,7 +93,7 @@ class BuildJudge:
 
         Args:
             assembly: the structure.
-            holds: stiffness of the robots.
+            holds: stiffness and mode of the robots.
 
         Raises:
             InputError: a structure with joints.
@@ -101,7 +101,7 @@ class BuildJudge:
         settings = DiscreteElementSettings(sinks=(matched_sink(assembly),), steps=_PATIENT)
         self._assembly = assembly
         size, (model,) = models_of(assembly, settings)
-        self._build = Build(assembly, size, model, settings, holds.stiffness)
+        self._build = Build(assembly, size, model, settings, holds)
         self._steps: list[tuple[bytes, tuple[Press, ...]]] = []
         self._answers: list[tuple[int, float, int]] = []
         self._kept: dict[int, ContactForces] = {}
