@@ -157,8 +157,7 @@ def test_the_check_limits_robots(falsework: Run, pressing: Path) -> None:
     """A plan for stronger robots than allowed is refused, whatever its own claim is changed to."""
     limited = falsework("check", pressing, "--hold-force", 900)
     assert limited.code == 1
-    assert "the plan is for robots that hold with up to" in limited.error
-    assert "900 N is allowed" in limited.error
+    assert "more than it can" in limited.error
     data = json.loads(pressing.read_text())
     data["stability"]["holds"]["force"] = 900
     pressing.write_text(json.dumps(data))

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from falsework.search.plans.plan import Plan
     from falsework.search.problem.task import Task
     from falsework.stability import Stability, StabilitySettings
+    from falsework.stability.contact.hold_loads import Loads
     from falsework.stability.judges import Judgement
     from falsework.stability.problem import Cone
     from falsework.stability.settings import SolverName
@@ -153,7 +154,8 @@ def promise_lines(plan: Plan, *, robust: bool = False) -> list[str]:
     stands = plan.replay is not None and plan.replay.stands
     judgement = None if plan.replay is None else plan.replay.judgement
     judged = judge_text(judgement) if judgement is not None and judgement.stands else ""
-    return [*([replay_text(plan, also)] if stands else []), *filter(None, [press_text(plan), judged])]
+    lines = [press_text(plan), load_text(plan, plan.loads), judged]
+    return [*([replay_text(plan, also)] if stands else []), *filter(None, lines)]
 
 
 def lacks_reserve(plan: Plan, asked: float) -> str:
@@ -244,6 +246,34 @@ def press_text(plan: Plan, scale: float = 1.0) -> str:
     forces = [scale * press.force for presses in plan.presses for press in presses]
     steps = counted(sum(map(bool, plan.presses)), "step")
     return f"robots press in {steps}, with at most {max(forces):.4g} N" if forces else ""
+
+
+def load_record(loads: Loads) -> dict[str, float | None]:
+    """Return the largest force, N, and moment, N m, that robots bear, as JSON values; null where it is not known."""
+    from falsework.stability.contact.hold_loads import largest_load
+
+    force, moment = largest_load(loads) if loads else (None, None)
+    return {"largest_force": force, "largest_moment": moment}
+
+
+def load_text(plan: Plan, loads: Loads) -> str:
+    """Return the largest force and moment that robots bear in a plan, and where; empty if it is not known.
+
+    Args:
+        plan: the plan.
+        loads: of its states.
+    """
+    from falsework.stability.contact.hold_loads import largest_load
+    from falsework.stability.holds import describe_force
+
+    every = [(load, row) for row, some in enumerate(loads) for load in some]
+    if not every:
+        return ""
+    load, row = max(every, key=lambda pair: pair[0].force)
+    last = len(loads) - 1
+    step = row if plan.direction == "assembly" else last - row
+    where = f"for {plan.part_names[load.part]}, after step {step} of assembly"
+    return f"robots bear at most {describe_force(load.force)} ({where}) and {largest_load(loads)[1]:.3g} N m"
 
 
 def writable(path: Path, suffix: str = "") -> None:

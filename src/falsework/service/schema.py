@@ -16,7 +16,7 @@ from falsework.errors import InputError, StateError
 from falsework.search.plans.plan_file import plan_schema
 from falsework.service.settings import LONGEST_DEADLINE, ServiceSettings
 from falsework.service.worker import NOT_YET
-from falsework.stability.holds import FORCE_WEIGHTS, HoldMode, HoldSettings, limits_of
+from falsework.stability.holds import FORCE_WEIGHTS, HoldSettings, limits_of
 from falsework.stability.verdict import Criterion
 
 SHORTEST_DEADLINE = 10
@@ -74,8 +74,8 @@ class Holds(Strict):
         description="largest moment about the centre of mass of a held part, N m; by default twice the force times the "
         "largest radius of gyration, null for no limit",
     )
-    mode: HoldMode = Field(
-        default=HoldSettings().mode,
+    mode: Literal["locked", "force", "hybrid"] = Field(
+        default=HoldSettings().mode.value,
         description="what robots control while a part is released: the pose (they never press), the wrench of a part "
         "that they press, or its force along one direction and its pose across it",
     )

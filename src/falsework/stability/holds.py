@@ -82,6 +82,14 @@ class HoldSettings:
         force, moment = float(limits.force.max(initial=0.0)), float(limits.moment.max(initial=0.0))
         return replace(self, force=force, moment=moment, mode=self.mode if self.presses else HoldMode.LOCKED)
 
+    def within(self, others: HoldSettings) -> HoldSettings:
+        """Return the settings with no larger force and moment than those of others that give them."""
+        least = {}
+        for name in ("force", "moment"):
+            mine, theirs = getattr(self, name), getattr(others, name)
+            least[name] = min(mine or np.inf, theirs) if theirs else mine
+        return replace(self, **least)
+
     def __post_init__(self) -> None:
         if self.mode not in tuple(HoldMode):
             raise InputError(f"the mode of holds is {self.mode!r}; give {', '.join(HoldMode)}")
@@ -108,6 +116,18 @@ class Press:
     def force(self) -> float:
         """Size of the force, N."""
         return float(np.linalg.norm(self.wrench[:3]))
+
+
+@dataclass(frozen=True)
+class HoldLoad:
+    """What a robot bears for a part that it holds in one state."""
+
+    part: int
+    """The held part."""
+    force: float
+    """Size of the force, N."""
+    moment: float
+    """Size of the moment about the part's centre of mass, N m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,6 +172,11 @@ def describe_force(force: float) -> str:
 def describe_presses(presses: Sequence[Press], names: Sequence[str]) -> str:
     """Describe presses, such as `robot presses block-25 with 3.9 kN`; empty if there are none."""
     return ", ".join(f"robot presses {names[press.part]} with {describe_force(press.force)}" for press in presses)
+
+
+def describe_loads(loads: Sequence[HoldLoad], names: Sequence[str]) -> str:
+    """Describe what robots bear in a state, such as `robot bears 1.2 kN for block-25`; empty if they hold nothing."""
+    return ", ".join(f"robot bears {describe_force(load.force)} for {names[load.part]}" for load in loads)
 
 
 def pack_presses(presses: Sequence[Sequence[Press]]) -> tuple[NDArray[np.int32], NDArray[np.int32], Array]:

@@ -20,7 +20,7 @@ from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.plans.plan_source import wrong_source
 from falsework.search.problem.task import Direction
 from falsework.stability.certificate import StabilityCriterion
-from falsework.stability.holds import HoldMode, HoldSettings, Press
+from falsework.stability.holds import HoldLoad, HoldMode, HoldSettings, Press
 from falsework.stability.judges.build_judge import Judgement
 from falsework.stability.state_arrays import StateArrays
 from falsework.stability.stiffness import TANGENTIAL_RATIO
@@ -229,6 +229,11 @@ class PlanReader(Reader):
         presses = [self._presses(step, number, parts) for number, step in enumerate(data["steps"], 1)]
         if any(presses):
             fields["presses"] = tuple(presses)
+        loads = [self._loads(record, number, parts) for number, record in enumerate([data["start"], *data["steps"]])]
+        if any(loads):
+            if claim.criterion != "contact":
+                self._fail("it says what robots bear, which is not known under the criterion equilibrium")
+            fields["loads"] = tuple(loads)
         if data["needs"] != [asdict(need) for need in needs_of(actions, direction, parts, fields["missing"])]:
             self._fail("its needs do not agree with its steps")
         return fields
@@ -266,7 +271,7 @@ class PlanReader(Reader):
     ) -> tuple[States, NDArray[np.int64], NDArray[np.float64]]:
         """Replay the steps from the start; the end must be the one that the file names."""
         parts = len(boundary)
-        self._keys(data["start"], {"state", "verdict", "proof", "residual"}, "start")
+        self._keys(data["start"], {"state", "verdict", "proof", "residual"}, "start", frozenset({"bears"}))
         state = self._state(data["start"]["state"], boundary, "start.state")
         is_prop = np.arange(parts) >= parts - props
         if (is_prop & (state == INSTALLED)).any():
@@ -282,7 +287,7 @@ class PlanReader(Reader):
         states[0] = state
         for number, step in enumerate(steps, 1):
             place = f"step {number}"
-            self._keys(step, {"do", "part", "verdict", "proof", "residual"}, place, frozenset({"presses"}))
+            self._keys(step, {"do", "part", "verdict", "proof", "residual"}, place, frozenset({"presses", "bears"}))
             word, part = step["do"], self._count(step["part"], f"{place}: part")
             if part >= parts:
                 self._fail(f"{place} names part {part}, but parts are numbered 0 to {parts - 1}")
@@ -359,6 +364,20 @@ class PlanReader(Reader):
             if len(wrench) != 6 or not all(type(x) in (int, float) and math.isfinite(x) for x in wrench):
                 self._fail(f"{place} have the wrench {wrench!r}", "it must be six finite numbers, N and N m")
             found.append(Press(part, tuple(map(float, wrench))))
+        return tuple(found)
+
+    def _loads(self, record: dict[str, Any], number: int, parts: int) -> tuple[HoldLoad, ...]:
+        """Read what robots bear in a state; whether they hold these parts is for the check."""
+        found, place = [], f"step {number}: bears" if number else "start.bears"
+        for entry in self._list(record.get("bears", []), place):
+            self._keys(entry, {"part", "force", "moment"}, place)
+            part = self._count(entry["part"], f"{place}: part")
+            if part >= parts:
+                self._fail(f"{place} names part {part}, but parts are numbered 0 to {parts - 1}")
+            if any(load.part == part for load in found):
+                self._fail(f"{place} names part {part} twice")
+            sizes = [self._number(entry[name], f"{place}: {name}") for name in ("force", "moment")]
+            found.append(HoldLoad(part, *sizes))
         return tuple(found)
 
     def _displacements(self, value: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from falsework.assembly.state import States
 from falsework.errors import InputError
+from falsework.stability.contact.hold_loads import Loads, loads_of_build
 from falsework.stability.contact.replay import ReplaySettings
 from falsework.stability.holds import Press
 from falsework.stability.judges.build_judge import BuildJudge, Judgement
@@ -40,6 +41,9 @@ class PlanReplay:
     """Presses of the step to each state in the order of assembly; empty where they are not known."""
     judgement: Judgement | None = None
     """How far discrete elements built the plan, where that was asked for."""
+    loads: Loads = field(default=(), compare=False, repr=False)
+    """What robots bear under the true friction, one entry a state in the order of assembly; empty where it is not
+    known."""
 
     @property
     def fails_at(self) -> int | None:
@@ -47,8 +51,8 @@ class PlanReplay:
         return self.falls_at if self.judgement is None or not self.stands else self.judgement.falls_at
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result as plain JSON values, without the presses."""
-        plain = {name: value for name, value in vars(self).items() if name not in ("presses", "judgement")}
+        """Return the result as plain JSON values, without the presses and the loads."""
+        plain = {name: value for name, value in vars(self).items() if name not in ("presses", "judgement", "loads")}
         return plain if self.judgement is None else {**plain, "judgement": self.judgement.to_dict()}
 
     @classmethod
@@ -103,22 +107,26 @@ class Acceptance:
         if replayer is not None and replayer.settings.reserve != 1.0:
             self._plain = replayer.vary(replace(replayer.settings, reserve=1.0), ReplaySettings())
 
-    def failure(self, states: States, presses: tuple[tuple[Press, ...], ...]) -> PlanReplay | None:
-        """Return the replay of a route that fails under the true friction, or in which a state tips; None if none does.
+    def tested(self, states: States, found: PlanReplay) -> PlanReplay:
+        """Return the replay of a route with what robots bear; the one that fails if a state slides or tips.
 
         Args:
             states: in assembly order, shape (steps + 1, parts).
-            presses: of the steps that lead to each state.
+            found: replay with the reserve, which stands.
         """
-        if self._plain is None:
-            return None
-        presses = _of_all(presses, states)
-        found = self._plain.replay(states, presses=presses)
-        if not found.good:
-            return PlanReplay.of(found)
-        histories = found.histories or _histories(self._plain, states, presses)
-        tips = self._plain.first_tipping(states, histories)
-        return None if tips is None else replace(PlanReplay.of(found), stands=False, falls_at=tips)
+        plain = self._plain
+        if plain is None:
+            return found
+        presses = _of_all(found.presses, states)
+        true = plain.replay(states, presses=presses)
+        if not true.good:
+            return PlanReplay.of(true)
+        histories = true.histories or _histories(plain, states, presses)
+        tips = plain.first_tipping(states, histories)
+        if tips is not None:
+            return replace(PlanReplay.of(true), stands=False, falls_at=tips)
+        loads = loads_of_build(plain.assembly, plain.problem, plain.settings, states, histories)
+        return replace(found, loads=loads)
 
     def judged(self, states: States, found: PlanReplay, stop: Stop | None = None) -> PlanReplay:
         """Return the replay of a route that stands with how far discrete elements built it, if that is asked for.
@@ -145,7 +153,7 @@ class Acceptance:
         if self._replayer is None:
             return None
         found = PlanReplay.of(self._replayer.replay(states))
-        return ((self.failure(states, found.presses) if found.stands else None) or found).falls_at
+        return (self.tested(states, found) if found.stands else found).falls_at
 
 
 def replayer_of(oracle: Oracle, settings: PlannerSettings) -> AnyReplayer | None:

@@ -58,7 +58,7 @@ class RouteTests:
         known = None if search is None or self._settings.robust else search.replay_summary()
         found = PlanReplay.of(self.replayer.replay(states)) if known is None else PlanReplay(True, *known)
         if found.stands:
-            found = self._acceptance.failure(states, found.presses) or found
+            found = self._acceptance.tested(states, found)
         if found.stands:
             self.replays[route.states.tobytes()] = found
             if self._settings.judge:
