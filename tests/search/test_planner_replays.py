@@ -15,7 +15,6 @@ from falsework.errors import InputError
 from falsework.search import Direction, Outcome, Planner, PlannerSettings, Task
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.beam.settings import BeamSettings
-from falsework.search.plans import plan_replay
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.result import Stop
 from falsework.search.problem.timed_replayer import DeadlineReplayer
@@ -23,7 +22,8 @@ from falsework.stability import StabilitySettings
 from falsework.stability.contact.newton import FIRST_STEP
 from falsework.stability.contact.replay import History, Replay, ReplaySettings
 from falsework.stability.contact.varied_replay import RobustReplayer
-from falsework.stability.judges import Judgement
+from falsework.stability.judgement import Judgement
+from falsework.stability.judges import build_judge
 from falsework.utils.cores import core_count
 
 
@@ -60,6 +60,9 @@ class RuleReplayer:
 
     def first_tipping(self, states: States, histories: Sequence[History]) -> int | None:
         return None
+
+    def loads(self, states: States, histories: Sequence[History]) -> tuple[()]:
+        return ()
 
     def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
         if self.slow:
@@ -169,7 +172,7 @@ class RuleJudge:
 @pytest.fixture
 def judged_by(monkeypatch: pytest.MonkeyPatch) -> Callable[[set[tuple[int, ...]]], None]:
     """Set the states in which the judge sees structures fall."""
-    return lambda falls: monkeypatch.setattr(plan_replay, "BuildJudge", lambda assembly, holds: RuleJudge(falls))
+    return lambda falls: monkeypatch.setattr(build_judge, "BuildJudge", lambda assembly, holds: RuleJudge(falls))
 
 
 @pytest.mark.parametrize("direction", list(Direction))
@@ -275,3 +278,21 @@ def test_a_replay_that_goes_on_is_not_varied(rules: Any) -> None:
     replayer = RobustReplayer(RuleReplayer(set(), {tuple(states[3].tolist())}))
     history = replayer.replay(states[:2]).histories[-1]
     assert replayer.replay(states[1:], history).good
+
+
+def test_a_route_with_a_reserve_avoids_what_falls_under_combined_variations(rules: Any) -> None:
+    """Without a reserve they are not asked for; the replay says which."""
+    task, oracle = tower(rules, set())
+    settings = PlannerSettings(directions=(Direction.ASSEMBLY,))
+    first = Planner(task, oracle, settings)
+    first.run()
+    route = first.routes[0]
+    middle = tuple(route.states[len(route.states) // 2].tolist())
+    for reserve in (1.0, 1.1):
+        oracle.replayer = RuleReplayer(set(), varied={middle})
+        oracle.replayer.settings = StabilitySettings(reserve=reserve)
+        planner = Planner(task, oracle, settings)
+        assert planner.run().found
+        states = planner.routes[0].states
+        assert (middle in set(map(tuple, states.tolist()))) == (reserve == 1.0)
+        assert planner.replays[states.tobytes()].varied == (reserve > 1.0)

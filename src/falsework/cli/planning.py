@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from falsework.search.problem.task import Task
     from falsework.stability import Stability, StabilitySettings
     from falsework.stability.contact.hold_loads import Loads
-    from falsework.stability.judges import Judgement
+    from falsework.stability.judgement import Judgement
     from falsework.stability.problem import Cone
     from falsework.stability.settings import SolverName
     from falsework.stability.verdict import Criterion
@@ -233,6 +233,7 @@ def replay_text(plan: Plan, also: str = "") -> str:
     kept, replay = plan.claim.reserve, plan.replay
     assert replay is not None
     reserve = f" with the true friction and with friction / {kept:g}" if kept > 1 else ""
+    also = also or ", and under small changes of settings" * replay.varied
     return f"the replay succeeds{reserve}{also}; parts move by at most {replay.moved * 1e3:.3g} mm"
 
 

@@ -39,7 +39,6 @@ from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
 from falsework.search.plans.plan_source import structure_to_check
 from falsework.search.problem.result import Route
 from falsework.stability import Stability
-from falsework.stability.holds import HoldSettings
 from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
 
 Peak = Callable[[Callable[[], Any]], int]

@@ -434,7 +434,7 @@ def test_under_hybrid_control_a_part_moves_along_the_force_only(scenes: Any, sti
         assert 0 < np.abs(across).max() < 0.1 * (moved[:3] @ line)
     proofs = proofs_of(assembly, BESIDE, ((), (), (given,)), of)
     assert all(proof.residual <= of.tolerance for proof in proofs)
-    # What the robot adds along the line is the press, less what its spring of 1 MN/m loses; it bore its own plate before.
+    # Along the line the robot adds the press, less what its spring of 1 MN/m loses; it bore its own plate before.
     along = (proofs[-1].wrenches[PRESSER, :3] - [0, 0, weight]) @ line
     np.testing.assert_allclose(along, 4 * weight - 1e6 * (moved[:3] @ line), rtol=1e-3)
 
@@ -442,9 +442,15 @@ def test_under_hybrid_control_a_part_moves_along_the_force_only(scenes: Any, sti
 @pytest.mark.parametrize(
     ("wrench", "reason"),
     [
-        ([-3.0, 0.0, 0.0, 0.0, 0.0, 0.1], "the robot that presses plate-1 adds a moment, which hybrid control does not"),
+        (
+            [-3.0, 0.0, 0.0, 0.0, 0.0, 0.1],
+            "the robot that presses plate-1 adds a moment, which hybrid control does not",
+        ),
         ([-3.0, 0.0, 0.6, 0.0, 0.0, 0.0], "the certificate moves plate-1, which a rigid hold fixes"),
-        ([-3.6, 0.0, 0.0, 0.0, 0.0, 0.0], "the robot that holds plate-1 does not bear what its stiffness and its presses give"),
+        (
+            [-3.6, 0.0, 0.0, 0.0, 0.0, 0.0],
+            "the robot that holds plate-1 does not bear what its stiffness and its presses give",
+        ),
     ],
 )
 def test_other_presses_under_hybrid_control_are_refused(scenes: Any, wrench: list[float], reason: str) -> None:

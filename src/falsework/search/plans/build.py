@@ -16,7 +16,7 @@ from falsework.search.plans.plan_report import PlanReport, unstable_in_words
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.contact.build_verifier import BuildVerifier, StepCertificate
-from falsework.stability.contact.hold_loads import CLOSE, Loads, larger_loads, loads_in, loads_of_build
+from falsework.stability.contact.hold_loads import CLOSE, Loads, larger_loads, loads_in
 from falsework.stability.contact.replay import Presses, Replayer
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
@@ -163,7 +163,7 @@ def _true_loads(replayer: Replayer, states: States, presses: Presses, loads: Loa
         return loads
     true = replayer.vary(replace(replayer.settings, reserve=1.0))
     histories = true.replay(states, presses=presses).histories
-    found = loads_of_build(true.assembly, true.problem, true.settings, states[: len(histories)], histories)
+    found = true.loads(states[: len(histories)], histories)
     return (*found, *loads[len(found) :])
 
 

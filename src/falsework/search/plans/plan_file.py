@@ -13,7 +13,8 @@ import numpy as np
 from falsework.errors import InputError, PlanError
 from falsework.search.plans.packed_proofs import pack_proofs
 from falsework.search.plans.plan import Plan
-from falsework.search.plans.plan_reader import FORMAT, PROOF_ARRAYS, PROOF_WORDS, UNPROVEN, PlanReader
+from falsework.search.plans.plan_reader import PROOF_ARRAYS, PROOF_WORDS, UNPROVEN, PlanReader
+from falsework.search.plans.plan_versions import FORMAT
 from falsework.stability.verdict import Verdict
 from falsework.utils.json_file import write_json
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import asdict
 from typing import Any
 
@@ -12,29 +11,20 @@ from numpy.typing import NDArray
 
 from falsework.assembly.prop import Prop
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states, held_count
-from falsework.errors import InputError, ReadWarning, StateError
+from falsework.errors import InputError, StateError
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans.packed_proofs import CHANGES, WHOLE, unpack_proofs
 from falsework.search.plans.plan import needs_of
 from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.plans.plan_source import wrong_source
+from falsework.search.plans.plan_versions import FORMAT, as_newest
 from falsework.search.problem.task import Direction
 from falsework.stability.certificate import StabilityCriterion
 from falsework.stability.holds import HoldLoad, HoldMode, HoldSettings, Press
-from falsework.stability.judges.build_judge import Judgement
+from falsework.stability.judgement import Judgement
 from falsework.stability.state_arrays import StateArrays
-from falsework.stability.stiffness import TANGENTIAL_RATIO
 from falsework.stability.verdict import Proof, Verdict
 from falsework.utils.json_file import Reader
-
-FORMAT = "falsework.plan/4"
-THIRD_FORMAT = "falsework.plan/3"
-"""Plans of version 3 say only whether robots press, under force control, and not what they bear."""
-SECOND_FORMAT = "falsework.plan/2"
-"""Plans of version 2 are for robots that hold parts rigidly, without limits, and never press; under `contact` each of
-their states was proved from rest."""
-FIRST_FORMAT = "falsework.plan/1"
-"""Plans of version 1 are under the criterion `equilibrium` and carry no replay."""
 
 MOVES = {
     "hold": (Direction.DISASSEMBLY, False, INSTALLED, HELD),
@@ -44,8 +34,6 @@ MOVES = {
 }
 """Word of a step: direction, whether the action index is above `parts`, value of the part before, and after. With
 repeated holds, parts are held and released in both directions."""
-_SHARE = 0.1
-"""Shares of gravity in 1 m/s2, rounded down."""
 PROOF_WORDS = {"contact": "history", "equilibrium": "forces"}
 PROOF_ARRAYS = {"contact": ("displacements", "parts"), "equilibrium": ("forces", "points")}
 """Entry of the file that holds the proofs, and the items along its first axis."""
@@ -56,61 +44,6 @@ MOST_ENTRIES = 1 << 30
 MOST_INCREMENTS = 64
 """Increments of a step that are read."""
 _KEYS = {"format", "direction", "structure", "robots", "rules", "stability", "start", "steps", "end", "needs"}
-
-
-def _from_version_1(data: dict[str, Any]) -> dict[str, Any]:
-    """Convert a plan of version 1 to version 2; malformed entries are left for the reader to report."""
-    # Version 1 gave residuals and tolerance in m/s2, of which a tenth is about a share of gravity.
-    stability, start, steps = data.get("stability"), data.get("start"), data.get("steps")
-    if isinstance(stability, dict):
-        stability = {"criterion": "equilibrium", "stiffness_ratio": TANGENTIAL_RATIO} | stability
-        if isinstance(stability.get("tolerance"), (int, float)):
-            stability["tolerance"] *= _SHARE
-    if isinstance(steps, list):
-        steps = [_scaled(step) for step in steps]
-    return data | {"format": SECOND_FORMAT, "stability": stability, "start": _scaled(start), "steps": steps}
-
-
-def _from_version_2(data: dict[str, Any], source: str) -> dict[str, Any]:
-    """Convert a plan of version 2; proofs of single states from rest are left out, they prove no build."""
-    stability = data.get("stability")
-    if isinstance(stability, dict):
-        stability = stability | {"reserve": 1.0}
-        if stability.get("criterion") == "contact":
-            stability["holds"] = {"stiffness": None, "force": None, "moment": None, "press": False}
-            if "displacements" in data:
-                warnings.warn(
-                    f"{source}: displacements of plans of version 2 prove single states and no build: left out",
-                    ReadWarning,
-                    stacklevel=4,
-                )
-            data = {key: value for key, value in data.items() if key != "displacements"}
-            data["start"] = _from_rest(data.get("start"))
-            if isinstance(data.get("steps"), list):
-                data["steps"] = [_from_rest(step) for step in data["steps"]]
-    return data | {"format": THIRD_FORMAT, "stability": stability}
-
-
-def _from_version_3(data: dict[str, Any]) -> dict[str, Any]:
-    """Convert a plan of version 3; malformed entries are left for the reader to report."""
-    stability = data.get("stability")
-    holds = stability.get("holds") if isinstance(stability, dict) else None
-    if isinstance(holds, dict) and isinstance(holds.get("press"), bool):
-        mode = HoldMode.FORCE if holds["press"] else HoldMode.LOCKED
-        kept = {key: value for key, value in holds.items() if key != "press"}
-        data = data | {"stability": {**stability, "holds": kept | {"mode": mode.value}}}
-    return data | {"format": FORMAT}
-
-
-def _from_rest(record: Any) -> Any:
-    known = isinstance(record, dict) and record.get("proof") == "displacement"
-    return record | {"proof": "history"} if known else record
-
-
-def _scaled(record: Any) -> Any:
-    if not isinstance(record, dict) or not isinstance(record.get("residual"), (int, float)):
-        return record
-    return record | {"residual": record["residual"] * _SHARE}
 
 
 class PlanReader(Reader):
@@ -124,12 +57,8 @@ class PlanReader(Reader):
         Raises:
             PlanError: they are no plan; the message names the entry.
         """
-        if isinstance(data, dict) and data.get("format") == FIRST_FORMAT:
-            data = _from_version_1(data)
-        if isinstance(data, dict) and data.get("format") == SECOND_FORMAT:
-            data = _from_version_2(data, self._source)
-        if isinstance(data, dict) and data.get("format") == THIRD_FORMAT:
-            data = _from_version_3(data)
+        if isinstance(data, dict):
+            data = as_newest(data, self._source)
         self._header(data, _KEYS, optional=frozenset({"forces", "displacements", "replay", "margins"}))
         structure, rules, stability = data["structure"], data["rules"], data["stability"]
         self._keys(
@@ -395,7 +324,9 @@ class PlanReader(Reader):
         return np.asarray(flat).reshape(states, increments, parts, 6)
 
     def _replay(self, value: Any, parts: int, states: int) -> PlanReplay:
-        self._keys(value, {"stands", "moved", "part", "falls_at"}, "replay", optional=frozenset({"judgement"}))
+        self._keys(
+            value, {"stands", "moved", "part", "falls_at"}, "replay", optional=frozenset({"judgement", "varied"})
+        )
         stands, part, falls_at = value["stands"], value["part"], value["falls_at"]
         if not isinstance(stands, bool) or stands != (falls_at is None):
             self._fail("replay.stands must be true, with no falls_at, or false, with one")
@@ -403,12 +334,14 @@ class PlanReader(Reader):
             self._fail(f"replay.part is {part!r}", f"it must be a part number below {parts}, or -1")
         if falls_at is not None and self._count(falls_at, "replay.falls_at") >= states:
             self._fail(f"replay.falls_at is {falls_at}", f"the plan has {states} states")
+        if not isinstance(value.get("varied", False), bool):
+            self._fail("replay.varied must be true or false")
         moved = self._number(value["moved"], "replay.moved")
         try:
             judgement = Judgement.read(value["judgement"], states, parts) if "judgement" in value else None
         except InputError as error:
             self._fail(f"replay.judgement: {error}")
-        return PlanReplay(stands, moved, part, falls_at, judgement=judgement)
+        return PlanReplay(stands, moved, part, falls_at, varied=value.get("varied", False), judgement=judgement)
 
     def _packed(self, value: Any, name: str, counted: str, shape: tuple[int, ...]) -> NDArray[np.float64] | StateArrays:
         """Return the proofs of all states, of so many states and parts: forces of points, or displacements of parts."""

@@ -9,10 +9,11 @@ import numpy as np
 
 from falsework.assembly.state import States
 from falsework.errors import InputError
-from falsework.stability.contact.hold_loads import Loads, loads_of_build
+from falsework.stability.contact.hold_loads import Loads
 from falsework.stability.contact.replay import ReplaySettings
+from falsework.stability.contact.varied_replay import combined_variations, varied_presses
 from falsework.stability.holds import Press
-from falsework.stability.judges.build_judge import BuildJudge, Judgement
+from falsework.stability.judgement import Judgement
 
 if TYPE_CHECKING:
     from falsework.search.problem.oracle import Oracle
@@ -39,6 +40,8 @@ class PlanReplay:
     """First state in the order of assembly that does not come to rest, counted from 0."""
     presses: tuple[tuple[Press, ...], ...] = field(default=(), compare=False, repr=False)
     """Presses of the step to each state in the order of assembly; empty where they are not known."""
+    varied: bool = False
+    """Whether it also comes to rest under changed settings, in combination (`combined_variations`)."""
     judgement: Judgement | None = None
     """How far discrete elements built the plan, where that was asked for."""
     loads: Loads = field(default=(), compare=False, repr=False)
@@ -91,7 +94,8 @@ def _of_all(presses: tuple[tuple[Press, ...], ...], states: States) -> tuple[tup
 class Acceptance:
     """Last test of a route: it comes to rest under the true friction too, and no state of it tips.
 
-    Where it is asked for, discrete elements build the route as well.
+    A route with a reserve must also come to rest under changed settings: other ratios of stiffness, damping, release
+    and initial friction, and presses that err. Where it is asked for, discrete elements build the route as well.
     """
 
     def __init__(self, replayer: VariableReplayer | None, *, judge: bool = False) -> None:
@@ -102,10 +106,17 @@ class Acceptance:
         """
         if judge and replayer is None:
             raise InputError("the judge builds plans under the criterion contact; choose it, or leave the judge out")
-        self._judge = BuildJudge(replayer.assembly, replayer.settings.holds) if judge and replayer is not None else None
+        self._judge = None
+        if judge and replayer is not None:
+            from falsework.stability.judges.build_judge import BuildJudge
+
+            self._judge = BuildJudge(replayer.assembly, replayer.settings.holds)
         self._replayer, self._plain = replayer, replayer
+        self._varied: list[tuple[int, VariableReplayer]] = []
         if replayer is not None and replayer.settings.reserve != 1.0:
             self._plain = replayer.vary(replace(replayer.settings, reserve=1.0), ReplaySettings())
+            cases = combined_variations(replayer.settings)
+            self._varied = [(k, replayer.vary(*case)) for k, (_, *case) in enumerate(cases)]
 
     def tested(self, states: States, found: PlanReplay) -> PlanReplay:
         """Return the replay of a route with what robots bear; the one that fails if a state slides or tips.
@@ -125,8 +136,13 @@ class Acceptance:
         tips = plain.first_tipping(states, histories)
         if tips is not None:
             return replace(PlanReplay.of(true), stands=False, falls_at=tips)
-        loads = loads_of_build(plain.assembly, plain.problem, plain.settings, states, histories)
-        return replace(found, loads=loads)
+        errors = varied_presses(presses)
+        for place, (number, varied) in enumerate(self._varied):
+            wrong = varied.replay(states, presses=errors[number][1] if errors else presses)
+            if not wrong.good:
+                self._varied.insert(0, self._varied.pop(place))  # others mostly fail under the same
+                return PlanReplay.of(wrong)
+        return replace(found, loads=plain.loads(states, histories), varied=bool(self._varied))
 
     def judged(self, states: States, found: PlanReplay, stop: Stop | None = None) -> PlanReplay:
         """Return the replay of a route that stands with how far discrete elements built it, if that is asked for.

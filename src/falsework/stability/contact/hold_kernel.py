@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from falsework.stability.contact.hybrid_kernel import LOCKED
 from falsework.stability.contact.law import contact_force
-from falsework.stability.contact.tangent import LOCKED
 from falsework.utils.kernels import njit
 
 

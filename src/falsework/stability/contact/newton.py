@@ -13,8 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.stability.contact.hybrid_kernel import LOCKED, along_line, resist_across
 from falsework.stability.contact.law import contact_force
-from falsework.stability.contact.tangent import LOCKED, assemble_tangent
+from falsework.stability.contact.tangent import assemble_tangent
 from falsework.stability.cpu.elimination import lay_out_panels
 from falsework.stability.cpu.layout import FAST, add_pair_wrench, pair_velocity, point_velocity
 from falsework.stability.cpu.panels import factor_panels, solve_panels
@@ -183,38 +184,10 @@ def evaluate(structure, work, contact, pairs, displacement, trial, out):
     for j in range(len(free)):
         if free[j]:
             if contact.across[j] != 0.0:
-                _resist_across(contact, j, displacement, out)
+                resist_across(contact, j, displacement, out)
             for r in range(6):
                 total += out[j, r] * out[j, r]
     return np.sqrt(total)
-
-
-@njit(cache=True)
-def along_line(contact, j, motion):
-    """Leave of a motion or wrench of a part, row `j` of shape (n, 6), what is along the line of its hold."""
-    line = contact.line
-    size = motion[j, 0] * line[j, 0] + motion[j, 1] * line[j, 1] + motion[j, 2] * line[j, 2]
-    for r in range(3):
-        motion[j, r], motion[j, 3 + r] = size * line[j, r], 0.0
-
-
-@njit(cache=True)
-def add_across(contact, j, displacement, factor, out):
-    """Add `factor` times the wrench of the spring across the line of a hold, beyond that of `grip`."""
-    line, more = contact.line, factor * (contact.across[j] - contact.grip[j])
-    size = displacement[j, 0] * line[j, 0] + displacement[j, 1] * line[j, 1] + displacement[j, 2] * line[j, 2]
-    for r in range(3):
-        out[j, r] += more * (displacement[j, r] - size * line[j, r])
-        out[j, 3 + r] += more * displacement[j, 3 + r]
-
-
-@njit(cache=True)
-def _resist_across(contact, j, displacement, out):
-    """Balance a part across the line of its hold: by the spring of the robot, or whatever it takes."""
-    if contact.across[j] == LOCKED:
-        along_line(contact, j, out)
-    else:
-        add_across(contact, j, displacement, -1.0, out)
 
 
 @njit(cache=True)

@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from falsework.stability.contact.hold_kernel import hold_wrench, overloaded, set_holds
+from falsework.stability.contact.hybrid_kernel import add_across
 from falsework.stability.contact.kernel import NEAR_RINGS, lacks_contact, move_far_parts
 from falsework.stability.contact.law import contact_force
 from falsework.stability.contact.newton import (
@@ -21,7 +22,6 @@ from falsework.stability.contact.newton import (
     OVERLOADS,
     RESTS,
     VERDICT_PACE,
-    add_across,
     come_to_rest,
     evaluate,
     find_rest,

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from falsework.stability.contact.hybrid_kernel import LOCKED
 from falsework.stability.contact.law import gauge, gauge_gradient
 from falsework.stability.cpu.layout import FAST
 from falsework.stability.cpu.panels import clear_panels
 from falsework.utils.kernels import njit
 from falsework.utils.products import Congruence, SquareProduct
 
-LOCKED = -1.0
-"""Mark of a hold that lets a part move along one line only."""
 _FAST_AS_LOCKED = 1e9
 """Stiffness across that line in the tangent, relative to the median contact: the step across it is then dropped."""
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
+from falsework.stability.contact.hold_loads import Loads
 from falsework.stability.contact.newton import FIRST_STEP
 from falsework.stability.contact.replay import History, Presses, Replay, ReplaySettings
 from falsework.stability.holds import inexact_presses
@@ -61,6 +62,10 @@ class VariableReplayer(AnyReplayer, Protocol):
         """Return the first state that a small motion leaves, though it is at rest; None if there is none."""
         ...
 
+    def loads(self, states: States, histories: Sequence[History]) -> Loads:
+        """Return what robots bear in states in assembly order."""
+        ...
+
 
 @dataclass(frozen=True)
 class Variation:
@@ -98,6 +103,30 @@ def variations(settings: StabilitySettings, draws: int) -> list[tuple[str, Stabi
         for seed in range(draws)
     ]
     return varied
+
+
+def combined_variations(settings: StabilitySettings) -> list[tuple[str, StabilitySettings, ReplaySettings]]:
+    """Return a few settings of replays in which those of `variations` are changed together.
+
+    Each of them costs one replay, so that the last test of every plan can afford them. A plan that comes to rest under
+    a combination is mostly one that does so under each of its changes. Releases in many increments, which take as long
+    as all others together, are left to `variations`.
+    """
+    noisy, holds = ReplaySettings(friction_noise=1.0), settings.holds
+    softer, stiffer = (replace(holds, stiffness=factor * holds.stiffness) for factor in (1 / 3, 3.0))
+    return [
+        (
+            "stiffness ratio 0.4, thicker medium, friction at the start",
+            replace(settings, stiffness_ratio=0.4, holds=softer),
+            replace(noisy, first_step=FIRST_STEP / 30),
+        ),
+        (
+            "stiffness ratio 1, thinner medium, friction at the start",
+            replace(settings, stiffness_ratio=1.0, holds=stiffer),
+            replace(noisy, first_step=FIRST_STEP * 30, seed=1),
+        ),
+        ("release in 1 increment, friction at the start", settings, replace(noisy, increments=1, seed=2)),
+    ]
 
 
 def varied_presses(presses: Presses) -> list[tuple[str, Presses]]:

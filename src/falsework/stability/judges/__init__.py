@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from falsework.stability.judges.build_judge import BuildJudge as BuildJudge
-from falsework.stability.judges.build_judge import Judgement as Judgement
 from falsework.stability.judges.build_judge import matched_sink as matched_sink
 from falsework.stability.judges.discrete_elements import DiscreteElementSettings as DiscreteElementSettings
 from falsework.stability.judges.discrete_elements import Settling as Settling
