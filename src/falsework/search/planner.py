@@ -73,6 +73,7 @@ class Planner:
         """States found by the searches for alternative plans, shape (count, parts)."""
         self._oracle = oracle
         self._tests = RouteTests(oracle, settings, task.part_count)
+        self._tests.asked = self._asked
         self._falls = 0
         self._edge_guide = self._preferring("edges_first", guide)
         self._guide = self._preferring("beside_held", guide) or guide
@@ -101,6 +102,10 @@ class Planner:
     def replays(self) -> dict[bytes, PlanReplay]:
         """Replays that come to rest in every state, by the states of the routes."""
         return self._tests.replays
+
+    def _asked(self) -> int:
+        """Return the verdicts asked for so far by all attempts, without counting the states of their beams."""
+        return self._counters.asked + sum(beam.search.asked for beam in self._beams.values())
 
     @property
     def counters(self) -> SearchCounters:
@@ -142,8 +147,7 @@ class Planner:
         def report(event: SearchProgress) -> None:
             if progress is not None:
                 seconds = self._seconds + time.perf_counter() - begun
-                asked = self._counters.asked + sum(beam.search.asked for beam in self._beams.values())
-                progress(replace(event, asked=asked, seconds=seconds))
+                progress(replace(event, asked=self._asked(), seconds=seconds))
 
         interrupted = False
         try:
@@ -234,9 +238,19 @@ class Planner:
             settings = AdaptiveSettings(attempt.direction, *base, edges, edges and task.holds_keep_stable)
             self._beams[name] = AdaptiveBeam(task, self._oracle, settings, guide=self._beam_guide(name))
         beam = self._beams[name]
-        result = beam.run(attempt.width, deaths=attempt.deaths, progress=report, stop=stop)
+        tests, first = self._tests, self._stage == "plan"
+        result = beam.run(
+            attempt.width,
+            deaths=attempt.deaths,
+            progress=report,
+            stop=lambda: (first and tests.impatient) or (stop is not None and stop()),
+        )
         if result.interrupted:
-            return True
+            if not (first and tests.impatient) or tests.doubted is None:
+                return True
+            self.routes = [tests.doubted]
+            self._next_trial(begin=True)
+            return False
         if self._stage == "alternatives":
             self._gather(beam, result, stop)
         elif result.found and not self._tests.passes(result.routes[0], beam.search, stop):

@@ -11,7 +11,7 @@ from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.stability.contact.hold_loads import Loads
 from falsework.stability.contact.replay import ReplaySettings
-from falsework.stability.contact.varied_replay import combined_variations, varied_presses
+from falsework.stability.contact.varied_replay import GroupedVariations
 from falsework.stability.holds import Press
 from falsework.stability.judgement import Judgement
 
@@ -41,7 +41,11 @@ class PlanReplay:
     presses: tuple[tuple[Press, ...], ...] = field(default=(), compare=False, repr=False)
     """Presses of the step to each state in the order of assembly; empty where they are not known."""
     varied: bool = False
-    """Whether it also comes to rest under changed settings, in combination (`combined_variations`)."""
+    """Whether it also comes to rest under changed settings (`GroupedVariations`)."""
+    weak_under: str = ""
+    """Change of settings under which it does not, though it stands; empty if none was found."""
+    weak_at: int | None = None
+    """First state that does not come to rest then, in the order of assembly."""
     judgement: Judgement | None = None
     """How far discrete elements built the plan, where that was asked for."""
     loads: Loads = field(default=(), compare=False, repr=False)
@@ -94,8 +98,8 @@ def _of_all(presses: tuple[tuple[Press, ...], ...], states: States) -> tuple[tup
 class Acceptance:
     """Last test of a route: it comes to rest under the true friction too, and no state of it tips.
 
-    A route with a reserve must also come to rest under changed settings: other ratios of stiffness, damping, release
-    and initial friction, and presses that err. Where it is asked for, discrete elements build the route as well.
+    A route with a reserve is also tried under changed settings: other ratios of stiffness, damping, release and initial
+    friction, and presses that err. Where it is asked for, discrete elements build the route as well.
     """
 
     def __init__(self, replayer: VariableReplayer | None, *, judge: bool = False) -> None:
@@ -112,14 +116,15 @@ class Acceptance:
 
             self._judge = BuildJudge(replayer.assembly, replayer.settings.holds)
         self._replayer, self._plain = replayer, replayer
-        self._varied: list[tuple[int, VariableReplayer]] = []
+        self._varied: GroupedVariations | None = None
         if replayer is not None and replayer.settings.reserve != 1.0:
             self._plain = replayer.vary(replace(replayer.settings, reserve=1.0), ReplaySettings())
-            cases = combined_variations(replayer.settings)
-            self._varied = [(k, replayer.vary(*case)) for k, (_, *case) in enumerate(cases)]
+            self._varied = GroupedVariations(replayer)
 
     def tested(self, states: States, found: PlanReplay) -> PlanReplay:
         """Return the replay of a route with what robots bear; the one that fails if a state slides or tips.
+
+        With a reserve it says whether the route also comes to rest under changed settings.
 
         Args:
             states: in assembly order, shape (steps + 1, parts).
@@ -136,13 +141,11 @@ class Acceptance:
         tips = plain.first_tipping(states, histories)
         if tips is not None:
             return replace(PlanReplay.of(true), stands=False, falls_at=tips)
-        errors = varied_presses(presses)
-        for place, (number, varied) in enumerate(self._varied):
-            wrong = varied.replay(states, presses=errors[number][1] if errors else presses)
-            if not wrong.good:
-                self._varied.insert(0, self._varied.pop(place))  # others mostly fail under the same
-                return PlanReplay.of(wrong)
-        return replace(found, loads=plain.loads(states, histories), varied=bool(self._varied))
+        found = replace(found, loads=plain.loads(states, histories))
+        if self._varied is None:
+            return found
+        weak = self._varied.failure(states, presses)
+        return replace(found, varied=True) if weak is None else replace(found, weak_under=weak[0], weak_at=weak[1])
 
     def judged(self, states: States, found: PlanReplay, stop: Stop | None = None) -> PlanReplay:
         """Return the replay of a route that stands with how far discrete elements built it, if that is asked for.
