@@ -10,6 +10,7 @@ from falsework.stability.margins.state_margins import HeldLoad as HeldLoad
 from falsework.stability.margins.state_margins import StateMargins as StateMargins
 from falsework.stability.motion import motion_of as motion_of
 from falsework.stability.oracle import Stability as Stability
+from falsework.stability.pressed_states import PressingStability as PressingStability
 from falsework.stability.problem import Problem as Problem
 from falsework.stability.problem import build_problem as build_problem
 from falsework.stability.reference.clarabel import ExactSolver as ExactSolver
