@@ -68,7 +68,10 @@ def pressed(robot_plan: RobotPlan, column: Assembly, cell: Cell) -> RobotPlan:
 def with_press(plan: RobotPlan, step: int, press: Press) -> RobotPlan:
     presses: list[tuple[Press, ...]] = [()] * len(plan.plan)
     presses[int(plan.rows[step])] = (press,)
-    return replace(plan, plan=replace(plan.plan, presses=tuple(presses)))
+    holds = replace(plan.plan.claim.holds, mode=HoldMode.FORCE)  # with a moment
+    claim = replace(plan.plan.claim, holds=holds)
+    # What robots bear was found without the press.
+    return replace(plan, plan=replace(plan.plan, presses=tuple(presses), claim=claim, loads=()))
 
 
 def limited(cell: Cell, **limits: Any) -> Cell:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from falsework.stability.judgement import Judgement as Judgement
 from falsework.stability.judges.build_judge import BuildJudge as BuildJudge
 from falsework.stability.judges.build_judge import matched_sink as matched_sink
 from falsework.stability.judges.discrete_elements import DiscreteElementSettings as DiscreteElementSettings
