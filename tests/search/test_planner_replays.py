@@ -23,8 +23,8 @@ from falsework.stability import StabilitySettings
 from falsework.stability.contact.newton import FIRST_STEP
 from falsework.stability.contact.replay import History, Replay, ReplaySettings
 from falsework.stability.contact.varied_replay import RobustReplayer
-from falsework.stability.judgement import Judgement
 from falsework.stability.judges import build_judge
+from falsework.stability.judges.judgement import Judgement
 from falsework.utils.cores import core_count
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from falsework.search.problem.task import Task
     from falsework.stability import Stability, StabilitySettings
     from falsework.stability.contact.hold_loads import Loads
-    from falsework.stability.judgement import Judgement
+    from falsework.stability.judges.judgement import Judgement
     from falsework.stability.problem import Cone
     from falsework.stability.settings import SolverName
     from falsework.stability.verdict import Criterion

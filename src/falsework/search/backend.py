@@ -14,12 +14,12 @@ from falsework.search.beam.settings import BeamSettings
 from falsework.search.device.beam import DeviceBeam
 from falsework.search.device.oracle import tensor_oracle
 from falsework.search.problem.task import Task
+from falsework.stability.contact.pressed_states import PressingStability
 from falsework.utils.distributed import init_distributed
 from falsework.utils.tensors import import_torch
 
 if TYPE_CHECKING:
     from falsework.stability.oracle import Stability
-    from falsework.stability.pressed_states import PressingStability
 
 
 @contextmanager
@@ -45,7 +45,7 @@ def beam_search(
     if not together and (device == "cpu" or (device == "auto" and not _gpu_is_usable())):
         yield BeamSearch(task, oracle, settings), True
         return
-    if not hasattr(oracle, "problem"):
+    if isinstance(oracle, PressingStability):
         raise InputError("this oracle decides on the CPU alone; search with device cpu, in one process")
     with init_distributed(device) as (shards, where):
         yield (

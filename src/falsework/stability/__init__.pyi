@@ -1,6 +1,7 @@
 from falsework.stability import judges as judges
 from falsework.stability.certificate import StabilityCriterion as StabilityCriterion
 from falsework.stability.certificate import verify_certificates as verify_certificates
+from falsework.stability.contact.pressed_states import PressingStability as PressingStability
 from falsework.stability.contact.replay import Replay as Replay
 from falsework.stability.contact.replay import Replayer as Replayer
 from falsework.stability.contact.replay import ReplaySettings as ReplaySettings
@@ -10,7 +11,6 @@ from falsework.stability.margins.state_margins import HeldLoad as HeldLoad
 from falsework.stability.margins.state_margins import StateMargins as StateMargins
 from falsework.stability.motion import motion_of as motion_of
 from falsework.stability.oracle import Stability as Stability
-from falsework.stability.pressed_states import PressingStability as PressingStability
 from falsework.stability.problem import Problem as Problem
 from falsework.stability.problem import build_problem as build_problem
 from falsework.stability.reference.clarabel import ExactSolver as ExactSolver

@@ -96,7 +96,7 @@ def test_limits_are_checked_by_evaluation(arch: Assembly, plan: Plan, kind: str,
     plan = replace(plan, displacement=None) if solved else plan
     largest = largest_load(plan.loads)[("force", "moment").index(kind)]
     for claimed in (getattr(plan.claim.holds, kind), 0.0, np.inf):
-        holds = replace(plan.claim.holds, **{kind: claimed})
+        holds = replace(plan.claim.holds, **{kind: claimed})  # type: ignore[arg-type]
         free = replace(plan, claim=replace(plan.claim, holds=holds))
         assert validate_plan(free, arch, limited(**{kind: 1.01 * largest})).good
         reason = validate_plan(free, arch, limited(**{kind: 0.98 * largest})).reason

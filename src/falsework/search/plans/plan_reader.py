@@ -21,7 +21,7 @@ from falsework.search.plans.plan_versions import FORMAT, as_newest
 from falsework.search.problem.task import Direction
 from falsework.stability.certificate import StabilityCriterion
 from falsework.stability.holds import HoldLoad, HoldMode, HoldSettings, Press
-from falsework.stability.judgement import Judgement
+from falsework.stability.judges.judgement import Judgement
 from falsework.stability.state_arrays import StateArrays
 from falsework.stability.verdict import Proof, Verdict
 from falsework.utils.json_file import Reader

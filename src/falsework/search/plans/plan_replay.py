@@ -13,7 +13,7 @@ from falsework.stability.contact.hold_loads import Loads
 from falsework.stability.contact.replay import ReplaySettings
 from falsework.stability.contact.varied_replay import GroupedVariations
 from falsework.stability.holds import Press
-from falsework.stability.judgement import Judgement
+from falsework.stability.judges.judgement import Judgement
 
 if TYPE_CHECKING:
     from falsework.search.problem.oracle import Oracle

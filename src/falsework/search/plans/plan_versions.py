@@ -66,11 +66,11 @@ def _from_version_2(data: dict[str, Any], source: str) -> dict[str, Any]:
 def _from_version_3(data: dict[str, Any]) -> dict[str, Any]:
     """Convert a plan of version 3."""
     stability = data.get("stability")
-    holds = stability.get("holds") if isinstance(stability, dict) else None
-    if isinstance(holds, dict) and isinstance(holds.get("press"), bool):
-        mode = HoldMode.FORCE if holds["press"] else HoldMode.LOCKED
-        kept = {key: value for key, value in holds.items() if key != "press"}
-        data = data | {"stability": {**stability, "holds": kept | {"mode": mode.value}}}
+    if isinstance(stability, dict) and isinstance(stability.get("holds"), dict):
+        holds = dict(stability["holds"])
+        if isinstance(holds.get("press"), bool):
+            holds["mode"] = (HoldMode.FORCE if holds.pop("press") else HoldMode.LOCKED).value
+            data = data | {"stability": stability | {"holds": holds}}
     return data | {"format": FORMAT}
 
 

@@ -174,9 +174,8 @@ class BuildVerifier:
         if np.isinf(across):
             bound = np.abs(turned - given) / size
             force = line @ (change - added)
-            return np.abs([force + along * (line @ turned) if line.any() else 0.0]), bool(
-                bound.max() > _ROUNDING * np.abs(given).max()
-            )
+            off = np.array([abs(force + along * (line @ turned)) if line.any() else 0.0])
+            return off, bool(bound.max() > _ROUNDING * np.abs(given).max())
         return np.abs(change - added + along * given + across * (turned - given)) / size, False
 
 

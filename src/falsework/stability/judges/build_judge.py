@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import as_states
 from falsework.stability.holds import HoldSettings, Press
-from falsework.stability.judgement import Judgement
 from falsework.stability.judges.discrete_elements import (
     POINTS,
     STIFF,
@@ -21,6 +20,7 @@ from falsework.stability.judges.discrete_elements import (
     typical_size,
     typical_weight,
 )
+from falsework.stability.judges.judgement import Judgement
 from falsework.stability.judges.relaxation import FALLS, OPEN
 from falsework.stability.stiffness import normal_stiffness
 

@@ -186,7 +186,8 @@ class ContactForces:
     def copy(self) -> ContactForces:
         """Return a copy that shares nothing."""
         grip = self.grip
-        held = JudgedHolds(*(array.copy() for array in grip))
+        copies = (grip.stiffness.copy(), grip.fresh.copy(), grip.wrench.copy())
+        held = JudgedHolds(*copies, grip.line.copy(), grip.across.copy())
         return ContactForces(self.gap.copy(), self.friction.copy(), held)
 
 
