@@ -471,3 +471,18 @@ def test_a_press_without_a_force_lets_nothing_move_under_hybrid_control(scenes: 
     replay = Replayer(tower, settings(HYBRID)).replay(states, presses=[(), (nothing,)])
     assert replay.good
     assert not replay.histories[-1].displacement[nothing.part].any()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_what_comes_to_rest_under_a_press_in_any_direction_is_proven(scenes: Any, seed: int) -> None:
+    """Solver and verifier measure what is left along the line of the press alike, whatever its direction."""
+    rng = np.random.default_rng(seed)
+    assembly = beside_wall(scenes, friction=0.8)
+    line = np.array([-1.0, *rng.uniform(-0.5, 0.5, 2)])
+    force = rng.uniform(3.0, 6.0) * weight_of(assembly, PLATE) * line / np.linalg.norm(line)
+    given = Press(PRESSER, (*force.tolist(), 0.0, 0.0, 0.0))
+    # A solver that is hardly better than what the verifier allows.
+    loose = replace(settings(HYBRID), tolerance=1e-2)
+    replay = Replayer(assembly, loose).replay(BESIDE, presses=[(), (), (given,)])
+    assert replay.good
+    assert all(proof.residual <= loose.tolerance for proof in proofs_of(assembly, BESIDE, replay.presses, loose))

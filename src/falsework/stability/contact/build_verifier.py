@@ -173,8 +173,8 @@ class BuildVerifier:
         size = np.repeat([1.0, gyration], 3)
         if np.isinf(across):
             bound = np.abs(turned - given) / size
-            force = line @ (change - added)
-            off = np.array([abs(force + along * (line @ turned)) if line.any() else 0.0])
+            # By components, as unbalanced forces are measured elsewhere; the robot bears what it takes across the line.
+            off = np.abs(line @ (change - added) + (along * (line @ turned) if line.any() else 0.0)) * np.abs(line)
             return off, bool(bound.max() > _ROUNDING * np.abs(given).max())
         return np.abs(change - added + along * given + across * (turned - given)) / size, False
 

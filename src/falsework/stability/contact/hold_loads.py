@@ -43,6 +43,8 @@ class ContactHistory(Protocol):
         ...
 
 
+_AT_ONCE = 16
+"""States that are evaluated at once."""
 CLOSE = 0.01
 """Share by which two evaluations of the same build may differ in what robots bear."""
 
@@ -79,15 +81,21 @@ def loads_of_build(
     geometry = geometry_of(assembly.contacts, assembly.mass)
     whole, loads = strength_of(assembly, settings.gravity, settings.reserve), assembly.applied_wrench(settings.gravity)
     joints, found = assembly.joints, []
-    for state, history in zip(states, histories, strict=True):
-        there = (state[geometry.part_a] != REMOVED) & (state[geometry.part_b] != REMOVED)
-        share = np.where(history.torn, 0.0, 1.0)
-        if joints is not None and joints.setting:
-            share = share * joints.set_share(history.age[None])[0]
+    setting = joints is not None and joints.setting
+    # Where joints set or break, every state has contacts of its own strength.
+    at_once = 1 if setting or any(history.torn.any() for history in histories) else _AT_ONCE
+    for first in range(0, len(histories), at_once):
+        rows = slice(first, first + at_once)
+        some, here = histories[rows], states[rows]
+        share = np.where(some[0].torn, 0.0, 1.0)
+        if joints is not None and setting:
+            share = share * joints.set_share(some[0].age[None])[0]
         strength = whole._replace(pull=share * whole.pull, stick=share * whole.stick)
-        springs = history.springs * problem.force_scale[:, None]
-        forces = np.where(there[:, None], into_cone(springs[None], strength, settings.friction_cone)[0][0], 0.0)
-        found.append(loads_in(assembly, state, -(geometry.wrenches(forces[None])[0] + loads)))
+        springs = np.stack([history.springs for history in some]) * problem.force_scale[:, None]
+        there = (here[:, geometry.part_a] != REMOVED) & (here[:, geometry.part_b] != REMOVED)
+        forces = np.where(there[..., None], into_cone(springs, strength, settings.friction_cone)[0], 0.0)
+        wrenches = -(geometry.wrenches(forces) + loads)
+        found += [loads_in(assembly, state, wrench) for state, wrench in zip(here, wrenches, strict=True)]
     return tuple(found)
 
 
