@@ -205,13 +205,14 @@ def picture(
         write_svg(path, drawing(timeline, places, columns=most, width=across, arrows=arrows, key=key, proofs=proofs))
     elif single is not None:
         proof = proofs.get(single)
+        borne = describe_loads(timeline.loads_at(single), shown.assembly.names)
         image = one_state(
             timeline,
             single,
             camera(1200, 2 / 3),
             arrows=arrows,
             key=legend(timeline, proof is not None and proof.slides, PRESSES in arrows_by_kind) if key is None else key,
-            words=title or caption(timeline, single, proof),
+            words=title or "; ".join(filter(None, (caption(timeline, single, proof), borne if proof else ""))),
             marks=None if proof is None else proof.marks,
             arms=shown.arms,
             action_probabilities=shares,
