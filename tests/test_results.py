@@ -40,6 +40,7 @@ SMOKE = {
     "scaling": ["--alone", "--parts", "60", "--repeats", "1"],
     "curved": ["--pairs", "4"],
     "free_edges": ["--cases", "first"],
+    "holds": ["modes", "--structures", "arch:blocks=5"],
     "replan": ["complete", "--structures", "arch:blocks=5", "--seeds", "1"],
     "policies": ["cost", "--structures", "arch:blocks=5", "--kinds", "mlp"],
     "learning": ["table3", "--rows", "arch:blocks=5:2", "--seeds", "0", "--steps", "5", "--states", "5", "--quiet"],

@@ -370,7 +370,7 @@ def test_truncated_plan(falsework: Run, plan_of_stack: Path) -> None:
 
 
 def test_plan_of_another_version(falsework: Run, plan_of_stack: Path) -> None:
-    plan_of_stack.write_text(plan_of_stack.read_text().replace("falsework.plan/3", "falsework.plan/4"))
+    plan_of_stack.write_text(plan_of_stack.read_text().replace("falsework.plan/4", "falsework.plan/5"))
     refused(falsework("check", plan_of_stack), "falsework.plan/4")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable, Sequence, Set
 from types import SimpleNamespace
@@ -15,7 +16,6 @@ from falsework.errors import InputError
 from falsework.search import Direction, Outcome, Planner, PlannerSettings, Task
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.beam.settings import BeamSettings
-from falsework.search.plans import plan_replay
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.result import Stop
 from falsework.search.problem.timed_replayer import DeadlineReplayer
@@ -23,7 +23,8 @@ from falsework.stability import StabilitySettings
 from falsework.stability.contact.newton import FIRST_STEP
 from falsework.stability.contact.replay import History, Replay, ReplaySettings
 from falsework.stability.contact.varied_replay import RobustReplayer
-from falsework.stability.judges import Judgement
+from falsework.stability.judges import build_judge
+from falsework.stability.judges.judgement import Judgement
 from falsework.utils.cores import core_count
 
 
@@ -60,6 +61,9 @@ class RuleReplayer:
 
     def first_tipping(self, states: States, histories: Sequence[History]) -> int | None:
         return None
+
+    def loads(self, states: States, histories: Sequence[History]) -> tuple[()]:
+        return ()
 
     def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
         if self.slow:
@@ -104,8 +108,8 @@ def test_a_search_ends_where_every_replay_falls(rules: Any, direction: Direction
     assert result.outcome is Outcome.NOT_FOUND
     assert result.routes == ()
     if direction is Direction.DISASSEMBLY:
-        assert planner.fallen is not None
-        route, step = planner.fallen
+        assert planner.tests.fallen is not None
+        route, step = planner.tests.fallen
         assert tuple(route.states[::-1][step].tolist()) in bars
 
 
@@ -122,7 +126,7 @@ def test_a_search_does_not_depend_on_how_long_replays_take(rules: Any) -> None:
         assert result.found
         assert not falls & set(map(tuple, result.routes[0].states.tolist()))
         found.append((result.routes[0].states.tobytes(), result.counters.asked))
-        assert list(planner.replays) == [result.routes[0].states.tobytes()]
+        assert list(planner.tests.replays) == [result.routes[0].states.tobytes()]
     assert len(set(found)) == 1
 
 
@@ -169,7 +173,7 @@ class RuleJudge:
 @pytest.fixture
 def judged_by(monkeypatch: pytest.MonkeyPatch) -> Callable[[set[tuple[int, ...]]], None]:
     """Set the states in which the judge sees structures fall."""
-    return lambda falls: monkeypatch.setattr(plan_replay, "BuildJudge", lambda assembly, holds: RuleJudge(falls))
+    return lambda falls: monkeypatch.setattr(build_judge, "BuildJudge", lambda assembly, holds: RuleJudge(falls))
 
 
 @pytest.mark.parametrize("direction", list(Direction))
@@ -184,8 +188,8 @@ def test_a_route_avoids_what_the_judge_sees_fall(rules: Any, judged_by: Any, dir
     (route,) = planner.run().routes
     assert middle not in set(map(tuple, route.states.tolist()))
     count = len(route.states)
-    assert planner.replays[route.states.tobytes()].judgement == Judgement(count, count, undecided=(1,))
-    assert planner.fallen is None
+    assert planner.tests.replays[route.states.tobytes()].judgement == Judgement(count, count, undecided=(1,))
+    assert planner.tests.fallen is None
 
 
 @pytest.mark.parametrize("direction", list(Direction))
@@ -199,7 +203,7 @@ def test_the_route_that_the_judge_builds_farthest_is_kept(rules: Any, judged_by:
     assert not result.interrupted
     assert len(result.routes) == 1
     assert not planner.routes
-    judgement = planner.replays[result.routes[0].states.tobytes()].judgement
+    judgement = planner.tests.replays[result.routes[0].states.tobytes()].judgement
     assert judgement == Judgement(result.steps, result.steps + 1, result.steps, 1)
 
 
@@ -212,11 +216,11 @@ def test_a_judge_is_interrupted(rules: Any, judged_by: Any) -> None:
     result = planner.run(progress=lambda event: levels.append(event.level), stop=lambda: len(levels) == task.steps)
     assert result.interrupted
     assert result.found
-    judgement = planner.replays[result.routes[0].states.tobytes()].judgement
+    judgement = planner.tests.replays[result.routes[0].states.tobytes()].judgement
     assert judgement == Judgement(0, task.steps + 1)
     result = planner.run()
     assert not result.interrupted
-    assert planner.replays[result.routes[0].states.tobytes()].judgement is not None
+    assert planner.tests.replays[result.routes[0].states.tobytes()].judgement is not None
     assert planner.routes
 
 
@@ -228,7 +232,7 @@ def test_a_route_that_is_given_is_judged(rules: Any, judged_by: Any) -> None:
     planner = Planner(task, oracle, PlannerSettings(judge=True))
     planner.begin_with(route)
     assert planner.run().routes == (route,)
-    judgement = planner.replays[route.states.tobytes()].judgement
+    judgement = planner.tests.replays[route.states.tobytes()].judgement
     assert judgement is not None
     assert judgement.stands
 
@@ -258,14 +262,19 @@ def test_a_robust_route_avoids_what_falls_under_a_variation(rules: Any, directio
 def test_the_variation_that_failed_comes_first(rules: Any) -> None:
     task, oracle = tower(rules, set())
     states = Planner(task, oracle).run().routes[0].states[::-1]
-    replayer = RobustReplayer(RuleReplayer(set(), {tuple(states[3].tolist())}))
-    cases: list[Any] = list(replayer._cases)
+    tried: list[ReplaySettings] = []
+
+    class Noting(RuleReplayer):
+        def vary(self, settings: StabilitySettings, replay: ReplaySettings) -> RuleReplayer:
+            tried.append(replay)
+            return super().vary(settings, replay)
+
+    replayer = RobustReplayer(Noting(set(), {tuple(states[3].tolist())}))  # type: ignore[arg-type]
     assert replayer.replay(states).falls_at == 3
-    assert replayer._cases[0] is cases[4]
-    assert sorted(map(id, replayer._cases)) == sorted(map(id, cases))
-    before = [case.replayed for case in cases]
+    tried.clear()
     assert replayer.replay(states).falls_at == 3
-    assert sum(case.replayed for case in cases) - sum(before) <= core_count()
+    assert len(tried) <= core_count()
+    assert any(replay.first_step < FIRST_STEP for replay in tried)
 
 
 def test_a_replay_that_goes_on_is_not_varied(rules: Any) -> None:
@@ -275,3 +284,39 @@ def test_a_replay_that_goes_on_is_not_varied(rules: Any) -> None:
     replayer = RobustReplayer(RuleReplayer(set(), {tuple(states[3].tolist())}))
     history = replayer.replay(states[:2]).histories[-1]
     assert replayer.replay(states[1:], history).good
+
+
+def test_a_route_with_a_reserve_avoids_what_falls_under_changed_settings(rules: Any) -> None:
+    """Without a reserve it is not asked for; the replay says which."""
+    task, oracle = tower(rules, set())
+    settings = PlannerSettings(directions=(Direction.ASSEMBLY,))
+    first = Planner(task, oracle, settings)
+    first.run()
+    route = first.routes[0]
+    middle = tuple(route.states[2].tolist())  # soon before the end, so that another way is found as quickly
+    for reserve in (1.0, 1.1):
+        oracle.replayer = RuleReplayer(set(), varied={middle})
+        oracle.replayer.settings = StabilitySettings(reserve=reserve)
+        planner = Planner(task, oracle, settings)
+        assert planner.run().found
+        states = planner.routes[0].states
+        assert (middle in set(map(tuple, states.tolist()))) == (reserve == 1.0)
+        replay = planner.tests.replays[states.tobytes()]
+        assert (replay.varied, replay.weak_under) == (reserve > 1.0, "")
+
+
+def test_a_route_is_delivered_where_none_stands_under_changed_settings(rules: Any) -> None:
+    """With the change under which it fails, after a search as long as that for the first."""
+    task, oracle = tower(rules, set())
+    every = {state for state in itertools.product((0, 1, 2), repeat=5) if state.count(0) == 2}
+    oracle.replayer = RuleReplayer(set(), varied=every)
+    oracle.replayer.settings = StabilitySettings(reserve=1.1)
+    planner = Planner(task, oracle, PlannerSettings(directions=(Direction.ASSEMBLY,)))
+    result = planner.run()
+    assert result.found
+    assert not result.interrupted
+    replay = planner.tests.replays[result.routes[0].states.tobytes()]
+    assert replay.stands
+    assert (replay.varied, replay.weak_under) == (False, "thicker medium")
+    assert replay.weak_at is not None
+    assert tuple(result.routes[0].states[::-1][replay.weak_at].tolist()) in every

@@ -70,7 +70,7 @@ def test_robots_and_reserve_are_those_of_the_request(live: Any) -> None:
     force = 20 * 9.81 * float(live.assembly.mass.mass.max())
     asked = [
         {},
-        {"holds": {"force": force, "stiffness": None, "press": False}, "reserve": 1.1},
+        {"holds": {"force": force, "stiffness": None, "mode": "locked"}, "reserve": 1.1},
         {"holds": {"stiffness": 2e6}},
     ]
     with ThreadPoolExecutor(len(asked)) as pool:
@@ -78,7 +78,7 @@ def test_robots_and_reserve_are_those_of_the_request(live: Any) -> None:
     usual_robots, strong, soft = (plans_of(reply.json())[0] for reply in replies)
     assert (usual_robots.claim.reserve, strong.claim.reserve, soft.claim.reserve) == (1.0, 1.1, 1.0)
     assert (strong.claim.holds.force, strong.claim.holds.stiffness) == (force, np.inf)
-    assert not strong.claim.holds.press
+    assert strong.claim.holds.mode == "locked"
     assert soft.claim.holds == replace(usual_robots.claim.holds, stiffness=2e6)
     for plan in (usual_robots, strong, soft):
         assert validate_plan(plan, live.assembly).good

@@ -17,7 +17,7 @@ from falsework.errors import InputError
 from falsework.service.schema import components, models_of, read_holds
 from falsework.service.settings import ServiceSettings
 from falsework.service.worker import Item, WorkerConfig, _Judge, _Planner
-from falsework.stability.holds import HoldSettings
+from falsework.stability.holds import HoldMode, HoldSettings
 
 
 class Pipe:
@@ -78,10 +78,10 @@ def test_robots_have_limits_under_contact_alone(clamp: Assembly) -> None:
     for given, holds in (
         ({}, HoldSettings()),
         ({"holds": {}}, HoldSettings()),
-        ({"holds": {"force": 1e6, "press": False}}, HoldSettings(force=1e6, press=False)),
+        ({"holds": {"force": 1e6, "mode": "locked"}}, HoldSettings(force=1e6, mode=HoldMode.LOCKED)),
         ({"holds": {"stiffness": None, "force": None}}, HoldSettings(np.inf, np.inf)),
     ):
         assert read_holds(model.model_validate(given), clamp, "contact") == holds
     assert read_holds(model.model_validate({}), clamp, "equilibrium") == HoldSettings()
     with pytest.raises(InputError, match="holds: under equilibrium robots hold with any force"):
-        read_holds(model.model_validate({"holds": {"press": False}}), clamp, "equilibrium")
+        read_holds(model.model_validate({"holds": {"mode": "locked"}}), clamp, "equilibrium")

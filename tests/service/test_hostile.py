@@ -84,7 +84,7 @@ def pids(live: Any, kind: str) -> list[int]:
         (b'{"holds": {"stiffness": NaN}}', ("holds stiffness",)),
         (b'{"holds": {"force": -1}}', ("holds force",)),
         (b'{"holds": {"moment": "5"}}', ("holds moment",)),
-        (b'{"holds": {"press": 1}}', ("holds press",)),
+        (b'{"holds": {"mode": 1}}', ("holds mode",)),
         (b'{"holds": {"strength": 1}}', ("there is no entry 'strength' in holds",)),
         (b'{"holds": {"force": 1}}', ("holds:", "cannot carry part voussoir-", "weighs")),
     ],

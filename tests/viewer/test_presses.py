@@ -218,4 +218,16 @@ def test_the_command_says_it(
     assert "(as reached in assembly)" in said
     assert main(["check", str(file), "--steps"]) == 0
     steps = [line for line in capsys.readouterr().out.splitlines() if "robot presses" in line]
-    assert steps == [f"{place:4d}  {plan.describe(place - 1)}"]
+    assert len(steps) == 1
+    assert steps[0].startswith(f"{place:4d}  {plan.describe(place - 1)}; robot bears ")
+
+
+def test_the_page_names_what_robots_bear(arch: tuple[Assembly, Plan]) -> None:
+    """At held parts, in both directions."""
+    assembly, plan = arch
+    assert any(plan.loads)
+    timeline = Timeline.of(plan, assembly)
+    for direction in Direction:
+        shown = timeline.turned(direction)
+        for place in range(len(plan) + 1):
+            assert shown.loads_at(place) == (plan if plan.direction is direction else plan.reverse()).loads[place]

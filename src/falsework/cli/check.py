@@ -14,7 +14,7 @@ from falsework.cli.command import CONE_HINT, UNSET, JudgingCommand, LoadOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.output import counted
 from falsework.cli.overrides import exit_of_good, say_overrides
-from falsework.cli.planning import judge_text
+from falsework.cli.planning import judge_text, load_record, load_text
 from falsework.errors import InputError
 
 if TYPE_CHECKING:
@@ -79,7 +79,9 @@ class CheckPlan(JudgingCommand):
     reserve: Annotated[float, arg(metavar="FACTOR")] = 1.0
     """Least reserve of the plan: number by which it divides friction."""
     hold_force: Annotated[float | None, arg(metavar="N", help_behavior_hint="(default: that of the plan)")] = None
-    """Largest force for which the plan may rely on a robot that holds a part, N."""
+    """Largest force of a robot on a part that it holds, N; no robot may bear more in any state."""
+    hold_moment: Annotated[float | None, arg(metavar="NM", help_behavior_hint="(default: that of the plan)")] = None
+    """Largest moment of a robot about the centre of mass of a part that it holds, N m."""
     margin: Annotated[str | None, arg(metavar="MARGINS", help_behavior_hint="(default: those of the plan)")] = None
     """Margins that every state must keep, such as friction=1.25,tilt=2deg,push=20N; see `falsework plan --help`."""
     replay: bool = False
@@ -113,7 +115,7 @@ class CheckPlan(JudgingCommand):
             gravity=self.gravity,
             force_bound=self.force_bound,
             reserve=self.reserve,
-            holds=HoldSettings(force=self.hold_force),
+            holds=HoldSettings(force=self.hold_force, moment=self.hold_moment),
         )
         demands = None if self.margin is None else Demands.parse(self.margin)
         plan = load_plan(self.plan)
@@ -146,6 +148,7 @@ class CheckPlan(JudgingCommand):
     ) -> None:
         from falsework.cli.velocity_text import describe, motions
         from falsework.search.plans.plan_report import JUDGEMENT, REPLAY
+        from falsework.stability.holds import describe_loads
         from falsework.stability.motion import motion_of
 
         verified = {REPLAY} if self.replay and self.by == "contact" else set()
@@ -168,12 +171,14 @@ class CheckPlan(JudgingCommand):
                 "about": None if found.about is None else asdict(found.about),
                 "overrides": overrides,
                 "certified": found.certified,
+                **load_record(found.loads),
                 "unverified": unverified,
             }
         )
         if self.steps:
             for step in range(len(plan)):
-                output.say(f"{step + 1:4d}  {plan.describe(step)}")
+                borne = describe_loads(found.loads[step + 1], plan.part_names) if found.loads else ""
+                output.say("; ".join(filter(None, (f"{step + 1:4d}  {plan.describe(step)}", borne))))
         if found.good:
             claim = found.claim
             output.say(
@@ -189,6 +194,8 @@ class CheckPlan(JudgingCommand):
         if found.checked and found.about is not None:
             output.say(self._about(found.about, plan, assembly))
             say_overrides(overrides, output)
+        if borne := load_text(plan, found.loads):
+            output.say(borne)
         if found.certified:
             output.say(f"certificates in the plan prove {found.certified} states")
         if found.good and unverified:
@@ -219,7 +226,7 @@ class CheckPlan(JudgingCommand):
         from falsework.stability.contact.varied_replay import replay_varied
 
         forward = plan if plan.direction == "assembly" else plan.reverse()
-        settings = replace(settings, reserve=plan.claim.reserve, holds=plan.claim.holds)
+        settings = replace(settings, reserve=plan.claim.reserve, holds=plan.claim.holds.within(settings.holds))
         replayer = Replayer(assembly, settings)
         replay = replayer.replay(forward.states, presses=forward.assembly_presses)
         for row in range(len(forward.states)):

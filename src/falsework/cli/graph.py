@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 class MakeGraph(JudgingCommand):
     """Search for stable states, and save them with all actions between them.
 
-    If the search begins at the empty structure, the structure can be disassembled from every state of the graph. Exit
-    code 1 if the search does not reach the other end; the states found are saved in any case.
+    States are judged from rest, each by itself, and robots press only with `--presses`. If the search begins at the
+    empty structure, the structure can be disassembled from every state of the graph. Exit code 1 if the search does not
+    reach the other end; the states found are saved in any case.
     """
 
     examples: ClassVar[tuple[str, ...]] = ("falsework graph bottle --width 64 --robots 2 --out graph.npz",)
@@ -36,6 +37,8 @@ class MakeGraph(JudgingCommand):
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Device of the search; `auto` takes a GPU if there is one. Several processes under torchrun share the work."""
 
+    presses: bool = False
+    """Count a state as stable, too, if it stands while robots press parts that they hold; on the CPU, and slower."""
     deadline: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint=UNSET)] = None
     """Seconds after which the search of one process ends; the states found so far are saved."""
 
@@ -45,18 +48,23 @@ class MakeGraph(JudgingCommand):
         from falsework.search.backend import beam_search
         from falsework.search.problem.deadline import Deadline
         from falsework.search.problem.state_graph import StateGraph, save_state_graph
-        from falsework.stability import Stability, StabilitySettings
+        from falsework.stability import PressingStability, Stability, StabilitySettings
 
         writable(self.out, ".npz")
         clock = Deadline(self.deadline)
         if clock.limited and int(os.environ.get("WORLD_SIZE", "1")) > 1:
             raise InputError("processes that share a search cannot end it at a deadline; leave --deadline out")
+        if self.presses and self.device == "cuda":
+            raise InputError("presses are chosen on the CPU; leave out --presses or --device cuda")
+        if self.presses and int(os.environ.get("WORLD_SIZE", "1")) > 1:
+            raise InputError("processes that share a search choose no presses; leave out --presses")
         assembly = self.structure.load()
         oracle = Stability(assembly, StabilitySettings(criterion=self.criterion))
+        judge, device = (PressingStability(oracle), "cpu") if self.presses else (oracle, self.device)
         task = self.task.task(assembly).judged_by(oracle)
         if refuse_unstable(assembly, oracle, task, output):
             return Exit.NO
-        with beam_search(task, oracle, self.search.settings(), self.device) as (search, first):
+        with beam_search(task, judge, self.search.settings(), device) as (search, first):
             if not first:
                 search.run()
                 return Exit.DONE
@@ -73,6 +81,7 @@ class MakeGraph(JudgingCommand):
                 "states": len(graph),
                 "actions": len(graph.source),
                 "solvable": int(graph.solvable.sum()),
+                "presses": self.presses,
                 "found": result.found,
                 "interrupted": result.interrupted,
                 "asked": result.counters.asked,

@@ -17,6 +17,7 @@ from falsework.cli.planning import (
     SupportOptions,
     lacks_judge,
     lacks_reserve,
+    load_record,
     promise_lines,
     refuse_unstable,
     writable,
@@ -264,6 +265,7 @@ class MakePlan(Command):
             record["replay"] = None if plan.replay is None else plan.replay.to_dict()
             record["reserve"] = plan.claim.reserve
             record["presses"] = sum(map(bool, plan.presses))
+            record |= load_record(plan.loads)
             if plan.props:
                 record["props"] = [prop.to_dict() for prop in plan.props]
             if plan.margins is not None:

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from falsework.search.plans.plan import Plan
     from falsework.search.problem.task import Task
     from falsework.stability import Stability, StabilitySettings
-    from falsework.stability.judges import Judgement
+    from falsework.stability.contact.hold_loads import Loads
+    from falsework.stability.judges.judgement import Judgement
     from falsework.stability.problem import Cone
     from falsework.stability.settings import SolverName
     from falsework.stability.verdict import Criterion
@@ -108,6 +109,12 @@ class HoldOptions:
     hold_stiffness: Annotated[float, arg(metavar="N/m", help_behavior_hint="(default: inf)")] = float("inf")
     """Stiffness of a robot at its gripper, N/m, where its controller does not keep the pose of the part that it holds.
     An industrial arm has 1e6 to 1e8."""
+    hold_moment: Annotated[float | None, arg(metavar="NM", help_behavior_hint=UNSET)] = None
+    """Largest moment of a robot about the centre of mass of a part that it holds, N m; by default twice the largest
+    force times the largest radius of gyration of a part."""
+    press_mode: Literal["force", "hybrid"] = "hybrid"
+    """What a robot controls that presses on a part while another part is released: its force in all directions, or
+    along one direction only, with the position of the part across it."""
     no_press: bool = False
     """Robots only hold; they do not press on parts while another part is released."""
     reserve: Annotated[float | None, arg(metavar="FACTOR", help_behavior_hint="(default: 1.1)")] = None
@@ -121,14 +128,17 @@ class HoldOptions:
         """
         from falsework.search.find import PLANS
         from falsework.stability import StabilitySettings
-        from falsework.stability.holds import HoldSettings
+        from falsework.stability.holds import HoldMode, HoldSettings
 
         given = self != HoldOptions()
         if criterion == "equilibrium" and given and self != HoldOptions(reserve=self.reserve):
             raise InputError("under equilibrium robots hold with any force; leave out the options of holds")
         if self.reserve is not None and not self.reserve >= 1:
             raise InputError(f"--reserve is {self.reserve:g}; give 1 for none, or more")
-        holds = HoldSettings(self.hold_stiffness, self.hold_force, press=not self.no_press)
+        if self.no_press and self.press_mode != HoldOptions.press_mode:
+            raise InputError("--press-mode is for robots that press; leave out one of --press-mode and --no-press")
+        mode = HoldMode.LOCKED if self.no_press else HoldMode(self.press_mode)
+        holds = HoldSettings(self.hold_stiffness, self.hold_force, self.hold_moment, mode)
         reserve = self.reserve or (PLANS.reserve if criterion == "contact" else 1.0)
         return StabilitySettings(criterion=criterion, cone=cone, solver=solver, reserve=reserve, holds=holds)
 
@@ -144,13 +154,25 @@ def promise_lines(plan: Plan, *, robust: bool = False) -> list[str]:
     stands = plan.replay is not None and plan.replay.stands
     judgement = None if plan.replay is None else plan.replay.judgement
     judged = judge_text(judgement) if judgement is not None and judgement.stands else ""
-    return [*([replay_text(plan, also)] if stands else []), *filter(None, [press_text(plan), judged])]
+    lines = [press_text(plan), load_text(plan, plan.loads), judged, marginal_text(plan)]
+    return [*([replay_text(plan, also)] if stands else []), *filter(None, lines)]
 
 
 def lacks_reserve(plan: Plan, asked: float) -> str:
     """Return the remark on a plan that keeps less reserve than was asked; empty if it keeps it."""
     kept = plan.claim.reserve
     return f"no plan was found with the reserve of {asked:g}; this one keeps {kept:g}" if kept < asked else ""
+
+
+def marginal_text(plan: Plan) -> str:
+    """Return the change of settings under which the replay of a plan fails, in words; empty if none was found."""
+    replay = plan.replay
+    if replay is None or not replay.weak_under or replay.weak_at is None:
+        return ""
+    forward = plan if plan.direction == "assembly" else plan.reverse()
+    action = f" ({forward.describe(replay.weak_at - 1)})" if replay.weak_at else ""
+    where = f"after step {replay.weak_at} of assembly{action}"
+    return f"the plan is marginal: its replay fails {where} under {replay.weak_under}"
 
 
 def judge_text(judgement: Judgement) -> str:
@@ -222,6 +244,7 @@ def replay_text(plan: Plan, also: str = "") -> str:
     kept, replay = plan.claim.reserve, plan.replay
     assert replay is not None
     reserve = f" with the true friction and with friction / {kept:g}" if kept > 1 else ""
+    also = also or ", and under small changes of settings" * replay.varied
     return f"the replay succeeds{reserve}{also}; parts move by at most {replay.moved * 1e3:.3g} mm"
 
 
@@ -235,6 +258,34 @@ def press_text(plan: Plan, scale: float = 1.0) -> str:
     forces = [scale * press.force for presses in plan.presses for press in presses]
     steps = counted(sum(map(bool, plan.presses)), "step")
     return f"robots press in {steps}, with at most {max(forces):.4g} N" if forces else ""
+
+
+def load_record(loads: Loads) -> dict[str, float | None]:
+    """Return the largest force, N, and moment, N m, that robots bear, as JSON values; null where it is not known."""
+    from falsework.stability.contact.hold_loads import largest_load
+
+    force, moment = largest_load(loads) if loads else (None, None)
+    return {"largest_force": force, "largest_moment": moment}
+
+
+def load_text(plan: Plan, loads: Loads) -> str:
+    """Return the largest force and moment that robots bear in a plan, and where; empty if it is not known.
+
+    Args:
+        plan: the plan.
+        loads: of its states.
+    """
+    from falsework.stability.contact.hold_loads import largest_load
+    from falsework.stability.holds import describe_force
+
+    every = [(load, row) for row, some in enumerate(loads) for load in some]
+    if not every:
+        return ""
+    load, row = max(every, key=lambda pair: pair[0].force)
+    last = len(loads) - 1
+    step = row if plan.direction == "assembly" else last - row
+    where = f"for {plan.part_names[load.part]}, after step {step} of assembly"
+    return f"robots bear at most {describe_force(load.force)} ({where}) and {largest_load(loads)[1]:.3g} N m"
 
 
 def writable(path: Path, suffix: str = "") -> None:

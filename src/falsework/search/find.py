@@ -189,14 +189,14 @@ def find_plans(
             Path(checkpoint).unlink(missing_ok=True)
     if not result.found:
         fallen = None
-        if planner.fallen is not None and not result.interrupted:
-            fallen = plan_of(planner.fallen[0], assembly, task, oracle, forces=forces)
+        if planner.tests.fallen is not None and not result.interrupted:
+            fallen = plan_of(planner.tests.fallen[0], assembly, task, oracle, forces=forces)
         return Planning(result, (), Alternatives.of([]), fallen, result.interrupted and clock.passed)
     late = result.interrupted and clock.passed
     choice = Deadline(max(clock.left, _CHOICE_SECONDS))
     chosen = _choose(planner, result, settings, assembly, oracle, lambda: choice.passed)
     plans = tuple(
-        plan_of(route, assembly, task, oracle, forces=forces, replay=planner.replays.get(route.states.tobytes()))
+        plan_of(route, assembly, task, oracle, forces=forces, replay=planner.tests.replays.get(route.states.tobytes()))
         for route in chosen.routes
     )
     standing = [k for k, plan in enumerate(plans) if plan.replay is None or plan.replay.stands]

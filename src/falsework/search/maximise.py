@@ -143,7 +143,7 @@ class _Stronger:
     def prove(self, assembly: Assembly, task: Task, *, forces: bool) -> Planning:
         """Prove the states of the plan, and measure their margins."""
         route = self.result.routes[0]
-        replay = self.planner.replays.get(route.states.tobytes())
+        replay = self.planner.tests.replays.get(route.states.tobytes())
         plan = plan_of(route, assembly, task, self.oracle, forces=forces, replay=replay)
         return Planning(self.result, (plan,), Alternatives.of([route]))
 

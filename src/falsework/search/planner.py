@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from falsework.errors import InputError
 from falsework.search.beam.backjumping import BackjumpingBeam
 from falsework.search.beam.beam import BeamSearch
-from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.plans.route_tests import RouteTests
 from falsework.search.problem.guide import Guide, NoveltyGuide
 from falsework.search.problem.oracle import Oracle
@@ -77,7 +76,9 @@ class Planner:
         self.states = np.empty((0, task.part_count), dtype=np.uint8)
         """States found by the searches for alternative plans, shape (count, parts)."""
         self._oracle, self._falls = oracle, 0
-        self._tests = RouteTests(oracle, settings, task.part_count)
+        self.tests = RouteTests(oracle, settings, task.part_count)
+        """Of complete routes, with their replays and the one that falls last."""
+        self.tests.asked = self._asked
         self._edge_guide = self._preferring("edges_first", guide)
         self._guide = self._preferring("beside_held", guide) or guide
         self._stage = "plan"
@@ -97,15 +98,9 @@ class Planner:
         """Whether there is nothing left to do."""
         return self._stage == "done"
 
-    @property
-    def fallen(self) -> tuple[Route, int] | None:
-        """Route whose replay gets farthest before it fails, and the step of assembly at which it fails."""
-        return self._tests.fallen
-
-    @property
-    def replays(self) -> dict[bytes, PlanReplay]:
-        """Replays that come to rest in every state, by the states of the routes."""
-        return self._tests.replays
+    def _asked(self) -> int:
+        """Return the verdicts asked for so far by all attempts, without counting the states of their beams."""
+        return self._counters.asked + sum(beam.asked for beam in self._beams.values())
 
     @property
     def counters(self) -> SearchCounters:
@@ -147,16 +142,15 @@ class Planner:
         def report(event: SearchProgress) -> None:
             if progress is not None:
                 seconds = self._seconds + time.perf_counter() - begun
-                asked = self._counters.asked + sum(beam.asked for beam in self._beams.values())
-                progress(replace(event, asked=asked, seconds=seconds))
+                progress(replace(event, asked=self._asked(), seconds=seconds))
 
         interrupted = False
         try:
             if (unstable := unstable_end(self.task, self._oracle)) is not None:
                 return unstable
             for route in self.routes if self.settings.judge else ():  # given, or of a search that was resumed
-                if route.states.tobytes() not in self.replays:
-                    self._tests.passes(route, stop=stop)
+                if route.states.tobytes() not in self.tests.replays:
+                    self.tests.passes(route, stop=stop)
             while not self.done and not interrupted:
                 interrupted = self._advance(report, stop)
         except KeyboardInterrupt:
@@ -243,24 +237,28 @@ class Planner:
         if name not in self._beams:
             rules = self.task.postpone(self._trial), self._oracle, portfolio, self.settings.seed
             self._beams[name] = start(name, *rules, self._beam_guide)
-        beam, paused = self._beams[name], False
+        beam, tests, paused = self._beams[name], self.tests, False
 
         def halt() -> bool:
             nonlocal paused
-            paused = beam.asked >= portfolio.allowance(self._round)
+            impatient = self._stage == "plan" and tests.impatient
+            paused = impatient or beam.asked >= portfolio.allowance(self._round)
             return paused or (stop is not None and stop())
 
         result = self._last[name] = beam.run(portfolio.widest, progress=report, stop=halt)
-        if paused and not result.found:
+        if paused and not result.found and self._stage == "plan" and tests.impatient and tests.doubted is not None:
+            self.routes = [tests.doubted]
+            self._next_trial(begin=True)
+        elif paused and not result.found:
             self._turn += 1
         elif result.interrupted:
             return True
         elif self._stage == "alternatives":
             self._gather(beam, result, stop)
-        elif result.found and not self._tests.passes(result.routes[0], beam.replay_summary(), stop):
+        elif result.found and not self.tests.passes(result.routes[0], beam.replay_summary(), stop):
             self._falls += 1
             if self._falls < _MOST_FALLS:
-                beam.forbid(self._tests.forbidden)
+                beam.forbid(self.tests.forbidden)
             else:
                 limit = f"{self._falls} plans were found, and in each a state tips or the replay fails"
                 self._failed(replace(result, outcome=Outcome.NOT_FOUND, routes=(), limit=limit))
@@ -291,12 +289,12 @@ class Planner:
         """Keep the states of a search for another plan, and continue with the next."""
         if result.found and isinstance(beam, BackjumpingBeam):
             self.states = np.concatenate([self.states, beam.search.states()])
-        if result.found and self._tests.passes(result.routes[0], beam.replay_summary(), stop):
+        if result.found and self.tests.passes(result.routes[0], beam.replay_summary(), stop):
             self.routes.append(result.routes[0])
             self._drop_beams()
         elif result.found and self._falls < _MOST_FALLS:
             self._falls += 1
-            beam.forbid(self._tests.forbidden)
+            beam.forbid(self.tests.forbidden)
         elif self._give_up():
             self._finish()
         if len(self.routes) == self.settings.alternatives:
@@ -304,7 +302,7 @@ class Planner:
 
     def _failed(self, result: SearchResult) -> None:
         """Try the next attempt, or give this trial up."""
-        decided = result.outcome is Outcome.PROVED_IMPOSSIBLE and not len(self._tests.forbidden)
+        decided = result.outcome is Outcome.PROVED_IMPOSSIBLE and not len(self.tests.forbidden)
         if self.regrasps:  # beams in which parts are held once prove nothing; even without a proof, nothing is left
             everywhere = self._beams[self._left[self._turn]]
             decided = isinstance(everywhere, SupportEverywhere) and everywhere.examined_all
@@ -359,7 +357,7 @@ class Planner:
 
     def _preferring(self, what: str, guide: Guide | None) -> Guide | None:
         """Return a heuristic of `SupportGuide`; None where it has none, or histories matter and are not kept."""
-        known = self._tests.replayer is not None or self.task.holds_keep_stable
+        known = self.tests.replayer is not None or self.task.holds_keep_stable
         return getattr(guide, what, lambda _: None)(self.task) if known else None
 
     def _beam_guide(self, beam: str) -> Guide | None:
@@ -369,7 +367,7 @@ class Planner:
 
     def _result(self, interrupted: bool) -> SearchResult:
         counters = self.counters
-        routes = self.routes or [route for route in [self._tests.doubted] if route is not None]
+        routes = self.routes or [route for route in [self.tests.doubted] if route is not None]
         if routes:
             notes = ()
             if interrupted and self.routes:

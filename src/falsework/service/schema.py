@@ -74,7 +74,11 @@ class Holds(Strict):
         description="largest moment about the centre of mass of a held part, N m; by default twice the force times the "
         "largest radius of gyration, null for no limit",
     )
-    press: bool = Field(default=True, description="whether robots may press held parts while another is released")
+    mode: Literal["locked", "force", "hybrid"] = Field(
+        default=HoldSettings().mode.value,
+        description="what robots control while a part is released: the pose (they never press), the wrench of a part "
+        "that they press, or its force along one direction and its pose across it",
+    )
 
 
 @dataclass(frozen=True)
@@ -235,7 +239,7 @@ def complaint(error: ValidationError, parts: int) -> str:
         inside = place[-2] if len(place) > 1 else "this request"
         return f"there is no entry {ascii(place[-1])[:_SHOWN]} in {inside}; /docs lists those that there are"
     if place == ["holds"]:
-        return "holds: give an object with any of stiffness, force, moment and press"
+        return "holds: give an object with any of stiffness, force, moment and mode"
     if place == ["states"]:
         return f"states: give a list of states ({first['msg'][:_SHOWN]})"
     if place[0] in ("state", "target", "states"):

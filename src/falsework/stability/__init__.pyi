@@ -1,6 +1,7 @@
 from falsework.stability import judges as judges
 from falsework.stability.certificate import StabilityCriterion as StabilityCriterion
 from falsework.stability.certificate import verify_certificates as verify_certificates
+from falsework.stability.contact.pressed_states import PressingStability as PressingStability
 from falsework.stability.contact.replay import Replay as Replay
 from falsework.stability.contact.replay import Replayer as Replayer
 from falsework.stability.contact.replay import ReplaySettings as ReplaySettings

@@ -4,13 +4,15 @@ A robot that holds a part is a spring that carries a wrench, `w = w0 - K u`: `w0
 how far the part has moved since then. With infinite `K` the hold is locked: the controller keeps the pose of the part,
 whatever slowly changes around it. Finite `K` is an arm under impedance control, or one under position control that does
 not see how its joints and links give way. While another part is released, a robot may *press*: it adds a chosen wrench
-to `w0` while it is compliant. Then it stays where it is.
+to `w0` while it is compliant, in all directions (force control) or along the force only (hybrid control). Then it stays
+where it is.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from functools import cache
 from typing import Any
 
@@ -35,6 +37,18 @@ _LEVER = 2.0
 """Default largest moment of a robot: its largest force at this multiple of the largest radius of gyration of a part."""
 
 
+class HoldMode(StrEnum):
+    """What robots that hold parts control while another part is released."""
+
+    LOCKED = "locked"
+    """The pose: they never press."""
+    FORCE = "force"
+    """The wrench: a robot that presses gives way in all directions."""
+    HYBRID = "hybrid"
+    """The force along one direction, and the pose across it: a robot that presses gives way along that direction only.
+    """
+
+
 @dataclass(frozen=True)
 class HoldSettings:
     """What robots that hold parts can do."""
@@ -48,26 +62,38 @@ class HoldSettings:
     moment: float | None = None
     """Largest moment about the centre of mass of a held part, N m; if not given, twice the largest force times the
     largest radius of gyration."""
-    press: bool = True
-    """Whether robots may press held parts against others before a part is let go of."""
+    mode: HoldMode = HoldMode.HYBRID
+    """What robots control while another part is let go of. Only with `locked` do they never press held parts against
+    others."""
 
     @property
     def presses(self) -> bool:
         """Whether robots press: if they may, and with a force of more than zero."""
-        return self.press and self.force != 0
+        return self.mode is not HoldMode.LOCKED and self.force != 0
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as plain JSON values; null stands for no limit, and for a rigid hold."""
         finite = {name: getattr(self, name) for name in ("stiffness", "force", "moment")}
-        return {name: None if value == np.inf else value for name, value in finite.items()} | {"press": self.press}
+        return {name: None if value == np.inf else value for name, value in finite.items()} | {"mode": self.mode.value}
 
     def resolved(self, assembly: Assembly, gravity: float = 9.81) -> HoldSettings:
         """Return the settings with the limits that they mean for a structure."""
         limits = limits_of(assembly, self, gravity)
         force, moment = float(limits.force.max(initial=0.0)), float(limits.moment.max(initial=0.0))
-        return replace(self, force=force, moment=moment, press=self.presses)
+        return replace(self, force=force, moment=moment, mode=self.mode if self.presses else HoldMode.LOCKED)
+
+    def within(self, others: HoldSettings) -> HoldSettings:
+        """Return the settings with no larger force and moment than those of others that give them."""
+        least = {}
+        for name in ("force", "moment"):
+            mine, theirs = getattr(self, name), getattr(others, name)
+            least[name] = min(mine or np.inf, theirs) if theirs else mine
+        return replace(self, **least)
 
     def __post_init__(self) -> None:
+        if self.mode not in tuple(HoldMode):
+            raise InputError(f"the mode of holds is {self.mode!r}; give {', '.join(HoldMode)}")
+        object.__setattr__(self, "mode", HoldMode(self.mode))
         if not self.stiffness > 0:
             raise InputError(f"the stiffness of holds is {self.stiffness:g} N/m; give a positive number, inf for rigid")
         for name, unit in (("force", "N"), ("moment", "N m")):
@@ -83,12 +109,25 @@ class Press:
     part: int
     """The held part."""
     wrench: tuple[float, ...]
-    """Force in N, and moment about the part's centre of mass in N m."""
+    """Force in N, and moment about the part's centre of mass in N m; under hybrid control the moment is zero, and the
+    part gives way along the force only."""
 
     @property
     def force(self) -> float:
         """Size of the force, N."""
         return float(np.linalg.norm(self.wrench[:3]))
+
+
+@dataclass(frozen=True)
+class HoldLoad:
+    """What a robot bears for a part that it holds in one state."""
+
+    part: int
+    """The held part."""
+    force: float
+    """Size of the force, N."""
+    moment: float
+    """Size of the moment about the part's centre of mass, N m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +172,11 @@ def describe_force(force: float) -> str:
 def describe_presses(presses: Sequence[Press], names: Sequence[str]) -> str:
     """Describe presses, such as `robot presses block-25 with 3.9 kN`; empty if there are none."""
     return ", ".join(f"robot presses {names[press.part]} with {describe_force(press.force)}" for press in presses)
+
+
+def describe_loads(loads: Sequence[HoldLoad], names: Sequence[str]) -> str:
+    """Describe what robots bear in a state, such as `robot bears 1.2 kN for block-25`; empty if they hold nothing."""
+    return ", ".join(f"robot bears {describe_force(load.force)} for {names[load.part]}" for load in loads)
 
 
 def pack_presses(presses: Sequence[Sequence[Press]]) -> tuple[NDArray[np.int32], NDArray[np.int32], Array]:

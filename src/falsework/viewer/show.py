@@ -15,7 +15,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import States, check_robots
 from falsework.errors import InputError
 from falsework.search.problem.deadline import check_deadline
-from falsework.stability.holds import describe_presses
+from falsework.stability.holds import describe_loads, describe_presses
 from falsework.stability.margins.nearness import nearness_to_limit
 from falsework.stability.verdict import Criterion
 from falsework.viewer.arrows import PRESSES, Arrows, arrows_of_step
@@ -205,13 +205,14 @@ def picture(
         write_svg(path, drawing(timeline, places, columns=most, width=across, arrows=arrows, key=key, proofs=proofs))
     elif single is not None:
         proof = proofs.get(single)
+        borne = describe_loads(timeline.loads_at(single), shown.assembly.names)
         image = one_state(
             timeline,
             single,
             camera(1200, 2 / 3),
             arrows=arrows,
             key=legend(timeline, proof is not None and proof.slides, PRESSES in arrows_by_kind) if key is None else key,
-            words=title or caption(timeline, single, proof),
+            words=title or "; ".join(filter(None, (caption(timeline, single, proof), borne if proof else ""))),
             marks=None if proof is None else proof.marks,
             arms=shown.arms,
             action_probabilities=shares,
@@ -223,8 +224,10 @@ def picture(
         sheet = contact_sheet(timeline, places=places, columns=columns, camera=view_of_all, title=title, proofs=proofs)
         write_png(path, sheet)
     shows = f"{len(places)} of {len(timeline) + 1} states" if len(timeline) else f"{shown.assembly.name}"
-    if single is not None and timeline.presses_at(single):
-        shows += f"; {describe_presses(timeline.presses_at(single), shown.assembly.names)}"
+    if single is not None:
+        names = shown.assembly.names
+        said = describe_presses(timeline.presses_at(single), names), describe_loads(timeline.loads_at(single), names)
+        shows = "; ".join(filter(None, (shows, *said)))
     if not proofs:
         return PictureReport(shows, tuple(places))
     fallen = _unstable(proofs)

@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from falsework.assembly.state import HELD, REMOVED, Mask, States, as_states, describe_step
 from falsework.search.plans.plan_check import check_identity
 from falsework.search.problem.task import Direction
-from falsework.stability.holds import Press, describe_presses
+from falsework.stability.contact.hold_loads import Loads
+from falsework.stability.holds import HoldLoad, Press, describe_presses
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -49,6 +50,8 @@ class Timeline:
     """Robots that there are."""
     presses: tuple[tuple[Press, ...], ...] = ()
     """Presses of robots in each step as it is done in assembly, one entry a step; empty where there are none."""
+    loads: Loads = ()
+    """What robots bear in each state; empty where it is not known."""
 
     @classmethod
     def of(
@@ -76,7 +79,7 @@ class Timeline:
             who = holders(plan.states, assembly.immovable)
             who = who if plan.direction is Direction.DISASSEMBLY else who[::-1]
         shown = plan.direction if direction is None else direction
-        return cls(assembly, apart.states, apart.actions, who, shown, plan.robots, apart.presses)
+        return cls(assembly, apart.states, apart.actions, who, shown, plan.robots, apart.presses, apart.loads)
 
     @classmethod
     def from_state(cls, assembly: Assembly, state: ArrayLike, robots: int = 2) -> Timeline:
@@ -108,6 +111,10 @@ class Timeline:
         if not self.presses or self.direction is Direction.DISASSEMBLY or not 0 < place <= len(self):
             return ()
         return self.presses[self.row(place)]
+
+    def loads_at(self, place: int) -> tuple[HoldLoad, ...]:
+        """Return what robots bear in the state at a place; empty where it is not known."""
+        return self.loads[self.row(place)] if self.loads else ()
 
     def words(self, step: int) -> str:
         """Describe a step, counted from 0 in the order shown, such as `hold block-3`, with the presses of robots."""

@@ -11,11 +11,12 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 
 from falsework.assembly import Assembly, load_assembly, load_structure  # noqa: E402
 from falsework.errors import InputError, StateError  # noqa: E402
+from falsework.geometry import TriangleMesh  # noqa: E402
 from falsework.learn.env.environment import Environment, Rollouts  # noqa: E402
 from falsework.learn.env.rollout import choose_actions, play, roll_out  # noqa: E402
 from falsework.search import Direction, StateGraph, Task, find_plans, task_of  # noqa: E402
 from falsework.search.device.oracle import DeviceOracle, HostOracle, without_fallback  # noqa: E402
-from falsework.stability import Stability, StabilitySettings, Verdict, Verdicts  # noqa: E402
+from falsework.stability import PressingStability, Stability, StabilitySettings, Verdict, Verdicts  # noqa: E402
 from falsework.stability.reference.clarabel import ExactSolver  # noqa: E402
 
 EQUILIBRIUM = StabilitySettings(criterion="equilibrium")
@@ -415,3 +416,21 @@ def test_rollouts_on_a_gpu_obey_rules_and_exact_solver(arch: Assembly) -> None:
     rollouts = roll_out(environment, indifferent, starts, greedy=False, generator=environment.generator(0))
     names = ("states", "actions", "length", "success", "unstable")
     check_rollouts(arch, Rollouts(*(getattr(rollouts, name).cpu() for name in names)))
+
+
+def test_a_removal_that_needs_a_press_is_legal_where_robots_press() -> None:
+    """Plates beside a wall: without the outer one, friction alone holds the inner one while the next is pressed."""
+    corners = np.array([(x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)], float)
+    faces = [(0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4)]
+    faces += [(2, 6, 7), (2, 7, 3), (0, 4, 6), (0, 6, 2), (1, 3, 7), (1, 7, 5)]
+    plates = [TriangleMesh.from_arrays(f"plate-{k}", corners * [0.2, 1, 1] + [0.2 * k, 0, 0], faces) for k in range(3)]
+    wall = TriangleMesh.from_arrays("wall", corners * [1, 3, 3] - [1, 1, 1], faces)
+    assembly = Assembly.from_meshes([*plates, wall], boundary=[3], friction=0.5)
+    states = torch.tensor([[1, 2, 2, 2], [2, 1, 2, 2]], dtype=torch.uint8)
+    actions = torch.tensor([4 + 2, 4 + 2])  # the second leaves nothing on the outer plate that could press
+    oracle = Stability(assembly)
+    plain = Environment(assembly, oracle=oracle, device="cpu").step(states, actions)
+    pressing = Environment(assembly, oracle=PressingStability(oracle), device="cpu").step(states, actions)
+    assert plain.unstable.tolist() == [True, True]
+    assert pressing.unstable.tolist() == [False, True]
+    assert pressing.reward.tolist()[0] == 0.0

@@ -37,7 +37,7 @@ from falsework.robots.plans.timeline import event_times, schedule_of
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.problem.task import Task
 from falsework.stability import StabilitySettings
-from falsework.stability.holds import PRESS_STIFFNESS, HoldSettings, Press
+from falsework.stability.holds import PRESS_STIFFNESS, HoldMode, HoldSettings, Press
 from tests.robots.plans.bag_reading import wrenches
 from tests.robots.plans.test_export import load_yaml, run_programs
 
@@ -68,7 +68,10 @@ def pressed(robot_plan: RobotPlan, column: Assembly, cell: Cell) -> RobotPlan:
 def with_press(plan: RobotPlan, step: int, press: Press) -> RobotPlan:
     presses: list[tuple[Press, ...]] = [()] * len(plan.plan)
     presses[int(plan.rows[step])] = (press,)
-    return replace(plan, plan=replace(plan.plan, presses=tuple(presses)))
+    holds = replace(plan.plan.claim.holds, mode=HoldMode.FORCE)  # with a moment
+    claim = replace(plan.plan.claim, holds=holds)
+    # What robots bear was found without the press.
+    return replace(plan, plan=replace(plan.plan, presses=tuple(presses), claim=claim, loads=()))
 
 
 def limited(cell: Cell, **limits: Any) -> Cell:
@@ -371,7 +374,7 @@ def test_arms_press_where_the_search_needs_it(gap: Assembly, cell: Cell, togethe
     assert planned(grippers, HoldSettings())[1] == [0, 2]
     # Grippers that carry a cube, but cannot press as hard, and robots that may not press, need the lowest cube first.
     assert planned(limited(raised, force=22.0), HoldSettings())[1] == [2, 0]
-    bare, order = planned(raised, HoldSettings(press=False))
+    bare, order = planned(raised, HoldSettings(mode=HoldMode.LOCKED))
     assert order == [2, 0]
     assert not any(bare.plan.presses)
 

@@ -141,7 +141,7 @@ def edit(*keys: Any, to: Any) -> Callable[[dict[str, Any]], None]:
 
 
 WRONG_BY_SCHEMA = [
-    (edit("format", to="falsework.plan/4"), "format is 'falsework.plan/4'"),
+    (edit("format", to="falsework.plan/5"), "format is 'falsework.plan/5'"),
     (edit("format", to="falsework.robot-plan/2"), "it is a file of another kind (robot plan)"),
     (edit("format", to=...), 'no "format"'),
     (edit("surprise", to=1), "unknown entry 'surprise'"),

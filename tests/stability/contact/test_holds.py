@@ -17,10 +17,11 @@ from falsework.stability.contact.build_verifier import BuildVerifier, StepCertif
 from falsework.stability.contact.newton import MOVES_AWAY, OVERLOADS, RESTS
 from falsework.stability.contact.press_kernel import press_responses
 from falsework.stability.contact.replay import inexact_presses
-from falsework.stability.holds import HoldSettings, Press, limits_of
+from falsework.stability.holds import HoldMode, HoldSettings, Press, limits_of
 from falsework.stability.stiffness import normal_stiffness
 
 SOFT = HoldSettings(stiffness=1e4)
+FORCE, HYBRID = HoldSettings(mode=HoldMode.FORCE), HoldSettings(mode=HoldMode.HYBRID)
 """Holds that give way so much that what they take over from contacts is less than a thousandth."""
 ON_HELD = np.array([[0, 2, 0, 2], [0, 2, 2, 2], [0, 2, 1, 2]], np.uint8)
 """A tower of three in mid-air: a robot holds the second block, and the third is placed on it and let go."""
@@ -191,9 +192,10 @@ def test_a_pressed_plate_rests_if_and_only_if_friction_at_the_wall_bears_it(
             assert replay.histories[-1].presses == (given,)
 
 
+@pytest.mark.parametrize("mode", [HoldMode.FORCE, HoldMode.HYBRID])
 @pytest.mark.parametrize("stiffness", [1e4, 1e7, np.inf])
-def test_robots_choose_presses_that_keep_the_plate(scenes: Any, stiffness: float) -> None:
-    assembly, holds = beside_wall(scenes), HoldSettings(stiffness=stiffness)
+def test_robots_choose_presses_that_keep_the_plate(scenes: Any, stiffness: float, mode: HoldMode) -> None:
+    assembly, holds = beside_wall(scenes), HoldSettings(stiffness=stiffness, mode=mode)
     replayer = Replayer(assembly, settings(holds))
     assert replayer.replay(BESIDE, presses=[()] * 3).falls_at == 2
     replay = replayer.replay(BESIDE)
@@ -207,9 +209,12 @@ def test_robots_choose_presses_that_keep_the_plate(scenes: Any, stiffness: float
     np.testing.assert_array_equal(again.histories[-1].springs, replay.histories[-1].springs)
     for inexact in inexact_presses(replay.presses[2]):
         assert replayer.replay(BESIDE, presses=[(), (), inexact]).good
+    assert all(proof.residual <= 1e-4 for proof in proofs_of(assembly, BESIDE, replay.presses, settings(holds)))
+    if mode is HoldMode.HYBRID:
+        assert not any(press.wrench[3:])
 
 
-@pytest.mark.parametrize("holds", [HoldSettings(press=False), HoldSettings(force=0.0)])
+@pytest.mark.parametrize("holds", [HoldSettings(mode=HoldMode.LOCKED), HoldSettings(force=0.0)])
 def test_robots_that_may_not_press_do_not(scenes: Any, holds: HoldSettings) -> None:
     assembly = beside_wall(scenes)
     replay = Replayer(assembly, settings(holds)).replay(BESIDE)
@@ -247,7 +252,7 @@ def test_a_reserve_divides_friction(scenes: Any, reserve: float) -> None:
 def test_forces_respond_to_presses_as_in_the_replay(scenes: Any) -> None:
     """Where all contacts stick and stay closed: the forces themselves, and finite differences of them."""
     assembly = beside_wall(scenes, friction=3.0)
-    replayer = Replayer(assembly)
+    replayer = Replayer(assembly, settings(FORCE))
     before = replayer.replay(BESIDE[:2]).histories[-1]
     problem = replayer.problem
     index, forces = np.zeros(problem.points, np.int64), np.zeros((7, problem.points, 3))
@@ -295,7 +300,7 @@ def test_forces_respond_to_presses_as_in_the_replay(scenes: Any) -> None:
 @pytest.fixture(scope="module")
 def pressed(scenes: Any) -> tuple[Assembly, StabilitySettings, list[StepCertificate]]:
     """The plate that rests under a press, with the certificates of its steps."""
-    assembly, of = beside_wall(scenes), settings(HoldSettings())
+    assembly, of = beside_wall(scenes), settings(FORCE)
     given = push(3 * weight_of(assembly, PLATE))
     steps = list(Replayer(assembly, of).certificates(BESIDE, [(), (), (given,)]))
     assert len(steps) == 3
@@ -378,7 +383,7 @@ def test_a_moment_beyond_the_limit_is_refused(pressed: Any) -> None:
     assembly, of, steps = pressed
     borne = np.linalg.norm(last_proof(assembly, of.claim, BESIDE, steps).wrenches[PRESSER, 3:])
     for factor, good in ((0.99, False), (1.01, True)):
-        weak = replace(of.claim, holds=HoldSettings(moment=factor * float(borne)))
+        weak = replace(of.claim, holds=replace(FORCE, moment=factor * float(borne)))
         proof = last_proof(assembly, weak, BESIDE, steps)
         assert (proof.residual <= of.tolerance) is good
         assert ("more than it can" in proof.reason) is not good
@@ -408,3 +413,76 @@ def test_a_friction_history_that_was_changed_is_refused(scenes: Any) -> None:
         assert not last_proof(assembly, of.claim, BESIDE, forged).residual <= of.tolerance
     # The step alone, without those before it: the robot comes with its part then, and nothing presses.
     assert not last_proof(assembly, of.claim, BESIDE[2:], steps[2:]).residual <= of.tolerance
+
+
+@pytest.mark.parametrize("stiffness", [np.inf, 1e8])
+def test_under_hybrid_control_a_part_moves_along_the_force_only(scenes: Any, stiffness: float) -> None:
+    """A rigid robot keeps the pose across it; a soft one bears what its spring gives."""
+    assembly = beside_wall(scenes, friction=0.8)
+    of = settings(replace(HYBRID, stiffness=stiffness))
+    weight = weight_of(assembly, PLATE)
+    line = np.array([-1.0, 0.1, 0.2]) / np.linalg.norm([-1.0, 0.1, 0.2])
+    given = Press(PRESSER, (*(4 * weight * line).tolist(), 0.0, 0.0, 0.0))
+    (step,) = list(Replayer(assembly, of).certificates(BESIDE, [(), (), (given,)]))[-1:]
+    moved = step.displacement[:, PRESSER].sum(axis=0)
+    across = moved[:3] - (moved[:3] @ line) * line
+    assert moved[:3] @ line > 0
+    if np.isinf(stiffness):
+        np.testing.assert_allclose(across, 0, atol=1e-12 * abs(moved[:3] @ line))
+        assert not moved[3:].any()
+    else:
+        assert 0 < np.abs(across).max() < 0.1 * (moved[:3] @ line)
+    proofs = proofs_of(assembly, BESIDE, ((), (), (given,)), of)
+    assert all(proof.residual <= of.tolerance for proof in proofs)
+    # Along the line the robot adds the press, less what its spring of 1 MN/m loses; it bore its own plate before.
+    along = (proofs[-1].wrenches[PRESSER, :3] - [0, 0, weight]) @ line
+    np.testing.assert_allclose(along, 4 * weight - 1e6 * (moved[:3] @ line), rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("wrench", "reason"),
+    [
+        (
+            [-3.0, 0.0, 0.0, 0.0, 0.0, 0.1],
+            "the robot that presses plate-1 adds a moment, which hybrid control does not",
+        ),
+        ([-3.0, 0.0, 0.6, 0.0, 0.0, 0.0], "the certificate moves plate-1, which a rigid hold fixes"),
+        (
+            [-3.6, 0.0, 0.0, 0.0, 0.0, 0.0],
+            "the robot that holds plate-1 does not bear what its stiffness and its presses give",
+        ),
+    ],
+)
+def test_other_presses_under_hybrid_control_are_refused(scenes: Any, wrench: list[float], reason: str) -> None:
+    assembly, of = beside_wall(scenes), settings(HYBRID)
+    weight = weight_of(assembly, PLATE)
+    given = push(3 * weight)
+    steps = list(Replayer(assembly, of).certificates(BESIDE, [(), (), (given,)]))
+    assert last_proof(assembly, of.claim, BESIDE, steps).reason == ""
+    other = Press(PRESSER, tuple((weight * np.array(wrench)).tolist()))
+    proof = last_proof(assembly, of.claim, BESIDE, [*steps[:-1], steps[-1]._replace(presses=(other,))])
+    assert proof.reason == reason
+
+
+def test_a_press_without_a_force_lets_nothing_move_under_hybrid_control(scenes: Any) -> None:
+    tower = scenes.tower(3)
+    states = np.array([[1, 2, 2, 2], [1, 2, 1, 2]], np.uint8)
+    nothing = Press(1, (0.0,) * 6)
+    replay = Replayer(tower, settings(HYBRID)).replay(states, presses=[(), (nothing,)])
+    assert replay.good
+    assert not replay.histories[-1].displacement[nothing.part].any()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_what_comes_to_rest_under_a_press_in_any_direction_is_proven(scenes: Any, seed: int) -> None:
+    """Solver and verifier measure what is left along the line of the press alike, whatever its direction."""
+    rng = np.random.default_rng(seed)
+    assembly = beside_wall(scenes, friction=0.8)
+    line = np.array([-1.0, *rng.uniform(-0.5, 0.5, 2)])
+    force = rng.uniform(3.0, 6.0) * weight_of(assembly, PLATE) * line / np.linalg.norm(line)
+    given = Press(PRESSER, (*force.tolist(), 0.0, 0.0, 0.0))
+    # A solver that is hardly better than what the verifier allows.
+    loose = replace(settings(HYBRID), tolerance=1e-2)
+    replay = Replayer(assembly, loose).replay(BESIDE, presses=[(), (), (given,)])
+    assert replay.good
+    assert all(proof.residual <= loose.tolerance for proof in proofs_of(assembly, BESIDE, replay.presses, loose))

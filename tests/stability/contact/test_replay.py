@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,8 @@ def plan_states(assembly: Assembly, robots: int = 2) -> NDArray[np.uint8]:
 def replayed(assembly: Assembly, plan: Plan) -> PlanReplay:
     """Replay of a plan with its reserve and the robots and presses that it names."""
     settings = StabilitySettings(reserve=plan.claim.reserve, holds=plan.claim.holds)
-    return PlanReplay.of(Replayer(assembly, settings).replay(plan.assembly_states, presses=plan.assembly_presses))
+    found = Replayer(assembly, settings).replay(plan.assembly_states, presses=plan.assembly_presses)
+    return replace(PlanReplay.of(found), varied=plan.claim.reserve > 1)
 
 
 class Forgetful(Stability):

@@ -18,7 +18,7 @@ from falsework.assembly.state import complete_state
 from falsework.errors import InputError, StateError
 from falsework.search import find_plans
 from falsework.stability import Stability, StabilitySettings, Verdict
-from falsework.stability.holds import HoldSettings, Press
+from falsework.stability.holds import HoldMode, HoldSettings, Press
 from falsework.stability.judges import (
     BuildJudge,
     DiscreteElementSettings,
@@ -33,8 +33,8 @@ from falsework.stability.judges import (
 from falsework.stability.stiffness import normal_stiffness
 
 STANDS, OPEN, FALLS = 1, 0, -1
-RIGID = HoldSettings()
-GIVES_WAY = StabilitySettings(reserve=1.1, holds=HoldSettings(stiffness=5e6))
+RIGID = HoldSettings(mode=HoldMode.FORCE)
+GIVES_WAY = StabilitySettings(reserve=1.1, holds=HoldSettings(stiffness=5e6, mode=HoldMode.FORCE))
 STIFF_CONTACTS = DiscreteElementSettings(sinks=(2e-7,))
 SINK = 2e-5  # what a typical part sinks on eight typical points, in sizes of it
 
@@ -199,12 +199,15 @@ def pressed(scenes: Any) -> tuple[Assembly, float, NDArray[np.float64]]:
     return assembly, least, turn @ [0.0, 0.0, 1.0]
 
 
+@pytest.mark.parametrize("mode", ["force", "hybrid"])
 @pytest.mark.parametrize("stiffness", [1e8, np.inf])
-def test_a_press_holds_a_block_on_a_slope(pressed: tuple[Assembly, float, Any], stiffness: float) -> None:
+def test_a_press_holds_a_block_on_a_slope(
+    pressed: tuple[Assembly, float, Any], stiffness: float, mode: HoldMode
+) -> None:
     """Just enough force holds it, a little less does not; when the robot lets go as well, both slide."""
     assembly, least, normal = pressed
     steps = [[0, 0, 2], [2, 0, 2], [2, 2, 2], [1, 2, 2], [1, 1, 2]]
-    holds = HoldSettings(stiffness=stiffness)
+    holds = HoldSettings(stiffness=stiffness, mode=mode)
     for share, expected in ((1.03, [STANDS] * 4 + [FALLS]), (0.97, [STANDS] * 3 + [FALLS])):
         press = Press(1, (*(-share * least * normal).tolist(), 0.0, 0.0, 0.0))
         presses = [(), (), (), (press,), ()]
@@ -386,7 +389,7 @@ def test_a_judge_names_what_falls(scenes: Any) -> None:
 def test_the_judges_share_nothing_with_the_solvers() -> None:
     """They import what describes structures, holds and stiffness from this package, nothing that decides or proves."""
     folder = Path(falsework.stability.judges.__file__).parent
-    criterion = ("falsework.stability.holds", "falsework.stability.stiffness")
+    criterion = ("falsework.stability.holds", "falsework.stability.stiffness", "falsework.utils.lazy")
     described = ("falsework.assembly.", "falsework.geometry.", "falsework.errors", *criterion)
     allowed = (*described, "falsework.stability.judges.")
     for path in folder.glob("*.py"):

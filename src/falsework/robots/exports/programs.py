@@ -20,6 +20,7 @@ from falsework.robots.model.cell import Cell, CellRobot
 from falsework.robots.plans.presses import TimedPress
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import nodes_of
+from falsework.stability.holds import HoldMode
 
 Array = NDArray[np.float64]
 
@@ -268,7 +269,8 @@ def _press_in_words(plan: RobotPlan, command: Pressing) -> str:
     if not command.begins:
         return f"stay where the press of {part} has ended"
     force = ", ".join(f"{value:.1f}" for value in press.wrench[:3])
-    return f"press {part} with {press.force:.1f} N, ({force}) N in the cell, at {press.stiffness:.4g} N/m"
+    along = " along it" if press.mode is HoldMode.HYBRID else ""
+    return f"press {part} with {press.force:.1f} N, ({force}) N in the cell, at {press.stiffness:.4g} N/m{along}"
 
 
 def _shift(offset: Array) -> str:

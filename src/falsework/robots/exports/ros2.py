@@ -172,6 +172,7 @@ def _press(plan: RobotPlan, press: TimedPress) -> dict[str, Any]:
     return {
         "robot": plan.robots[press.robot].name,
         "part": plan.plan.part_names[press.part],
+        "mode": press.mode.value,
         "start": round(press.start, 9),
         "end": round(press.end, 9),
         "center": rounded(press.center),

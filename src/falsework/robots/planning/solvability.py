@@ -102,7 +102,7 @@ class SolvabilityCheck:
         if route is not None:
             planner.begin_with(route)
         result = planner.run(stop=stop).unless_interrupted(stop)  # replays the plans that it finds
-        self.fallen = planner.fallen
+        self.fallen = planner.tests.fallen
         if result.found:
             self.postponed = planner.postponed
             self.task = self.task.postpone(planner.postponed)
@@ -110,7 +110,7 @@ class SolvabilityCheck:
         elif self.task.support:
             again = Planner(self.task, self.oracle, settings, guide=self._guide)
             if again.regrasps:
-                result, self.fallen = again.run(stop=stop).unless_interrupted(stop), again.fallen
+                result, self.fallen = again.run(stop=stop).unless_interrupted(stop), again.tests.fallen
                 self._follow(again.routes)
         return result
 

@@ -20,7 +20,7 @@ from falsework.robots.plans.robot_plan import RobotPlan, acts
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph
 from falsework.robots.plans.timeline import event_times
 from falsework.search.problem.task import Direction
-from falsework.stability.holds import PRESS_STIFFNESS, Press
+from falsework.stability.holds import PRESS_STIFFNESS, HoldMode, Press
 
 Array = NDArray[np.float64]
 
@@ -40,9 +40,11 @@ class TimedPress:
     tool: Array
     """Pose of the tool frame, shape (4, 4)."""
     stiffness: float
-    """Stiffness of the robot while it presses, N/m."""
+    """Stiffness of the robot while it presses, N/m; in hybrid mode along the force, across which it keeps its pose."""
     turning: Array
     """Stiffness against turning about the centre of mass, Nm/rad, shape (3, 3)."""
+    mode: HoldMode
+    """Whether the robot controls the whole wrench, or the force along its direction and the pose across it."""
     start: float
     """Time at which the other robot opens its gripper, seconds; the wrench must act then."""
     end: float
@@ -141,6 +143,7 @@ def timed_presses(plan: RobotPlan, assembly: Assembly, cell: Cell, graph: Tempor
                     tool_pose(cell.robots[robot], plan.keyframes[step].configurations[robot]),
                     stiffness,
                     stiffness * turn @ own @ turn.T,
+                    holds.mode,
                     float(released[step]),
                     float(min(withdrawn, next(following, np.inf))),
                 )

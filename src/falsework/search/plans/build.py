@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from falsework.assembly.model import Assembly
+from falsework.assembly.state import States
 from falsework.errors import PlanError
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_replay import PlanReplay
@@ -15,7 +16,8 @@ from falsework.search.plans.plan_report import PlanReport, unstable_in_words
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.contact.build_verifier import BuildVerifier, StepCertificate
-from falsework.stability.contact.replay import Replayer
+from falsework.stability.contact.hold_loads import CLOSE, Loads, larger_loads, loads_in
+from falsework.stability.contact.replay import Presses, Replayer
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Proof, Solver, Verdict, Verdicts
@@ -44,7 +46,7 @@ def plan_of_build(
     presses = (*known.presses, *[()] * (len(states) - len(known.presses)))
     verifier = BuildVerifier(assembly, claim)
     verdicts = Verdicts.blank(len(states), points=replayer.problem.points if forces else None)
-    steps = []
+    steps, loads = [], []
     for row, certificate in enumerate(replayer.certificates(states, presses)):
         proof = verifier.step(states[row], certificate)
         if not proof.residual <= claim.tolerance:
@@ -52,6 +54,7 @@ def plan_of_build(
             raise PlanError(f"state {row} of the build is not proven: {why}; plan again")
         verdicts.verdict[row], verdicts.residual[row] = Verdict.STABLE, proof.residual
         verdicts.proof[row], verdicts.decided_by[row] = Proof.HISTORY, Solver.CPU
+        loads.append(loads_in(assembly, states[row], proof.wrenches))
         if verdicts.forces is not None:
             verdicts.forces[row] = proof.forces
             steps.append(certificate)
@@ -61,6 +64,9 @@ def plan_of_build(
     else:
         plan = Plan.unproven(route, assembly, task, backwards, claim)
     plan = replace(plan, replay=known, presses=presses[:0:-1])
+    if len(loads) == len(states) and known.stands:
+        borne = larger_loads(tuple(loads), known.loads or _true_loads(replayer, states, presses, tuple(loads)))
+        plan = replace(plan, loads=borne[::-1])
     if forces and len(steps) == len(states):
         displacement = np.array([step.displacement for step in steps])[::-1].copy()
         torn = np.array([step.torn for step in steps])[::-1].copy()
@@ -86,11 +92,14 @@ def check_build(
     """
     states, presses = plan.assembly_states, plan.assembly_presses
     largest, cases = 0.0, [settings] if settings.reserve == 1.0 else [settings, replace(settings, reserve=1.0)]
+    loads: list[Loads] = []
     for number, case in enumerate(cases):
         verifier, row, wrong = BuildVerifier(assembly, case.claim), -1, ""
         under = f" with friction divided by {case.reserve:g}" if case.reserve != 1.0 else ""
-        own = carried and number == 0
-        steps = carried_steps(plan) if own else Replayer(assembly, case).certificates(states, presses)
+        own, borne = carried and number == 0, []
+        # Without limits, so that the verifier names what a robot bears beyond them.
+        strong = replace(case, holds=replace(case.holds, force=np.inf, moment=np.inf))
+        steps = carried_steps(plan) if own else Replayer(assembly, strong).certificates(states, presses)
         with np.errstate(over="ignore", invalid="ignore"):
             for row, certificate in enumerate(steps):
                 proof = verifier.step(states[row], certificate)
@@ -100,6 +109,7 @@ def check_build(
                     wrong = f"{_built(plan, row)} is not proven{under}: {carries}{why}"
                     break
                 largest = max(largest, proof.residual)
+                borne.append(loads_in(assembly, states[row], proof.wrenches))
                 if progress is not None and number == 0:
                     progress(row + 1, len(states))
         if not wrong and row + 1 < len(states):
@@ -110,8 +120,51 @@ def check_build(
             if verdict.unstable[0]:
                 wrong = unstable_in_words(plan, bad, verdict)
             return replace(report, reason=wrong, checked=bad, residual=largest, verdict=verdict)
-    count = len(states)
-    return replace(report, checked=count, residual=largest, certified=count * carried)
+        loads.append(tuple(borne))
+    count, found = len(states), loads[0] if len(loads) == 1 else larger_loads(*loads)
+    denied = _denied_load(plan, found)
+    if denied is not None:
+        return replace(report, reason=denied[1], checked=row_of_build(plan, denied[0]), residual=largest)
+    shown = found if plan.direction is Direction.ASSEMBLY else found[::-1]
+    return replace(report, checked=count, residual=largest, certified=count * carried, loads=shown)
+
+
+def _denied_load(plan: Plan, found: Loads) -> tuple[int, str] | None:
+    """Return the first state, in the order of assembly, for which a plan says too little of what robots bear, and how.
+
+    Args:
+        plan: the plan; one that says nothing denies nothing.
+        found: what robots bear in its states, in the order of assembly.
+    """
+    claimed = plan.loads if plan.direction is Direction.ASSEMBLY else plan.loads[::-1]
+    for row, (said, true) in enumerate(zip(claimed, found, strict=True) if claimed else ()):
+        by_part = {load.part: load for load in said}
+        for load in true:
+            name, known = plan.part_names[load.part], by_part.pop(load.part, None)
+            if known is None:
+                return row, f"the plan does not say what the robot bears that holds {name} at {_built(plan, row)}"
+            for kind, unit in (("force", "N"), ("moment", "N m")):
+                says, is_so = getattr(known, kind), getattr(load, kind)
+                largest = max(getattr(other, kind) for here in found for other in here)
+                if says < is_so * (1 - CLOSE) - CLOSE**2 * largest:
+                    return row, (
+                        f"the plan says that the robot that holds {name} bears {says:.4g} {unit} at "
+                        f"{_built(plan, row)}; it bears {is_so:.4g} {unit}"
+                    )
+        if by_part:
+            name = plan.part_names[next(iter(by_part))]
+            return row, f"the plan says what a robot bears for {name} at {_built(plan, row)}, but none holds it"
+    return None
+
+
+def _true_loads(replayer: Replayer, states: States, presses: Presses, loads: Loads) -> Loads:
+    """Return what robots bear under the true friction: `loads` where these were found under it."""
+    if replayer.settings.reserve == 1.0:
+        return loads
+    true = replayer.vary(replace(replayer.settings, reserve=1.0))
+    histories = true.replay(states, presses=presses).histories
+    found = true.loads(states[: len(histories)], histories)
+    return (*found, *loads[len(found) :])
 
 
 def carried_steps(plan: Plan) -> Iterator[StepCertificate]:

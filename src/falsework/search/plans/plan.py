@@ -17,6 +17,7 @@ from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.certificate import StabilityCriterion
+from falsework.stability.contact.hold_loads import Loads
 from falsework.stability.holds import Press, describe_presses
 from falsework.stability.state_arrays import StateArrays
 from falsework.stability.verdict import Verdicts
@@ -113,6 +114,9 @@ class Plan:
     """With it: contact points that have lost their tensile strength, shape (steps + 1, points)."""
     presses: tuple[tuple[Press, ...], ...] = ()
     """Presses of robots in each step as it is done in assembly, one entry a step; empty where there are none."""
+    loads: Loads = ()
+    """What robots bear in each state, the larger of what it is under the true friction and with the reserve, one entry
+    a state; empty where it is not known."""
     replay: PlanReplay | None = None
     """Result of the replay in the order of assembly; None if there was none."""
     margins: PlanMargins | None = None
@@ -218,6 +222,7 @@ class Plan:
             displacement=None if self.displacement is None else self.displacement[::-1].copy(),
             torn=None if self.torn is None else self.torn[::-1].copy(),
             presses=self.presses[::-1],
+            loads=self.loads[::-1],
             margins=None if self.margins is None else self.margins.reverse(),
             direction=other,
         )

@@ -116,7 +116,7 @@ def validate_plan(
         return report
     broken = broken_rule(plan, assembly)
     if settings.criterion == "contact":
-        settings = replace(settings, reserve=plan.claim.reserve, holds=plan.claim.holds)
+        settings = replace(settings, reserve=plan.claim.reserve, holds=plan.claim.holds.within(settings.holds))
         report = replace(report, claim=settings.claim)
     carried = _proofs_under(plan, settings.claim) is not None and comparable(plan.claim, settings.claim)
     misfit = _misfit(plan, assembly, settings.claim) if carried else ""
@@ -269,7 +269,7 @@ def validate_proofs(plan: Plan, assembly: Assembly, settings: StabilitySettings 
     if not report.good:
         return report
     if claim.criterion == "contact":
-        claim = replace(claim, reserve=plan.claim.reserve, holds=plan.claim.holds)
+        claim = replace(claim, reserve=plan.claim.reserve, holds=plan.claim.holds.within(claim.holds))
         report = replace(report, claim=claim)
     misfit = _misfit(plan, assembly, claim)
     if misfit:

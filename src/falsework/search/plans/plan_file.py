@@ -13,7 +13,8 @@ import numpy as np
 from falsework.errors import InputError, PlanError
 from falsework.search.plans.packed_proofs import pack_proofs
 from falsework.search.plans.plan import Plan
-from falsework.search.plans.plan_reader import FORMAT, PROOF_ARRAYS, PROOF_WORDS, UNPROVEN, PlanReader
+from falsework.search.plans.plan_reader import PROOF_ARRAYS, PROOF_WORDS, UNPROVEN, PlanReader
+from falsework.search.plans.plan_versions import FORMAT
 from falsework.stability.verdict import Verdict
 from falsework.utils.json_file import write_json
 
@@ -25,7 +26,7 @@ def plan_schema() -> dict[str, Any]:
 
 
 def save_plan(plan: Plan, path: Path | str, *, proofs: bool = False) -> None:
-    """Write a plan as JSON, format `falsework.plan/3`, whole or not at all.
+    """Write a plan as JSON, format `falsework.plan/4`, whole or not at all.
 
     Args:
         plan: the plan.
@@ -45,12 +46,16 @@ def save_plan(plan: Plan, path: Path | str, *, proofs: bool = False) -> None:
     write_json(path, plan_to_dict(plan, proofs=proofs), spread=("steps",))
 
 
+def _short(value: float) -> float:
+    return value if isinstance(value, int) else float(f"{value:.6g}")
+
+
 def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
     """Return the plan as plain JSON values; see `plan.schema.json`."""
     parts = len(plan.boundary)
     proof = PROOF_WORDS[plan.claim.criterion]
     judged = [
-        {"verdict": "stable", "proof": proof, "residual": float(f"{residual:.6g}")} if stable else dict(UNPROVEN)
+        {"verdict": "stable", "proof": proof, "residual": _short(residual)} if stable else dict(UNPROVEN)
         for residual, stable in zip(plan.residuals, plan.verdicts == Verdict.STABLE, strict=True)
     ]
 
@@ -58,8 +63,18 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
         some = plan.presses[row] if plan.presses else ()
         return {"presses": [{"part": press.part, "wrench": list(press.wrench)} for press in some]} if some else {}
 
+    def borne(row: int) -> dict[str, Any]:
+        some = plan.loads[row] if plan.loads else ()
+        return {"bears": [{name: _short(value) for name, value in vars(load).items()} for load in some]} if some else {}
+
     steps = [
-        {"do": plan.describe(row).partition(" ")[0], "part": action % parts, **judged[row + 1], **pressed(row)}
+        {
+            "do": plan.describe(row).partition(" ")[0],
+            "part": action % parts,
+            **judged[row + 1],
+            **pressed(row),
+            **borne(row + 1),
+        }
         for row, action in enumerate(plan.actions.tolist())
     ]
     data: dict[str, Any] = {
@@ -92,7 +107,7 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
             "reserve": plan.claim.reserve,
             **({"holds": plan.claim.holds.to_dict()} if plan.claim.criterion == "contact" else {}),
         },
-        "start": {"state": plan.states[0].tolist(), **judged[0]},
+        "start": {"state": plan.states[0].tolist(), **judged[0], **borne(0)},
         "steps": steps,
         "end": plan.states[-1].tolist(),
         "needs": [asdict(need) for need in plan.needs],

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import asdict
 from typing import Any
 
@@ -12,27 +11,20 @@ from numpy.typing import NDArray
 
 from falsework.assembly.prop import Prop
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states, held_count
-from falsework.errors import InputError, ReadWarning, StateError
+from falsework.errors import InputError, StateError
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans.packed_proofs import CHANGES, WHOLE, unpack_proofs
 from falsework.search.plans.plan import needs_of
 from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.plans.plan_source import wrong_source
+from falsework.search.plans.plan_versions import FORMAT, as_newest
 from falsework.search.problem.task import Direction
 from falsework.stability.certificate import StabilityCriterion
-from falsework.stability.holds import HoldSettings, Press
-from falsework.stability.judges.build_judge import Judgement
+from falsework.stability.holds import HoldLoad, HoldMode, HoldSettings, Press
+from falsework.stability.judges.judgement import Judgement
 from falsework.stability.state_arrays import StateArrays
-from falsework.stability.stiffness import TANGENTIAL_RATIO
 from falsework.stability.verdict import Proof, Verdict
 from falsework.utils.json_file import Reader
-
-FORMAT = "falsework.plan/3"
-SECOND_FORMAT = "falsework.plan/2"
-"""Plans of version 2 are for robots that hold parts rigidly, without limits, and never press; under `contact` each of
-their states was proved from rest."""
-FIRST_FORMAT = "falsework.plan/1"
-"""Plans of version 1 are under the criterion `equilibrium` and carry no replay."""
 
 MOVES = {
     "hold": (Direction.DISASSEMBLY, False, INSTALLED, HELD),
@@ -42,8 +34,6 @@ MOVES = {
 }
 """Word of a step: direction, whether the action index is above `parts`, value of the part before, and after. With
 repeated holds, parts are held and released in both directions."""
-_SHARE = 0.1
-"""Shares of gravity in 1 m/s2, rounded down."""
 PROOF_WORDS = {"contact": "history", "equilibrium": "forces"}
 PROOF_ARRAYS = {"contact": ("displacements", "parts"), "equilibrium": ("forces", "points")}
 """Entry of the file that holds the proofs, and the items along its first axis."""
@@ -53,51 +43,9 @@ MOST_ENTRIES = 1 << 30
 """States of a plan times parts that are read, a byte each: a complete plan of 23,000 parts."""
 MOST_INCREMENTS = 64
 """Increments of a step that are read."""
+_REPLAY = frozenset({"judgement", "varied", "weak_under", "weak_at"})
+"""Entries of a replay that may be missing."""
 _KEYS = {"format", "direction", "structure", "robots", "rules", "stability", "start", "steps", "end", "needs"}
-
-
-def _from_version_1(data: dict[str, Any]) -> dict[str, Any]:
-    """Convert a plan of version 1 to version 2; malformed entries are left for the reader to report."""
-    # Version 1 gave residuals and tolerance in m/s2, of which a tenth is about a share of gravity.
-    stability, start, steps = data.get("stability"), data.get("start"), data.get("steps")
-    if isinstance(stability, dict):
-        stability = {"criterion": "equilibrium", "stiffness_ratio": TANGENTIAL_RATIO} | stability
-        if isinstance(stability.get("tolerance"), (int, float)):
-            stability["tolerance"] *= _SHARE
-    if isinstance(steps, list):
-        steps = [_scaled(step) for step in steps]
-    return data | {"format": SECOND_FORMAT, "stability": stability, "start": _scaled(start), "steps": steps}
-
-
-def _from_version_2(data: dict[str, Any], source: str) -> dict[str, Any]:
-    """Convert a plan of version 2; proofs of single states from rest are left out, they prove no build."""
-    stability = data.get("stability")
-    if isinstance(stability, dict):
-        stability = stability | {"reserve": 1.0}
-        if stability.get("criterion") == "contact":
-            stability["holds"] = {"stiffness": None, "force": None, "moment": None, "press": False}
-            if "displacements" in data:
-                warnings.warn(
-                    f"{source}: displacements of plans of version 2 prove single states and no build: left out",
-                    ReadWarning,
-                    stacklevel=4,
-                )
-            data = {key: value for key, value in data.items() if key != "displacements"}
-            data["start"] = _from_rest(data.get("start"))
-            if isinstance(data.get("steps"), list):
-                data["steps"] = [_from_rest(step) for step in data["steps"]]
-    return data | {"format": FORMAT, "stability": stability}
-
-
-def _from_rest(record: Any) -> Any:
-    known = isinstance(record, dict) and record.get("proof") == "displacement"
-    return record | {"proof": "history"} if known else record
-
-
-def _scaled(record: Any) -> Any:
-    if not isinstance(record, dict) or not isinstance(record.get("residual"), (int, float)):
-        return record
-    return record | {"residual": record["residual"] * _SHARE}
 
 
 class PlanReader(Reader):
@@ -111,10 +59,8 @@ class PlanReader(Reader):
         Raises:
             PlanError: they are no plan; the message names the entry.
         """
-        if isinstance(data, dict) and data.get("format") == FIRST_FORMAT:
-            data = _from_version_1(data)
-        if isinstance(data, dict) and data.get("format") == SECOND_FORMAT:
-            data = _from_version_2(data, self._source)
+        if isinstance(data, dict):
+            data = as_newest(data, self._source)
         self._header(data, _KEYS, optional=frozenset({"forces", "displacements", "replay", "margins"}))
         structure, rules, stability = data["structure"], data["rules"], data["stability"]
         self._keys(
@@ -214,6 +160,11 @@ class PlanReader(Reader):
         presses = [self._presses(step, number, parts) for number, step in enumerate(data["steps"], 1)]
         if any(presses):
             fields["presses"] = tuple(presses)
+        loads = [self._loads(record, number, parts) for number, record in enumerate([data["start"], *data["steps"]])]
+        if any(loads):
+            if claim.criterion != "contact":
+                self._fail("it says what robots bear, which is not known under the criterion equilibrium")
+            fields["loads"] = tuple(loads)
         if data["needs"] != [asdict(need) for need in needs_of(actions, direction, parts, fields["missing"])]:
             self._fail("its needs do not agree with its steps")
         return fields
@@ -251,7 +202,7 @@ class PlanReader(Reader):
     ) -> tuple[States, NDArray[np.int64], NDArray[np.float64]]:
         """Replay the steps from the start; the end must be the one that the file names."""
         parts = len(boundary)
-        self._keys(data["start"], {"state", "verdict", "proof", "residual"}, "start")
+        self._keys(data["start"], {"state", "verdict", "proof", "residual"}, "start", frozenset({"bears"}))
         state = self._state(data["start"]["state"], boundary, "start.state")
         is_prop = np.arange(parts) >= parts - props
         if (is_prop & (state == INSTALLED)).any():
@@ -267,7 +218,7 @@ class PlanReader(Reader):
         states[0] = state
         for number, step in enumerate(steps, 1):
             place = f"step {number}"
-            self._keys(step, {"do", "part", "verdict", "proof", "residual"}, place, frozenset({"presses"}))
+            self._keys(step, {"do", "part", "verdict", "proof", "residual"}, place, frozenset({"presses", "bears"}))
             word, part = step["do"], self._count(step["part"], f"{place}: part")
             if part >= parts:
                 self._fail(f"{place} names part {part}, but parts are numbered 0 to {parts - 1}")
@@ -321,16 +272,16 @@ class PlanReader(Reader):
             self._fail("stability.holds must be there under contact, and not under equilibrium")
         if value is None:
             return HoldSettings()
-        self._keys(value, {"stiffness", "force", "moment", "press"}, "stability.holds")
+        self._keys(value, {"stiffness", "force", "moment", "mode"}, "stability.holds")
         numbers = {
             key: np.inf if value[key] is None else self._number(value[key], f"stability.holds.{key}")
             for key in ("stiffness", "force", "moment")
         }
-        if not isinstance(value["press"], bool):
-            self._fail("stability.holds.press must be true or false")
+        if value["mode"] not in tuple(HoldMode):
+            self._fail(f"stability.holds.mode is {value['mode']!r}", f"it must be {', '.join(HoldMode)}")
         if numbers["stiffness"] == 0:
             self._fail("stability.holds.stiffness is 0", "it must be a positive number, or null for rigid holds")
-        return HoldSettings(**numbers, press=value["press"])
+        return HoldSettings(**numbers, mode=HoldMode(value["mode"]))
 
     def _presses(self, step: dict[str, Any], number: int, parts: int) -> tuple[Press, ...]:
         """Read the presses of a step; whether robots hold these parts is for the check."""
@@ -344,6 +295,20 @@ class PlanReader(Reader):
             if len(wrench) != 6 or not all(type(x) in (int, float) and math.isfinite(x) for x in wrench):
                 self._fail(f"{place} have the wrench {wrench!r}", "it must be six finite numbers, N and N m")
             found.append(Press(part, tuple(map(float, wrench))))
+        return tuple(found)
+
+    def _loads(self, record: dict[str, Any], number: int, parts: int) -> tuple[HoldLoad, ...]:
+        """Read what robots bear in a state; whether they hold these parts is for the check."""
+        found, place = [], f"step {number}: bears" if number else "start.bears"
+        for entry in self._list(record.get("bears", []), place):
+            self._keys(entry, {"part", "force", "moment"}, place)
+            part = self._count(entry["part"], f"{place}: part")
+            if part >= parts:
+                self._fail(f"{place} names part {part}, but parts are numbered 0 to {parts - 1}")
+            if any(load.part == part for load in found):
+                self._fail(f"{place} names part {part} twice")
+            sizes = [self._number(entry[name], f"{place}: {name}") for name in ("force", "moment")]
+            found.append(HoldLoad(part, *sizes))
         return tuple(found)
 
     def _displacements(self, value: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
@@ -361,7 +326,7 @@ class PlanReader(Reader):
         return np.asarray(flat).reshape(states, increments, parts, 6)
 
     def _replay(self, value: Any, parts: int, states: int) -> PlanReplay:
-        self._keys(value, {"stands", "moved", "part", "falls_at"}, "replay", optional=frozenset({"judgement"}))
+        self._keys(value, {"stands", "moved", "part", "falls_at"}, "replay", optional=_REPLAY)
         stands, part, falls_at = value["stands"], value["part"], value["falls_at"]
         if not isinstance(stands, bool) or stands != (falls_at is None):
             self._fail("replay.stands must be true, with no falls_at, or false, with one")
@@ -369,12 +334,20 @@ class PlanReader(Reader):
             self._fail(f"replay.part is {part!r}", f"it must be a part number below {parts}, or -1")
         if falls_at is not None and self._count(falls_at, "replay.falls_at") >= states:
             self._fail(f"replay.falls_at is {falls_at}", f"the plan has {states} states")
+        if not isinstance(value.get("varied", False), bool):
+            self._fail("replay.varied must be true or false")
+        weak_under, weak_at = value.get("weak_under", ""), value.get("weak_at")
+        if not isinstance(weak_under, str) or bool(weak_under) != (weak_at is not None):
+            self._fail("replay.weak_under must be a text, with weak_at where it is not empty")
+        if weak_at is not None and self._count(weak_at, "replay.weak_at") >= states:
+            self._fail(f"replay.weak_at is {weak_at}", f"the plan has {states} states")
         moved = self._number(value["moved"], "replay.moved")
         try:
             judgement = Judgement.read(value["judgement"], states, parts) if "judgement" in value else None
         except InputError as error:
             self._fail(f"replay.judgement: {error}")
-        return PlanReplay(stands, moved, part, falls_at, judgement=judgement)
+        varied = {"varied": value.get("varied", False), "weak_under": weak_under, "weak_at": weak_at}
+        return PlanReplay(stands, moved, part, falls_at, **varied, judgement=judgement)
 
     def _packed(self, value: Any, name: str, counted: str, shape: tuple[int, ...]) -> NDArray[np.float64] | StateArrays:
         """Return the proofs of all states, of so many states and parts: forces of points, or displacements of parts."""

@@ -9,9 +9,11 @@ import numpy as np
 
 from falsework.assembly.state import States
 from falsework.errors import InputError
+from falsework.stability.contact.hold_loads import Loads
 from falsework.stability.contact.replay import ReplaySettings
+from falsework.stability.contact.varied_replay import GroupedVariations
 from falsework.stability.holds import Press
-from falsework.stability.judges.build_judge import BuildJudge, Judgement
+from falsework.stability.judges.judgement import Judgement
 
 if TYPE_CHECKING:
     from falsework.search.problem.oracle import Oracle
@@ -38,8 +40,17 @@ class PlanReplay:
     """First state in the order of assembly that does not come to rest, counted from 0."""
     presses: tuple[tuple[Press, ...], ...] = field(default=(), compare=False, repr=False)
     """Presses of the step to each state in the order of assembly; empty where they are not known."""
+    varied: bool = False
+    """Whether it also comes to rest under changed settings (`GroupedVariations`)."""
+    weak_under: str = ""
+    """Change of settings under which it does not, though it stands; empty if none was found."""
+    weak_at: int | None = None
+    """First state that does not come to rest then, in the order of assembly."""
     judgement: Judgement | None = None
     """How far discrete elements built the plan, where that was asked for."""
+    loads: Loads = field(default=(), compare=False, repr=False)
+    """What robots bear under the true friction, one entry a state in the order of assembly; empty where it is not
+    known."""
 
     @property
     def fails_at(self) -> int | None:
@@ -47,8 +58,8 @@ class PlanReplay:
         return self.falls_at if self.judgement is None or not self.stands else self.judgement.falls_at
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result as plain JSON values, without the presses."""
-        plain = {name: value for name, value in vars(self).items() if name not in ("presses", "judgement")}
+        """Return the result as plain JSON values, without the presses and the loads."""
+        plain = {name: value for name, value in vars(self).items() if name not in ("presses", "judgement", "loads")}
         return plain if self.judgement is None else {**plain, "judgement": self.judgement.to_dict()}
 
     @classmethod
@@ -87,7 +98,8 @@ def _of_all(presses: tuple[tuple[Press, ...], ...], states: States) -> tuple[tup
 class Acceptance:
     """Last test of a route: it comes to rest under the true friction too, and no state of it tips.
 
-    Where it is asked for, discrete elements build the route as well.
+    A route with a reserve is also tried under changed settings: other ratios of stiffness, damping, release and initial
+    friction, and presses that err. Where it is asked for, discrete elements build the route as well.
     """
 
     def __init__(self, replayer: VariableReplayer | None, *, judge: bool = False) -> None:
@@ -98,27 +110,42 @@ class Acceptance:
         """
         if judge and replayer is None:
             raise InputError("the judge builds plans under the criterion contact; choose it, or leave the judge out")
-        self._judge = BuildJudge(replayer.assembly, replayer.settings.holds) if judge and replayer is not None else None
+        self._judge = None
+        if judge and replayer is not None:
+            from falsework.stability.judges.build_judge import BuildJudge
+
+            self._judge = BuildJudge(replayer.assembly, replayer.settings.holds)
         self._replayer, self._plain = replayer, replayer
+        self._varied: GroupedVariations | None = None
         if replayer is not None and replayer.settings.reserve != 1.0:
             self._plain = replayer.vary(replace(replayer.settings, reserve=1.0), ReplaySettings())
+            self._varied = GroupedVariations(replayer)
 
-    def failure(self, states: States, presses: tuple[tuple[Press, ...], ...]) -> PlanReplay | None:
-        """Return the replay of a route that fails under the true friction, or in which a state tips; None if none does.
+    def tested(self, states: States, found: PlanReplay) -> PlanReplay:
+        """Return the replay of a route with what robots bear; the one that fails if a state slides or tips.
+
+        With a reserve it says whether the route also comes to rest under changed settings.
 
         Args:
             states: in assembly order, shape (steps + 1, parts).
-            presses: of the steps that lead to each state.
+            found: replay with the reserve, which stands.
         """
-        if self._plain is None:
-            return None
-        presses = _of_all(presses, states)
-        found = self._plain.replay(states, presses=presses)
-        if not found.good:
-            return PlanReplay.of(found)
-        histories = found.histories or _histories(self._plain, states, presses)
-        tips = self._plain.first_tipping(states, histories)
-        return None if tips is None else replace(PlanReplay.of(found), stands=False, falls_at=tips)
+        plain = self._plain
+        if plain is None:
+            return found
+        presses = _of_all(found.presses, states)
+        true = plain.replay(states, presses=presses)
+        if not true.good:
+            return PlanReplay.of(true)
+        histories = true.histories or _histories(plain, states, presses)
+        tips = plain.first_tipping(states, histories)
+        if tips is not None:
+            return replace(PlanReplay.of(true), stands=False, falls_at=tips)
+        found = replace(found, loads=plain.loads(states, histories))
+        if self._varied is None:
+            return found
+        weak = self._varied.failure(states, presses)
+        return replace(found, varied=True) if weak is None else replace(found, weak_under=weak[0], weak_at=weak[1])
 
     def judged(self, states: States, found: PlanReplay, stop: Stop | None = None) -> PlanReplay:
         """Return the replay of a route that stands with how far discrete elements built it, if that is asked for.
@@ -145,7 +172,7 @@ class Acceptance:
         if self._replayer is None:
             return None
         found = PlanReplay.of(self._replayer.replay(states))
-        return ((self.failure(states, found.presses) if found.stands else None) or found).falls_at
+        return (self.tested(states, found) if found.stands else found).falls_at
 
 
 def replayer_of(oracle: Oracle, settings: PlannerSettings) -> AnyReplayer | None:

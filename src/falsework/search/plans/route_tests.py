@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
+from falsework.assembly.state import States
 from falsework.search.beam.histories import ReplaySummary
 from falsework.search.plans.plan_replay import Acceptance, PlanReplay, replayer_of
 from falsework.search.problem.oracle import Oracle
@@ -25,7 +28,8 @@ class RouteTests:
         self.replays: dict[bytes, PlanReplay] = {}
         """Replays that come to rest in every state, by the states of the routes."""
         self.doubted: Route | None = None
-        """Of the routes that stand in their replays and that the judge does not accept, the one built farthest."""
+        """Of the routes that stand in their replays, and that the judge does not accept, the one built farthest;
+        without a judge, the last that fails under changed settings."""
         self.forbidden = np.empty((0, parts), dtype=np.uint8)
         """Excluded states, shape (count, parts)."""
         self.replayer = replayer_of(oracle, settings)
@@ -33,6 +37,9 @@ class RouteTests:
         self._settings = settings
         self._acceptance = Acceptance(getattr(oracle, "replayer", None), judge=settings.judge)
         self._keeps = getattr(oracle, "keeps", None)
+        self.asked: Callable[[], int] | None = None
+        """Verdicts that the search has asked for; without it, routes that fail under changed settings are accepted."""
+        self._patience: int | None = None
 
     def passes(self, route: Route, known: ReplaySummary | None = None, stop: Stop | None = None) -> bool:
         """Return whether the replay of a route comes to rest in every state; exclude the first state that fails.
@@ -58,20 +65,43 @@ class RouteTests:
         found = PlanReplay(True, *known) if known and not self._settings.robust else None
         found = found or PlanReplay.of(self.replayer.replay(states))
         if found.stands:
-            found = self._acceptance.failure(states, found.presses) or found
+            found = self._acceptance.tested(states, found)
         if found.stands:
             self.replays[route.states.tobytes()] = found
+            if found.weak_at is not None and not self._settings.judge and self._may_go_on():
+                self.doubted = route
+                self._bar(states, found.weak_at)
+                return False
             if self._settings.judge:
                 found = self._judge(route, found, stop)
             if found.fails_at is None:
                 return True
-        row, last = found.fails_at or 0, len(states) - 1
+        row = found.fails_at or 0
         if not found.stands and (self.fallen is None or row > self.fallen[1]):
             self.fallen = route, row
-        # Both ends belong to every route, so if one fails, the state next to it is excluded.
-        barred = states[min(max(row, 1), max(last - 1, 0))]
-        self.forbidden = np.concatenate([self.forbidden, barred[None]])
+        self._bar(states, row)
         return False
+
+    def _bar(self, states: States, row: int) -> None:
+        """Exclude a state of a route in the order of assembly.
+
+        Both ends belong to every route, so if one fails, the state next to it is excluded.
+        """
+        barred = states[min(max(row, 1), max(len(states) - 2, 0))]
+        self.forbidden = np.concatenate([self.forbidden, barred[None]])
+
+    @property
+    def impatient(self) -> bool:
+        """Whether a route that stands under changed settings was sought as long as the first that does not."""
+        return self._patience is not None and self.asked is not None and self.asked() >= self._patience
+
+    def _may_go_on(self) -> bool:
+        """Return whether to search for a route that stands under changed settings."""
+        if self.asked is None:
+            return False
+        if self._patience is None:
+            self._patience = 2 * self.asked()
+        return not self.impatient
 
     def _judge(self, route: Route, found: PlanReplay, stop: Stop | None) -> PlanReplay:
         """Return the replay of a route with what the judge says; keep the route if it gets farther than others."""

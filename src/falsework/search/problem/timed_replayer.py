@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
+from falsework.stability.contact.hold_loads import Loads
 from falsework.stability.contact.newton import RESTS
 from falsework.stability.contact.replay import History, Presses, Replay, Replayer, ReplaySettings
 from falsework.stability.holds import Press
@@ -145,6 +146,10 @@ class DeadlineReplayer:
         self._look()
         with self._clock.timed("replays"):
             return self._replayer.first_tipping(states, histories)
+
+    def loads(self, states: States, histories: Sequence[History]) -> Loads:
+        """Return what robots bear, see `Replayer.loads`."""
+        return self._replayer.loads(states, histories)
 
     def replay(self, states: ArrayLike, history: History | None = None, presses: Presses | None = None) -> Replay:
         """Replay as `Replayer.replay`, without histories unless a single state is replayed.

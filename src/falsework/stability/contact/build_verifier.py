@@ -22,7 +22,7 @@ from falsework.assembly.state import HELD, REMOVED, States
 from falsework.stability.certificate import residual_of_forces
 from falsework.stability.contact_geometry import geometry_of
 from falsework.stability.criterion import StabilityCriterion
-from falsework.stability.holds import PRESS_STIFFNESS, Press, limits_of
+from falsework.stability.holds import PRESS_STIFFNESS, HoldMode, Press, limits_of
 from falsework.stability.second_order.springs import into_cone
 from falsework.stability.stiffness import movement_limit, normal_stiffness, structure_size
 from falsework.stability.strength import TEARS, Strength, strength_of
@@ -31,6 +31,8 @@ Array = NDArray[np.float64]
 
 _CLOSE = 1e-6
 """Rounding that is allowed in movements and wrenches of robots, as a share of their limits."""
+_ROUNDING = 1e-9
+"""The same in movements across the direction of a press, as a share of the movement along it."""
 
 
 class StepCertificate(NamedTuple):
@@ -73,7 +75,7 @@ class BuildVerifier:
         self._assembly, self._claim = assembly, claim
         self._law = _Law(assembly, claim)
         self._limits = limits_of(assembly, claim.holds, claim.gravity)
-        self._stiffness = claim.holds.stiffness
+        self._stiffness, self._hybrid = claim.holds.stiffness, claim.holds.mode is HoldMode.HYBRID
         self._size = structure_size(assembly)
         self._before: States | None = None
         self._springs = np.zeros((self._law.points, 3))
@@ -132,6 +134,9 @@ class BuildVerifier:
             return f"a robot presses {assembly.names[stray[0]]}, which it does not hold"
         if len(added) < len(presses):
             return "a part is pressed twice in one step"
+        turning = [part for part, wrench in added.items() if self._hybrid and wrench[3:].any()]
+        if turning:
+            return f"the robot that presses {assembly.names[turning[0]]} adds a moment, which hybrid control does not"
         for part in np.flatnonzero((state == HELD) & ~assembly.immovable).tolist():
             name, weight = assembly.names[part], mass[part] * self._claim.gravity
             force, moment = np.linalg.norm(borne[part, :3]), np.linalg.norm(borne[part, 3:])
@@ -139,17 +144,39 @@ class BuildVerifier:
                 return f"the robot that holds {name} bears {force:.4g} N and {moment:.4g} N m, more than it can"
             if not held[part]:
                 continue  # it came with its robot, or its robot takes it as it is
-            stiffness = min(self._stiffness, PRESS_STIFFNESS) if part in added else self._stiffness
-            if np.isinf(stiffness):
-                if np.abs(step[part]).max() > 0.0:
-                    return f"the certificate moves {name}, which a rigid hold fixes"
-                continue
-            spring = stiffness * np.concatenate([step[part, :3], inertia[part] @ step[part, 3:] / mass[part]])
-            off = np.abs(borne[part] - (self._borne[part] + added.get(part, 0.0) - spring)) / weight
-            off[3:] /= gyration[part]
+            turned = np.concatenate([step[part, :3], inertia[part] @ step[part, 3:] / mass[part]])
+            off, strayed = self._off(added.get(part), turned, borne[part] - self._borne[part], gyration[part])
+            if strayed:
+                return f"the certificate moves {name}, which a rigid hold fixes"
+            off = off / weight
             if off.max() > self._claim.tolerance + _CLOSE * max(1.0, force / weight):
                 return f"the robot that holds {name} does not bear what its stiffness and its presses give"
         return ""
+
+    def _off(self, press: Array | None, turned: Array, change: Array, gyration: float) -> tuple[Array, bool]:
+        """Return by how much a robot does not bear what it should, N, and whether its part moves where it cannot.
+
+        Args:
+            press: wrench that it adds; None if it does not press.
+            turned: movement of the part in the step as a spring of 1 N/m resists it, shape (6,).
+            change: of the wrench that the robot bears, shape (6,).
+            gyration: of the part, m.
+        """
+        across = self._stiffness
+        along = across if press is None else min(across, PRESS_STIFFNESS)
+        added, line = np.zeros(6) if press is None else press, np.zeros(6)
+        if press is not None and self._hybrid:
+            line[:3] = press[:3] / max(float(np.linalg.norm(press[:3])), 1e-300)
+        else:
+            across = along
+        given = (line @ turned) * line
+        size = np.repeat([1.0, gyration], 3)
+        if np.isinf(across):
+            bound = np.abs(turned - given) / size
+            # By components, as unbalanced forces are measured elsewhere; the robot bears what it takes across the line.
+            off = np.abs(line @ (change - added) + (along * (line @ turned) if line.any() else 0.0)) * np.abs(line)
+            return off, bool(bound.max() > _ROUNDING * np.abs(given).max())
+        return np.abs(change - added + along * given + across * (turned - given)) / size, False
 
 
 class _Law:

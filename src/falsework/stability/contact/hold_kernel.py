@@ -4,24 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 
+from falsework.stability.contact.hybrid_kernel import LOCKED
 from falsework.stability.contact.law import contact_force
 from falsework.utils.kernels import njit
 
 
 @njit(cache=True)
-def set_holds(structure, contact_structure, before, state, pressed, contact, moving, origin):
+def set_holds(structure, contact_structure, before, state, pressed, wrench, contact, moving, origin):
     """Write the springs of the holds in a step, and which parts can move in it.
 
     Args:
         structure, contact_structure, contact: as in `settle_step`.
         before, state: shape (parts,).
-        pressed: held parts that robots press in this step.
+        pressed: held parts that robots press in this step, shape (n,).
+        wrench: whitened wrenches that they add, shape (n, 6); with (0, 6) the parts give way in all directions.
         moving: out: `state` with the parts whose holds give way as installed, shape (parts,).
         origin: out: the same where the step changes nothing, 3 where it does, shape (parts,).
     """
-    position, grip = structure.elimination.position, contact.grip
+    position, grip, across = structure.elimination.position, contact.grip, contact.across
     for j in range(len(grip)):
-        grip[j] = 0.0
+        grip[j], across[j] = 0.0, 0.0
     for i in range(len(state)):
         moving[i] = state[i]
         if state[i] == 2 and position[i] >= 0 and contact_structure.grip[i] > 0.0:
@@ -29,7 +31,13 @@ def set_holds(structure, contact_structure, before, state, pressed, contact, mov
         origin[i] = moving[i] if before[i] == state[i] else 3
     for k in range(len(pressed)):
         i = pressed[k]
-        moving[i], origin[i], grip[position[i]] = 1, 3, contact_structure.press_grip[i]
+        j = position[i]
+        moving[i], origin[i], grip[j] = 1, 3, contact_structure.press_grip[i]
+        if contact_structure.hybrid and len(wrench):
+            size = np.sqrt(wrench[k, 0] ** 2 + wrench[k, 1] ** 2 + wrench[k, 2] ** 2)
+            across[j] = contact_structure.grip[i] if contact_structure.grip[i] > 0.0 else LOCKED
+            for r in range(3):
+                contact.line[j, r] = wrench[k, r] / size if size > 0.0 else 0.0
 
 
 @njit(cache=True)

@@ -22,7 +22,7 @@ from falsework.stability.contact.newton import (
 from falsework.stability.cpu.layout import make_scratch, pair_velocity, point_velocity, restrict, set_gravity
 from falsework.stability.cpu.neighbourhood import hold_far_parts
 from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED
-from falsework.stability.holds import PRESS_STIFFNESS, HoldSettings, limits_of
+from falsework.stability.holds import PRESS_STIFFNESS, HoldMode, HoldSettings, limits_of
 from falsework.stability.problem import Problem
 from falsework.stability.stiffness import MOVEMENT, TANGENTIAL_RATIO, normal_stiffness, structure_size
 from falsework.utils.kernels import njit
@@ -86,6 +86,7 @@ def build_contact_structure(
         press_grip=pressing,
         force_limit=limits.force / np.sqrt(mass),
         moment_limit=limits.moment,
+        hybrid=holds.mode is HoldMode.HYBRID,
     )
 
 

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.stability.contact.hybrid_kernel import LOCKED, along_line, resist_across
 from falsework.stability.contact.law import contact_force
 from falsework.stability.contact.tangent import assemble_tangent
 from falsework.stability.cpu.elimination import lay_out_panels
@@ -89,6 +90,8 @@ class ContactArrays(NamedTuple):
     """Largest whitened force of a robot on each part, shape (parts,)."""
     moment_limit: NDArray[np.float64]
     """Largest moment of a robot on each part about its centre of mass, N m, shape (parts,)."""
+    hybrid: bool
+    """Whether robots that press control the force along one direction only, and the position across it."""
 
 
 class ContactScratch(NamedTuple):
@@ -117,6 +120,11 @@ class ContactScratch(NamedTuple):
     step: NDArray[np.float64]
     grip: NDArray[np.float64]
     """Scaled stiffness of the hold on each part, zero for parts that nothing holds, shape (n,)."""
+    across: NDArray[np.float64]
+    """Scaled stiffness across `line` of a hold that controls the force along it; `LOCKED` where the part may not move
+    across it; zero for other parts, shape (n,)."""
+    line: NDArray[np.float64]
+    """Direction of the force of such a hold, a unit vector, shape (n, 3)."""
 
 
 @njit(cache=True)
@@ -139,6 +147,8 @@ def make_contact_scratch(structure):
         np.zeros((n, 6)),
         np.zeros((n, 6)),
         np.zeros(n),
+        np.zeros(n),
+        np.zeros((n, 3)),
     )
 
 
@@ -173,6 +183,8 @@ def evaluate(structure, work, contact, pairs, displacement, trial, out):
     total = 0.0
     for j in range(len(free)):
         if free[j]:
+            if contact.across[j] != 0.0:
+                resist_across(contact, j, displacement, out)
             for r in range(6):
                 total += out[j, r] * out[j, r]
     return np.sqrt(total)
@@ -296,6 +308,9 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
                 for r in range(6):
                     step[j, r] = residual[j, r]
         solve_panels(panels, step, False)
+        for j in range(len(free)):
+            if free[j] and contact.across[j] == LOCKED:
+                along_line(contact, j, step)
         length, limit = 1.0, max(size, pace.memory * before)
         while True:
             for j in range(len(free)):

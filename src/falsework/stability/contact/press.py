@@ -78,15 +78,21 @@ class PressPlanner:
         compliance = 1.0 / contact.normal[index]
         # What a rigid hold would bear keeps soft arms where they are, and is the least that a press may be.
         still = _within(np.linalg.lstsq(moves[1:].T, -moves[0], rcond=None)[0], contact.force_limit[held])
-        errors = self._errors(held)
+        errors, limit = self._errors(held), contact.force_limit[held]
         seen = [still if contact.grip[held].any() else np.zeros_like(still)]
         if seen[0].any():
-            yield self._presses(held, still)
+            yield self._presses(held, _along_forces(still) if contact.hybrid else still)
         for safety in _SAFETY:
             cones = strength.friction / safety, strength.stick / scale / safety
-            added, helps = _least_outside(forces, still, errors, *cones, compliance, contact.force_limit[held])
+            if contact.hybrid:
+                soft = bool((contact.grip[held] == contact.press_grip[held]).all())
+                added, helps = _least_along(forces, moves, errors, *cones, compliance, limit, soft=soft)
+                start = np.zeros_like(still)
+            else:
+                added, helps = _least_outside(forces, still, errors, *cones, compliance, limit)
+                start = still
             for gain in _GAINS if helps else ():
-                choice = still + gain * (added - still)
+                choice = _within(start + gain * (added - start), limit)
                 if not any(np.allclose(choice, other, rtol=_SAME) for other in seen):
                     seen.append(choice)
                     yield self._presses(held, choice)
@@ -107,6 +113,50 @@ class PressPlanner:
         """Return presses of the held parts by whitened wrenches, shape (6 n,)."""
         wrenches = (self._problem.momentum[held] @ whitened.reshape(-1, 6, 1))[:, :, 0]
         return tuple(Press(part, tuple(w.tolist())) for part, w in zip(held.tolist(), wrenches, strict=True))
+
+
+def _least_along(
+    forces: Array,
+    moves: Array,
+    errors: Array,
+    friction: Array,
+    stick: Array,
+    compliance: Array,
+    limit: Array,
+    *,
+    soft: bool,
+) -> tuple[Array, bool]:
+    """Return the forces of robots that hold parts across their directions, as `_least_outside`.
+
+    Held parts then move along the forces only. Contact forces are linear in these movements, so the best movements are
+    sought; each force is the one that moves its part so, along the movement. Robots that are as soft across the force
+    as along it add the force alone.
+
+    Args:
+        forces, errors, friction, stick, compliance, limit: as in `_least_outside`.
+        moves: whitened movements of the pressed parts without pressing, then their change by each component of a
+            whitened wrench, shape (1 + 6 n, 6 n).
+        soft: whether robots are as soft across the force as along it.
+    """
+    count, along = len(limit), (6 * np.arange(len(limit))[:, None] + np.arange(3)).ravel()
+    # The wrenches by which robots that give way in all directions would move parts in this way.
+    wrenches = np.eye(6 * count) if soft else np.linalg.pinv(moves[1:].T)
+    still, response = np.zeros(6 * count) if soft else -wrenches @ moves[0], wrenches[:, along].T
+    flat = forces[1:].reshape(6 * count, -1)
+    base = forces[:1] + (still @ flat).reshape(1, -1, 3)
+    moved = np.concatenate([base, (response @ flat).reshape(-1, *forces.shape[1:])])
+    nothing, free = np.zeros(3 * count), np.full(count, np.inf)
+    found, helps = _least_outside(moved, nothing, errors[:, along[:, None], along], friction, stick, compliance, free)
+    size = np.linalg.norm(found.reshape(-1, 3), axis=1)
+    line = found.reshape(-1, 3) / np.maximum(size, 1e-300)[:, None]
+    wrench = (still + found @ response).reshape(-1, 6)
+    force = (wrench[:, :3] * line).sum(axis=1)[:, None] * line
+    return np.concatenate([force, np.zeros_like(force)], axis=1).ravel(), helps
+
+
+def _along_forces(whitened: Array) -> Array:
+    """Return whitened wrenches without their moments, shape (6 n,)."""
+    return (whitened.reshape(-1, 6) * [1.0, 1.0, 1.0, 0.0, 0.0, 0.0]).ravel()
 
 
 def _least_outside(
@@ -170,8 +220,8 @@ def _least_outside(
 
 
 def _within(x: Array, limit: Array) -> Array:
-    """Return whitened wrenches scaled down until their forces keep the limits, shape (6 n,)."""
-    wrench = x.reshape(-1, 6)
+    """Return whitened wrenches, or forces, scaled down until the forces keep the limits, shape (6 n,) or (3 n,)."""
+    wrench = x.reshape(len(limit), -1)
     size = np.linalg.norm(wrench[:, :3], axis=1)
     return (wrench * np.minimum(1.0, limit / np.maximum(size, 1e-300))[:, None]).ravel()
 

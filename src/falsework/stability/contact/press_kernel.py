@@ -47,7 +47,8 @@ def press_responses(
     parts = len(state)
     near, origin, moving = np.empty(parts, np.uint8), np.empty(parts, np.uint8), np.empty(parts, np.uint8)
     position = structure.elimination.position
-    set_holds(structure, contact_structure, before, state, pressed, contact, moving, origin)
+    nothing = np.zeros((0, 6))
+    set_holds(structure, contact_structure, before, state, pressed, nothing, contact, moving, origin)
     hold_far_parts(structure, moving, origin, RINGS, near)
     missing = np.zeros((len(work.free), 6))
     pairs, count = load_history(

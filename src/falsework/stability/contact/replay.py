@@ -22,6 +22,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states
 from falsework.errors import InputError
 from falsework.stability.contact.build_verifier import StepCertificate
+from falsework.stability.contact.hold_loads import Loads, loads_of_build
 from falsework.stability.contact.kernel import NEAR_RINGS, ContactOptions
 from falsework.stability.contact.newton import FIRST_STEP, OPEN, RESTS
 from falsework.stability.contact.press import PressPlanner
@@ -246,6 +247,8 @@ class Replayer:
             histories: of these states.
         """
         for row, (state, history) in enumerate(zip(states, histories, strict=True)):
+            if row and not ((state != states[row - 1]) & (state != HELD)).any():
+                continue  # a part that is held or placed changes no force, and only hinders others
             changed = state != states[row - 1] if row else np.ones(len(state), dtype=bool)
             near = np.asarray(changed, dtype=np.float64)
             for _ in range(NEAR_RINGS):
@@ -256,6 +259,10 @@ class Replayer:
             if self._second_order.growing_motion(local, history.displacement, springs) is not None:
                 return row
         return None
+
+    def loads(self, states: States, histories: Sequence[History]) -> Loads:
+        """Return what robots bear in states in assembly order, after which the histories are these."""
+        return loads_of_build(self.assembly, self.problem, self.settings, states, histories)
 
     @cached_property
     def _second_order(self) -> SecondOrder:
@@ -386,10 +393,4 @@ def replay_plans(replayer: Replayer, plans: Sequence[States]) -> list[Replay]:
         return list(pool.map(replayer.replay, plans))
 
 
-__all__ = [
-    "History",
-    "Replay",
-    "ReplaySettings",
-    "Replayer",
-    "replay_plans",
-]
+__all__ = ["History", "Replay", "ReplaySettings", "Replayer", "replay_plans"]

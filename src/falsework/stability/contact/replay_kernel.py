@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from falsework.stability.contact.hold_kernel import hold_wrench, overloaded, set_holds
+from falsework.stability.contact.hybrid_kernel import add_across
 from falsework.stability.contact.kernel import NEAR_RINGS, lacks_contact, move_far_parts
 from falsework.stability.contact.law import contact_force
 from falsework.stability.contact.newton import (
@@ -193,7 +194,7 @@ def settle_step(
         `RESTS`, `MOVES_AWAY`, `OVERLOADS` or `OPEN`; residual; iterations; the part that moved most, or whose robot
         bears too much, and the largest movement in m.
     """
-    set_holds(structure, contact_structure, before, state, press_part, contact, moving, origin)
+    set_holds(structure, contact_structure, before, state, press_part, press_wrench, contact, moving, origin)
     missing = np.zeros((len(work.free), 6))
     pairs, count = load_history(
         structure, contact_structure, moving, work, contact, springs, torn, set_share, missing, 0.0
@@ -282,6 +283,8 @@ def settle_step(
             for r in range(6):
                 guess[j, r] = contact.displacement[j, r]
                 missing[j, r] += contact.grip[j] * guess[j, r]  # zero but for held parts
+            if contact.across[j] > 0.0:
+                add_across(contact, j, guess, 1.0, missing)
         _keep_history(structure, contact_structure, work, contact, pairs, displacement, springs, torn, track[k - 1])
         if result != RESTS:
             break

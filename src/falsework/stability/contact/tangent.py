@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from falsework.stability.contact.hybrid_kernel import LOCKED
 from falsework.stability.contact.law import gauge, gauge_gradient
 from falsework.stability.cpu.layout import FAST
 from falsework.stability.cpu.panels import clear_panels
 from falsework.utils.kernels import njit
 from falsework.utils.products import Congruence, SquareProduct
+
+_FAST_AS_LOCKED = 1e9
+"""Stiffness across that line in the tangent, relative to the median contact: the step across it is then dropped."""
 
 _add_congruence, _add_product, _set_product = Congruence(), SquareProduct(1), SquareProduct(1, adds=False)
 
@@ -43,6 +47,14 @@ def assemble_tangent(structure, contact_structure, work, contact, pairs, shift):
         if free[j] and grip[j] > 0.0:
             for r in range(6):
                 upper[diagonal[j] + r * (width[supernode[j]] + 1)] += grip[j]
+            if contact.across[j] != 0.0:
+                more = (_FAST_AS_LOCKED if contact.across[j] == LOCKED else contact.across[j]) - grip[j]
+                for r in range(3):
+                    at = diagonal[j] + r * width[supernode[j]]
+                    for c in range(3):
+                        upper[at + c] -= more * contact.line[j, r] * contact.line[j, c]
+                    upper[at + r] += more
+                    upper[diagonal[j] + (3 + r) * (width[supernode[j]] + 1)] += more
     turned, local, images_a, images_b = np.empty((6, 8)), np.zeros((6, 8)), np.empty((6, 8)), np.empty((6, 8))
     for p in range(pairs):
         closed, slides, begin = False, False, start[p]

@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, States, as_states
 from falsework.errors import InputError
-from falsework.stability.holds import PRESS_STIFFNESS, HoldSettings, Press
+from falsework.stability.holds import PRESS_STIFFNESS, HoldMode, HoldSettings, Press
 from falsework.stability.judges.relaxation import FALLS, STANDS, JudgedHolds, Model, relax
 
 Array = NDArray[np.float64]
@@ -154,8 +154,8 @@ def replay_by_discrete_elements(
         states: in assembly order, shape (steps + 1, parts); the first one has no history.
         settings: springs of contacts, damping and step limit.
         presses: those of the step that leads to each state, one entry a state; none by default.
-        holds: stiffness of the robots; that of one that presses is at most `PRESS_STIFFNESS`. Their limits are not
-            checked.
+        holds: stiffness and mode of the robots; the stiffness with which one presses is at most `PRESS_STIFFNESS`.
+            Their limits are not checked.
 
     Returns:
         An entry for each state up to the first that collapses, which is the last entry; an undecided one does not end
@@ -169,7 +169,7 @@ def replay_by_discrete_elements(
     added = added_wrenches(assembly, batch, presses)
     size, models = models_of(assembly, settings)
     for model in models:
-        found = _replay(batch, added, Build(assembly, size, model, settings, holds.stiffness), size)
+        found = _replay(batch, added, Build(assembly, size, model, settings, holds), size)
         if found.last != FALLS:
             break
     return found.settling()
@@ -186,7 +186,8 @@ class ContactForces:
     def copy(self) -> ContactForces:
         """Return a copy that shares nothing."""
         grip = self.grip
-        held = JudgedHolds(grip.stiffness.copy(), grip.fresh.copy(), grip.wrench.copy())
+        copies = (grip.stiffness.copy(), grip.fresh.copy(), grip.wrench.copy())
+        held = JudgedHolds(*copies, grip.line.copy(), grip.across.copy())
         return ContactForces(self.gap.copy(), self.friction.copy(), held)
 
 
@@ -194,10 +195,11 @@ class Build:
     """Structure that is built state by state on contact springs of one stiffness."""
 
     def __init__(
-        self, assembly: Assembly, size: float, model: Model, settings: DiscreteElementSettings, stiffness: float
+        self, assembly: Assembly, size: float, model: Model, settings: DiscreteElementSettings, holds: HoldSettings
     ) -> None:
         self._assembly, self._size, self._model = assembly, size, model
-        self._settings, self._stiffness = settings, stiffness
+        self._settings, self._stiffness = settings, holds.stiffness
+        self._hybrid = holds.mode is HoldMode.HYBRID
         self._ends = model.parts[np.repeat(np.arange(len(model.parts)), np.diff(model.start))]
         self._typical = typical_weight(assembly)
         self.forces = self.nothing()
@@ -221,7 +223,10 @@ class Build:
         wrench = np.where((held & ~fresh)[:, None], now.grip.wrench, 0.0)
         for part, more in press.items():
             wrench[part] += more / (self._typical * np.repeat([1.0, size], 3))
-        now.grip = JudgedHolds(spring * size / self._typical, fresh, wrench)
+        line, across = np.zeros((len(state), 3)), np.full(len(state), self._stiffness * size / self._typical)
+        for part, more in press.items() if self._hybrid else ():
+            line[part] = more[:3] / max(float(np.linalg.norm(more[:3])), 1e-300)
+        now.grip = JudgedHolds(spring * size / self._typical, fresh, wrench, line, across)
         return relax(self._model, state, now.gap, now.friction, now.grip, *_numbers(settings))
 
 
@@ -255,7 +260,8 @@ def added_wrenches(
 def _no_grip(assembly: Assembly) -> JudgedHolds:
     """Return the springs of robots where none holds a part that can move."""
     parts = assembly.part_count
-    return JudgedHolds(np.zeros(parts), np.ones(parts, bool), np.zeros((parts, 6)))
+    nothing = np.zeros(parts)
+    return JudgedHolds(nothing, np.ones(parts, bool), np.zeros((parts, 6)), np.zeros((parts, 3)), nothing.copy())
 
 
 class _Answers:

@@ -62,6 +62,11 @@ class JudgedHolds(NamedTuple):
     """Parts that a robot takes as they are: it bears at first what balances them, and `wrench`, shape (parts,)."""
     wrench: Array
     """What each robot bears, in: before its part moves; out: after that, shape (parts, 6)."""
+    line: Array
+    """Direction of the force of a robot that controls the position across it, a unit vector; zero for other parts,
+    shape (parts, 3)."""
+    across: Array
+    """Stiffness across that direction, infinite where a part moves along it only, shape (parts,)."""
 
 
 @nb.njit(cache=True, nogil=True)
@@ -99,8 +104,12 @@ def relax(model, state, gap, friction, grip, tangential, damping, ramp, steps):
     frames, arm_a, arm_b = model.frames[active], model.arm_a[active], model.arm_b[active]
     local, stiff = model.local[index], model.stiffness[index]
     open_, slide = gap[index], friction[index]
-    hold, turn = grip.stiffness[free], model.gyration[free]
-    inertia = _inertia(bodies, side_a, side_b, first, frames, arm_a, arm_b, local, stiff, tangential, hold, turn)
+    hold, turn, line, across = grip.stiffness[free], model.gyration[free], grip.line[free], grip.across[free]
+    stiffest = hold.copy()
+    for body in range(bodies):
+        if line[body].any() and across[body] < np.inf:
+            stiffest[body] = max(hold[body], across[body])
+    inertia = _inertia(bodies, side_a, side_b, first, frames, arm_a, arm_b, local, stiff, tangential, stiffest, turn)
     for body in range(bodies):
         if inertia[body, 0] == 0.0:
             return FALLS, np.inf, free[body]
@@ -124,7 +133,9 @@ def relax(model, state, gap, friction, grip, tangential, damping, ramp, steps):
                 if step == 0 and grip.fresh[free[body]]:
                     applied[body] -= load[body] - grip.wrench[free[body]]
                     load[body] = grip.wrench[free[body]]
-                _pull(hold[body], turn[body], moved[body], load[body])
+                _pull(hold[body], line[body], across[body], turn[body], moved[body], load[body])
+                if across[body] == np.inf and line[body].any():
+                    _along(line[body], load[body])
         if step == 0:
             missing[:] = load[:bodies]
         if step % _EVERY == 0:
@@ -152,7 +163,7 @@ def relax(model, state, gap, friction, grip, tangential, damping, ramp, steps):
     for body in range(bodies):
         if hold[body] > 0.0:
             grip.wrench[free[body]] = applied[body] - model.applied[free[body]]
-            _pull(hold[body], turn[body], moved[body], grip.wrench[free[body]])
+            _pull(hold[body], line[body], across[body], turn[body], moved[body], grip.wrench[free[body]])
     return answer, largest, part
 
 
@@ -168,12 +179,24 @@ def _slow_ramp(inertia, hold, turn, ramp):
 
 
 @nb.njit(cache=True, nogil=True)
-def _pull(hold, turn, moved, load):
+def _pull(hold, line, across, turn, moved, load):
     """Add the wrench of a robot's spring to the load of its part."""
+    swing, more = hold, 0.0
+    if across < np.inf and line.any():
+        swing, more = across, across - hold
+    size = moved[0] * line[0] + moved[1] * line[1] + moved[2] * line[2]
     for i in range(3):
-        load[i] -= hold * moved[i]
+        load[i] -= hold * moved[i] + more * (moved[i] - size * line[i])
         for k in range(3):
-            load[3 + i] -= hold * turn[i, k] * moved[3 + k]
+            load[3 + i] -= swing * turn[i, k] * moved[3 + k]
+
+
+@nb.njit(cache=True, nogil=True)
+def _along(line, load):
+    """Leave of a load what is along the direction in which the part can move."""
+    size = load[0] * line[0] + load[1] * line[1] + load[2] * line[2]
+    for i in range(3):
+        load[i], load[3 + i] = size * line[i], 0.0
 
 
 @nb.njit(cache=True, nogil=True)

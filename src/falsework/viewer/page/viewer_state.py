@@ -200,6 +200,9 @@ class ViewerState:
         labels = {
             int(part): f"R{appearance.holder[part] + 1}" for part in np.flatnonzero(appearance.holder != NO_ROBOT)
         }
+        for load in self.timeline.loads_at(self.step):
+            if load.part in labels:
+                labels[load.part] += f" bears {describe_force(load.force)}"
         for press in self.timeline.presses_at(self.step):
             if press.part in labels:
                 labels[press.part] += f" presses {describe_force(press.force)}"

@@ -1,0 +1,119 @@
+"""What robots bear in the states of a build: the largest force and moment on every part that they hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import HELD, REMOVED, States
+from falsework.stability.contact_geometry import geometry_of
+from falsework.stability.holds import HoldLoad
+from falsework.stability.second_order.springs import into_cone
+from falsework.stability.settings import StabilitySettings
+from falsework.stability.strength import strength_of
+
+if TYPE_CHECKING:
+    from falsework.stability.problem import Problem
+
+Array = NDArray[np.float64]
+Loads = tuple[tuple[HoldLoad, ...], ...]
+"""What robots bear in each state of a plan, one entry a state."""
+
+
+class ContactHistory(Protocol):
+    """What is read of a `History`."""
+
+    @property
+    def springs(self) -> Array:
+        """Spring forces of the contact points in scaled variables, shape (points, 3)."""
+        ...
+
+    @property
+    def torn(self) -> NDArray[np.bool_]:
+        """Contact points whose tensile strength was exceeded, shape (points,)."""
+        ...
+
+    @property
+    def age(self) -> NDArray[np.int32]:
+        """Steps for which both parts of each contact point have been present, shape (points,)."""
+        ...
+
+
+_AT_ONCE = 16
+"""States that are evaluated at once."""
+CLOSE = 0.01
+"""Share by which two evaluations of the same build may differ in what robots bear."""
+
+
+def loads_in(assembly: Assembly, state: States, wrenches: Array) -> tuple[HoldLoad, ...]:
+    """Return what robots bear in a state.
+
+    Args:
+        assembly: the structure.
+        state: shape (parts,).
+        wrenches: on each held part about its centre of mass, N and N m, shape (parts, 6).
+    """
+    held = np.flatnonzero((state == HELD) & ~assembly.immovable)
+    force, moment = (np.linalg.norm(wrenches[held, some], axis=1) for some in (slice(3), slice(3, 6)))
+    return tuple(map(HoldLoad, held.tolist(), force.tolist(), moment.tolist()))
+
+
+def loads_of_build(
+    assembly: Assembly,
+    problem: Problem,
+    settings: StabilitySettings,
+    states: States,
+    histories: Sequence[ContactHistory],
+) -> Loads:
+    """Return what robots bear in the states of a replay.
+
+    Args:
+        assembly: the structure.
+        problem: its equilibrium problem.
+        settings: cone, gravity and reserve of the replay.
+        states: in assembly order, shape (states, parts).
+        histories: after each of these states.
+    """
+    geometry = geometry_of(assembly.contacts, assembly.mass)
+    whole, loads = strength_of(assembly, settings.gravity, settings.reserve), assembly.applied_wrench(settings.gravity)
+    joints, found = assembly.joints, []
+    setting = joints is not None and joints.setting
+    # Where joints set or break, every state has contacts of its own strength.
+    at_once = 1 if setting or any(history.torn.any() for history in histories) else _AT_ONCE
+    for first in range(0, len(histories), at_once):
+        rows = slice(first, first + at_once)
+        some, here = histories[rows], states[rows]
+        share = np.where(some[0].torn, 0.0, 1.0)
+        if joints is not None and setting:
+            share = share * joints.set_share(some[0].age[None])[0]
+        strength = whole._replace(pull=share * whole.pull, stick=share * whole.stick)
+        springs = np.stack([history.springs for history in some]) * problem.force_scale[:, None]
+        there = (here[:, geometry.part_a] != REMOVED) & (here[:, geometry.part_b] != REMOVED)
+        forces = np.where(there[..., None], into_cone(springs, strength, settings.friction_cone)[0], 0.0)
+        wrenches = -(geometry.wrenches(forces) + loads)
+        found += [loads_in(assembly, state, wrench) for state, wrench in zip(here, wrenches, strict=True)]
+    return tuple(found)
+
+
+def larger_loads(some: Loads, others: Loads) -> Loads:
+    """Return the larger of two forces, and of two moments, for every part held in the states of one plan."""
+    return tuple(
+        tuple(
+            HoldLoad(one.part, max(one.force, other.force), max(one.moment, other.moment))
+            for one, other in zip(here, there, strict=True)
+        )
+        for here, there in zip(some, others, strict=True)
+    )
+
+
+def largest_load(loads: Iterable[Iterable[HoldLoad]]) -> tuple[float, float]:
+    """Return the largest force, N, and the largest moment, N m; zero where nothing is held."""
+    every = [load for state in loads for load in state]
+    return max((load.force for load in every), default=0.0), max((load.moment for load in every), default=0.0)
+
+
+__all__ = ["CLOSE", "Loads", "larger_loads", "largest_load", "loads_in", "loads_of_build"]
