@@ -99,7 +99,8 @@ def _draw(found: Diagnosis, path: Path) -> None:
     import numpy as np
 
     from falsework.viewer.palette import BOUNDARY, INSTALLED, unit_rgb
-    from falsework.viewer.pictures.contact_sheet import to_pixels, write_png
+    from falsework.viewer.pictures.contact_sheet import to_pixels
+    from falsework.viewer.pictures.picture import Picture, png_of
     from falsework.viewer.pictures.render import Camera, ColoredSolid, render
 
     assert found.draft is not None
@@ -116,4 +117,5 @@ def _draw(found: Diagnosis, path: Path) -> None:
         solids.append(ColoredSolid(vertices, both, unit_rgb(color)))
     corners = np.concatenate([solid.vertices[np.unique(solid.faces)] for solid in solids])
     bounds = np.stack([corners.min(axis=0), corners.max(axis=0)])
-    write_png(path, to_pixels(render(solids, Camera(width=1200, height=900, zoom=0.95), bounds)))
+    drawn = to_pixels(render(solids, Camera(width=1200, height=900, zoom=0.95), bounds))
+    Picture("parts", content=png_of(drawn)).save(path)

@@ -131,11 +131,7 @@ class Output:
         """Show the progress of a search."""
         with self.bar("searching") as show:
 
-            def report(now: SearchProgress) -> None:
-                doing = f"{now.direction}, width {now.width}: step {now.level} of {now.levels}"
-                show(now.level, now.levels, f"{doing}, {now.kept} states kept, {now.asked} verdicts")
-
-            yield report
+            yield lambda now: show(now.level, now.levels, now.words)
 
     @staticmethod
     def _console(*, error: bool) -> Console:

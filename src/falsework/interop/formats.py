@@ -21,18 +21,22 @@ from falsework.robots.plans.robot_plan_file import load_robot_plan
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_file import load_plan
 from falsework.search.plans.plan_source import structure_of_plan
+from falsework.search.problem.task import Direction
 from falsework.utils.json_file import read_format
+from falsework.viewer.page.recording import save_page
+from falsework.viewer.viewable import viewable_of
 
-Format = Literal["folder", "glb", "gltf", "usd", "compas", "compas-assembly", "compas-dem"]
+Format = Literal["folder", "glb", "gltf", "usd", "html", "compas", "compas-assembly", "compas-dem"]
 
 _BY_SUFFIX: dict[str, Format] = {
     ".glb": "glb",
     ".gltf": "gltf",
     ".usd": "usd",
     ".usda": "usd",
+    ".html": "html",
     ".json": "compas",
 }
-_MOVING = ("glb", "gltf", "usd")
+_MOVING = ("glb", "gltf", "usd", "html")
 """Formats that can show a plan."""
 
 
@@ -99,9 +103,9 @@ def export(
         subject: a structure, plan or robot plan, or what `load_structure`, `load_plan` or `load_robot_plan` read.
         path: file to write, or folder, which must be new or empty.
         structure: structure of a plan that does not name it; of a robot plan only where robots press.
-        format: `folder` (one mesh a part), `glb`, `gltf`, `usd`, `compas`, `compas-assembly` or `compas-dem`; for a
-            robot plan `ros2-json`, `ros2-yaml`, `csv`, `rapid`, `urscript` or `mcap`. By the name of the file if not
-            given.
+        format: `folder` (one mesh a part), `glb`, `gltf`, `usd`, `html` (a page that opens without a server),
+            `compas`, `compas-assembly` or `compas-dem`; for a robot plan `html`, `ros2-json`, `ros2-yaml`, `csv`,
+            `rapid`, `urscript` or `mcap`. By the name of the file if not given.
         step_seconds: length of a step of a plan; 1 s if not given.
         cell: cell of a robot plan, as for `export_plan`; that of a file is the one that the file names, if not given.
         options: as for `load_structure`.
@@ -109,6 +113,15 @@ def export(
     Raises:
         InputError: no such format, one that cannot show the subject, or a place that cannot be written.
     """
+    if format == "html" or (format is None and Path(path).suffix.lower() == ".html"):
+        if step_seconds is not None:
+            raise InputError("--step-seconds: a page plays a step in a second; leave it out")
+        of_itself = isinstance(subject, Assembly)
+        shown = viewable_of(
+            subject, None if of_itself else structure, cell=cell, direction=Direction.ASSEMBLY, **options
+        )
+        save_page(path, shown)
+        return
     file, given = subject if isinstance(subject, (str, Path)) else None, structure
     if isinstance(subject, (str, Path)):
         subject, structure = read_exportable(subject, structure, **options)

@@ -16,6 +16,7 @@ from falsework.search.problem.result import Outcome, SearchResult
 from falsework.search.problem.task import Direction
 from falsework.search.problem.timed_replayer import Replayed
 from falsework.stability.verdict import Criterion
+from falsework.utils.display.notebook import Displayed
 
 
 class Stage(StrEnum):
@@ -38,7 +39,7 @@ class Stage(StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class ReplanResult:
+class ReplanResult(Displayed):
     """Result of one request."""
 
     plans: tuple[Plan, ...]

@@ -29,15 +29,7 @@ from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.guide import Guide, SupportGuide
 from falsework.search.problem.hold_bound import HoldBound
 from falsework.search.problem.oracle import Oracle
-from falsework.search.problem.result import (
-    Outcome,
-    Progress,
-    Route,
-    SearchCounters,
-    SearchProgress,
-    SearchResult,
-    Stop,
-)
+from falsework.search.problem.result import Outcome, Progress, Route, SearchCounters, SearchProgress, SearchResult, Stop
 from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.support_route import SupportRoute
 from falsework.search.problem.task import Task
@@ -46,6 +38,7 @@ from falsework.search.settings import PlannerSettings
 from falsework.search.support.planner import SupportPlanner, planner_for
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
+from falsework.utils.display.notebook import Displayed, notebook_progress
 
 _SAVE_EVERY = 30.0
 """Seconds between two checkpoints."""
@@ -81,7 +74,7 @@ class TaskRules(TypedDict, total=False):
 
 
 @dataclass(frozen=True, eq=False)
-class Planning:
+class Planning(Displayed):
     """Result of `find_plans`."""
 
     result: SearchResult
@@ -139,7 +132,7 @@ def find_plans(
         settings: effort of the search, and number of plans.
         guide: scores actions; by default parts with much support are inserted first, and where three robots or more
             build a shell, or under `equilibrium` one of 700 to 3,000 parts is built, its free edges.
-        progress: called after every level of every attempt.
+        progress: called after every level of every attempt; notebooks show it if not given.
         stop: called before every level; true ends the search with the plans found so far.
         deadline: seconds after which the search ends with the best that it has; the plans are proved after that.
         checkpoint: file to which the search is saved regularly, and from which it resumes if it exists; removed at the
@@ -159,6 +152,8 @@ def find_plans(
     if task is not None and named:
         raise InputError(f"a task and {', '.join(named)} were given; put them into the task, or leave the task out")
     assembly = as_assembly(assembly)
+    show = notebook_progress("searching")
+    progress = progress or (None if show is None else lambda now: show(now.share, now.words))
     if oracle is None:
         task = task or task_of(assembly, 2 if robots is None else robots, **rules)
         more = {"settings": settings, "guide": guide, "progress": progress, "stop": stop, "forces": forces}

@@ -86,10 +86,11 @@ def appearance_at(
         leaving = (timeline.removal_step >= 0) & (gone > 0) & (gone < FADE)
         if state is not None:
             leaving &= timeline.states[row] == state
+        far = TRAVEL * diagonal(assembly) if leaving.any() else 0.0
         for part in np.flatnonzero(leaving):
             share = float(gone[part]) / FADE
             opacity[part] = 1 - share
-            shift[part] = TRAVEL * diagonal(assembly) * share * timeline.ways[part]
+            shift[part] = far * share * timeline.ways[part]
             last = int(timeline.holders[timeline.removal_step[part], part])
             if last != NO_ROBOT:
                 color[part] = rgb(robot_color(last))

@@ -116,6 +116,12 @@ class Timeline:
         presses = describe_presses(self.presses_at(step + 1), names)
         return "; ".join(filter(None, (describe_step(before, after, names), presses)))
 
+    def robot_of(self, step: int) -> int:
+        """Return the robot that holds the part of a step before or after it, counted from 0; `NO_ROBOT` if none."""
+        row, other = self.row(step), self.row(step + 1)
+        part = int(self.actions[min(row, other)]) % self.assembly.part_count
+        return max(int(self.holders[row, part]), int(self.holders[other, part]))
+
     @cached_property
     def removal_step(self) -> NDArray[np.int64]:
         """Step of disassembly that removes each part; -1 if none does, -2 if it was never there. Shape (parts,)."""

@@ -18,6 +18,7 @@ from falsework.robots.model.cell import Cell, cell_identity
 from falsework.robots.plans.robot_record import RobotRecord, record_fault
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.task import Direction
+from falsework.utils.display.notebook import Displayed
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -193,7 +194,7 @@ class Keyframe:
 
 
 @dataclass(frozen=True, eq=False)
-class RobotPlan:
+class RobotPlan(Displayed):
     """Abstract plan, the keyframe of each of its states, and the motions between them."""
 
     plan: Plan

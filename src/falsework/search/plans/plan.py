@@ -20,6 +20,7 @@ from falsework.stability.certificate import StabilityCriterion
 from falsework.stability.holds import Press, describe_presses
 from falsework.stability.state_arrays import StateArrays
 from falsework.stability.verdict import Verdicts
+from falsework.utils.display.notebook import Displayed
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -58,7 +59,7 @@ def needs_of(
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class Plan(Displayed):
     """Sequence of actions whose states are all proven stable.
 
     In disassembly action `i` holds part `i` and `parts + i` removes it. A plan for assembly runs the other way:

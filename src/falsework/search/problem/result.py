@@ -121,6 +121,17 @@ class SearchProgress:
     seconds: float
     """Since the search began or was resumed."""
 
+    @property
+    def share(self) -> float:
+        """How far the search is, from 0 to 1."""
+        return self.level / max(self.levels, 1)
+
+    @property
+    def words(self) -> str:
+        """The progress on one line."""
+        doing = f"{self.direction}, width {self.width}: step {self.level} of {self.levels}"
+        return f"{doing}, {self.kept} states kept, {self.asked} verdicts"
+
 
 Progress = Callable[[SearchProgress], None]
 Stop = Callable[[], bool]

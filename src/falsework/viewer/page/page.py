@@ -3,29 +3,31 @@
 from __future__ import annotations
 
 import contextlib
+import html
 import io
 import threading
 import time
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from falsework.errors import DependencyError, FalseworkError, InputError
+from falsework.errors import FalseworkError, InputError
 from falsework.search.problem.task import Direction
 from falsework.utils.files.printable import printable
-from falsework.viewer.appearance import bounds_of
-from falsework.viewer.arms import bounds_with_arms
 from falsework.viewer.arrows import KINDS, PRESSES, Arrows, arrows_of_step
 from falsework.viewer.margin_strip import margin_strip
 from falsework.viewer.page.disruption import ClickMode
 from falsework.viewer.page.gantt_strip import GanttStrip
 from falsework.viewer.page.graph_tab import add_graph_tab
-from falsework.viewer.page.markup import markdown_text
-from falsework.viewer.page.origin_guard import LOCAL, WILDCARDS, OriginGuard, start_server
 from falsework.viewer.page.page_text import about_text, legend_text, marked_text, where_text
-from falsework.viewer.page.scene import SIZE, ViserScene
+from falsework.viewer.page.recording import record, save_page
+from falsework.viewer.page.scene import ViserScene
+from falsework.viewer.page.stage import set_stage
 from falsework.viewer.page.viewer_state import ViewerState
+from falsework.viewer.web.markup import markdown_text
+from falsework.viewer.web.origin_guard import LOCAL, WILDCARDS, OriginGuard, import_viser, start_server
 
 FRAMES = 15.0
 """Frames per second while a plan is played."""
@@ -39,19 +41,6 @@ body:has(div[style*="pointer-events: none"] .falsework-alive)::before {
   background: #b2182b; color: white; font: 15px sans-serif; border-radius: 4px;
 }</style>"""
 """Shown by the style sheet alone: viser only disables the controls when it loses the server."""
-
-
-def import_viser() -> Any:
-    """Return the package that serves the page.
-
-    Raises:
-        DependencyError: it is not installed.
-    """
-    try:
-        import viser
-    except ImportError:
-        raise DependencyError("the page needs viser; install it with pip install 'falsework[viewer]'") from None
-    return viser
 
 
 class Page:
@@ -103,6 +92,22 @@ class Page:
         name = "localhost" if self.host in (*LOCAL, *WILDCARDS) else self.host
         return f"http://{name}:{self.port}"
 
+    def save(self, path: Path | str) -> None:
+        """Write what is shown as one HTML file that plays without a server.
+
+        Raises:
+            InputError: another ending than .html, or a place that cannot be written.
+        """
+        save_page(path, self.model)
+
+    def _repr_html_(self) -> str:
+        page = html.escape(record(self.model), quote=True)
+        link = f'<a href="{self.address}" target="_blank">{self.address}</a>'
+        return (
+            f'<iframe srcdoc="{page}" width="100%" height="480" style="border:1px solid #ddd"></iframe>'
+            f"<div>With all controls, as long as this process runs: {link}</div>"
+        )
+
     def close(self) -> None:
         """Stop serving."""
         self._stop.set()
@@ -133,29 +138,10 @@ class Page:
     # Elements of the page.
 
     def _arrange(self) -> None:
-        gui, scene = self.server.gui, self.server.scene
+        gui = self.server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="large", brand_color=(0, 114, 178))
         gui.set_panel_label(f"falsework: {printable(self.model.assembly.name)}")
-        scene.set_up_direction("+z")
-        scene.configure_environment_map(None)
-        scene.configure_default_lights(enabled=True, cast_shadow=self.model.assembly.part_count <= 400)
-        scene.world_axes.visible = False
-        scene.add_grid(
-            "/floor", 3 * SIZE, 3 * SIZE, position=(0.0, 0.0, -0.002 * SIZE), cell_color=(228, 229, 231),
-            section_color=(210, 212, 215), infinite_grid=False,
-        )  # fmt: skip
-        scene.add_light_ambient("/ambient", color=(255, 255, 255), intensity=0.85)
-        # Slightly right of the centre, since the controls cover the right of the window.
-        aside = np.array([0.80, 0.60, 0.0]) * 0.17 * SIZE
-        middle = np.array([0.0, 0.0, 0.42 * self.scene.height])
-        camera = self.server.initial_camera
-        far = 1.0
-        if self.model.arms is not None:  # arms reach beyond the structure
-            box = bounds_with_arms(self.model.arms, bounds_of(self.model.assembly))
-            far = max(0.8 * float(np.linalg.norm(np.ptp(box, axis=0))) * self.scene.scale / SIZE, 1.0)
-        camera.position = np.array([0.97, -1.30, 0.86]) * far * SIZE + middle + aside * far
-        camera.look_at = middle + aside * far
-        camera.fov = np.radians(36.0)
+        set_stage(self.server, self.scene, self.model.arms, aside=True)
         gui.add_html(_GONE)
 
     def _controls(self) -> None:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from falsework.viewer.arrows import KINDS
-from falsework.viewer.page.markup import html_text, markdown_text
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.palette import BOUNDARY, FIXED, INSTALLED, MISSING, RAMP, ROBOTS, SELECTED, SLIDING, robot_color
 from falsework.viewer.timeline import NO_ROBOT
+from falsework.viewer.web.markup import html_text, markdown_text
 
 
 def where_text(model: ViewerState, *, ask: bool) -> str:

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import DependencyError, InputError
-from falsework.utils.files.output_file import write_whole
 from falsework.viewer.appearance import TRAVEL, Appearance, appearance_at, bounds_of, diagonal
 from falsework.viewer.arms import Arms, bounds_with_arms, look_with_arms, solids_of_arms
 from falsework.viewer.arrows import Arrows, arrows_of_step
@@ -270,17 +269,6 @@ def check_suffix(path: Path | str, *suffixes: str) -> None:
     suffix = Path(path).suffix.lower()
     if suffix and suffix not in suffixes:
         raise InputError(f"{path}: pictures are written as {' or '.join(suffixes)}; name such a file")
-
-
-def write_png(path: Path | str, pixels: Pixels) -> None:
-    """Write a PNG, whole or not at all.
-
-    Raises:
-        InputError: it cannot be written.
-    """
-    pillow = import_pillow()
-    image = pillow.Image.fromarray(pixels)
-    write_whole(path, lambda file: image.save(file, format="PNG", optimize=True))
 
 
 def import_pillow() -> Any:

@@ -16,13 +16,26 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from falsework.errors import DependencyError
-from falsework.viewer.page.content_policy import content_policy
+from falsework.viewer.web.content_policy import content_policy
 
 LOCAL = ("localhost", "127.0.0.1", "::1")
 """Names of this machine that are unreachable from others."""
 WILDCARDS = ("0.0.0.0", "::")
 """Wildcard addresses: all addresses of this machine."""
 _SERVING = threading.Lock()
+
+
+def import_viser() -> Any:
+    """Return the package that serves the page.
+
+    Raises:
+        DependencyError: it is not installed.
+    """
+    try:
+        import viser
+    except ImportError:
+        raise DependencyError("the page needs viser; install it with pip install 'falsework[viewer]'") from None
+    return viser
 
 
 class OriginGuard:
