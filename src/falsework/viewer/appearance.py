@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,6 +100,32 @@ def appearance_at(
     for part, mark in (marks or {}).items():
         color[part] = rgb(mark)
     return Appearance(shown, color, opacity, shift, holder)
+
+
+@dataclass(frozen=True)
+class SceneView:
+    """Changes of the appearance that let one see into a structure."""
+
+    explode: float = 0.0
+    """Distance of parts from their places, as a share of that from the middle of the floor."""
+    axis: Literal["", "x", "y", "z"] = ""
+    """Direction in which parts are cut away; empty for none."""
+    keep: float = 1.0
+    """Share of the length of the structure along the axis, from its low end, in which parts stay."""
+
+    def of(self, look: Appearance, assembly: Assembly) -> Appearance:
+        """Return the appearance with parts moved apart, and without those whose middle is cut away."""
+        if not (self.explode or self.axis):
+            return look
+        low, high = bounds_of(assembly)
+        middle = np.array([*(low + high)[:2] / 2, low[2]])
+        center = assembly.mass.center
+        opacity = look.opacity
+        if self.axis:
+            column = "xyz".index(self.axis)
+            beyond = center[:, column] > low[column] + self.keep * (high - low)[column]
+            opacity = np.where(beyond, 0.0, opacity)
+        return replace(look, opacity=opacity, shift=look.shift + self.explode * (center - middle))
 
 
 def bounds_of(assembly: Assembly) -> Array:

@@ -172,12 +172,12 @@ def save_page(path: Path | str, shown: Viewable | ViewerState) -> None:
     write_whole(path, lambda file: file.write(page.encode("utf-8")))
 
 
-def _frame(model: ViewerState, scene: RecordedScene, title: Any) -> list[str]:
-    """Update the scene to the present reading, and return the kinds of arrows in it."""
+def _frame(model: ViewerState, scene: RecordedScene, title: Any) -> dict[str, Arrows]:
+    """Update the scene to the present reading, and return the arrows in it."""
     appearance = model.appearance()
     scene.show(appearance, labels=model.labels(appearance))
     scene.show_arms(model.arms, model.arm_poses())
-    arrows: dict[str, Arrows] = arrows_of_step(model.timeline, model.step)
+    arrows = arrows_of_step(model.timeline, model.step)
     moved, words = {}, ""
     if len(model.timeline) == 0:
         proof = model.proof()
@@ -191,10 +191,10 @@ def _frame(model: ViewerState, scene: RecordedScene, title: Any) -> list[str]:
         words = caption(model.timeline, model.step)
     if title.text != printable(words):
         title.text = printable(words)
-    return list(arrows)
+    return arrows
 
 
-def _panel(model: ViewerState, shown: list[str]) -> str:
+def _panel(model: ViewerState, shown: dict[str, Arrows]) -> str:
     steps = len(model.timeline)
     about = f"{model.assembly.part_count} parts" + (f", {steps} steps" if steps else "")
     inside = legend_text(model, shown) + (step_list(model.timeline) if steps else "")

@@ -1,19 +1,22 @@
-"""List of the steps of a timeline, in HTML."""
+"""List of the steps of a timeline, in HTML, and the tab of the page with it."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
 
-from falsework.viewer.palette import robot_color
+from falsework.viewer.palette import SELECTED, robot_color
 from falsework.viewer.timeline import NO_ROBOT
 from falsework.viewer.web.links import link_to
 from falsework.viewer.web.markup import html_text
 
 if TYPE_CHECKING:
+    from falsework.viewer.page.page import Page
     from falsework.viewer.timeline import Timeline
 
 _CELL = "padding:1px 6px 1px 0"
+_ROW = "falsework-step-"
+"""Identifier of the row of a step, before its number."""
 
 
 def matching_steps(timeline: Timeline, search: str) -> list[int]:
@@ -33,15 +36,12 @@ def robot_words(timeline: Timeline, place: int) -> str:
     return "" if robot == NO_ROBOT else f"R{robot + 1}"
 
 
-def step_list(
-    timeline: Timeline, places: Collection[int] | None = None, *, now: int | None = None, linked: bool = False
-) -> str:
+def step_list(timeline: Timeline, places: Iterable[int] | None = None, *, linked: bool = False) -> str:
     """Return a table of steps: number, robot, action.
 
     Args:
         timeline: timeline whose steps are listed.
         places: places that the steps lead to; all if not given.
-        now: place that is marked.
         linked: whether a click on a step goes there.
     """
     rows = []
@@ -49,10 +49,43 @@ def step_list(
         robot = timeline.robot_of(place - 1)
         color = "transparent" if robot == NO_ROBOT else robot_color(robot)
         words = html_text(timeline.words(place - 1))
-        back = ";background:#fffb8f" if place == now else ""
         rows.append(
-            f"<tr style='border-left:4px solid {color}{back}'><td style='{_CELL};padding-left:6px;text-align:right'>"
-            f"{place}</td><td style='{_CELL}'>{robot_words(timeline, place)}</td>"
+            f"<tr id='{_ROW}{place}' style='border-left:4px solid {color}'>"
+            f"<td style='{_CELL};padding-left:6px;text-align:right'>{place}</td>"
+            f"<td style='{_CELL}'>{robot_words(timeline, place)}</td>"
             f"<td style='{_CELL}'>{link_to(place, words) if linked else words}</td></tr>"
         )
     return f"<table style='border-collapse:collapse;font-size:0.85em'>{''.join(rows)}</table>"
+
+
+class StepsTab:
+    """Tab with the list of steps and a search in it; a click on a step goes there."""
+
+    def __init__(self, gui: Any, page: Page) -> None:
+        """Fill the tab.
+
+        Args:
+            gui: `viser.GuiApi`, within the tab.
+            page: page of the tab.
+        """
+        self._page = page
+        self._timeline: Timeline | None = None
+        self._search = gui.add_text("Search", "", hint="A part, a robot such as R2, a number or an action.")
+        self._search.on_update(lambda event: page.guard(event, self._list))
+        self._rows = gui.add_html("")
+        self._now = gui.add_html("")
+
+    def update(self) -> None:
+        """Mark the present step, and list the steps anew if they have changed."""
+        if self._page.model.timeline is not self._timeline:
+            self._list()
+        row = f"#{_ROW}{self._page.model.step}"
+        style = f"<style>{row} {{ background: {SELECTED}; }}</style>"
+        if self._now.content != style:
+            self._now.content = style
+
+    def _list(self) -> None:
+        self._timeline = timeline = self._page.model.timeline
+        places = matching_steps(timeline, self._search.value)
+        found = step_list(timeline, places, linked=True) if places else "no step matches"
+        self._rows.content = f"<div style='margin:0 1em;max-height:45vh;overflow:auto'>{found}</div>"

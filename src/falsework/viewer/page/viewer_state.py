@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,10 +17,10 @@ from falsework.stability.holds import describe_force
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Criterion
-from falsework.viewer.appearance import Appearance, appearance_at, pick
+from falsework.viewer.appearance import Appearance, SceneView, appearance_at, pick
 from falsework.viewer.arms import ArmPoses, Arms, look_with_arms
 from falsework.viewer.clock import Clock
-from falsework.viewer.page.disruption import ClickMode, Disruption, chance_of_parts
+from falsework.viewer.page.disruption import ClickMode, Disruption, NewPlan, chance_of_parts, new_plan
 from falsework.viewer.page.proof_cache import ProofCache
 from falsework.viewer.palette import FIXED, SELECTED
 from falsework.viewer.proof import StateProof
@@ -31,18 +31,6 @@ if TYPE_CHECKING:
     from falsework.replanning.policy_guide import PolicyGuide
     from falsework.search.plans.plan import Plan
     from falsework.search.problem.state_graph import StateGraph
-
-
-@dataclass(frozen=True, eq=False)
-class NewPlan:
-    """Result of a replanning request."""
-
-    found: bool
-    words: str
-    """Deciding stage, time taken, and differences from the old plan; or the reason why there is none."""
-    seconds: float
-    decided_by: str
-    plan: Plan | None = None
 
 
 class ViewerState:
@@ -82,12 +70,13 @@ class ViewerState:
         self.tool = ClickMode.LOOK
         self.selected: int | None = None
         self.disruption = Disruption(robots=timeline.robots)
+        self.view = SceneView()
         self.show_probabilities = policy is not None
         self.deadline = deadline
         self.lock = threading.RLock()
         self._oracle = oracle
-        self._criterion: Criterion = criterion if oracle is None else oracle.settings.criterion
-        self._proofs = ProofCache(contact=self._criterion == "contact")
+        self.criterion: Criterion = criterion if oracle is None else oracle.settings.criterion
+        self._proofs = ProofCache(contact=self.criterion == "contact")
         self._replanner: Any = None
         self._guide: PolicyGuide | None = None
         self._before: list[tuple[Timeline, Plan | None, Disruption, float, Arms | None]] = []
@@ -101,7 +90,7 @@ class ViewerState:
     def oracle(self) -> Stability:
         """Stability oracle, created at first use."""
         if self._oracle is None:
-            self._oracle = Stability(self.assembly, StabilitySettings(criterion=self._criterion))
+            self._oracle = Stability(self.assembly, StabilitySettings(criterion=self.criterion))
         return self._oracle
 
     @property
@@ -139,6 +128,25 @@ class ViewerState:
         """End of the slider, seconds or steps."""
         return float(len(self.timeline)) if self.clock is None else self.clock.makespan
 
+    @property
+    def unproven(self) -> bool:
+        """Whether no plan has proven the state shown: there is no plan, or marks change it."""
+        return not self.disruption.empty or len(self.timeline) == 0
+
+    def robot_name(self, robot: int) -> str:
+        """Return the name of a robot, counted from 0: that of the cell, or such as `R1`."""
+        robots = () if self.arms is None else self.arms.plan.robots
+        return robots[robot].name if robot < len(robots) else f"R{robot + 1}"
+
+    @property
+    def at_end(self) -> bool:
+        """Whether the place that is shown last is reached."""
+        return self.reading >= self.last_reading
+
+    def advance(self, amount: float) -> None:
+        """Go on in the order shown, by seconds of the schedule, or steps without one."""
+        self.go_to_reading(self.reading + amount)
+
     def go_to(self, position: float) -> None:
         """Show another position, in steps; clipped to the ends."""
         with self.lock:
@@ -166,7 +174,7 @@ class ViewerState:
     def appearance(self) -> Appearance:
         """Return the present appearance of all parts."""
         with self.lock:
-            disrupted = bool(self.disruption.missing or self.disruption.there)
+            disrupted = self.disruption.changes_state
             marks = self.sliding | dict.fromkeys(self.disruption.fixed, FIXED)
             if self.selected is not None:
                 marks[self.selected] = SELECTED
@@ -179,7 +187,8 @@ class ViewerState:
                 travelling=self.arms is None,
             )
             arm_poses = self.arm_poses()
-            return appearance if arm_poses is None or disrupted else look_with_arms(appearance, arm_poses)
+            seen = appearance if arm_poses is None or disrupted else look_with_arms(appearance, arm_poses)
+            return self.view.of(seen, self.assembly)
 
     def arm_poses(self) -> ArmPoses | None:
         """Return the present arm poses; None where there are no arms."""
@@ -198,7 +207,8 @@ class ViewerState:
     def labels(self, appearance: Appearance) -> dict[int, str]:
         """Return short labels of parts: holder, press, selection and marks."""
         labels = {
-            int(part): f"R{appearance.holder[part] + 1}" for part in np.flatnonzero(appearance.holder != NO_ROBOT)
+            int(part): self.robot_name(int(appearance.holder[part]))
+            for part in np.flatnonzero((appearance.holder != NO_ROBOT) & (appearance.opacity > 0))
         }
         for press in self.timeline.presses_at(self.step):
             if press.part in labels:
@@ -258,36 +268,6 @@ class ViewerState:
         """Change the number of robots of the next plan."""
         with self.lock:
             self.disruption = replace(self.disruption, robots=int(robots))
-
-    def about(self, part: int) -> list[tuple[str, str]]:
-        """Return the facts about a part, as pairs of label and text."""
-        assembly, timeline = self.assembly, self.timeline
-        contacts = assembly.contacts
-        mine = np.flatnonzero((contacts.parts == part).any(axis=1))
-        others = sorted({int(other) for other in contacts.parts[mine].ravel()} - {part})
-        touching = ", ".join(assembly.names[other] for other in others[:8])
-        touching += f" and {len(others) - 8} more" if len(others) > 8 else ""
-        value = int(self.site[part])
-        now = "boundary" if assembly.boundary[part] else ("not there", "installed", "held")[value]
-        who = self.appearance().holder[part]
-        if who != NO_ROBOT:
-            now = f"held by robot {who + 1}"
-        spans = [
-            f"robot {robot + 1}, " + (f"state {first}" if first == last else f"states {first} to {last}")
-            for robot, first, last in timeline.held_when(part)
-        ]
-        facts = [
-            ("part", f"{assembly.names[part]} (number {part})"),
-            ("mass", f"{assembly.mass.mass[part]:.4g} kg"),
-            ("now", now),
-            ("contacts", f"{len(mine)}, {contacts.areas[mine].sum():.3g} m2, with {touching or 'nothing'}"),
-            ("held by", "; ".join(spans) if spans else "no robot"),
-        ]
-        chance = self.action_probabilities()[part] if self.policy is not None else np.nan
-        if np.isfinite(chance):
-            verb = "remove" if self.state[part] == HELD else "hold"
-            facts.append(("policy", f"{verb} it with {100 * chance:.1f} %"))
-        return facts
 
     def proof(self) -> StateProof:
         """Return the verdict on the marked state, with its proof.
@@ -352,23 +332,17 @@ class ViewerState:
             if self._replanner is None:
                 self._replanner = Replanner(self.assembly, self.policy, self.oracle)
         answer = self._replanner.replan(**question, deadline=self.deadline)
-        seconds = time.perf_counter() - begun
-        decided = answer.decided_by.value
-        if answer.plan is None:
-            kind = "there is no plan" if answer.outcome.value == "proved_impossible" else "no plan was found"
-            words = f"{kind} ({seconds:.2f} s, {decided}): {answer.reason}"
-            return NewPlan(False, words, seconds, decided)
-        words = f"{len(answer.plan)} steps in {seconds:.2f} s, decided by {decided}. "
-        words += self._compare(old, answer.plan)
-        with self.lock:
-            self._before.append((self.timeline, self.plan, self.disruption, self.position, self.arms))
-            self.arms = None  # the new plan has no motions yet
-            self.timeline = Timeline.of(answer.plan, self.assembly)
-            self.plan = answer.plan
-            self.go_to(0)
-            # Disruptions in the new plan are no longer marked: the states of the new plan show it.
-            self.disruption = Disruption(fixed=self.disruption.fixed, robots=self.disruption.robots)
-        return NewPlan(True, words, seconds, decided, answer.plan)
+        found = new_plan(answer, time.perf_counter() - begun, old, 0)
+        if found.plan is not None:
+            with self.lock:
+                self._before.append((self.timeline, self.plan, self.disruption, self.position, self.arms))
+                self.arms = None  # the new plan has no motions yet
+                self.timeline = Timeline.of(found.plan, self.assembly)
+                self.plan = found.plan
+                self.go_to(0)
+                # Disruptions in the new plan are no longer marked: the states of the new plan show it.
+                self.disruption = Disruption(fixed=self.disruption.fixed, robots=self.disruption.robots)
+        return found
 
     @property
     def can_go_back(self) -> bool:
@@ -381,11 +355,3 @@ class ViewerState:
             if self._before:
                 self.timeline, self.plan, self.disruption, position, self.arms = self._before.pop()
                 self.go_to(position)
-
-    def _compare(self, old: Plan | None, new: Plan) -> str:
-        if old is None:
-            return "There was no plan before."
-        from falsework.replanning.plan_diff import difference
-
-        text = difference(old, new).text
-        return text[:1].upper() + text[1:] + "."

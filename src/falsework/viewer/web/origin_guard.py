@@ -5,6 +5,7 @@ Answers carry the content security policy.
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import io
 import ipaddress
@@ -17,6 +18,7 @@ from urllib.parse import urlsplit
 
 from falsework.errors import DependencyError
 from falsework.viewer.web.content_policy import content_policy
+from falsework.viewer.web.links import reading_of
 
 LOCAL = ("localhost", "127.0.0.1", "::1")
 """Names of this machine that are unreachable from others."""
@@ -77,10 +79,19 @@ class OriginGuard:
         return None
 
 
-def start_server(viser: Any, host: str, port: int, guard: OriginGuard) -> Any:
+def start_server(
+    viser: Any, host: str, port: int, guard: OriginGuard, *, go: Callable[[float], None] | None = None
+) -> Any:
     """Start viser's server behind a guard, with a content security policy.
 
     viser has no settings for these, so `websockets.asyncio.server.serve` is replaced while the server starts.
+
+    Args:
+        viser: the package.
+        host: address to listen at.
+        port: port to listen at; if it is in use, the next free one, and any if it is 0.
+        guard: decides who is answered.
+        go: called with the reading that a click on a link of the page asks for, see `links`.
 
     Raises:
         OSError: the address cannot be listened at.
@@ -99,6 +110,12 @@ def start_server(viser: Any, host: str, port: int, guard: OriginGuard) -> Any:
             refusal = guard.refusal(request.headers.get_all("Host"), request.headers.get_all("Origin"))
             if refusal is not None:
                 return connection.respond(HTTPStatus.FORBIDDEN, f"{refusal}\n")
+            reading = None if go is None else reading_of(request.path)
+            if go is not None and reading is not None:
+                if request.headers.get("Sec-Fetch-Site", "same-origin") != "same-origin":
+                    return connection.respond(HTTPStatus.FORBIDDEN, "a link of another page\n")
+                asyncio.get_running_loop().run_in_executor(None, go, reading)
+                return connection.respond(HTTPStatus.NO_CONTENT, "")
             response = None if process_request is None else process_request(connection, request)
             if response is not None:
                 response.headers["Content-Security-Policy"] = policy
