@@ -218,7 +218,7 @@ class FindMargins(Command):
 
     def _subject(self, row: int, plan: Plan | None, assembly: Assembly) -> str:
         if plan is not None and self.states is None:
-            return f"{row:4d}  {plan.describe(row - 1) if row else 'start'}"
+            return plan.line(row)
         return assembly.name if self.states is None else f"state {row}"
 
     def _weakest(self, found: list[StateMargins], plan: Plan | None, assembly: Assembly, output: Output) -> None:

@@ -130,7 +130,6 @@ class Output:
     def search_progress(self) -> Iterator[Callable[[SearchProgress], None]]:
         """Show the progress of a search."""
         with self.bar("searching") as show:
-
             yield lambda now: show(now.level, now.levels, now.words)
 
     @staticmethod

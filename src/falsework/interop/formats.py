@@ -21,7 +21,6 @@ from falsework.robots.plans.robot_plan_file import load_robot_plan
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_file import load_plan
 from falsework.search.plans.plan_source import structure_of_plan
-from falsework.search.problem.task import Direction
 from falsework.utils.json_file import read_format
 from falsework.viewer.page.recording import save_page
 from falsework.viewer.viewable import viewable_of
@@ -117,9 +116,7 @@ def export(
         if step_seconds is not None:
             raise InputError("--step-seconds: a page plays a step in a second; leave it out")
         of_itself = isinstance(subject, Assembly)
-        shown = viewable_of(
-            subject, None if of_itself else structure, cell=cell, direction=Direction.ASSEMBLY, **options
-        )
+        shown = viewable_of(subject, None if of_itself else structure, cell=cell, **options)
         save_page(path, shown)
         return
     file, given = subject if isinstance(subject, (str, Path)) else None, structure

@@ -57,7 +57,7 @@ def _(thing: Assembly) -> str:
 @html_of.register
 def _(thing: Plan) -> str:
     facts = {
-        "plan": f"{thing.direction.value} of {thing.name}",
+        "plan": thing.name,
         "steps": f"{len(thing)} with {thing.robots} robot{'s' * (thing.robots > 1)}",
         "criterion": thing.claim.criterion + (f", reserve {thing.claim.reserve:g}" if thing.claim.reserve > 1 else ""),
     }
@@ -67,8 +67,8 @@ def _(thing: Plan) -> str:
     try:
         assembly = structure_of_plan(thing)
     except FalseworkError as error:
-        steps = enumerate((thing.describe(step) for step in range(len(thing))), 1)
-        listed = _folded(f"{len(thing)} steps", _table(("step", "action"), steps))
+        rows = ((step.number, "" if step.robot is None else f"R{step.robot + 1}", step.words) for step in thing)
+        listed = _folded(f"{len(thing)} steps", _table(("step", "robot", "action"), rows))
         return _page([_remark(error)], facts) + listed
     drawn = _picture(lambda: picture(thing, None, assembly, frames=6, columns=3, width=260))
     return _page([drawn], facts) + _folded(f"{len(thing)} steps", step_list(Timeline.of(thing, assembly)))

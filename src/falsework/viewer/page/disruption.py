@@ -174,7 +174,7 @@ def new_plan(answer: ReplanResult, seconds: float, old: Plan | None, done: int) 
     if old is None:
         texts.append("There was no plan before.")
     else:
-        text = difference(old, plan).text
+        text = difference(old, plan, answer.direction).text
         texts.append(f"{text[:1].upper()}{text[1:]}.")
         if plan.source is None:
             plan = replace(plan, source=old.source)

@@ -40,7 +40,7 @@ def gantt_svg(plan: RobotPlan) -> str:
         text = (
             f'<text x="{x + 2:.2f}" y="{y + 9:.0f}" font-size="8" fill="{INK}">{html_text(name)}</text>' if fits else ""
         )
-        rows.append(link_to(bar.begin, f"<title>{html_text(words)}</title>{shape}{text}"))
+        rows.append(link_to("seconds", bar.begin, f"<title>{html_text(words)}</title>{shape}{text}"))
     base = _ROW * len(plan.robots) + 2
     for tick in range(_TICKS + 1):
         x, anchor = _WIDTH * tick / _TICKS, "start" if tick == 0 else "end" if tick == _TICKS else "middle"

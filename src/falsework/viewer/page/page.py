@@ -23,6 +23,7 @@ from falsework.viewer.page.site_tab import SiteTab
 from falsework.viewer.page.stage import set_stage
 from falsework.viewer.page.step_list import StepsTab
 from falsework.viewer.page.viewer_state import ViewerState
+from falsework.viewer.web.links import Unit
 from falsework.viewer.web.markup import markdown_text
 from falsework.viewer.web.origin_guard import LOCAL, WILDCARDS, OriginGuard, import_viser, start_server
 
@@ -211,9 +212,12 @@ class Page:
 
         self.guard(event, act)
 
-    def _linked(self, reading: float) -> None:
+    def _linked(self, unit: Unit, value: float) -> None:
         self.play.pause()
-        self.model.go_to_reading(reading)
+        if unit == "step":
+            self.model.go_to(value)
+        else:
+            self.model.go_to_reading(value)
         self.refresh()
 
 

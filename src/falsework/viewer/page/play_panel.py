@@ -83,9 +83,8 @@ class PlayPanel:
             self._order.value = _WORDS[model.direction]
         slider.visible = self._folder.visible = len(model.timeline) > 0
         self.say()
-        self._margins.content = margin_strip(
-            model.plan, model.direction, round(model.position) if model.clock is None else model.step
-        )
+        place = round(model.position) if model.clock is None else model.step
+        self._margins.content = margin_strip(model.plan, place, model.built)
 
     def say(self) -> None:
         """Update what changes within a step: the text and the marker of the chart."""
@@ -108,7 +107,7 @@ class PlayPanel:
     def _step(self, by: int) -> None:
         model = self._page.model
         self.pause()
-        model.go_to(model.step + by)
+        model.go_to(model.step + (by if model.direction is Direction.ASSEMBLY else -by))
         self._page.refresh()
 
     def _turned(self) -> None:
@@ -121,7 +120,7 @@ class PlayPanel:
             self.pause()
         elif len(model.timeline):
             if model.at_end:
-                model.go_to(0)
+                model.go_to(model.timeline.begin)
             self._playing.set()
             self._button.label = "Pause"
 

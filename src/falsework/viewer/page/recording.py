@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from falsework.errors import InputError
+from falsework.search.problem.task import Direction
 from falsework.utils.files.output_file import write_whole
 from falsework.utils.files.printable import printable
 from falsework.viewer.appearance import Appearance
@@ -108,7 +109,7 @@ class _NoVisitors(OriginGuard):
 
 
 def record(shown: Viewable | ViewerState) -> str:
-    """Return a page that plays what is viewable, from its first reading to its last.
+    """Return a page that plays what is viewable, in the order of assembly.
 
     Args:
         shown: plan, robot plan, state graph or structure, or a viewer of it, which stays where it is.
@@ -120,7 +121,8 @@ def record(shown: Viewable | ViewerState) -> str:
         DependencyError: viser is not installed.
     """
     viser = import_viser()
-    model = ViewerState(shown.timeline, plan=shown.plan, arms=shown.arms)
+    arms = None if shown.arms is None else shown.arms.turned(Direction.ASSEMBLY)
+    model = ViewerState(shown.timeline.turned(Direction.ASSEMBLY), plan=shown.plan, arms=arms)
     # viser has no scene without a server: this one answers nobody, and ends with the recording.
     server = start_server(viser, "127.0.0.1", 0, _NoVisitors("127.0.0.1"))
     try:
@@ -197,7 +199,7 @@ def _frame(model: ViewerState, scene: RecordedScene, title: Any) -> dict[str, Ar
 def _panel(model: ViewerState, shown: dict[str, Arrows]) -> str:
     steps = len(model.timeline)
     about = f"{model.assembly.part_count} parts" + (f", {steps} steps" if steps else "")
-    inside = legend_text(model, shown) + (step_list(model.timeline) if steps else "")
+    inside = legend_text(model, shown) + (step_list(model.timeline, names=model.robot_name) if steps else "")
     return (
         f"<div style='{_PANEL}'><details><summary><b>{html_text(model.assembly.name)}</b>, {about}</summary>"
         f"{inside}</details></div>"

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any
 
 from falsework.viewer.palette import SELECTED, robot_color
-from falsework.viewer.timeline import NO_ROBOT
 from falsework.viewer.web.links import link_to
 from falsework.viewer.web.markup import html_text
 
@@ -16,44 +15,52 @@ if TYPE_CHECKING:
 
 _CELL = "padding:1px 6px 1px 0"
 _ROW = "falsework-step-"
-"""Identifier of the row of a step, before its number."""
+"""Identifier of the row of a step, before the place that it leads to."""
+Names = Callable[[int], str]
+"""From the number of a robot, from 0, to its name."""
 
 
-def matching_steps(timeline: Timeline, search: str) -> list[int]:
+def robot_number(robot: int) -> str:
+    """Return the name of a robot that has none, such as `R2`."""
+    return f"R{robot + 1}"
+
+
+def matching_places(timeline: Timeline, search: str, names: Names = robot_number) -> list[int]:
     """Return the places of the steps whose number or words contain every word of a search; all if it is empty."""
-    wanted = search.lower().split()
-    found = []
-    for place in range(1, len(timeline) + 1):
-        text = f"{place} {timeline.words(place - 1)} {robot_words(timeline, place)}".lower()
-        if all(word in text for word in wanted):
+    wanted, found = search.lower().split(), []
+    for place in timeline.places[1:]:
+        step = timeline.step_to(place)
+        assert step is not None
+        robot = "" if step.robot is None else names(step.robot)
+        text = f"{step.number} {robot} {step.words}".lower().split()
+        if all(any(part in word for word in text) for part in wanted):
             found.append(place)
     return found
 
 
-def robot_words(timeline: Timeline, place: int) -> str:
-    """Return the robot of the step that leads to a place, such as `R2`; empty if none holds the part."""
-    robot = timeline.robot_of(place - 1)
-    return "" if robot == NO_ROBOT else f"R{robot + 1}"
-
-
-def step_list(timeline: Timeline, places: Iterable[int] | None = None, *, linked: bool = False) -> str:
+def step_list(
+    timeline: Timeline, places: Iterable[int] | None = None, *, names: Names = robot_number, linked: bool = False
+) -> str:
     """Return a table of steps: number, robot, action.
 
     Args:
         timeline: timeline whose steps are listed.
         places: places that the steps lead to; all if not given.
+        names: name of each robot.
         linked: whether a click on a step goes there.
     """
     rows = []
-    for place in range(1, len(timeline) + 1) if places is None else places:
-        robot = timeline.robot_of(place - 1)
-        color = "transparent" if robot == NO_ROBOT else robot_color(robot)
-        words = html_text(timeline.words(place - 1))
+    for place in timeline.places[1:] if places is None else places:
+        step = timeline.step_to(place)
+        assert step is not None
+        robot = "" if step.robot is None else names(step.robot)
+        color = "transparent" if step.robot is None else robot_color(step.robot)
+        words = html_text(step.words)
         rows.append(
             f"<tr id='{_ROW}{place}' style='border-left:4px solid {color}'>"
-            f"<td style='{_CELL};padding-left:6px;text-align:right'>{place}</td>"
-            f"<td style='{_CELL}'>{robot_words(timeline, place)}</td>"
-            f"<td style='{_CELL}'>{link_to(place, words) if linked else words}</td></tr>"
+            f"<td style='{_CELL};padding-left:6px;text-align:right'>{step.number}</td>"
+            f"<td style='{_CELL}'>{html_text(robot)}</td>"
+            f"<td style='{_CELL}'>{link_to('step', place, words) if linked else words}</td></tr>"
         )
     return f"<table style='border-collapse:collapse;font-size:0.85em'>{''.join(rows)}</table>"
 
@@ -86,6 +93,7 @@ class StepsTab:
 
     def _list(self) -> None:
         self._timeline = timeline = self._page.model.timeline
-        places = matching_steps(timeline, self._search.value)
-        found = step_list(timeline, places, linked=True) if places else "no step matches"
+        names = self._page.model.robot_name
+        places = matching_places(timeline, self._search.value, names)
+        found = step_list(timeline, places, names=names, linked=True) if places else "no step matches"
         self._rows.content = f"<div style='margin:0 1em;max-height:45vh;overflow:auto'>{found}</div>"

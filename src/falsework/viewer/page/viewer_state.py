@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, REMOVED, States, action_mask
+from falsework.search.plans.steps import NO_ROBOT
 from falsework.search.problem.task import Direction
 from falsework.stability.holds import describe_force
 from falsework.stability.oracle import Stability
@@ -24,7 +25,7 @@ from falsework.viewer.page.disruption import ClickMode, Disruption, NewPlan, cha
 from falsework.viewer.page.proof_cache import ProofCache
 from falsework.viewer.palette import FIXED, SELECTED
 from falsework.viewer.proof import StateProof
-from falsework.viewer.timeline import NO_ROBOT, Timeline
+from falsework.viewer.timeline import Timeline
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -62,10 +63,12 @@ class ViewerState:
         """
         self.timeline = timeline
         self.plan = plan
+        self.built = 0
+        """Steps that were done before the plan was made; the timeline begins with them."""
         self.policy = policy
         self.graph = graph
         self.arms = arms
-        self.position = 0.0
+        self.position = float(timeline.begin)
         self.seconds = 0.0
         self.tool = ClickMode.LOOK
         self.selected: int | None = None
@@ -79,7 +82,7 @@ class ViewerState:
         self._proofs = ProofCache(contact=self.criterion == "contact")
         self._replanner: Any = None
         self._guide: PolicyGuide | None = None
-        self._before: list[tuple[Timeline, Plan | None, Disruption, float, Arms | None]] = []
+        self._before: list[tuple[Timeline, Plan | None, int, Disruption, float, Arms | None]] = []
 
     @property
     def assembly(self) -> Assembly:
@@ -115,8 +118,8 @@ class ViewerState:
 
     @property
     def step(self) -> int:
-        """Step in progress; with a schedule, where several are, the last that the structure has reached."""
-        return int(np.ceil(self.position)) if self.clock is None else int(self.position)
+        """Place that the step in progress leads to; with a schedule, where several are, the last that is reached."""
+        return (self.timeline.row if self.clock else self.timeline.next)(self.position)
 
     @property
     def reading(self) -> float:
@@ -138,15 +141,6 @@ class ViewerState:
         robots = () if self.arms is None else self.arms.plan.robots
         return robots[robot].name if robot < len(robots) else f"R{robot + 1}"
 
-    @property
-    def at_end(self) -> bool:
-        """Whether the place that is shown last is reached."""
-        return self.reading >= self.last_reading
-
-    def advance(self, amount: float) -> None:
-        """Go on in the order shown, by seconds of the schedule, or steps without one."""
-        self.go_to_reading(self.reading + amount)
-
     def go_to(self, position: float) -> None:
         """Show another position, in steps; clipped to the ends."""
         with self.lock:
@@ -162,14 +156,25 @@ class ViewerState:
                 self.seconds = min(max(float(reading), 0.0), self.clock.makespan)
                 self.position = self.clock.position(self.seconds)
 
+    @property
+    def at_end(self) -> bool:
+        """Whether the place that is shown last is reached."""
+        return self.reading == (self.timeline.end if self.clock is None else self.clock.makespan)
+
+    def advance(self, amount: float) -> None:
+        """Go on in the order shown, by seconds of the schedule, or steps without one."""
+        with self.lock:
+            back = self.clock is None and self.direction is Direction.DISASSEMBLY
+            self.go_to_reading(self.reading + (-amount if back else amount))
+
     def turn(self, direction: Direction) -> None:
         """Show the plan in the other order; the state shown stays."""
         with self.lock:
             if direction is not self.direction:
+                shown = self.position if self.clock is None else self.step
                 self.timeline = self.timeline.turned(direction)
                 self.arms = None if self.arms is None else self.arms.turned(direction)
-                shown = self.position if self.clock is None else self.step
-                self.go_to(len(self.timeline) - shown)
+                self.go_to(shown)
 
     def appearance(self) -> Appearance:
         """Return the present appearance of all parts."""
@@ -280,7 +285,9 @@ class ViewerState:
     @property
     def _shown(self) -> tuple[Plan | None, int, States]:
         """The plan, unless marks change its state; row of the state in the timeline; the marked state."""
-        return self.plan if self.disruption.empty else None, self.timeline.row(self.position), self.site
+        place = self.timeline.row(self.position) - self.built
+        plan = self.plan if self.disruption.empty and place >= 0 else None
+        return plan, place, self.site
 
     @property
     def sliding(self) -> dict[int, str]:
@@ -315,7 +322,7 @@ class ViewerState:
         assert self._guide is not None or self.policy is not None
         self.action_probabilities()
         assert self._guide is not None
-        return visited_states(self._guide, self.oracle, self.timeline.states[0], self.timeline.robots, rollouts)
+        return visited_states(self._guide, self.oracle, self.timeline.states[-1], self.timeline.robots, rollouts)
 
     def replan(self) -> NewPlan:
         """Replan from the marked state, and show the new plan if there is one.
@@ -329,17 +336,21 @@ class ViewerState:
         with self.lock:
             question = self.disruption.question(self.assembly, self.state, self.direction)
             old = self.plan
+            done = self.timeline.row(self.position) if self.direction is Direction.ASSEMBLY else 0
             if self._replanner is None:
                 self._replanner = Replanner(self.assembly, self.policy, self.oracle)
         answer = self._replanner.replan(**question, deadline=self.deadline)
-        found = new_plan(answer, time.perf_counter() - begun, old, 0)
+        found = new_plan(answer, time.perf_counter() - begun, old, done)
         if found.plan is not None:
             with self.lock:
-                self._before.append((self.timeline, self.plan, self.disruption, self.position, self.arms))
+                self._before.append((self.timeline, self.plan, self.built, self.disruption, self.position, self.arms))
                 self.arms = None  # the new plan has no motions yet
-                self.timeline = Timeline.of(found.plan, self.assembly)
-                self.plan = found.plan
-                self.go_to(0)
+                if answer.direction is Direction.ASSEMBLY:
+                    self.timeline = self.timeline.going_on(done, found.plan)
+                else:
+                    self.timeline = Timeline.of(found.plan, self.assembly, answer.direction)
+                self.plan, self.built = found.plan, done
+                self.go_to(done if answer.direction is Direction.ASSEMBLY else self.timeline.begin)
                 # Disruptions in the new plan are no longer marked: the states of the new plan show it.
                 self.disruption = Disruption(fixed=self.disruption.fixed, robots=self.disruption.robots)
         return found
@@ -353,5 +364,5 @@ class ViewerState:
         """Show the previous plan again, with the marks that were set then."""
         with self.lock:
             if self._before:
-                self.timeline, self.plan, self.disruption, position, self.arms = self._before.pop()
+                self.timeline, self.plan, self.built, self.disruption, position, self.arms = self._before.pop()
                 self.go_to(position)

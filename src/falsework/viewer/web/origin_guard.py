@@ -18,7 +18,7 @@ from urllib.parse import urlsplit
 
 from falsework.errors import DependencyError
 from falsework.viewer.web.content_policy import content_policy
-from falsework.viewer.web.links import reading_of
+from falsework.viewer.web.links import Unit, target_of
 
 LOCAL = ("localhost", "127.0.0.1", "::1")
 """Names of this machine that are unreachable from others."""
@@ -80,7 +80,7 @@ class OriginGuard:
 
 
 def start_server(
-    viser: Any, host: str, port: int, guard: OriginGuard, *, go: Callable[[float], None] | None = None
+    viser: Any, host: str, port: int, guard: OriginGuard, *, go: Callable[[Unit, float], None] | None = None
 ) -> Any:
     """Start viser's server behind a guard, with a content security policy.
 
@@ -91,7 +91,7 @@ def start_server(
         host: address to listen at.
         port: port to listen at; if it is in use, the next free one, and any if it is 0.
         guard: decides who is answered.
-        go: called with the reading that a click on a link of the page asks for, see `links`.
+        go: called with the step or second that a click on a link of the page asks for, see `links`.
 
     Raises:
         OSError: the address cannot be listened at.
@@ -110,11 +110,11 @@ def start_server(
             refusal = guard.refusal(request.headers.get_all("Host"), request.headers.get_all("Origin"))
             if refusal is not None:
                 return connection.respond(HTTPStatus.FORBIDDEN, f"{refusal}\n")
-            reading = None if go is None else reading_of(request.path)
-            if go is not None and reading is not None:
+            target = target_of(request.path)
+            if go is not None and target is not None:
                 if request.headers.get("Sec-Fetch-Site", "same-origin") != "same-origin":
                     return connection.respond(HTTPStatus.FORBIDDEN, "a link of another page\n")
-                asyncio.get_running_loop().run_in_executor(None, go, reading)
+                asyncio.get_running_loop().run_in_executor(None, go, *target)
                 return connection.respond(HTTPStatus.NO_CONTENT, "")
             response = None if process_request is None else process_request(connection, request)
             if response is not None:
