@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
 
 Array = NDArray[np.float64]
+Axis = Literal["", "x", "y", "z"]
 
 FADE = 2.0
 """Steps that a part takes to leave the picture."""
@@ -109,7 +110,7 @@ class SceneView:
 
     explode: float = 0.0
     """Distance of parts from their places, as a share of that from the middle of the floor."""
-    axis: Literal["", "x", "y", "z"] = ""
+    axis: Axis = ""
     """Direction in which parts are cut away; empty for none."""
     keep: float = 1.0
     """Share of the length of the structure along the axis, from its low end, in which parts stay."""

@@ -87,7 +87,9 @@ def _(thing: ReplanResult) -> str:
     facts = {"outcome": thing.outcome.value, "decided by": thing.decided_by.value, "time": f"{thing.seconds:.2f} s"}
     if thing.plan is None:
         return _page([], facts | {"reason": thing.reason})
-    needs = {f"{thing.plan.part_names[need.part]} is needed": f"after {need.steps} steps" for need in thing.plan.needs}
+    needs = {
+        f"{thing.plan.part_names[need.part]} is needed": f"at step {need.after_steps + 1}" for need in thing.plan.needs
+    }
     return _page([], facts | needs) + (html_of(thing.plan) or "")
 
 

@@ -22,7 +22,7 @@ from falsework.viewer.viewable import Viewable, viewable_of
 
 if TYPE_CHECKING:
     from falsework.search.plans.plan import Plan
-    from falsework.viewer.page.page import Page
+    from falsework.viewer.page.host import Host
 
 LARGEST = 64 * 2**20
 """Size of a file that is opened, bytes."""
@@ -33,7 +33,7 @@ _KINDS = ",".join((".json", *_MESHES))
 class FilesTab:
     """Files from and to the page."""
 
-    def __init__(self, gui: Any, page: Page) -> None:
+    def __init__(self, gui: Any, page: Host) -> None:
         """Fill the tab.
 
         Args:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from falsework.viewer.appearance import SceneView
+from falsework.viewer.appearance import Axis, SceneView
 from falsework.viewer.arrows import PRESSES, Arrows, arrows_of_step
 from falsework.viewer.page.page_text import about_text, legend_text
 from falsework.viewer.pictures.picture import png_of
@@ -13,19 +13,19 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from falsework.viewer.page.page import Page
+    from falsework.viewer.page.host import Host
     from falsework.viewer.proof import StateProof
 
 FORCES = ("contact forces", "friction", "gravity")
 """Kinds of arrows for which the proof of a state is asked."""
 _MOTIONS = ("motion", "sliding")
-_SECTIONS = {"none": "", "along x": "x", "along y": "y", "along z": "z"}
+_SECTIONS: dict[str, Axis] = {"none": "", "along x": "x", "along y": "y", "along z": "z"}
 
 
 class LookTab:
     """What is drawn of the present state. Controls without a function there are not shown."""
 
-    def __init__(self, gui: Any, page: Page) -> None:
+    def __init__(self, gui: Any, page: Host) -> None:
         """Fill the tab.
 
         Args:
@@ -81,7 +81,10 @@ class LookTab:
         scene.see_through(any(some.inside for some in arrows.values()) or bool(presses and arrows))
         scene.show_arrows(arrows, moved, *([] if proof is None else [proof.motion_color]))
         scene.show_scale(arrows.values())
-        self._motion.visible = proof is not None and not proof.stable
+        falls = proof is not None and not proof.stable
+        self._motion.visible = falls
+        for kind in ("contact forces", "friction"):
+            self._forces[kind].visible = not falls
         self._presses.visible = any(model.timeline.presses)
         self._arms.visible = model.arms is not None
         self._about.content = about_text(model)

@@ -20,7 +20,7 @@ from falsework.viewer.page.play_panel import PlayPanel
 from falsework.viewer.page.recording import record, save_page
 from falsework.viewer.page.scene import ViserScene
 from falsework.viewer.page.site_tab import SiteTab
-from falsework.viewer.page.stage import set_stage
+from falsework.viewer.page.stage import NARROW, aim_upright, set_stage
 from falsework.viewer.page.step_list import StepsTab
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.web.links import Unit
@@ -32,8 +32,13 @@ body:has(div[style*="pointer-events: none"] .falsework-alive)::before {
   content: "The server has stopped. This is its last view; start falsework view again, and this page reconnects.";
   position: fixed; left: 1em; bottom: 1em; z-index: 10000; max-width: 28em; padding: 0.8em 1.2em;
   background: #b2182b; color: white; font: 15px sans-serif; border-radius: 4px;
+}
+@media (max-width: 36em) {
+  div[style*="position: fixed"][style*="max-height: 60%"] { width: 100% !important; max-height: 45% !important; }
+  div[style*="position: fixed"][style*="max-height: 60%"] div[style="width: 20em;"] { width: 100% !important; }
 }</style>"""
-"""A note shown by the style sheet alone: viser only disables the controls when it loses the server."""
+"""A note shown by the style sheet alone, since viser only disables the controls when it loses the server; and controls
+across the lower half of a phone."""
 
 
 class Page:
@@ -65,6 +70,7 @@ class Page:
             raise InputError(f"cannot listen at {host} port {port} ({error.strerror}); choose another") from None
         self._fill(model)
         self.server.scene.on_click()(self._clicked)
+        self.server.on_client_connect(self._connected)
 
     @property
     def port(self) -> int:
@@ -141,13 +147,18 @@ class Page:
                 self.play.update()  # the slider and the text show the time
             self._draw()
 
-    def plan_changed(self) -> None:
-        """Show another plan of the model."""
+    def pause(self) -> None:
+        """Stop playing for now."""
+        self.play.pause()
+
+    def plan_changed(self, words: str) -> None:
+        """Show another plan of the model, and say why, in Markdown."""
         if (self.steps is None) == (len(self.model.timeline) > 0):  # other controls are needed
             self.show(self.model)
         else:
             self.scene.order(self.model.timeline)
             self.refresh()
+        self.site.say(words)
 
     @contextlib.contextmanager
     def quiet(self) -> Iterator[None]:
@@ -211,6 +222,10 @@ class Page:
             self.refresh()
 
         self.guard(event, act)
+
+    def _connected(self, client: Any) -> None:
+        if client.camera.image_width <= NARROW:
+            aim_upright(client.camera, self.scene, self.model.arms, client.camera.aspect)
 
     def _linked(self, unit: Unit, value: float) -> None:
         self.play.pause()

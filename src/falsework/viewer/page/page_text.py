@@ -23,8 +23,10 @@ def where_text(model: ViewerState, *, ask: bool) -> str:
         ask: whether to include the verdict on the state; it is always included where no plan has proven the state.
     """
     steps = len(model.timeline)
-    where, _, doing = model.timeline.label(model.step).partition(": ")
-    doing = f": **{markdown_text(doing)}**" if doing else ""
+    where, _, _ = model.timeline.label(model.step).partition(": ")
+    step = model.timeline.step_to(model.step)
+    robot = "" if step is None or step.robot is None else f" ({model.robot_name(step.robot)})"
+    doing = "" if step is None else f": **{markdown_text(step.words + robot)}**"
     lines = [f"{where}{doing}" if steps else f"**{markdown_text(model.assembly.name)}**"]
     if model.clock is not None:
         lines[0] = f"{model.seconds:.1f} s of {model.clock.makespan:.1f} s, {lines[0]}"

@@ -15,7 +15,7 @@ from falsework.viewer.page.page_text import where_text
 
 if TYPE_CHECKING:
     from falsework.viewer.arms import Arms
-    from falsework.viewer.page.page import Page
+    from falsework.viewer.page.host import Host
 
 FRAMES = 15.0
 """Frames per second while a plan is played."""
@@ -25,7 +25,7 @@ _WORDS = {Direction.ASSEMBLY: "assembly", Direction.DISASSEMBLY: "disassembly"}
 class PlayPanel:
     """Place in the plan. Without steps only its text is shown."""
 
-    def __init__(self, gui: Any, page: Page) -> None:
+    def __init__(self, gui: Any, page: Host) -> None:
         """Add the controls.
 
         Args:
@@ -92,8 +92,8 @@ class PlayPanel:
         self._where.content = where_text(model, ask=self._page.asks)
         if model.arms is not self._arms:
             self._arms = model.arms
-            scheduled = model.arms is not None and model.clock is not None
-            self._gantt.content = gantt_svg(model.arms.plan) if scheduled else ""
+            scheduled = None if model.arms is None or model.clock is None else model.arms.plan
+            self._gantt.content = "" if scheduled is None else gantt_svg(scheduled)
             self._marker.content = ""
         if model.arms is not None and model.clock is not None:
             style = marker_style(model.seconds / max(model.clock.makespan, 1e-3))

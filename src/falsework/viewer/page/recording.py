@@ -132,7 +132,7 @@ def record(shown: Viewable | ViewerState) -> str:
         title = server.scene.add_label(
             "/caption", "", position=(0.0, 0.0, 1.12 * scene.height + 0.1), anchor="bottom-center",
         )  # fmt: skip
-        shown = _frame(model, scene, title)
+        arrows = _frame(model, scene, title)
         recorded = server.get_scene_serializer()
         # A power of two, so that sums of its inverse are exact and the time shows steps.
         rate = FRAMES
@@ -154,7 +154,7 @@ def record(shown: Viewable | ViewerState) -> str:
     head, body = page.replace("<title>Viser</title>", name, 1).split("</head>", 1)
     # The policy must come before the scripts.
     head = head.replace('<meta charset="utf-8" />', f'<meta charset="utf-8" />{policy}', 1)
-    return f"{head}</head>{body.replace('</body>', f'{_panel(model, shown)}</body>', 1)}"
+    return f"{head}</head>{body.replace('</body>', f'{_panel(model, arrows)}</body>', 1)}"
 
 
 def save_page(path: Path | str, shown: Viewable | ViewerState) -> None:

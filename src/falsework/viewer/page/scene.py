@@ -302,9 +302,11 @@ class ViserScene:
         for part in [part for part in self._labels if labels.get(part) != self._labels[part][0]]:
             self._labels.pop(part)[1].remove()
         for part, words in labels.items():
+            at = self.place(self.assembly.mass.center[part] + appearance.shift[part])
             if part not in self._labels:
-                at = self.place(self.assembly.mass.center[part] + appearance.shift[part])
                 self._labels[part] = (words, self._scene.add_label(f"/labels/{part}", printable(words), position=at))
+            elif not np.allclose(self._labels[part][1].position, at):
+                self._labels[part][1].position = at
 
     def _fresh(self, name: str, key: bytes) -> bool:
         """Return whether a node must be sent; one that is only hidden is shown again."""

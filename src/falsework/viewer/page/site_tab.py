@@ -9,7 +9,7 @@ from falsework.viewer.page.page_text import marked_text
 from falsework.viewer.web.markup import markdown_text
 
 if TYPE_CHECKING:
-    from falsework.viewer.page.page import Page
+    from falsework.viewer.page.host import Host
 
 NO_MORE_THAN = 400
 """Largest number of robots in the input field."""
@@ -18,7 +18,7 @@ NO_MORE_THAN = 400
 class SiteTab:
     """Marks and replanning."""
 
-    def __init__(self, gui: Any, page: Page) -> None:
+    def __init__(self, gui: Any, page: Host) -> None:
         """Fill the tab.
 
         Args:
@@ -67,18 +67,15 @@ class SiteTab:
         self._page.refresh()
 
     def _asked(self) -> None:
-        self._page.play.pause()
+        self._page.pause()
         self._replan.disabled = True
         self.say("planning ...")
         try:
             answer = self._page.model.replan()
-            self._page.plan_changed()
-            self._page.site.say(markdown_text(answer.words))
+            self._page.plan_changed(markdown_text(answer.words))
         finally:
-            if self._page.site is self:
-                self._replan.disabled = False
+            self._replan.disabled = False
 
     def _returned(self) -> None:
         self._page.model.go_back()
-        self._page.plan_changed()
-        self._page.site.say("This is the previous plan.")
+        self._page.plan_changed("This is the previous plan.")

@@ -10,7 +10,7 @@ from falsework.viewer.web.links import link_to
 from falsework.viewer.web.markup import html_text
 
 if TYPE_CHECKING:
-    from falsework.viewer.page.page import Page
+    from falsework.viewer.page.host import Host
     from falsework.viewer.timeline import Timeline
 
 _CELL = "padding:1px 6px 1px 0"
@@ -68,7 +68,7 @@ def step_list(
 class StepsTab:
     """Tab with the list of steps and a search in it; a click on a step goes there."""
 
-    def __init__(self, gui: Any, page: Page) -> None:
+    def __init__(self, gui: Any, page: Host) -> None:
         """Fill the tab.
 
         Args:

@@ -22,9 +22,9 @@ from falsework.viewer.appearance import Appearance, SceneView, appearance_at, pi
 from falsework.viewer.arms import ArmPoses, Arms, look_with_arms
 from falsework.viewer.clock import Clock
 from falsework.viewer.page.disruption import ClickMode, Disruption, NewPlan, chance_of_parts, new_plan
-from falsework.viewer.page.proof_cache import ProofCache
 from falsework.viewer.palette import FIXED, SELECTED
 from falsework.viewer.proof import StateProof
+from falsework.viewer.proof_cache import ProofCache
 from falsework.viewer.timeline import Timeline
 
 if TYPE_CHECKING:
