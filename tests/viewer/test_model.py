@@ -8,7 +8,9 @@ import pytest
 from falsework.assembly.state import HELD, INSTALLED, REMOVED
 from falsework.errors import InputError, StateError
 from falsework.search import Direction, validate_plan
+from falsework.viewer.appearance import SceneView, bounds_of
 from falsework.viewer.page.disruption import ClickMode, Disruption, chance_of_parts
+from falsework.viewer.page.page_text import facts_of
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.palette import FIXED, SELECTED, ramp_in_steps, rgb
 from falsework.viewer.timeline import Timeline
@@ -63,9 +65,9 @@ def test_a_click_selects_and_a_click_beside_forgets(model: ViewerState) -> None:
     assert model.selected == top
     assert tuple(model.appearance().color[top]) == rgb(SELECTED)
     assert model.labels(model.appearance())[top] == model.assembly.names[top]
-    facts = dict(model.about(top))
+    facts = dict(facts_of(model, top))
     assert facts["mass"] == f"{model.assembly.mass.mass[top]:.4g} kg"
-    assert "robot" in facts["held by"]
+    assert facts["held by"].startswith("R")
     assert facts["now"] == "installed"
     assert model.click(np.array([99.0, 0, 9]), DOWN) is None
     assert model.selected is None
@@ -73,7 +75,7 @@ def test_a_click_selects_and_a_click_beside_forgets(model: ViewerState) -> None:
 
 def test_about_a_boundary_part(model: ViewerState) -> None:
     part = int(np.argmax(model.assembly.boundary))
-    facts = dict(model.about(part))
+    facts = dict(facts_of(model, part))
     assert facts["now"] == "boundary"
     assert facts["held by"] == "no robot"
 
@@ -163,6 +165,7 @@ def test_the_question_in_disassembly() -> None:
 def test_replanning_around_a_missing_part_and_back(model: ViewerState) -> None:
     old = model.timeline
     model.go_to(4)
+    done = [str(step) for step in old.steps[:4]]
     here = model.state.copy()
 
     absent = [part for part in range(5) if here[part] == REMOVED]
@@ -179,13 +182,61 @@ def test_replanning_around_a_missing_part_and_back(model: ViewerState) -> None:
     assert answer.plan.robots == 3
     assert validate_plan(answer.plan, model.assembly).good
     np.testing.assert_array_equal(model.state, site)
-    assert model.position == 0
+    assert model.position == 4
+    # What is built stays, and its numbers go on.
+    assert [str(step) for step in model.timeline.steps[:4]] == done
+    assert [step.number for step in model.timeline.steps] == list(range(1, len(model.timeline) + 1))
+    np.testing.assert_array_equal(model.timeline.states[:4], old.states[:4])
+    np.testing.assert_array_equal(model.timeline.states[4:], answer.plan.states)
+    (need,) = answer.plan.needs
+    name = model.assembly.names[absent[0]]
+    assert f"{name} is needed at step {4 + need.after_steps + 1}, after {need.after_parts} other part" in answer.words
+    assert model.timeline.steps[4 + need.after_steps].words == f"insert {name}"
     assert model.disruption == Disruption(robots=3)
     assert model.can_go_back
     model.go_back()
     assert model.timeline is old
     assert model.position == 4
     assert not model.can_go_back
+
+
+def test_proofs_of_a_new_plan_are_those_of_its_own_states(model: ViewerState) -> None:
+    model.go_to(4)
+    assert model.replan().found
+    for place in range(len(model.timeline) + 1):
+        model.go_to(place)
+        proof = model.proof()
+        assert proof.stable
+        assert ("as reached in assembly" in proof.words) == (place >= 4), place
+
+
+def test_a_robot_holds_a_part_by_a_click(model: ViewerState) -> None:
+    place = next(p for p in range(len(model.timeline) + 1) if (model.timeline.states[p] == INSTALLED).any())
+    model.go_to(place)
+    part = int(np.argmax(model.state == INSTALLED))
+    model.tool = ClickMode.HOLD
+    model.click_part(part)
+    assert model.site[part] == HELD
+    assert "held or released" in model.disruption.words(model.assembly)
+    assert model.replan().found
+    assert model.timeline.states[place, part] == HELD
+    model.click_part(part)
+    assert model.site[part] == INSTALLED
+
+
+def test_parts_move_apart_and_are_cut_away(model: ViewerState) -> None:
+    model.go_to(len(model.timeline))
+    top = int(np.argmax(model.assembly.mass.center[:, 2]))
+    low, high = bounds_of(model.assembly)
+    model.view = SceneView(explode=0.5)
+    look = model.appearance()
+    apart = model.assembly.mass.center - [*(low + high)[:2] / 2, low[2]]
+    np.testing.assert_allclose(look.shift, 0.5 * apart)
+    assert model.click(over(model, top) + look.shift[top], DOWN) == top  # where it is seen
+    model.view = SceneView(axis="z", keep=0.5)
+    cut = model.assembly.mass.center[:, 2] > low[2] + 0.5 * (high - low)[2]
+    np.testing.assert_array_equal(model.appearance().opacity == 0, cut)
+    assert model.click(over(model, top), DOWN) != top
 
 
 def test_a_question_without_an_answer_says_why(model: ViewerState) -> None:
@@ -227,7 +278,7 @@ def test_probabilities_are_those_of_the_policy(arch, policy) -> None:
     appearance = model.appearance()
     part = int(np.nanargmax(action_probabilities))
     assert tuple(appearance.color[part]) == tuple(ramp_in_steps(action_probabilities[part]))
-    assert dict(model.about(part))["policy"].startswith("hold it with")
+    assert dict(facts_of(model, part))["policy"].startswith("hold it with")
     visited = model.visited(4)
     assert (visited[:, assembly.boundary] == HELD).all()
     assert (visited == plan.states[-1]).all(axis=1).any()

@@ -189,10 +189,10 @@ def test_the_scene_of_the_page_has_the_arrow(arch: tuple[Assembly, Plan], presse
         page.model.go_to(place)
         page.refresh()
         assert "/arrows/presses" in page.scene._shown
-        page._toggles["presses"].value = False
+        page.look._presses.value = False
         page.refresh()
         assert "/arrows/presses" not in page.scene._shown
-        page._toggles["presses"].value = True
+        page.look._presses.value = True
         page.model.go_to(place - 1)
         page.refresh()
         assert "/arrows/presses" not in page.scene._shown

@@ -110,10 +110,10 @@ def test_the_page_marks_it_once_it_was_asked_about(criterion: str, clamp: Assemb
     assert ("slides: cube-0" in where_text(model, ask=True)) == slides
     assert (model.appearance().color[CUBE].tolist() == list(rgb(SLIDING))) == slides
     assert model.appearance().color[IDLER].tolist() != list(rgb(SLIDING))
-    assert ("would slide" in legend_text(model, ())) == slides
+    assert ("would slide" in legend_text(model, {})) == slides
     model.go_to(0)
     assert "slides" not in where_text(model, ask=True)
-    assert "would slide" not in legend_text(model, ())
+    assert "would slide" not in legend_text(model, {})
 
 
 def colors_of(path: Path) -> set[tuple[int, int, int]]:
@@ -212,13 +212,11 @@ def test_the_scene_of_the_page_has_the_part_and_its_way(clamp: Assembly) -> None
         page.refresh()
         shown = set(page.scene._shown)
         assert f"/parts/colour/{SLIDING[1:]}" in shown  # at once: no plan has said that this state stands
-        assert not {"/motion", "/arrows/sliding"} & shown
-        page._toggles["motion"].value = True
-        page.refresh()
-        assert "/motion" not in page.scene._shown  # which is for states that are unstable
-        page._toggles["sliding"].value = True
-        page.refresh()
-        assert {"/motion", "/arrows/sliding"} <= set(page.scene._shown)
+        assert {"/motion", "/arrows/sliding"} <= shown  # without being asked for
         assert page.scene._nodes["/motion"][1][0].color == rgb(SLIDING)
+        assert page.look._motion.visible
+        page.look._motion.value = False
+        page.refresh()
+        assert not {"/motion", "/arrows/sliding"} & set(page.scene._shown)
     finally:
         page.close()
