@@ -267,6 +267,9 @@ def test_a_structure_without_a_plan_gets_one(arch) -> None:
     assert answer.found
     assert "no plan before" in answer.words
     assert len(model.timeline) == len(plan)
+    whole = ViewerState(Timeline.from_state(assembly, plan.states[-1]))  # as it is shown without a plan
+    assert whole.replan().found
+    np.testing.assert_array_equal(whole.timeline.states[[0, -1]], plan.states[[0, -1]])
 
 
 def test_probabilities_are_those_of_the_policy(arch, policy) -> None:

@@ -34,7 +34,7 @@ class SiteTab:
         self._robots = gui.add_number("Robots", model.disruption.robots, min=1, max=NO_MORE_THAN, step=1)
         self._robots.on_update(lambda event: page.guard(event, self._counted))
         self._marked = gui.add_markdown("")
-        self._replan = gui.add_button("Replan", color=(0, 114, 178))
+        self._replan = gui.add_button("Replan" if len(model.timeline) else "Find a plan", color=(0, 114, 178))
         self._replan.on_click(lambda event: page.guard(event, self._asked))
         self._clear = gui.add_button("Clear marks")
         self._clear.on_click(lambda event: page.guard(event, self._cleared))

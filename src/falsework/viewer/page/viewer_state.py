@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import HELD, REMOVED, States, action_mask
+from falsework.assembly.state import HELD, REMOVED, States, action_mask, empty_state
 from falsework.search.plans.steps import NO_ROBOT
 from falsework.search.problem.task import Direction
 from falsework.stability.holds import describe_force
@@ -310,7 +310,7 @@ class ViewerState:
 
                 self._guide = PolicyGuide(self.policy)
             site = self.site[None]
-            legal = action_mask(site, self.assembly.boundary, self.disruption.robots)
+            legal = action_mask, empty_state(site, self.assembly.boundary, self.disruption.robots)
             target = np.where(self.assembly.boundary, HELD, REMOVED).astype(np.uint8)[None]
             scores = self._guide.log_probabilities(site, legal, target)
             return chance_of_parts(np.exp(scores[0]))
@@ -335,6 +335,9 @@ class ViewerState:
         begun = time.perf_counter()
         with self.lock:
             question = self.disruption.question(self.assembly, self.state, self.direction)
+            if len(self.timeline) == 0 and np.array_equal(question["state"], question["target"]):
+                # A structure that nothing has been planned for is asked from its beginning.
+                question["state"] = empty_state(self.assembly.boundary)
             old = self.plan
             done = self.timeline.row(self.position) if self.direction is Direction.ASSEMBLY else 0
             if self._replanner is None:
