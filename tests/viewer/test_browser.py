@@ -297,7 +297,7 @@ def test_steps_are_found_and_gone_to(opened: Callable[..., Open], arch: Any) -> 
     now = opened(ViewerState(Timeline.of(plan, assembly), plan=plan))
     tab = now.tab
     tab.get_by_role("tab", name="Steps").click()
-    rows, search = tab.locator("tr[id^=falsework-step-]"), tab.locator("input[type=text]:visible").last
+    rows, search = tab.locator("tr[id^=falsework-step-]"), tab.locator("input.mantine-TextInput-input:visible")
     now.until(lambda: rows.count() == len(plan), "all steps are listed")
     step = plan.steps[5]
     search.fill(step.words)
