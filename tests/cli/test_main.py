@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
+import re
 import subprocess
 import sys
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -74,7 +77,13 @@ def test_every_command_has_help_with_an_example(name: str, capsys: pytest.Captur
     text = capsys.readouterr().out
     assert f"  falsework {name}" in text.split("Example", 1)[1]
     assert "--json" in text
-    assert "--debug" in text
+    assert "--debug" not in text
+    assert entry.main([*name.split(), "--help-all"]) == 0
+    everything = capsys.readouterr().out
+    assert "--debug" in everything
+    brief, whole = (set(re.findall(r"^[│ ] +(--[\w-]+)", shown, re.MULTILINE)) for shown in (text, everything))
+    assert brief < whole
+    assert len(brief) <= 16, "options that are seldom needed belong in `rare`"
 
 
 @pytest.mark.parametrize(
@@ -105,16 +114,16 @@ def test_wrong_usage_is_one_line(arguments: list[str], hint: str, capsys: pytest
     ("arguments", "line"),
     [
         ("plan", "missing from falsework plan: STRUCTURE; for help, run: falsework plan --help"),
-        ("sheet plan.json", "missing from falsework sheet: --out FILE; for help, run: falsework sheet --help"),
+        ("export plan.json", "missing from falsework export: --out PATH; for help, run: falsework export --help"),
         (
             "plan arch --robot 2",
             "unrecognized options: --robot, 2; perhaps you meant: --robots NUMBER, --robust; "
             "for help, run falsework plan --help",
         ),
         ("plan arch --friction x", "--friction is 'x'; give a number; for help, see falsework plan --help"),
-        ("robots-needed arch --props 1.5", "--props is '1.5'; give a whole number"),
+        ("plan arch --props 1.5", "--props is '1.5'; give a whole number"),
         ("plan arch --robots", "--robots has no value; give one"),
-        ("cell check arch --cell dome-37", "an argument is missing, or an option does not exist; for help"),
+        ("replan --cell dome-37", "an argument is missing, or an option does not exist; for help"),
         ("train arch --policy cnn", "--policy is 'cnn'; choose gat, mlp, resmlp, transformer; for help"),
         ("plna arch", "there is no subcommand 'plna'; perhaps you meant: plan; for all, run falsework --help"),
         ("robot plan", "there is no subcommand 'robot'; perhaps you meant: robots plan; for all"),
@@ -209,7 +218,46 @@ def test_records_are_for_machines_only(monkeypatch: pytest.MonkeyPatch, capsys: 
     assert run_with(monkeypatch, work) == 0
     assert capsys.readouterr() == ("the answer is 42\n", "that took long\n")
     assert run_with(monkeypatch, work, "--json") == 0
-    assert capsys.readouterr() == ('{"answer": 42}\n', "that took long\n")
+    out, error = capsys.readouterr()
+    assert error == "that took long\n"
+    assert json.loads(out) == {
+        "format": "falsework.answer/1",
+        "command": "structures",
+        "ok": True,
+        "outcome": "done",
+        "files": [],
+        "notes": ["that took long"],
+        "answer": 42,
+    }
+
+
+@pytest.mark.parametrize(
+    ("arguments", "outcome"),
+    [
+        (("plan", "nowhere", "--json"), "wrong_input"),
+        (("plan", "arch", "--robot", "2", "--json"), "wrong_input"),
+        (("plna", "arch", "--json"), "wrong_input"),
+    ],
+)
+def test_errors_are_answers_too(
+    arguments: tuple[str, ...], outcome: str, capsys: pytest.CaptureFixture[str], read_answer: Callable[[str], Any]
+) -> None:
+    assert entry.main(arguments) == 2
+    out, error = capsys.readouterr()
+    answer = read_answer(out)
+    assert (answer["ok"], answer["outcome"], answer["files"]) == (False, outcome, [])
+    assert error == f"falsework: {answer['error']}\n"
+
+
+def test_warnings_are_notes_of_the_answer(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], read_answer: Callable[[str], Any]
+) -> None:
+    def warn(_: Any) -> Exit:
+        warnings.warn("part 2 had 3 holes", UserWarning, stacklevel=1)
+        return Exit.DONE
+
+    assert run_with(monkeypatch, warn, "--json") == 0
+    assert read_answer(capsys.readouterr().out)["notes"] == ["warning: part 2 had 3 holes"]
 
 
 def test_logs_get_a_line_of_progress_now_and_then(

@@ -66,8 +66,8 @@ def test_take_down_what_is_there(falsework: Run, old: Path, tmp_path: Path) -> N
     out = tmp_path / "new.json"
     finished = falsework("replan", "arch:blocks=5", "--state", digits(state), "--out", out, "--json")
     assert finished.code == 0, finished.error
-    (record,) = finished.records
-    assert record["plan"] == str(out)
+    record = finished.answer
+    assert record["files"] == [str(out)]
     assert record["outcome"] == "found"
     assert record["decided_by"] == "search"
     assert record["direction"] == "disassembly"
@@ -93,7 +93,7 @@ def test_build_on_without_a_part(falsework: Run, old: Path, tmp_path: Path) -> N
     assert new.direction is Direction.ASSEMBLY
     assert new.removed_parts[0] != late
     assert falsework("check", out).code == 0
-    (record,) = falsework(*words, "--json").records
+    record = falsework(*words, "--json").answer
     assert record["difference"]["begins_on_the_way"] is True
     assert record["needs"][0]["part"] == late
 
@@ -103,8 +103,8 @@ def test_with_a_run(falsework: Run, run: Path, tmp_path: Path) -> None:
     out = tmp_path / "new.json"
     finished = falsework("replan", run, "--confidences", "--alternatives", 2, "--out", out, "--json")
     assert finished.code == 0, finished.error
-    (record,) = finished.records
-    assert len(record["alternatives"]) == 1
+    record = finished.answer
+    assert len(record["files"]) == 2
     assert len(record["confidences"]) == record["steps"] + 1
     assert sum(record["confidences"][0].values()) == pytest.approx(1, abs=1e-4)
     assert falsework("check", out).code == 0
@@ -124,9 +124,9 @@ def test_unstable_state(falsework: Run, tmp_path: Path) -> None:
     finished = falsework(*words)
     assert finished.code == 1
     assert "the state is not stable; voussoir-" in finished.error
-    (record,) = falsework(*words, "--json").records
-    assert record["plan"] is None
-    assert record["outcome"] == "proved_impossible"
+    record = falsework(*words, "--json").answer
+    assert record["files"] == []
+    assert record["outcome"] == "impossible"
     assert record["moving"]
 
 
@@ -199,11 +199,11 @@ def test_a_state_that_slides_is_no_beginning_under_contact(falsework: Run, tmp_p
     out = tmp_path / "new.json"
     refused = falsework("replan", tmp_path / "clamp", "--out", out, "--json")
     assert refused.code == 1
-    (record,) = refused.records
+    record = refused.answer
     assert record["criterion"] == "contact"
     assert [(motion["part"], motion["words"]) for motion in record["moving"]] == [(0, "falls")]
     assert not out.exists()
     found = falsework("replan", tmp_path / "clamp", "--out", out, "--json", "--criterion", "equilibrium")
     assert found.code == 0, found.error
-    assert found.records[0]["criterion"] == "equilibrium"
+    assert found.answer["criterion"] == "equilibrium"
     assert load_plan(out).claim.criterion == "equilibrium"

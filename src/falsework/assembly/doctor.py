@@ -113,7 +113,7 @@ class Diagnosis:
             "stored_interfaces": self.stored.to_dict() if self.stored else None,
             "add": self.additions,
             "loads_with_it": self.cured,
-            "parts": [asdict(report) for report in self.parts],
+            "parts": [_part_record(report) for report in self.parts],
         }
 
 
@@ -217,6 +217,12 @@ def diagnose(path: str | Path, unit: str | None = None, **options: Any) -> Diagn
         cured=cured,
         draft=draft,
     )
+
+
+def _part_record(report: PartReport) -> dict[str, Any]:
+    """Return a report as plain JSON values, with units in names."""
+    names = {"size": "size_m", "volume": "volume_m3"}
+    return {names.get(name, name): value for name, value in asdict(report).items()}
 
 
 def _read(path: Path, unit: str | None) -> tuple[Draft, dict[str, Any]]:

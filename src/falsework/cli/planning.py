@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import arg
 
@@ -13,6 +13,7 @@ from falsework.cli.command import UNSET
 from falsework.cli.output import counted
 from falsework.errors import InputError
 from falsework.utils.files.output_file import check_writable
+from falsework.utils.quantity import format_quantity
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, kw_only=True)
 class RuleOptions:
     """Rules that a plan must obey in addition to the number of robots."""
+
+    rare: ClassVar[tuple[str, ...]] = ("start", "target", "fixed", "removable_only_if_clear")
 
     start: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: complete)")] = None
     """State from which disassembly starts, where assembly ends: `complete`, digits such as 2110, or a file."""
@@ -102,6 +105,8 @@ class SupportOptions(RuleOptions):
 @dataclass(frozen=True, kw_only=True)
 class HoldOptions:
     """What robots that hold parts can do, and the reserve that a plan keeps; under the criterion `contact`."""
+
+    rare: ClassVar[tuple[str, ...]] = ("hold_force", "hold_stiffness", "no_press", "reserve")
 
     hold_force: Annotated[float | None, arg(metavar="N", help_behavior_hint="(default: 50 weights)")] = None
     """Largest force of a robot on a part that it holds, N; by default fifty weights of the heaviest part."""
@@ -198,6 +203,8 @@ class TaskOptions(RuleOptions):
 class SearchOptions:
     """Options of the search."""
 
+    rare: ClassVar[tuple[str, ...]] = ("direction", "seed")
+
     width: int = 64
     """States kept at each step; a wider search finds more and takes longer."""
     direction: Literal["assembly", "disassembly"] = "assembly"
@@ -222,7 +229,7 @@ def replay_text(plan: Plan, also: str = "") -> str:
     kept, replay = plan.claim.reserve, plan.replay
     assert replay is not None
     reserve = f" with the true friction and with friction / {kept:g}" if kept > 1 else ""
-    return f"the replay succeeds{reserve}{also}; parts move by at most {replay.moved * 1e3:.3g} mm"
+    return f"the replay succeeds{reserve}{also}; parts move by at most {format_quantity(replay.moved, 'length')}"
 
 
 def press_text(plan: Plan, scale: float = 1.0) -> str:
@@ -234,7 +241,7 @@ def press_text(plan: Plan, scale: float = 1.0) -> str:
     """
     forces = [scale * press.force for presses in plan.presses for press in presses]
     steps = counted(sum(map(bool, plan.presses)), "step")
-    return f"robots press in {steps}, with at most {max(forces):.4g} N" if forces else ""
+    return f"robots press in {steps}, with at most {format_quantity(max(forces), 'force')}" if forces else ""
 
 
 def writable(path: Path, suffix: str = "") -> None:
@@ -285,7 +292,8 @@ def refuse_unstable(
         text = f"{outcome}: the {subject} {Verdict(verdicts.verdict[0]).words}"
         if verdicts.on_tolerance[0]:
             text += ", which depends on the tolerance"
-        output.record({"plan": None, "outcome": text, "moving": [motion.to_dict(assembly) for motion in moving]})
+        output.outcome("impossible" if verdicts.unstable[0] else "not_found")
+        output.record({"reason": text, "moving": [motion.to_dict(assembly) for motion in moving]})
         output.note(f"falsework: {text}{'; ' if moving else ''}{describe(assembly, moving, limit=3)}")
         return True
     return False

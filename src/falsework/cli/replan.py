@@ -39,10 +39,14 @@ class MakeReplan(JudgingCommand):
     from rest. Exit code 1 if there is no plan, none was found, or none that keeps the reserve.
     """
 
+    rare: ClassVar[tuple[str, ...]] = ("fixed", "removable_only_if_clear", "alternatives", "seed", "confidences", "device", "solver")
+
     examples: ClassVar[tuple[str, ...]] = (
         "falsework replan arch:blocks=5 --state complete --out replan.json",
         "falsework replan arch:blocks=5 --state 1000022 --missing 2 --out replan.json",
     )
+
+    outcomes: ClassVar[tuple[str, str]] = ("found", "not_found")
 
     structure: StructureOptions
     state: Annotated[str, arg(metavar="STATE")] = "complete"
@@ -99,7 +103,9 @@ class MakeReplan(JudgingCommand):
             self._refuse(assembly, stability, request, answer, output)
             return Exit.NO
         paths = self._save(answer, source)
-        record = {"plan": str(paths[0]), "alternatives": [str(path) for path in paths[1:]], **answer.to_dict()}
+        for path in paths:
+            output.file(path)
+        record = _record(answer)
         first = answer.plans[0]
         record["criterion"], record["reserve"] = first.claim.criterion, first.claim.reserve
         record["presses"] = sum(map(bool, first.presses))
@@ -113,7 +119,7 @@ class MakeReplan(JudgingCommand):
         remarks = [_replay_remark(answer), lacks_reserve(answer.plans[0], stability.reserve)]
         for remark in filter(None, remarks):
             output.note(f"falsework: {remark}")
-        return Exit.NO if any(remarks) else Exit.DONE
+        return output.outcome("weaker") if any(remarks) else Exit.DONE
 
     def _load(self) -> tuple[Assembly, Any, dict[str, Any], int, bool]:
         """Load the structure, its source, the policy if any, the number of robots, and the exit rule."""
@@ -213,12 +219,18 @@ class MakeReplan(JudgingCommand):
         elif not answer.deadline_passed:
             failure = explain(assembly, oracle, answer.search)
             moving, text = failure.moving, failure.text
-        record = {**answer.to_dict(), "plan": None, "criterion": self.criterion}
+        output.outcome("impossible" if answer.outcome is Outcome.PROVED_IMPOSSIBLE else "not_found")
+        record = {**_record(answer), "criterion": self.criterion}
         record["moving"] = [motion.to_dict(assembly) for motion in moving]
         output.record(record)
         if moving and answer.search is None:
             text = f"{text}; {describe(assembly, moving, limit=3)}"
         output.note(f"falsework: {text}")
+
+
+def _record(answer: ReplanResult) -> dict[str, Any]:
+    """Return the result as fields of the JSON answer, which has the outcome itself."""
+    return {name: value for name, value in answer.to_dict().items() if name != "outcome"}
 
 
 def _replay_remark(answer: ReplanResult) -> str:

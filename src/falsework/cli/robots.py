@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -25,10 +25,12 @@ from falsework.cli.robot_reports import (
     holds_record,
     holds_text,
     overloads_of,
+    problem_record,
     runs_record,
     runs_text,
     scope_record,
     scope_text,
+    statistics_record,
     times_record,
     unverified,
 )
@@ -55,6 +57,8 @@ class PlanRobots(Command):
     reach, obstacles, and the progress of the search. A partial plan is saved, except where an assembly is continued.
     """
 
+    rare: ClassVar[tuple[str, ...]] = ("robots_seed", "target", "grips", "proofs", "criterion", "sequential")
+
     examples: ClassVar[tuple[str, ...]] = (
         "falsework robots plan my-folder --cell cell.toml --out robot_plan.json",
         "falsework robots plan my-folder --cell cell.toml --policy my-run --robots-seed 3 --deadline 60",
@@ -64,6 +68,8 @@ class PlanRobots(Command):
     )
 
     structure: StructureOptions
+    outcomes: ClassVar[tuple[str, str]] = ("found", "not_found")
+
     cell: Annotated[str, arg(metavar="CELL")]
     """Cell file, or the name of a built-in cell such as dome-37."""
     out: Annotated[Path, arg(metavar="FILE")] = Path("robot_plan.json")
@@ -130,7 +136,6 @@ class PlanRobots(Command):
         if refuse_unstable(
             assembly, Stability(assembly, replace(stability, reserve=1.0)), task, output, building=building
         ):
-            output.record({"robot_plan": None, "found": False})
             return Exit.NO
         guide = self._guide(assembly, task)
         given: dict[str, Any] = {"task": task, "stability": stability, "guide": guide, "settings": settings}
@@ -153,10 +158,10 @@ class PlanRobots(Command):
             output.say(text)
         lost, heavy = lacks_reserve(found.plan, stability.reserve), overloads_of(found, assembly, cell)
         if heavy:
-            output.record({"overloads": [asdict(problem) for problem in heavy]})
+            output.record({"overloads": [problem_record(problem) for problem in heavy]})
         for text in (*([lost] if lost else []), *heavy):
             output.note(f"falsework: {text}")
-        return Exit.NO if lost or heavy else Exit.DONE
+        return output.outcome("weaker") if lost or heavy else Exit.DONE
 
     def _task(self, assembly: Assembly, cell: Cell, held: Sequence[int | None]) -> Task:
         from falsework.search.problem.task import Task
@@ -187,13 +192,12 @@ class PlanRobots(Command):
     def _report(self, result: HybridResult, found: RobotPlan | None, output: Output) -> Exit:
         if found is not None:
             saved = self._save(found)
+            output.file(self.out)
             output.record(
                 {
-                    "robot_plan": str(self.out),
-                    "found": result.found,
                     "steps": len(saved),
-                    "motion_seconds": round(saved.seconds, 3),
-                    **result.statistics,
+                    "motion_s": round(saved.seconds, 3),
+                    **statistics_record(result.statistics),
                     **times_record(saved),
                 }
             )
@@ -201,10 +205,11 @@ class PlanRobots(Command):
                 for text in found_texts(saved, str(self.out), result.statistics):
                     output.say(text)
                 return Exit.DONE
+            output.outcome("partial")
             output.note(f"{self.out} has the first {counted(len(saved), 'step')}")
         else:
             why = result.explanation.to_dict() if result.explanation else {}
-            output.record({"robot_plan": None, "found": False, "failure": why, **result.statistics})
+            output.record({"failure": why, **statistics_record(result.statistics)})
         if result.explanation is not None:
             output.note(f"falsework: {result.explanation.text}")
         return Exit.NO
@@ -235,12 +240,16 @@ class CheckRobots(Command):
     with such options of the plan.
     """
 
+    rare: ClassVar[tuple[str, ...]] = ("resolution", "delays", "longest_delay")
+
     examples: ClassVar[tuple[str, ...]] = (
         "falsework robots check robot_plan.json",
         "falsework robots check robot_plan.json --cell cell.toml --steps",
         "falsework robots check robot_plan.json --delays 1000 --json",
         "falsework robots check robot_plan.json --accept-overrides",
     )
+
+    outcomes: ClassVar[tuple[str, str]] = ("verified", "refuted")
 
     plan: Annotated[Positional[Path], arg(metavar="ROBOT_PLAN")]
     """Plan to check, as `falsework robots plan` wrote it."""
@@ -301,15 +310,13 @@ class CheckRobots(Command):
         open_claims = unverified(plan, report, states=stable is not None)
         output.record(
             {
-                "robot_plan": str(self.plan),
-                "good": good,
                 "checked": scope_record(plan, assembly, cell, place),
                 "overrides": overrides,
                 "unverified": open_claims,
                 "stable": None if stable is None else stable.good,
                 **check_record(report),
                 "holds": holds,
-                "overloads": [asdict(problem) for problem in heavy],
+                "overloads": [problem_record(problem) for problem in heavy],
                 "delayed_runs": None if runs is None else runs_record(runs, self.longest_delay),
             }
         )
@@ -346,6 +353,8 @@ class ExportRobots(Command):
     the schedule, and with the shapes of the parts if the structure is found. The robots must be those of the cell, and
     the motions within its limits; `falsework robots check` checks everything else.
     """
+
+    rare: ClassVar[tuple[str, ...]] = ("rate",)
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework robots export robot_plan.json --format ros2-json --out motions",
@@ -389,6 +398,7 @@ class ExportRobots(Command):
                     raise
                 output.note(f"falsework: the bag has no shapes of parts: {error}")
         paths = export_plan(plan, self.out, self.format, rate=self.rate, structure=shapes, cell=cell)
-        output.record({"folder": str(self.out), "files": [path.name for path in paths]})
+        for path in paths:
+            output.file(path)
         output.say(f"{counted(len(paths), 'file')} in {self.out}")
         return Exit.DONE

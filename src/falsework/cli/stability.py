@@ -25,10 +25,14 @@ class CheckStability(JudgingCommand):
     stable.
     """
 
+    rare: ClassVar[tuple[str, ...]] = ("cone", "solver")
+
     examples: ClassVar[tuple[str, ...]] = (
         "falsework stability arch:blocks=15 --friction 0.84",
         "falsework stability my-folder --states states.json --json",
     )
+
+    outcomes: ClassVar[tuple[str, str]] = ("stable", "not_stable")
 
     structure: StructureOptions
     states: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=UNSET)] = None
@@ -57,7 +61,8 @@ class CheckStability(JudgingCommand):
             residual = float(verdicts.residual[index])
             motion = motion_of(assembly, verdicts, index)
             moving = [] if motion is None else motions(assembly, motion)
-            output.record(
+            output.row(
+                "states",
                 {
                     "state": index,
                     "verdict": verdict.name.lower(),
@@ -66,7 +71,7 @@ class CheckStability(JudgingCommand):
                     "residual": residual if np.isfinite(residual) else None,
                     "on_tolerance": bool(verdicts.on_tolerance[index]),
                     "moving": [motion.to_dict(assembly) for motion in moving],
-                }
+                },
             )
             subject = assembly.name if self.states is None else f"state {index}"
             held = [part for part in np.flatnonzero(states[index] == 2) if not assembly.boundary[part]]

@@ -96,7 +96,7 @@ class ReplanResult:
             "steps": self.steps,
             "reached": self.reached,
             "seconds": round(self.seconds, 6),
-            "spent": {name: round(seconds, 6) for name, seconds in self.spent.items()},
+            "spent_seconds": {name: round(seconds, 6) for name, seconds in self.spent.items()},
             "verdicts": self.verdicts,
             "deadline_passed": self.deadline_passed,
             "criterion": self.criterion,

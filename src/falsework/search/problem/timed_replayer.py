@@ -43,7 +43,7 @@ class Replayed:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the replay as a JSON object."""
-        return {"stands": self.stands, "steps": self.steps, "of": self.of, "largest_movement": self.moved}
+        return {"stands": self.stands, "steps": self.steps, "of": self.of, "moved_mm": self.moved * 1e3}
 
 
 @dataclass(eq=False)
