@@ -86,6 +86,7 @@ class MakePicture(JudgingCommand):
         """Open, draw, write."""
         from falsework.viewer.pictures.contact_sheet import check_suffix
         from falsework.viewer.pictures.video import KINDS
+        from falsework.viewer.show import check_sizes
 
         writable(self.out)
         video = self.out.suffix.lower() in KINDS
@@ -94,6 +95,7 @@ class MakePicture(JudgingCommand):
         else:
             self._refuse(_MOVING, "a picture")
             check_suffix(self.out, ".png", ".svg", *KINDS)
+            check_sizes(self.width, self.frames, self.columns)
         if self.gantt:
             return self._gantt(output)
         return self._animate(output) if video else self._draw(output)
@@ -105,9 +107,8 @@ class MakePicture(JudgingCommand):
             raise InputError(f"{what} such as {self.out} has no {' and '.join(given)}; leave it out, or name another file")
 
     def _draw(self, output: Output) -> Exit:
-        from falsework.viewer.show import check_sizes, picture
+        from falsework.viewer.show import picture
 
-        check_sizes(self.width, self.frames, self.columns)
         subject = self.subject.open().with_policy(self.policy)
         drawn = picture(
             subject,

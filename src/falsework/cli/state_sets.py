@@ -70,7 +70,7 @@ def save_sets(
     output.file(out)
     sets = {name: len(getattr(dataset, name)) for name in ("train", "test", "validation", "more")}
     output.record({"criterion": dataset.criterion, "states": sum(sets.values()), "sets": sets})
-    output.record({"levels": dataset.levels(), "seconds": dataset.seconds})
+    output.record({"levels": dataset.levels(), "search_seconds": dataset.seconds})
     more = f" and {len(dataset.more)} more" if len(dataset.more) else ""
     output.say(
         f"{out}: {counted(len(dataset.train), 'state')} to train on{more}, {len(dataset.test)} to test on, "
