@@ -130,7 +130,7 @@ def test_no_boundary_offers_the_ground(
     refused("--ground", folder)
     finished = falsework("export", folder, "--out", tmp_path / "grounded", "--ground", "--json")
     assert finished.code == 0
-    assert len(finished.answer["parts"]) == 4
+    assert finished.answer["parts"] == 4
 
 
 def test_part_that_touches_nothing(refused: Callable[..., None], write_structure: Write, tmp_path: Path) -> None:

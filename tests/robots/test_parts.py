@@ -271,7 +271,7 @@ def test_a_cell_is_examined_by_itself(
     cell.write_text(CELL)
     assert main(["doctor", str(cell), "--json"]) == 0
     assert read_answer(capsys.readouterr().out)["robots"] == ["arm"]
-    cell.write_text(CELL.replace("position = [1.0, 0.0, 0.0]", "position = [1.0, 0.0, -0.5]"))
+    cell.write_text(CELL + "base = { position = [0.0, 0.0, -0.5] }\n")
     assert main(["doctor", str(cell), "--json"]) == 1
     answer = read_answer(capsys.readouterr().out)
     assert (answer["outcome"], answer["loads"]) == ("does_not_load", False)

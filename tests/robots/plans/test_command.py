@@ -273,7 +273,7 @@ def test_motions_at_the_same_time(run: Callable, cell_file: Path, tmp_path: Path
     runs = answer["delayed_runs"]
     assert runs["runs"] == 20
     assert runs["out_of_order"] == runs["stuck"] == runs["outside"] == 0
-    assert times["makespan_s"] < runs["makespan"]["least"] <= runs["makespan"]["most"] < 1.5 * times["makespan_s"]
+    assert times["makespan_s"] < runs["makespan_s"]["least"] <= runs["makespan_s"]["most"] < 1.5 * times["makespan_s"]
     for given, message in (
         (("--delays", "0"), "cannot simulate 0 runs"),
         (("--delays", "-5"), "cannot simulate -5 runs"),
