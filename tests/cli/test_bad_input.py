@@ -247,7 +247,9 @@ def test_archives_are_not_written_under_names_of_other_files(
 ) -> None:
     """They could not be read again by that name."""
     name = tmp_path / "out.json"
-    expect(falsework("graph", "arch:blocks=3", *options, "--out", name), 2, "out.json is written as .npz; name such a file")
+    expect(
+        falsework("graph", "arch:blocks=3", *options, "--out", name), 2, "out.json is written as .npz; name such a file"
+    )
 
 
 def test_export_does_not_replace_what_is_there(falsework: Run, stack: Path) -> None:

@@ -208,6 +208,31 @@ def test_warnings_are_one_line_and_keep_the_exit_code(
     assert capsys.readouterr().err == "falsework: warning: part 2 had 3 holes\n"
 
 
+def test_options_of_the_structure_are_described_once(capsys: pytest.CaptureFixture[str]) -> None:
+    assert entry.main(["structures", "--help"]) == 0
+    described = capsys.readouterr().out
+    for option in ("--unit", "--density", "--friction", "--boundary", "--ground", "--load", "--earthquake"):
+        assert re.search(rf"^ +{option}\b", described, re.MULTILINE), described
+    for command in ("plan", "check", "doctor", "picture"):
+        assert entry.main([command, "--help-all"]) == 0
+        text = capsys.readouterr().out
+        assert "--earthquake" not in text
+        assert "falsework structures --help" in text
+    # Help leaves options out; the command still takes them.
+    assert entry.main(["stability", "stack:blocks=2", "--friction", "0.4"]) == 0
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completions(shell: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert entry.main(["--tyro-write-completion", shell, str(tmp_path / "script")]) == 0
+    text = (tmp_path / "script").read_text()
+    assert "margins" in text
+    assert "friction" in text
+    for words in (["ksh", "file"], ["bash"]):
+        assert entry.main(["--tyro-write-completion", *words]) == 2
+        assert "takes a shell (bash, zsh, tcsh, fish) and the file" in capsys.readouterr().err
+
+
 def test_records_are_for_machines_only(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     def work(output: Any) -> Exit:
         output.record({"answer": 42})

@@ -37,7 +37,9 @@ def test_props_and_what_shows_them(falsework: Run, tmp_path: Path) -> None:
 
 
 def test_support(falsework: Run, tmp_path: Path) -> None:
-    finished = falsework("plan", "arch:blocks=7", "--robots", "auto", "--support", "--json", "--out", tmp_path / "fewest.json")
+    finished = falsework(
+        "plan", "arch:blocks=7", "--robots", "auto", "--support", "--json", "--out", tmp_path / "fewest.json"
+    )
     assert finished.code == 0, finished.error
     assert (finished.answer["fewest"]["robots"], finished.answer["fewest"]["proven"]) == (2, True)
     refused = falsework("plan", "arch:blocks=7", "--support", "--robots", "1", "--out", tmp_path / "plan.json")

@@ -176,7 +176,10 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     text = (tmp_path / "site.csv").read_bytes()
     assert text.startswith(b"\xef\xbb\xbfstep,")
     capsys.readouterr()
-    for out, hint in (("site.doc", "no export format ends in .doc; write .glb, .gltf, .usd, .usda, .json, .pdf, .csv"), ("no/site.csv", "no folder")):
+    for out, hint in (
+        ("site.doc", "no export format ends in .doc; write .glb, .gltf, .usd, .usda, .json, .pdf, .csv"),
+        ("no/site.csv", "no folder"),
+    ):
         assert run("export", plan, "--out", tmp_path / out) == 2
         assert hint in capsys.readouterr().err
     assert run("export", plan, "--out", tmp_path / "site.pdf", "--elevation", "90") == 2

@@ -258,7 +258,9 @@ def test_the_doctor_prints_reach_and_proposes_bases(
         (["cell.toml", "--cell", "dome-37"], "cell.toml is a cell; to test what it reaches"),
     ],
 )
-def test_the_reach_of_a_cell_refuses_wrong_input(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_reach_of_a_cell_refuses_wrong_input(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Exit code 2 and one line."""
     assert main(["doctor", *arguments]) == 2
     assert message in capsys.readouterr().err

@@ -253,7 +253,7 @@ def test_what_a_policy_thinks_and_covers(
         (("picture", "PLAN", "--width", "5"), "80 to 8000"),
         (("picture", "PLAN", "--forces"), "--step"),
         (("picture", "PLAN", "--rate", "5"), "a picture such as picture.png has no --rate; leave it out"),
-        (("picture", "PLAN", "--step", "1", "--title", "A", "--out", "x.mp4"), "a video such as x.mp4 has no --step and"),
+        (("picture", "PLAN", "--step", "1", "--title", "A", "--out", "x.mp4"), "video such as x.mp4 has no --step and"),
         (("picture", "nowhere.json"), "nowhere"),
         (("picture", "BROKEN"), "JSON"),
         (("picture", "OTHER"), "cannot be shown"),

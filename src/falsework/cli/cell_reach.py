@@ -36,9 +36,7 @@ def examine_cell(path: Path, output: Output) -> Exit:
     return Exit.DONE
 
 
-def report_reach(
-    assembly: Assembly, cell: Cell, propose: Propose, picture: Path | None, output: Output
-) -> Exit:
+def report_reach(assembly: Assembly, cell: Cell, propose: Propose, picture: Path | None, output: Output) -> Exit:
     """Report which robot can hold which part, each alone on the boundary, with the other robots at home.
 
     Args:

@@ -55,7 +55,16 @@ class CheckPlan(JudgingCommand):
     too. Exit code 1 at the first step that fails; 3 if all is well, but only with such options of the plan.
     """
 
-    rare: ClassVar[tuple[str, ...]] = ("cone", "tolerance", "gravity", "force_bound", "reserve", "hold_force", "margin", "by")
+    rare: ClassVar[tuple[str, ...]] = (
+        "cone",
+        "tolerance",
+        "gravity",
+        "force_bound",
+        "reserve",
+        "hold_force",
+        "margin",
+        "by",
+    )
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework check plan.json",

@@ -63,7 +63,9 @@ class Doctor(Command, LoadOptions):
             raise InputError("--propose is about the robots of a cell; name it with --cell")
         if self.path.suffix.lower() == ".toml":
             if self.cell is not None or self.picture is not None:
-                raise InputError(f"{self.path} is a cell; to test what it reaches: falsework doctor STRUCTURE --cell CELL")
+                raise InputError(
+                    f"{self.path} is a cell; to test what it reaches: falsework doctor STRUCTURE --cell CELL"
+                )
             return examine_cell(self.path, output)
         return self._examine_parts(output) if self.cell is None else self._examine_reach(self.cell, output)
 

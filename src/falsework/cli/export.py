@@ -69,7 +69,9 @@ class Export(Command):
         if assembly is None:
             raise InputError(f"{self.structure.spec} is a robot plan; export it by falsework robots export")
         if self.of is not None and not isinstance(subject, Plan):
-            raise InputError(f"--structure names the structure of a plan, which {self.structure.spec} is not; leave it out")
+            raise InputError(
+                f"--structure names the structure of a plan, which {self.structure.spec} is not; leave it out"
+            )
         with output.bar("drawing") as show:
             export(
                 subject,

@@ -19,7 +19,7 @@ from functools import cache
 from pathlib import Path
 from shutil import get_terminal_size
 from types import UnionType
-from typing import TYPE_CHECKING, Annotated, Any, Union, cast, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, cast, get_args, get_origin, get_type_hints
 
 from falsework import __version__
 from falsework.cli.exit_code import Exit
@@ -103,7 +103,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(_explain(error), Exit.NO_MEMORY if _lacks_memory(error) else Exit.WRONG_INPUT, output)
 
 
-_HELP_ALL = "--help-all"
+_HELP, _HELP_ALL = ("-h", "--help"), "--help-all"
+_Shown = Literal["everything", "without structure", "brief"]
+"""Options that are shown: all, for parsing; all but those of the structure; or those that are needed often."""
+_SHELLS = ("bash", "zsh", "tcsh", "fish")
+_COMPLETION = "--tyro-write-completion"
 _OPTION_INDENT, _HELP_INDENT = 5, 9
 """Columns by which tyro indents options and their help texts inside the box of a message."""
 _PLAIN_WORDS = (
@@ -135,13 +139,16 @@ def _parse(arguments: list[str]) -> Command | None:
     if arguments in (["--help"], ["-h"]):
         sys.stdout.write(_overview())
         return None
+    if arguments[:1] == [_COMPLETION] and (len(arguments) != 3 or arguments[1] not in _SHELLS):
+        raise _UsageError(f"{_COMPLETION} takes a shell ({', '.join(_SHELLS)}) and the file to write")
     import tyro
 
     named = _named(arguments)
     if named is not None:
         kind: Any = _command_class(named)
         rest = arguments[len(named.split()) :]
-        _prepare(kind, brief=not {"-h", "--help"}.isdisjoint(rest))
+        shown: _Shown = "everything" if {*_HELP, _HELP_ALL}.isdisjoint(rest) else "brief"
+        _prepare(kind, "without structure" if _HELP_ALL in rest else shown)
         rest = ["--help" if word == _HELP_ALL else word for word in rest]
         about, program = _help_text(kind), f"falsework {named}"
     elif not arguments or not (arguments[0].startswith("-") or arguments[0] in {name.split()[0] for name in COMMANDS}):
@@ -160,7 +167,7 @@ def _parse(arguments: list[str]) -> Command | None:
             return cast("Command", tyro.cli(kind, prog=program, description=about, args=rest, config=_markers()))
     except SystemExit as exit_request:
         if exit_request.code in (None, 0):
-            if named is not None and "--help" in rest:
+            if named is not None and not {*_HELP}.isdisjoint(rest):
                 sys.stdout.write(_more_help(kind, named, arguments))
             return None
         raise _UsageError(_one_line(complaint.getvalue()) or f"wrong options; see {program} --help") from None
@@ -172,12 +179,11 @@ def _more_help(kind: Any, name: str, arguments: list[str]) -> str:
 
     if name == "structures":
         return f"Options of all commands that take a structure:\n\n{_structure_options()}"
-    if _HELP_ALL in arguments:
-        return ""
     types = [kind, *get_type_hints(kind).values()]
     taken = any(isinstance(one, type) and issubclass(one, LoadOptions) for one in types)
-    options = "Options of the structure, such as --unit and --friction: falsework structures --help. " if taken else ""
-    return textwrap.fill(f"{options}All options: falsework {name} {_HELP_ALL}.", get_terminal_size().columns) + "\n"
+    lines = ["Options of the structure, such as --unit and --friction: falsework structures --help"] * taken
+    lines += [f"Options that are needed seldom: falsework {name} {_HELP_ALL}"] * (_HELP_ALL not in arguments)
+    return "".join(f"{line}\n" for line in lines)
 
 
 def _structure_options() -> str:
@@ -186,11 +192,13 @@ def _structure_options() -> str:
 
     from falsework.cli.command import LoadOptions
 
-    _prepare(LoadOptions, brief=False)
+    _prepare(LoadOptions, "everything")
     text = io.StringIO()
     with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):
         tyro.cli(LoadOptions, prog="falsework", args=["--help"], config=_markers())
-    return "\n".join(line for line in text.getvalue().split("\n\n")[-1].splitlines() if "--help" not in line) + "\n"
+    lines = [line.strip("│").rstrip() for line in text.getvalue().splitlines()]
+    first = next(number for number, line in enumerate(lines) if re.match(r" *--[a-z]", line))
+    return "\n".join(line for line in lines[first:] if line and not line.startswith("╰")) + "\n"
 
 
 def _no_subcommand(arguments: list[str]) -> str:
@@ -209,8 +217,8 @@ def _markers() -> tuple[Any, ...]:
     return tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone, tyro.conf.OmitArgPrefixes
 
 
-def _prepare(kind: Any, *, brief: bool) -> None:
-    """Prepare the fields of a command for tyro: what every command has comes last, and in a brief help rare options go.
+def _prepare(kind: Any, shown: _Shown) -> None:
+    """Prepare the fields of a command for tyro: what every command has comes last, and help texts leave options out.
 
     For Python before 3.14 `X | None` becomes `Optional[X]`: to check a default against the former, tyro imports
     typeguard and with it asyncio, for a fifth of a second.
@@ -220,17 +228,19 @@ def _prepare(kind: Any, *, brief: bool) -> None:
     from falsework.cli.command import LoadOptions
 
     hints = get_type_hints(kind, include_extras=True)
-    hidden = {name for base in kind.__mro__ for name in vars(base).get("rare", ())}
-    if issubclass(kind, LoadOptions):
+    hidden: set[str] = set()
+    if shown == "brief":
+        hidden |= {name for base in kind.__mro__ for name in vars(base).get("rare", ())}
+    if shown != "everything" and issubclass(kind, LoadOptions):
         hidden |= set(LoadOptions.__dataclass_fields__)
     for name, hint in hints.items():
         inner, notes = (hint.__origin__, hint.__metadata__) if get_origin(hint) is Annotated else (hint, ())
         if isinstance(inner, UnionType):
             inner = Union[get_args(inner)]  # noqa: UP007  # type: ignore[valid-type]
         elif is_dataclass(inner):
-            _prepare(inner, brief=brief)
+            _prepare(inner, shown)
         notes = [note for note in notes if note is not tyro.conf.Suppress]
-        notes += [tyro.conf.Suppress] * (brief and name in hidden)
+        notes += [tyro.conf.Suppress] * (name in hidden)
         hints[name] = Annotated[(inner, *notes)] if notes else inner
     kind.__annotations__ = hints
     shared = [name for base in kind.__mro__[1:] for name in vars(base).get("__annotations__", ())]
@@ -266,6 +276,8 @@ def _overview() -> str:
         "usage: falsework [-h] [--version] SUBCOMMAND ...",
         "",
         _ABOUT,
+        "",
+        f"{_COMPLETION} SHELL FILE writes completions for {', '.join(_SHELLS)}.",
         "",
         "Subcommands, each with its own --help, and --help-all with rare options:",
     ]

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from falsework.search.plans.plan import Plan
     from falsework.stability import StabilitySettings, StateMargins
 
+
 @dataclass(frozen=True, kw_only=True)
 class FindMargins(Command):
     """Find the margins of a structure, of some of its states, or of every state of a plan.

@@ -40,14 +40,18 @@ def print_margins(
     weakest = {key: _weakest([record[key] for record in records], key) for key, *_ in _COLUMNS}
     if len(records) > 1:
         output.record(
-            {"weakest": [{"margin": k, "state": i, "value": records[i][k]} for k, i in weakest.items() if i is not None]}
+            {
+                "weakest": [
+                    {"margin": k, "state": i, "value": records[i][k]} for k, i in weakest.items() if i is not None
+                ]
+            }
         )
     if len(records) == 1:
         output.say(f"{subjects[0]}:")
         output.table(("margin", "bound"), _single(records[0]))
         return
     best = {key: None if i is None else records[i][key] for key, i in weakest.items()}
-    order = sorted(range(len(records)), key=lambda i: min((_ratio(records[i], key, best[key]) for key in best)))
+    order = sorted(range(len(records)), key=lambda i: min(_ratio(records[i], key, best[key]) for key in best))
     shown = order if everything else order[:SHOWN]
     headings = ("state", *(title for _, title, *_ in _COLUMNS), "heaviest hold", "remarks")
     rows = []

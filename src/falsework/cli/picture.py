@@ -33,9 +33,9 @@ class MakePicture(JudgingCommand):
     """Draw a contact sheet or a video of a plan, one step of it, a structure, or a state graph.
 
     The name of the file says what is drawn: PNG, a line drawing of a two-dimensional structure or a state graph as SVG,
-    a video as MP4 or GIF. Needs no display and no graphics driver. --forces draws the certificate of a state: contact forces in blue, friction in red, gravity in orange and,
-    if the state is not stable, the motion of the parts. --verdicts computes the verdict of every state drawn, marks
-    parts that slide, and labels states that are not stable.
+    a video as MP4 or GIF. Needs no display and no graphics driver. --forces draws the certificate of a state: contact
+    forces in blue, friction in red, gravity in orange and, if the state is not stable, the motion of the parts.
+    --verdicts computes the verdict of every state drawn, marks parts that slide, and labels states that are not stable.
     """
 
     rare: ClassVar[tuple[str, ...]] = ("policy", "frames", "columns", "rate", "speed", "azimuth", "elevation", "title")
@@ -104,7 +104,9 @@ class MakePicture(JudgingCommand):
         """Refuse options that this kind of file does not have."""
         given = [f"--{name.replace('_', '-')}" for name in options if getattr(self, name) != getattr(type(self), name)]
         if given:
-            raise InputError(f"{what} such as {self.out} has no {' and '.join(given)}; leave it out, or name another file")
+            raise InputError(
+                f"{what} such as {self.out} has no {' and '.join(given)}; leave it out, or name another file"
+            )
 
     def _draw(self, output: Output) -> Exit:
         from falsework.viewer.show import picture
@@ -167,7 +169,9 @@ class MakePicture(JudgingCommand):
         from falsework.viewer.pictures.gantt import draw_gantt
 
         if wrong := [name for name in ("step", *_STATE) if getattr(self, name) != getattr(type(self), name)]:
-            raise InputError(f"a Gantt chart shows no state; leave out {' and '.join(f'--{n}' for n in wrong)}, or --gantt")
+            raise InputError(
+                f"a Gantt chart shows no state; leave out {' and '.join(f'--{n}' for n in wrong)}, or --gantt"
+            )
         subject = self.subject.open()
         if subject.arms is None:
             raise InputError(f"a {subject.kind} has no arms to draw a Gantt chart of; give a robot plan")

@@ -40,7 +40,17 @@ class MakePlan(Command):
     saved beside the plan; the same command with --resume continues it.
     """
 
-    rare: ClassVar[tuple[str, ...]] = ("width", "direction", "seed", "cone", "solver", "maximise", "robust", "judge", "proofs")
+    rare: ClassVar[tuple[str, ...]] = (
+        "width",
+        "direction",
+        "seed",
+        "cone",
+        "solver",
+        "maximise",
+        "robust",
+        "judge",
+        "proofs",
+    )
 
     outcomes: ClassVar[tuple[str, str]] = ("found", "not_found")
     examples: ClassVar[tuple[str, ...]] = (

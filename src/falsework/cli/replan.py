@@ -39,7 +39,15 @@ class MakeReplan(JudgingCommand):
     from rest. Exit code 1 if there is no plan, none was found, or none that keeps the reserve.
     """
 
-    rare: ClassVar[tuple[str, ...]] = ("fixed", "removable_only_if_clear", "alternatives", "seed", "confidences", "device", "solver")
+    rare: ClassVar[tuple[str, ...]] = (
+        "fixed",
+        "removable_only_if_clear",
+        "alternatives",
+        "seed",
+        "confidences",
+        "device",
+        "solver",
+    )
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework replan arch:blocks=5 --state complete --out replan.json",

@@ -236,7 +236,11 @@ def unverified(plan: RobotPlan, report: CheckReport, *, states: bool) -> list[st
         found.append("the stability of the states, and the forces that robots bear where grippers have no limits")
     holds = plan.plan.claim.holds
     if plan.plan.claim.criterion == "contact":
-        stiff = "rigidly" if holds.stiffness in (None, np.inf) else f"with a stiffness of {format_quantity(holds.stiffness, 'stiffness')}"
+        stiff = (
+            "rigidly"
+            if holds.stiffness in (None, np.inf)
+            else f"with a stiffness of {format_quantity(holds.stiffness, 'stiffness')}"
+        )
         found.append(f"that robots hold parts {stiff}, in units of the structure")
     if plan.plan.proof_arrays() is not None:
         found.append("the certificates in the file; those of the check are computed anew")
