@@ -258,7 +258,7 @@ class MakePlan(Command):
         step = saved.replay.falls_at
         if step is None:
             output.file(path)
-            output.record({"best": _replay_record(saved) | {"robust": False}})
+            output.record({"best": {**(_replay_record(saved) or {}), "robust": False}})
             output.note(
                 f"falsework: the best plan is in {path}: its replay succeeds under the default settings only; "
                 f"falsework check {path} --replay names those under which it fails"
