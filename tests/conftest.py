@@ -25,7 +25,6 @@ from falsework.assembly.model import Assembly, ContactWarning
 from falsework.assembly.state import HELD, INSTALLED
 from falsework.geometry import TriangleMesh
 from falsework.search import Plan
-from falsework.search.problem.task import Direction
 from falsework.stability.holds import Press
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -211,11 +210,10 @@ def press_once() -> Callable[..., tuple[Plan, int, int]]:
     """Add a press to the first step of a plan in which a part is released while a robot holds another one.
 
     Returns:
-        The plan in the order of assembly, the number of the step from 1, and the part that is pressed.
+        The plan, the number of the step, and the part that is pressed.
     """
 
     def change(plan: Plan, wrench: tuple[float, ...]) -> tuple[Plan, int, int]:
-        plan = plan if plan.direction is Direction.ASSEMBLY else plan.reverse()
         for step, (before, after) in enumerate(pairwise(plan.states)):
             held = (before == HELD) & (after == HELD) & ~plan.boundary
             if held.any() and ((before == HELD) & (after == INSTALLED)).any():

@@ -54,7 +54,7 @@ def press(path: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "plan.json"
         run("plan", "vault:parts=125", "--robots", "2", "--out", str(file))
-        step = next(step for step, presses in enumerate(load_plan(file).assembly_presses) if presses)
+        step = next(step for step, presses in enumerate(load_plan(file).presses_before) if presses)
         options = ("--step", str(step), "--forces", "--azimuth", "-40", "--elevation", "35")
         run("picture", str(file), *options, "--out", str(path))
 

@@ -10,9 +10,9 @@ import subprocess
 import sys
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import pytest
 
@@ -206,6 +206,15 @@ def test_warnings_are_one_line_and_keep_the_exit_code(
 
     assert run_with(monkeypatch, warn) == 1
     assert capsys.readouterr().err == "falsework: warning: part 2 had 3 holes\n"
+
+
+@pytest.mark.parametrize("name", entry.COMMANDS)
+def test_rare_options_exist(name: str) -> None:
+    kind = entry._command_class(name)
+    hints = get_type_hints(kind)
+    for one in (kind, *(hint for hint in hints.values() if is_dataclass(hint))):
+        fields = set(one.__dataclass_fields__)
+        assert {option for base in one.__mro__ for option in vars(base).get("rare", ())} <= fields
 
 
 def test_options_of_the_structure_are_described_once(capsys: pytest.CaptureFixture[str]) -> None:

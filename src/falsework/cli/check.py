@@ -97,7 +97,7 @@ class CheckPlan(JudgingCommand):
     margin: Annotated[str | None, arg(metavar="MARGINS", help_behavior_hint="(default: those of the plan)")] = None
     """Margins that every state must keep, such as friction=1.25,tilt=2deg,push=20N; see `falsework plan --help`."""
     replay: bool = False
-    """Also replay the plan in the order of assembly with contact history, and print one line per step. A plan that
+    """Also replay the plan with contact history, and print one line per step. A plan that
     fails with another stiffness ratio, release increment or initial friction is reported as marginal."""
     by: Literal["contact", "lmgc90"] = "contact"
     """Replay method: the contact law of the criterion, or LMGC90 on each state by itself."""
@@ -105,7 +105,9 @@ class CheckPlan(JudgingCommand):
     """Also build the plan by an independent method, with its presses, under the true friction: discrete elements on
     springs as stiff as the contacts of the criterion, as `falsework plan --judge` does. It takes seconds to minutes."""
     steps: bool = False
-    """Print the steps as text too."""
+    """Print the steps too."""
+    order: Literal["assembly", "disassembly"] = "assembly"
+    """Order in which the steps are printed; they keep their numbers."""
 
     def run(self, output: Output) -> Exit:
         """Load, compare, verify, replay."""
@@ -160,6 +162,7 @@ class CheckPlan(JudgingCommand):
     ) -> None:
         from falsework.cli.velocity_text import describe, motions
         from falsework.search.plans.plan_report import JUDGEMENT, REPLAY
+        from falsework.search.problem.task import Direction
         from falsework.stability.motion import motion_of
 
         verified = {REPLAY} if self.replay and self.by == "contact" else set()
@@ -184,8 +187,8 @@ class CheckPlan(JudgingCommand):
             }
         )
         if self.steps:
-            for step in range(len(plan)):
-                output.say(f"{step + 1:4d}  {plan.describe(step)}")
+            for step in plan.in_order(Direction(self.order)):
+                output.say(f"{step.number:4d}  {step}")
         if found.good:
             claim = found.claim
             output.say(
@@ -221,31 +224,31 @@ class CheckPlan(JudgingCommand):
         start, end = (_state_words(state, assembly) for state in (about.start, about.end))
         return (
             f"checked: {named}, digest {about.identity[:12]}, {assembly.part_count} parts, {len(about.boundary)} "
-            f"boundary ({', '.join([*fixed, *more])}); {about.direction} in {counted(about.steps, 'step')} with "
+            f"boundary ({', '.join([*fixed, *more])}); {counted(about.steps, 'step')} with "
             f"{counted(about.robots, 'robot')}{props}, from {start} to {end}"
         )
 
     def _replay(self, plan: Plan, assembly: Assembly, settings: StabilitySettings, output: Output) -> bool:
         """Replay under the settings, then under varied ones; return whether the plan succeeds."""
+        from falsework.search.plans.plan_report import place_in_words
         from falsework.stability.contact.replay import Replayer
         from falsework.stability.contact.varied_replay import replay_varied
 
-        forward = plan if plan.direction == "assembly" else plan.reverse()
         settings = replace(settings, reserve=plan.claim.reserve, holds=plan.claim.holds)
         replayer = Replayer(assembly, settings)
-        replay = replayer.replay(forward.states, presses=forward.assembly_presses)
-        for row in range(len(forward.states)):
-            self._line(row, forward, assembly, replay, output)
+        replay = replayer.replay(plan.states, presses=plan.presses_before)
+        for row in range(len(plan.states)):
+            self._line(row, plan, assembly, replay, output)
             if replay.falls_at == row:
                 break
         if not replay.good:
-            output.note(f"falsework: {self.plan}: the replay fails {self._place(forward, replay.falls_at or 0)}")
+            output.note(f"falsework: {self.plan}: the replay fails {place_in_words(plan, replay.falls_at or 0)}")
             return False
         denied = "" if plan.replay is None else plan.replay.denied_by(replay)
         if denied:
             output.note(f"falsework: {self.plan}: the plan says of its replay {denied}, which is not so; plan again")
             return False
-        varied = replay_varied(replayer, forward.states, forward.assembly_presses, draws=_DRAWS)
+        varied = replay_varied(replayer, plan.states, plan.presses_before, draws=_DRAWS)
         failed = [case for case in varied if not case.good]
         output.record(
             {
@@ -270,27 +273,23 @@ class CheckPlan(JudgingCommand):
         record: dict[str, Any] = {"step": row, "replay": word, "moved_mm": moved * 1e3}
         record |= {"part": assembly.names[part] if part >= 0 else None, "share_of_part": moved / size}
         output.row("steps", record)
-        action = plan.describe(row - 1) if row else "start"
         mover = (
             f"{assembly.names[part]} moved {format_quantity(moved, 'length')}, {moved / size:.1e} of its size"
             if part >= 0
             else ""
         )
-        output.say(f"{row:4d}  {action}: {word}{'; ' if mover else ''}{mover}")
-
-    def _place(self, plan: Plan, row: int) -> str:
-        return f"after step {row} of assembly ({plan.describe(row - 1)})" if row else "at the beginning"
+        output.say(f"{plan.line(row)}: {word}{'; ' if mover else ''}{mover}")
 
     def _build(self, plan: Plan, assembly: Assembly, output: Output) -> bool:
         """Build the plan by discrete elements; return whether no state collapses."""
+        from falsework.search.plans.plan_report import place_in_words
         from falsework.stability.judges import BuildJudge
 
         judge = BuildJudge(assembly, plan.claim.holds)
-        judgement = judge.judge(plan.assembly_states, plan.assembly_presses)
+        judgement = judge.judge(plan.states, plan.presses_before)
         output.record({"judgement": judgement.to_dict()})
         if judgement.falls_at is not None:
-            forward = plan if plan.direction == "assembly" else plan.reverse()
-            where = self._place(forward, judgement.falls_at)
+            where = place_in_words(plan, judgement.falls_at)
             name = assembly.names[judgement.part]
             output.note(f"falsework: {self.plan}: {name} falls when discrete elements build the plan, {where}")
             return False
@@ -299,21 +298,20 @@ class CheckPlan(JudgingCommand):
 
     def _judge_with_lmgc90(self, plan: Plan, assembly: Assembly, output: Output) -> bool:
         """Check states by LMGC90 up to the first unstable one; states that it cannot compute are only reported."""
+        from falsework.search.plans.plan_report import place_in_words
         from falsework.stability.judges.lmgc90 import judge_by_lmgc90
 
-        forward = plan if plan.direction == "assembly" else plan.reverse()
         stands = refused = 0
-        for row in range(len(forward.states)):
-            (answer,) = judge_by_lmgc90(assembly, forward.states[row : row + 1])
+        for row in range(len(plan.states)):
+            (answer,) = judge_by_lmgc90(assembly, plan.states[row : row + 1])
             moved = answer.moved * 1e3 if math.isfinite(answer.moved) else None
             record: dict[str, Any] = {"step": row, "lmgc90": answer.answer, "moved_mm": moved}
             output.row("steps", record | {"reason": answer.reason})
-            action = forward.describe(row - 1) if row else "start"
-            output.say(f"{row:4d}  {action}: {answer.answer}{f'; {answer.reason}' if answer.reason else ''}")
+            output.say(f"{plan.line(row)}: {answer.answer}{f'; {answer.reason}' if answer.reason else ''}")
             stands += answer.answer == "stands"
             refused += answer.answer == "not judged"
             if answer.answer == "falls":
-                output.note(f"falsework: {self.plan}: a part falls under LMGC90 {self._place(forward, row)}")
+                output.note(f"falsework: {self.plan}: a part falls under LMGC90 {place_in_words(plan, row)}")
                 return False
         output.say(f"LMGC90: {stands} states are stable, {refused} could not be computed")
         return True

@@ -119,7 +119,7 @@ def margin_lines(plan: Plan) -> list[str]:
             lines.append(f"{kind}: no state has a bound")
             continue
         row, value = weakest
-        place = f"step {row}, {plan.describe(row - 1)}" if row else "the start"
+        place = f"step {row}, {plan.words(row)}" if row else "the start"
         lines.append(
             f"weakest {kind}: {quantity_text(kind, value)}{' needed' if kind == 'friction' else ''} at {place}"
         )

@@ -30,8 +30,8 @@ class Failure:
     """Number of steps that the search completed."""
     steps: int
     """Steps of a whole plan."""
-    disassembly: bool
-    """Whether the search ran in the order of disassembly."""
+    backwards: bool
+    """Whether the search began at the end of the assembly."""
     moving: list[PartMotion]
     """Motions in the states where the search ended, the most frequent first."""
     reason: str
@@ -69,8 +69,9 @@ class Failure:
     @property
     def progress(self) -> str:
         """How far the search got."""
-        doing = "taking it apart" if self.disassembly else "putting it together"
-        return f"{doing}, the search reached step {self.reached} of {self.steps}"
+        from falsework.search.problem.result import progress_text
+
+        return progress_text(self.reached, self.steps, backwards=self.backwards)
 
     def to_dict(self, assembly: Assembly) -> dict[str, Any]:
         """Return the report as a JSON object."""
@@ -78,7 +79,7 @@ class Failure:
             "interrupted": self.cut,
             "reached": self.reached,
             "steps": self.steps,
-            "direction": "disassembly" if self.disassembly else "assembly",
+            "search_from": "end" if self.backwards else "beginning",
             "reason": self.reason,
             "sliding": self.sliding,
             "moving": [motion.to_dict(assembly) for motion in self.moving],
@@ -97,7 +98,7 @@ def explain(assembly: Assembly, oracle: Stability, result: SearchResult) -> Fail
     from falsework.search.problem.task import Direction
 
     proven = result.outcome is Outcome.PROVED_IMPOSSIBLE
-    disassembly = result.direction is Direction.DISASSEMBLY
+    backwards = result.direction is Direction.DISASSEMBLY
     # Motions cost verdicts, for which a search that was stopped has no time left.
     moving = [] if result.interrupted else common_motions(assembly, oracle, result.rejected[:LOOKED_AT])
     reason = "; ".join(result.notes) if proven else result.limit
@@ -105,7 +106,7 @@ def explain(assembly: Assembly, oracle: Stability, result: SearchResult) -> Fail
     if not moving and not result.interrupted:
         there = "there the rules allow no further step"
     cut = result.interrupted
-    return Failure(proven, result.reached, result.steps, disassembly, moving, reason, result.sliding, cut, there)
+    return Failure(proven, result.reached, result.steps, backwards, moving, reason, result.sliding, cut, there)
 
 
 def common_motions(assembly: Assembly, oracle: Stability, states: States) -> list[PartMotion]:

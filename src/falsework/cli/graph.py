@@ -109,11 +109,11 @@ class MakeGraph(JudgingCommand):
         others = {"start": self.task.start, "target": self.task.target, "missing": self.task.missing}
         given = [name for name, value in others.items() if value is not None]
         plain = SearchOptions()
-        given += [name for name in ("width", "direction") if getattr(self.search, name) != getattr(plain, name)]
+        given += [name for name in ("width", "search_from") if getattr(self.search, name) != getattr(plain, name)]
         if given:
             raise InputError(
                 "data sets come from whole searches that begin at the empty structure; "
-                f"leave out {' and '.join(f'--{name}' for name in given)}, or --sets"
+                f"leave out {' and '.join(f'--{name}'.replace('_', '-') for name in given)}, or --sets"
             )
         try:
             widths = tuple(int(item) for item in text.split(","))

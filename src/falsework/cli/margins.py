@@ -220,5 +220,5 @@ class FindMargins(Command):
 
     def _subject(self, row: int, plan: Plan | None, assembly: Assembly) -> str:
         if plan is not None and self.states is None:
-            return f"{row} {plan.describe(row - 1) if row else 'start'}"
+            return plan.line(row).strip()
         return assembly.name if self.states is None else f"state {row}"

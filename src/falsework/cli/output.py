@@ -203,10 +203,13 @@ class Output:
     @contextmanager
     def search_progress(self) -> Iterator[Callable[[SearchProgress], None]]:
         """Show the progress of a search."""
+        from falsework.search.problem.result import progress_text
+
         with self.bar("searching") as show:
 
             def report(now: SearchProgress) -> None:
-                doing = f"{now.direction}, width {now.width}: step {now.level} of {now.levels}"
+                backwards = now.direction == "disassembly"
+                doing = f"width {now.width}, {progress_text(now.level, now.levels, backwards=backwards)}"
                 show(now.level, now.levels, f"{doing}, {now.kept} states kept, {now.asked} verdicts")
 
             yield report

@@ -15,10 +15,12 @@ from falsework.cli.output import counted
 from falsework.cli.planning import (
     HoldOptions,
     SupportOptions,
+    first_steps,
     lacks_judge,
     lacks_reserve,
     promise_lines,
     refuse_unstable,
+    search_directions,
     writable,
 )
 from falsework.errors import InputError
@@ -32,17 +34,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class MakePlan(Command):
-    """Plan the disassembly of a structure by robots and, in reverse, its assembly.
+    """Plan the assembly of a structure by robots; undone from the last step on, a plan takes it apart.
 
     Quick narrow searches come first, wider ones if they fail. Every state of the plan is certified as stable, and the
-    whole plan is replayed in assembly order with contact history. Exit code 1 if there is no plan or none was found;
-    the report states which, the progress of the search, and the parts that would move there. An interrupted search is
-    saved beside the plan; the same command with --resume continues it.
+    whole plan is replayed with contact history. Exit code 1 if there is no plan or none was found; the report states
+    which, the progress of the search, and the parts that would move there. An interrupted search is saved beside the
+    plan; the same command with --resume continues it.
     """
 
     rare: ClassVar[tuple[str, ...]] = (
         "width",
-        "direction",
+        "search_from",
         "seed",
         "cone",
         "solver",
@@ -73,8 +75,9 @@ class MakePlan(Command):
     """Number of plans, as different from each other as possible."""
     width: int = 1024
     """Widest search that is tried, in states kept at each step."""
-    direction: Literal["both", "assembly", "disassembly"] = "both"
-    """Ends from which to search: the empty structure, the complete one, or both in turn."""
+    search_from: Literal["both", "beginning", "end"] = "both"
+    """Ends of the assembly from which to search: its beginning, the empty structure; its end, the complete one; or both
+    in turn."""
     seed: int = 0
     """Random seed; results are reproducible on one machine."""
     criterion: Literal["contact", "equilibrium"] = "contact"
@@ -96,8 +99,6 @@ class MakePlan(Command):
     """Accept only a plan that an independent method builds too, with its presses, under the true friction: discrete
     elements on springs as stiff as the contacts of the criterion. It takes seconds to minutes for each plan that the
     search finds. Where it accepts none, the one that it builds farthest is written, with exit code 1."""
-    assembly_order: bool = False
-    """Write the plan in the order of assembly: insert and release instead of hold and remove."""
     proofs: bool = False
     """Write the proof of each state into the plan: displacements, or contact forces under `equilibrium`."""
     deadline: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint=UNSET)] = None
@@ -222,11 +223,9 @@ class MakePlan(Command):
             raise InputError(f"--robots is {self.robots!r}; give a number, or auto") from None
 
     def _settings(self) -> PlannerSettings:
-        from falsework.search.problem.task import Direction
         from falsework.search.settings import PlannerSettings
 
-        both = (Direction.ASSEMBLY, Direction.DISASSEMBLY)
-        directions = both if self.direction == "both" else (Direction(self.direction),)
+        directions = search_directions(self.search_from)
         return PlannerSettings(self.width, directions, self.alternatives, self.seed, self.robust, self.judge)
 
     def _checkpoint(self) -> Path:
@@ -245,7 +244,6 @@ class MakePlan(Command):
         for number, found in enumerate(plans, 1):
             path = self.out if number == 1 else self.out.with_stem(f"{self.out.stem}-{number}")
             plan = replace(found, source=self.structure.source(path))
-            plan = plan.reverse() if self.assembly_order else plan
             # A plan whose replay fails, which is saved to be looked at, has no proofs of all states.
             save_plan(plan, path, proofs=self.proofs and (plan.replay is None or plan.replay.stands))
             saved.append((path, plan))
@@ -253,6 +251,8 @@ class MakePlan(Command):
 
     def _show_fallen(self, plan: Plan, output: Output) -> None:
         """Save the plan whose replay gets farthest, and report where it fails."""
+        from falsework.search.plans.plan_report import place_in_words
+
         (path, saved), *_ = self._save([plan])
         assert saved.replay is not None
         step = saved.replay.falls_at
@@ -264,13 +264,13 @@ class MakePlan(Command):
                 f"falsework check {path} --replay names those under which it fails"
             )
             return
-        action = (saved if self.assembly_order else saved.reverse()).describe(max(step - 1, 0))
         output.file(path)
         output.record({"best": _replay_record(saved)})
-        output.note(f"falsework: the best plan is in {path}: its replay fails at step {step} of assembly ({action})")
+        output.note(f"falsework: the best plan is in {path}: its replay fails {place_in_words(saved, step)}")
 
     def _report(self, plans: list[tuple[Path, Plan]], planning: Planning, output: Output) -> None:
         from falsework.cli.demands import margin_lines
+        from falsework.search.problem.task import Direction
 
         seconds, asked, found = planning.result.seconds, planning.result.counters.asked, planning.alternatives
         for number, (path, plan) in enumerate(plans):
@@ -296,6 +296,7 @@ class MakePlan(Command):
         )
         for line in promise_lines(first, robust=self.robust):
             output.say(line)
+        output.say(first_steps(first, Direction.ASSEMBLY))
         for prop in first.props:
             place = ", ".join(f"{value:.3f}" for value in prop.at)
             name = first.part_names[prop.part]

@@ -21,12 +21,15 @@ if TYPE_CHECKING:
     from falsework.search.beam.settings import BeamSettings
     from falsework.search.find import TaskRules
     from falsework.search.plans.plan import Plan
-    from falsework.search.problem.task import Task
+    from falsework.search.problem.task import Direction, Task
     from falsework.stability import Stability, StabilitySettings
     from falsework.stability.judges import Judgement
     from falsework.stability.problem import Cone
     from falsework.stability.settings import SolverName
     from falsework.stability.verdict import Criterion
+
+SHOWN = 8
+"""First steps of a plan that are printed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,6 +169,8 @@ def judge_text(judgement: Judgement) -> str:
 
 def lacks_judge(plan: Plan, *, asked: bool) -> str:
     """Return the remark on a plan that the judge does not accept; empty if it does, or was not asked."""
+    from falsework.search.plans.plan_report import place_in_words
+
     judgement = None if plan.replay is None else plan.replay.judgement
     if not asked or (judgement is not None and judgement.stands):
         return ""
@@ -173,12 +178,17 @@ def lacks_judge(plan: Plan, *, asked: bool) -> str:
         return (
             f"the time was up when discrete elements had built {judgement.built if judgement else 0} states of the plan"
         )
-    forward = plan if plan.direction == "assembly" else plan.reverse()
-    row, part = judgement.falls_at, plan.part_names[judgement.part]
-    action = f" ({forward.describe(row - 1)})" if row else ""
-    return (
-        f"no plan was found that discrete elements build; in this one {part} falls after step {row} of assembly{action}"
-    )
+    where, part = place_in_words(plan, judgement.falls_at), plan.part_names[judgement.part]
+    return f"no plan was found that discrete elements build; in this one {part} falls {where}"
+
+
+def first_steps(plan: Plan, direction: Direction) -> str:
+    """Describe the steps of a plan that come first in an order."""
+    steps = plan.in_order(direction)
+    if not steps:
+        return "nothing is left to do"
+    rest = len(steps) - SHOWN
+    return f"from here on: {', '.join(map(str, steps[:SHOWN]))}{f', and {rest} steps more' if rest > 0 else ''}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -203,12 +213,12 @@ class TaskOptions(RuleOptions):
 class SearchOptions:
     """Options of the search."""
 
-    rare: ClassVar[tuple[str, ...]] = ("direction", "seed")
+    rare: ClassVar[tuple[str, ...]] = ("search_from", "seed")
 
     width: int = 64
     """States kept at each step; a wider search finds more and takes longer."""
-    direction: Literal["assembly", "disassembly"] = "assembly"
-    """End to begin at: the empty structure, or the complete one."""
+    search_from: Literal["beginning", "end"] = "beginning"
+    """End of the assembly from which to search: its beginning, the empty structure, or its end, the complete one."""
     seed: int = 0
     """Random seed; results are reproducible on one machine."""
 
@@ -219,9 +229,16 @@ class SearchOptions:
             InputError: a width below one.
         """
         from falsework.search.beam.settings import BeamSettings
-        from falsework.search.problem.task import Direction
 
-        return BeamSettings(self.width, Direction(self.direction), seed=self.seed)
+        return BeamSettings(self.width, search_directions(self.search_from)[0], seed=self.seed)
+
+
+def search_directions(search_from: str) -> tuple[Direction, ...]:
+    """Return the directions in which searches from the beginning, the end or both ends of an assembly go."""
+    from falsework.search.problem.task import Direction
+
+    known = {"beginning": (Direction.ASSEMBLY,), "end": (Direction.DISASSEMBLY,)}
+    return known.get(search_from, (Direction.ASSEMBLY, Direction.DISASSEMBLY))
 
 
 def replay_text(plan: Plan, also: str = "") -> str:

@@ -14,7 +14,7 @@ from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET, JudgingCommand, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.output import counted
-from falsework.cli.planning import HoldOptions, lacks_reserve, promise_lines, writable
+from falsework.cli.planning import HoldOptions, first_steps, lacks_reserve, promise_lines, writable
 from falsework.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,11 +22,7 @@ if TYPE_CHECKING:
     from falsework.cli.output import Output
     from falsework.replanning.request import Request
     from falsework.replanning.result import ReplanResult
-    from falsework.search.plans.plan import Plan
     from falsework.stability import StabilitySettings
-
-SHOWN = 8
-"""Number of steps that are printed; `falsework check --steps` shows all."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +30,7 @@ class MakeReplan(JudgingCommand):
     """Plan again from the current state, for instance when a part is late or a robot has failed.
 
     STRUCTURE may also be a run, the folder that `falsework train` wrote: its policy then proposes the steps, and
-    searches take over where it fails. Every state of the new plan is certified as stable. With --direction assembly the
+    searches take over where it fails. Every state of the new plan is certified as stable. With --order assembly the
     plan adds parts to the state, with disassembly it removes them. How the state was reached is not known: it is loaded
     from rest. Exit code 1 if there is no plan, none was found, or none that keeps the reserve.
     """
@@ -61,9 +57,9 @@ class MakeReplan(JudgingCommand):
     """Current state: `complete`, `empty`, digits such as 2110 (0 removed, 1 installed, 2 held), or a file."""
     target: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: complete or empty)")] = None
     """Target state; if not given, the complete structure in assembly, the empty one in disassembly."""
-    direction: Literal["auto", "assembly", "disassembly"] = "auto"
-    """`assembly` adds parts, `disassembly` removes them; `auto` follows the target, else assembles if the state lacks
-    the missing parts, else disassembles."""
+    order: Literal["auto", "assembly", "disassembly"] = "auto"
+    """Order of the plan: `assembly` adds parts, `disassembly` removes them; `auto` follows the target, else assembles
+    if the state lacks the missing parts, else disassembles."""
     missing: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
     """Parts not delivered yet, such as 3,4; assembly does without them as long as possible."""
     fixed: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
@@ -119,7 +115,7 @@ class MakeReplan(JudgingCommand):
         record["presses"] = sum(map(bool, first.presses))
         if self.confidences:
             record["confidences"] = [_probabilities(row, assembly) for row in answer.confidences[0]]
-        changes = None if old is None else difference(old, answer.plans[0])
+        changes = None if old is None else difference(old, answer.plans[0], answer.direction)
         output.record(record if changes is None else {**record, "difference": changes.to_dict()})
         self._tell(answer, paths, output)
         if changes is not None:
@@ -163,7 +159,7 @@ class MakeReplan(JudgingCommand):
         return Request(
             parse_state(self.state, "--state", assembly),
             target=None if self.target is None else parse_state(self.target, "--target", assembly),
-            direction=None if self.direction == "auto" else Direction(self.direction),
+            direction=None if self.order == "auto" else Direction(self.order),
             robots=robots,
             missing=() if self.missing is None else parse_parts(self.missing, "--missing", assembly.names),
             fixed=() if self.fixed is None else parse_parts(self.fixed, "--fixed", assembly.names),
@@ -193,7 +189,7 @@ class MakeReplan(JudgingCommand):
         )
         for line in promise_lines(plan):
             output.say(line)
-        output.say(_first_steps(plan))
+        output.say(first_steps(plan, answer.direction))
         for need in plan.needs:
             output.say(f"{plan.part_names[need.part]} is needed after {need.after_parts} other parts are placed")
         if len(paths) > 1:
@@ -249,15 +245,6 @@ def _replay_remark(answer: ReplanResult) -> str:
     if replayed.stands is None:
         return f"the deadline left time to replay {replayed.steps} of the {counted(replayed.of, 'step')} of assembly"
     return f"the deadline left no time for another plan; the replay of this one fails at step {replayed.steps + 1}"
-
-
-def _first_steps(plan: Plan) -> str:
-    """Describe the first steps of a plan."""
-    if len(plan) == 0:
-        return "nothing is left to do"
-    words = [plan.describe(step) for step in range(min(len(plan), SHOWN))]
-    rest = len(plan) - len(words)
-    return f"from here on: {', '.join(words)}{f', and {rest} steps more' if rest else ''}"
 
 
 def _probabilities(row: Any, assembly: Assembly) -> dict[str, float]:

@@ -192,7 +192,7 @@ def runs_text(runs: SimulationReport, longest_delay: float) -> str:
 
 def scope_record(plan: RobotPlan, assembly: Assembly, cell: Cell, place: str) -> dict[str, Any]:
     """Return what a robot plan was checked against."""
-    states, first = plan.plan.states, plan.keyframes[0].configurations
+    states, first = plan.states, plan.keyframes[0].configurations
     pairs = zip(cell.robots, first, strict=True)
     elsewhere = [robot.name for robot, values in pairs if np.abs(robot.home - values).max() > _AT_HOME]
     return {
@@ -214,7 +214,7 @@ def scope_record(plan: RobotPlan, assembly: Assembly, cell: Cell, place: str) ->
 def scope_text(plan: RobotPlan, assembly: Assembly, cell: Cell, place: str) -> str:
     """Return what a robot plan was checked against, in one sentence."""
     record = scope_record(plan, assembly, cell, place)
-    first, last = (int((state != 0).sum()) for state in plan.plan.states[[0, -1]])
+    first, last = (int((state != 0).sum()) for state in plan.states[[0, -1]])
     starts = f"; {' and '.join(record['not_at_home'])} not at home at the start" if record["not_at_home"] else ""
     return (
         f"{plan.direction.value} of {assembly.name} ({assembly.identity[:12]}) in {len(plan)} steps from "

@@ -79,17 +79,17 @@ class Prover:
 
     def _as_found(self, route: Route, task: Task, replayed: Replayed | None) -> Plan:
         """Return a plan that rests on its replay as far as that came, and else on verdicts from rest."""
-        claim, states = self.oracle.settings.claim, route.states
+        claim, states = self.oracle.settings.claim, route.states[::-1]
         if replayed is None:
             return Plan.of(route, self.assembly, task, self.oracle.judge(states), claim)
         claim = replace(claim, holds=claim.holds.resolved(self.assembly, claim.gravity))
-        rest, verdicts = len(states) - len(replayed.residuals), Verdicts.blank(len(states))
-        if rest:
-            verdicts.put(np.arange(rest), self.oracle.judge(states[:rest]))
-        verdicts.verdict[rest:], verdicts.proof[rest:] = Verdict.STABLE, Proof.HISTORY
-        verdicts.residual[rest:], verdicts.decided_by[rest:] = replayed.residuals[::-1], Solver.CPU
+        done, verdicts = len(replayed.residuals), Verdicts.blank(len(states))
+        if done < len(states):
+            verdicts.put(np.arange(done, len(states)), self.oracle.judge(states[done:]))
+        verdicts.verdict[:done], verdicts.proof[:done] = Verdict.STABLE, Proof.HISTORY
+        verdicts.residual[:done], verdicts.decided_by[:done] = replayed.residuals, Solver.CPU
         known = None if replayed.stands is None else _summary(replayed)
-        presses = (*replayed.presses, *[()] * rest)[:0:-1]
+        presses = (*replayed.presses, *[()] * (len(states) - done))[1:]
         return replace(Plan.of(route, self.assembly, task, verdicts, claim), presses=presses, replay=known)
 
 

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import describe_step
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.result import Outcome, SearchResult
 from falsework.search.problem.task import Direction
@@ -42,12 +41,12 @@ class ReplanResult:
     """Result of one request."""
 
     plans: tuple[Plan, ...]
-    """Proven plans from the state to the target, in the requested direction; the first is the best."""
+    """Proven plans between the state and the target, in the order of assembly; the first is the best."""
     outcome: Outcome
     """Found; proved impossible; or not found, which proves nothing."""
     decided_by: Stage
     direction: Direction
-    """Of the plans: assembly adds parts, disassembly removes them."""
+    """How they are carried out: assembly adds parts, disassembly removes them and undoes the last step first."""
     steps: int
     """Actions between the state and the target."""
     reached: int
@@ -106,9 +105,7 @@ class ReplanResult:
             if len(self.replays) > 1:
                 record["replays"] = [replayed.to_dict() for replayed in self.replays]
         if self.plans:
-            plan = self.plans[0]
-            pairs = zip(plan.states[:-1], plan.states[1:], strict=True)
-            record["actions"] = [describe_step(before, after, plan.part_names) for before, after in pairs]
+            record["actions"] = [f"{step.action} {step.name}" for step in self.plans[0].in_order(self.direction)]
             record["needs"] = [asdict(need) for need in self.plans[0].needs]
             if len(self.plans) > 1:
                 record["distances"] = np.round(self.distance, 4).tolist()

@@ -236,11 +236,9 @@ class ReplanSession:
                 except PlanError as error:
                     self._why = str(error) if fallen is None else ""
                     self.outcome, self.decided_by = Outcome.NOT_FOUND, Stage.NONE
-        if self.way is Direction.ASSEMBLY:
-            plans = tuple(plan.reverse() for plan in plans)
         moving = () if plans else self._moving()
         replayer = self.replayer
-        replays = [] if replayer is None else [replayer.as_time_allows(plan.route.states[::-1]) for plan in plans]
+        replays = [] if replayer is None else [replayer.as_time_allows(plan.states) for plan in plans]
         return ReplanResult(
             plans=plans,
             outcome=self.outcome,

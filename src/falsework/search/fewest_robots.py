@@ -18,7 +18,7 @@ from falsework.search.plans.plan import Plan
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.guide import SupportGuide
 from falsework.search.problem.hold_bound import Barrier, HoldBound
-from falsework.search.problem.result import Outcome, Progress, SearchResult, unstable_end
+from falsework.search.problem.result import Outcome, Progress, SearchResult, progress_text, unstable_end
 from falsework.search.problem.task import Direction, Task
 from falsework.search.problem.timed_oracle import timed
 from falsework.search.settings import PlannerSettings
@@ -283,8 +283,8 @@ class _Inquiry:
         elif result.outcome is Outcome.PROVED_IMPOSSIBLE:
             self._refute(robots, "every state that can be reached was examined")
         else:
-            doing = "taking it apart" if result.direction is Direction.DISASSEMBLY else "putting it together"
-            self._reasons[robots] = f"none found: {doing}, the search reached step {result.reached} of {result.steps}"
+            backwards = result.direction is Direction.DISASSEMBLY
+            self._reasons[robots] = f"none found: {progress_text(result.reached, result.steps, backwards=backwards)}"
 
 
 def stuck_parts(task: Task) -> NDArray[np.intp]:

@@ -289,7 +289,8 @@ def plan_of(
             route, oracle, replay = SupportRoute.through(states), Stability(assembly, oracle.settings), None
     if oracle.replayer is None:
         verdicts, arrays = prove(route.states, oracle, forces=forces)
-        plan = replace(Plan.of(route, assembly, task, verdicts, oracle.settings.claim), forces=arrays)
+        plan = Plan.of(route, assembly, task, verdicts[::-1], oracle.settings.claim)
+        plan = replace(plan, forces=None if arrays is None else arrays[::-1])
     else:
         plan = plan_of_build(route, assembly, task, oracle.replayer, replay, forces=forces)
     if isinstance(oracle, DemandingStability):

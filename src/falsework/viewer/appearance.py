@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED, States
+from falsework.search.plans.steps import NO_ROBOT
 from falsework.viewer.palette import BOUNDARY, INSTALLED, ramp_in_steps, rgb, robot_color
-from falsework.viewer.timeline import NO_ROBOT, Timeline
+from falsework.viewer.timeline import Timeline
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -63,7 +64,7 @@ def appearance_at(
 
     Args:
         timeline: states and holders.
-        position: step in the order shown; between whole numbers parts are in transit.
+        position: place in the timeline; between whole numbers parts are in transit.
         state: state shown instead of the one at this step, such as one with parts missing; shape (parts,).
         action_probabilities: probability of the action that concerns each part, NaN where none does; coloured on a
             scale, shape (parts,).
@@ -71,7 +72,7 @@ def appearance_at(
         travelling: whether to show parts in transit.
     """
     assembly = timeline.assembly
-    done, row = timeline.at(position), timeline.row(position)
+    row = timeline.row(position)
     shown = timeline.states[row] if state is None else state
     holder = np.where(shown == 2, timeline.holders[row], NO_ROBOT)
     color = np.broadcast_to(np.array(rgb(INSTALLED), dtype=np.uint8), (assembly.part_count, 3)).copy()
@@ -81,16 +82,16 @@ def appearance_at(
     opacity = (shown != REMOVED).astype(float)
     shift = np.zeros((assembly.part_count, 3))
     if travelling:
-        # A part leaves during the two steps after the action that removes it.
-        gone = done - timeline.removal_step
-        leaving = (timeline.removal_step >= 0) & (gone > 0) & (gone < FADE)
+        # A part comes during the two steps before its place is reached.
+        gone = timeline.insertion - position
+        leaving = (timeline.insertion > 0) & (gone > 0) & (gone < FADE)
         if state is not None:
             leaving &= timeline.states[row] == state
         for part in np.flatnonzero(leaving):
             share = float(gone[part]) / FADE
             opacity[part] = 1 - share
             shift[part] = TRAVEL * diagonal(assembly) * share * timeline.ways[part]
-            last = int(timeline.holders[timeline.removal_step[part], part])
+            last = int(timeline.holders[timeline.insertion[part], part])
             if last != NO_ROBOT:
                 color[part] = rgb(robot_color(last))
     if action_probabilities is not None:

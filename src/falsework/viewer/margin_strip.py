@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from falsework.search.problem.task import Direction
 from falsework.viewer.palette import INK, MISSING, RAMP, hex_of, ramp_in_steps
 
 if TYPE_CHECKING:
@@ -18,32 +17,29 @@ _WIDTH, _HEIGHT, _LABEL = 300.0, 14.0, 62.0
 _NAMES = {"friction": "friction", "tilt": "tilt", "horizontal": "horizontal", "push": "push"}
 
 
-def margin_strip(plan: Plan | None, direction: Direction, step: int) -> str:
+def margin_strip(plan: Plan | None, step: int) -> str:
     """Return rows of coloured columns, one row per margin that the plan records, in HTML; empty if it records none.
 
     Dark columns are weak; a mark shows the weakest, and a frame the current step.
 
     Args:
         plan: plan to show.
-        direction: order in which it is shown.
         step: current step, from 0.
     """
     if plan is None or plan.margins is None or not plan.margins.measured:
         return ""
-    shown = plan if plan.direction is direction else plan.reverse()
-    assert shown.margins is not None
     rows, y = [], 2.0
-    column = _WIDTH / len(shown.states)
-    for kind, values in shown.margins.measured.items():
+    column = _WIDTH / len(plan.states)
+    for kind, values in plan.margins.measured.items():
         colors = ramp_in_steps(weakness(kind, values, plan.friction))
         y += 9.0
         rows.append(f'<text x="0" y="{y + 11:.1f}" font-size="11" fill="{INK}">{html.escape(_NAMES[kind])}</text>')
         rows += [
             f'<rect x="{_LABEL + k * column:.2f}" y="{y:.1f}" width="{column + 0.1:.2f}" height="{_HEIGHT}" '
-            f'fill="{hex_of(color)}"><title>step {k}: {html.escape(shown.margins.words(k, kind))}</title></rect>'
+            f'fill="{hex_of(color)}"><title>step {k}: {html.escape(plan.margins.words(k, kind))}</title></rect>'
             for k, color in enumerate(colors)
         ]
-        weakest = shown.margins.weakest(kind)
+        weakest = plan.margins.weakest(kind)
         if weakest is not None:
             x = _LABEL + (weakest[0] + 0.5) * column
             rows.append(f'<path d="M{x - 4:.1f},{y - 7:.1f} h8 l-4,6 z" fill="{MISSING}"/>')

@@ -151,7 +151,7 @@ def picture(
         subject: an object, a state of shape (parts,), or a file as `open_file` takes it.
         path: file to write, PNG, or SVG for line drawings of two-dimensional structures and for state graphs.
         structure: structure of a plan, graph or state that does not name it.
-        step: draw the state after this step alone; 0 is the beginning.
+        step: draw the state in which this many steps are done; 0 is the beginning.
         forces: draw the proof of a single state.
         verdicts: decide the stability of the states that are drawn, and mark those that are not stable.
         limits: colour the parts of a single state by how near they are to slipping or tipping.
@@ -295,7 +295,7 @@ def animate(
     timeline = shown.timeline
     if len(timeline) == 0:
         raise InputError(f"{shown.assembly.name} has no steps to animate; give a plan, as `falsework plan` writes it")
-    places = tuple(range(len(timeline) + 1))
+    places = tuple(timeline.places)
     proofs = shown.proofs(places, criterion) if verdicts else {}
     camera = Camera(azimuth, elevation, width, 2 * round(0.35 * width), 0.95)
     count = write_film(
@@ -332,7 +332,7 @@ def _picture_graph(shown: Viewable, path: Path, title: str) -> PictureReport:
 
     assert shown.graph is not None
     route = shown.timeline.states if len(shown.timeline) else None
-    visited: States | None = None if shown.policy is None else _model(shown, 0).visited()
+    visited: States | None = None if shown.policy is None else _model(shown).visited()
     write_figure(path, graph_figure(shown.graph, shown.assembly, route=route, visited=visited, title=title))
     shows = f"{len(shown.graph)} states and {len(shown.graph.source)} actions"
     if visited is None:
@@ -341,11 +341,12 @@ def _picture_graph(shown: Viewable, path: Path, title: str) -> PictureReport:
     return PictureReport(f"{shows}, {seen} of the states visited by the policy", visited=seen)
 
 
-def _model(shown: Viewable, place: int = 0, **options: Any) -> ViewerState:
+def _model(shown: Viewable, place: int | None = None, **options: Any) -> ViewerState:
     model = ViewerState(
         shown.timeline, plan=shown.plan, policy=shown.policy, graph=shown.graph, arms=shown.arms, **options
     )
-    model.go_to(place)
+    if place is not None:
+        model.go_to(place)
     return model
 
 

@@ -20,6 +20,7 @@ from falsework.robots.plans.robot_plan_file import load_robot_plan
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_file import load_plan
 from falsework.search.plans.plan_source import structure_of_plan
+from falsework.search.plans.steps import holders
 from falsework.search.problem.state_graph import StateGraph, load_state_graph
 from falsework.search.problem.task import Direction
 from falsework.stability.oracle import Stability
@@ -28,7 +29,7 @@ from falsework.stability.verdict import Criterion
 from falsework.utils.json_file import read_format
 from falsework.viewer.arms import Arms
 from falsework.viewer.proof import BuildProofs, StateProof, proofs_of_states
-from falsework.viewer.timeline import Timeline, holders
+from falsework.viewer.timeline import Timeline
 
 if TYPE_CHECKING:
     from falsework.learn.networks.policy import Policy
@@ -84,7 +85,7 @@ def open_file(
     structure: Assembly | str | Path | None = None,
     *,
     cell: Cell | str | Path | None = None,
-    direction: Direction | None = None,
+    direction: Direction = Direction.ASSEMBLY,
     robots: int = 2,
     **options: Any,
 ) -> Viewable:
@@ -94,7 +95,7 @@ def open_file(
         path: file, folder of a run or of meshes, or the name of a built-in structure.
         structure: structure of a plan, graph or run, where the file does not name it or it has moved.
         cell: cell of a robot plan, where the file does not name it or it has moved.
-        direction: order in which the steps are shown; that of the plan if not given.
+        direction: order in which the steps are shown.
         robots: number of robots of a structure.
         options: as for `load_structure`.
 
@@ -126,7 +127,7 @@ def viewable_of(
     structure: Assembly | str | Path | None = None,
     *,
     cell: Cell | str | Path | None = None,
-    direction: Direction | None = None,
+    direction: Direction = Direction.ASSEMBLY,
     robots: int = 2,
     **options: Any,
 ) -> Viewable:
@@ -166,16 +167,15 @@ def viewable_of(
     return Viewable("structure", assembly, _still(assembly, subject, robots, direction))
 
 
-def _still(assembly: Assembly, state: ArrayLike, robots: int, direction: Direction | None) -> Timeline:
-    still = Timeline.from_state(assembly, state, robots)
-    return still if direction is None else still.turned(direction)
+def _still(assembly: Assembly, state: ArrayLike, robots: int, direction: Direction) -> Timeline:
+    return Timeline.from_state(assembly, state, robots).turned(direction)
 
 
 def _plan(
     plan: Plan,
     file: Path | None,
     structure: Assembly | str | Path | None,
-    direction: Direction | None,
+    direction: Direction,
     options: dict[str, Any],
 ) -> Viewable:
     assembly = structure_of_plan(plan, file, structure, **options)
@@ -187,7 +187,7 @@ def _robot_plan(
     file: Path | None,
     structure: Assembly | str | Path | None,
     cell: Cell | str | Path | None,
-    direction: Direction | None,
+    direction: Direction,
     options: dict[str, Any],
 ) -> Viewable:
     from falsework.robots.cells.cell_file import as_cell
@@ -200,9 +200,8 @@ def _robot_plan(
         cell = str(beside) if beside.is_file() else robot_plan.cell_source
     cell = as_cell(cell)
     robot_plan.check_identity(assembly, cell)
-    shown = robot_plan.direction if direction is None else direction
-    arms = Arms(robot_plan, cell, shown)
-    timeline = Timeline.of(robot_plan.plan, assembly, shown, arms.holders())
+    arms = Arms(robot_plan, cell, direction)
+    timeline = Timeline.of(robot_plan.plan, assembly, direction, arms.holders())
     return Viewable("robot plan", assembly, timeline, robot_plan.plan, arms=arms)
 
 
@@ -227,7 +226,7 @@ def _graph(
     graph: StateGraph,
     name: str,
     structure: Assembly | str | Path | None,
-    direction: Direction | None,
+    direction: Direction,
     options: dict[str, Any],
 ) -> Viewable:
     from falsework.assembly.library import built_in, is_built_in
@@ -243,7 +242,7 @@ def _graph(
     if route is None:
         still = _still(assembly, graph.task.start, graph.task.robots, direction)
         return Viewable("graph", assembly, still, graph=graph)
-    who = holders(route.states, assembly.boundary)
-    shown = Direction.ASSEMBLY if direction is None else direction
-    timeline = Timeline(assembly, route.states, route.actions, who, shown, graph.task.robots)
+    states = route.states[::-1]
+    who = holders(states, assembly.boundary)
+    timeline = Timeline(assembly, states, route.actions[::-1], who, direction, graph.task.robots)
     return Viewable("graph", assembly, timeline, graph=graph)

@@ -33,7 +33,7 @@ def plan_states(assembly: Assembly, robots: int = 2) -> NDArray[np.uint8]:
 def replayed(assembly: Assembly, plan: Plan) -> PlanReplay:
     """Replay of a plan with its reserve and the robots and presses that it names."""
     settings = StabilitySettings(reserve=plan.claim.reserve, holds=plan.claim.holds)
-    return PlanReplay.of(Replayer(assembly, settings).replay(plan.assembly_states, presses=plan.assembly_presses))
+    return PlanReplay.of(Replayer(assembly, settings).replay(plan.states, presses=plan.presses_before))
 
 
 class Forgetful(Stability):
@@ -124,7 +124,7 @@ def test_a_search_that_forgets_histories_finds_the_same_plan(
     """Only the histories of a few levels fit into memory; the others are computed anew."""
     monkeypatch.setattr("falsework.search.beam.histories._HISTORY_BYTES", 1 << 16)
     (plan,) = find_plans(dome, task_of(dome, 2)).plans
-    assert (plan.assembly_states == dome_states).all()
+    assert (plan.states == dome_states).all()
     assert plan.replay == replayed(dome, plan)
 
 

@@ -234,7 +234,7 @@ def test_a_plan_with_presses_can_be_built(shared_assembly: Callable[[str], Path]
     plan = find_plans(vault, stability=GIVES_WAY, forces=False).plans[0]
     assert any(plan.presses)
     found = replay_by_discrete_elements(
-        vault, plan.assembly_states, STIFF_CONTACTS, presses=plan.assembly_presses, holds=plan.claim.holds
+        vault, plan.states, STIFF_CONTACTS, presses=plan.presses_before, holds=plan.claim.holds
     )
     assert found.stands.tolist() == [STANDS] * len(plan.states)
 
@@ -245,7 +245,7 @@ def test_robots_that_press_may_be_rigid_otherwise() -> None:
     plan = find_plans(vault, stability=GIVES_WAY, forces=False).plans[0]
     assert any(plan.presses)
     found = replay_by_discrete_elements(
-        vault, plan.assembly_states, STIFF_CONTACTS, presses=plan.assembly_presses, holds=RIGID
+        vault, plan.states, STIFF_CONTACTS, presses=plan.presses_before, holds=RIGID
     )
     assert found.stands.tolist() == [STANDS] * len(plan.states)
 

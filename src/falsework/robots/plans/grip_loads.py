@@ -17,7 +17,6 @@ from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.presses import presses_in, pressing_robot
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.search.plans.plan import Plan
-from falsework.search.problem.task import Direction
 from falsework.stability.contact.build_verifier import BuildVerifier
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.oracle import Stability
@@ -110,12 +109,11 @@ def _borne(plan: Plan, assembly: Assembly) -> list[dict[int, Array]]:
         return [{load.part: np.concatenate([load.force, load.moment]) for load in state.held} for state in found]
     settings = replace(settings, reserve=plan.claim.reserve, holds=plan.claim.holds)
     verifier, borne = BuildVerifier(assembly, settings.claim), [dict[int, Array]() for _ in states]
-    steps = Replayer(assembly, settings).certificates(plan.assembly_states, plan.assembly_presses)
-    for row, (state, step) in enumerate(zip(plan.assembly_states, steps, strict=False)):
+    steps = Replayer(assembly, settings).certificates(states, plan.presses_before)
+    for row, (state, step) in enumerate(zip(states, steps, strict=False)):
         wrenches = verifier.step(state, step).wrenches
         parts = np.flatnonzero((state == HELD) & ~assembly.immovable).tolist()
-        place = row if plan.direction is Direction.ASSEMBLY else len(states) - 1 - row
-        borne[place] = {part: wrenches[part] for part in parts}
+        borne[row] = {part: wrenches[part] for part in parts}
     return borne
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -66,10 +66,6 @@ class PlanMargins:
             bounds = [getattr(margins, kind) for margins in found]
             measured[kind] = tuple(None if bound is None else bound.value for bound in bounds)
         return cls(demands, measured)
-
-    def reverse(self) -> PlanMargins:
-        """Return the margins of the reversed plan."""
-        return replace(self, measured={kind: values[::-1] for kind, values in self.measured.items()})
 
     def weakest(self, kind: str) -> tuple[int, float] | None:
         """Return the state with the weakest margin of a kind, and the margin; None where no state has a bound."""

@@ -11,9 +11,11 @@ from typing import Any
 import numpy as np
 
 from falsework.errors import InputError, PlanError
+from falsework.search.plans.older_plans import FORMAT, UNPROVEN
 from falsework.search.plans.packed_proofs import pack_proofs
 from falsework.search.plans.plan import Plan
-from falsework.search.plans.plan_reader import FORMAT, PROOF_ARRAYS, PROOF_WORDS, UNPROVEN, PlanReader
+from falsework.search.plans.plan_reader import PROOF_ARRAYS, PROOF_WORDS, PlanReader
+from falsework.search.plans.steps import Step
 from falsework.stability.verdict import Verdict
 from falsework.utils.json_file import write_json
 
@@ -25,7 +27,7 @@ def plan_schema() -> dict[str, Any]:
 
 
 def save_plan(plan: Plan, path: Path | str, *, proofs: bool = False) -> None:
-    """Write a plan as JSON, format `falsework.plan/3`, whole or not at all.
+    """Write a plan as JSON, format `falsework.plan/4`, whole or not at all.
 
     Args:
         plan: the plan.
@@ -47,24 +49,21 @@ def save_plan(plan: Plan, path: Path | str, *, proofs: bool = False) -> None:
 
 def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
     """Return the plan as plain JSON values; see `plan.schema.json`."""
-    parts = len(plan.boundary)
     proof = PROOF_WORDS[plan.claim.criterion]
     judged = [
         {"verdict": "stable", "proof": proof, "residual": float(f"{residual:.6g}")} if stable else dict(UNPROVEN)
-        for residual, stable in zip(plan.residuals, plan.verdicts == Verdict.STABLE, strict=True)
+        for residual, stable in zip(plan.residuals, [kind is Verdict.STABLE for kind in plan.verdicts], strict=True)
     ]
 
-    def pressed(row: int) -> dict[str, Any]:
-        some = plan.presses[row] if plan.presses else ()
-        return {"presses": [{"part": press.part, "wrench": list(press.wrench)} for press in some]} if some else {}
+    def pressed(step: Step) -> dict[str, Any]:
+        some = [{"part": press.part, "wrench": list(press.wrench)} for press in step.presses]
+        return {"presses": some} if some else {}
 
     steps = [
-        {"do": plan.describe(row).partition(" ")[0], "part": action % parts, **judged[row + 1], **pressed(row)}
-        for row, action in enumerate(plan.actions.tolist())
+        {"do": step.action.value, "part": step.part, **judged[step.number], **pressed(step)} for step in plan.steps
     ]
     data: dict[str, Any] = {
         "format": FORMAT,
-        "direction": plan.direction.value,
         "structure": {
             "name": plan.name,
             "identity": plan.identity,

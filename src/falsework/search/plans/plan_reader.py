@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import asdict
 from typing import Any
 
@@ -12,98 +11,44 @@ from numpy.typing import NDArray
 
 from falsework.assembly.prop import Prop
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states, held_count
-from falsework.errors import InputError, ReadWarning, StateError
+from falsework.errors import InputError, StateError
 from falsework.search.margins.plan_margins import PlanMargins
+from falsework.search.plans.older_plans import FORMAT, UNPROVEN, upgraded
 from falsework.search.plans.packed_proofs import CHANGES, WHOLE, unpack_proofs
 from falsework.search.plans.plan import needs_of
 from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.plans.plan_source import wrong_source
-from falsework.search.problem.task import Direction
+from falsework.search.plans.steps import Action
 from falsework.stability.certificate import StabilityCriterion
 from falsework.stability.holds import HoldSettings, Press
 from falsework.stability.judges.build_judge import Judgement
 from falsework.stability.state_arrays import StateArrays
-from falsework.stability.stiffness import TANGENTIAL_RATIO
 from falsework.stability.verdict import Proof, Verdict
 from falsework.utils.json_file import Reader
 
-FORMAT = "falsework.plan/3"
-SECOND_FORMAT = "falsework.plan/2"
-"""Plans of version 2 are for robots that hold parts rigidly, without limits, and never press; under `contact` each of
-their states was proved from rest."""
-FIRST_FORMAT = "falsework.plan/1"
-"""Plans of version 1 are under the criterion `equilibrium` and carry no replay."""
-
 MOVES = {
-    "hold": (Direction.DISASSEMBLY, False, INSTALLED, HELD),
-    "remove": (Direction.DISASSEMBLY, True, HELD, REMOVED),
-    "insert": (Direction.ASSEMBLY, True, REMOVED, HELD),
-    "release": (Direction.ASSEMBLY, False, HELD, INSTALLED),
+    Action.INSERT: (REMOVED, HELD),
+    Action.RELEASE: (HELD, INSTALLED),
+    Action.HOLD: (INSTALLED, HELD),
+    Action.REMOVE: (HELD, REMOVED),
 }
-"""Word of a step: direction, whether the action index is above `parts`, value of the part before, and after. With
-repeated holds, parts are held and released in both directions."""
-_SHARE = 0.1
-"""Shares of gravity in 1 m/s2, rounded down."""
+"""Value of the part before a step, and after."""
 PROOF_WORDS = {"contact": "history", "equilibrium": "forces"}
 PROOF_ARRAYS = {"contact": ("displacements", "parts"), "equilibrium": ("forces", "points")}
 """Entry of the file that holds the proofs, and the items along its first axis."""
-UNPROVEN = {"verdict": "undecided", "proof": "none", "residual": None}
-"""Entries of a state that is not proven, in a plan whose replay fails."""
 MOST_ENTRIES = 1 << 30
 """States of a plan times parts that are read, a byte each: a complete plan of 23,000 parts."""
 MOST_INCREMENTS = 64
 """Increments of a step that are read."""
-_KEYS = {"format", "direction", "structure", "robots", "rules", "stability", "start", "steps", "end", "needs"}
-
-
-def _from_version_1(data: dict[str, Any]) -> dict[str, Any]:
-    """Convert a plan of version 1 to version 2; malformed entries are left for the reader to report."""
-    # Version 1 gave residuals and tolerance in m/s2, of which a tenth is about a share of gravity.
-    stability, start, steps = data.get("stability"), data.get("start"), data.get("steps")
-    if isinstance(stability, dict):
-        stability = {"criterion": "equilibrium", "stiffness_ratio": TANGENTIAL_RATIO} | stability
-        if isinstance(stability.get("tolerance"), (int, float)):
-            stability["tolerance"] *= _SHARE
-    if isinstance(steps, list):
-        steps = [_scaled(step) for step in steps]
-    return data | {"format": SECOND_FORMAT, "stability": stability, "start": _scaled(start), "steps": steps}
-
-
-def _from_version_2(data: dict[str, Any], source: str) -> dict[str, Any]:
-    """Convert a plan of version 2; proofs of single states from rest are left out, they prove no build."""
-    stability = data.get("stability")
-    if isinstance(stability, dict):
-        stability = stability | {"reserve": 1.0}
-        if stability.get("criterion") == "contact":
-            stability["holds"] = {"stiffness": None, "force": None, "moment": None, "press": False}
-            if "displacements" in data:
-                warnings.warn(
-                    f"{source}: displacements of plans of version 2 prove single states and no build: left out",
-                    ReadWarning,
-                    stacklevel=4,
-                )
-            data = {key: value for key, value in data.items() if key != "displacements"}
-            data["start"] = _from_rest(data.get("start"))
-            if isinstance(data.get("steps"), list):
-                data["steps"] = [_from_rest(step) for step in data["steps"]]
-    return data | {"format": FORMAT, "stability": stability}
-
-
-def _from_rest(record: Any) -> Any:
-    known = isinstance(record, dict) and record.get("proof") == "displacement"
-    return record | {"proof": "history"} if known else record
-
-
-def _scaled(record: Any) -> Any:
-    if not isinstance(record, dict) or not isinstance(record.get("residual"), (int, float)):
-        return record
-    return record | {"residual": record["residual"] * _SHARE}
+_KEYS = {"format", "structure", "robots", "rules", "stability", "start", "steps", "end", "needs"}
 
 
 class PlanReader(Reader):
     """Reader of plans that checks everything that can be checked without the structure."""
 
     kind, form, command = "plan", FORMAT, "falsework plan"
+    _backwards: bool | None = False
+    """Whether the packed proofs in the file are in the order of disassembly."""
 
     def fields(self, data: Any) -> dict[str, Any]:
         """Return the fields of the plan in JSON values.
@@ -111,10 +56,10 @@ class PlanReader(Reader):
         Raises:
             PlanError: they are no plan; the message names the entry.
         """
-        if isinstance(data, dict) and data.get("format") == FIRST_FORMAT:
-            data = _from_version_1(data)
-        if isinstance(data, dict) and data.get("format") == SECOND_FORMAT:
-            data = _from_version_2(data, self._source)
+        if isinstance(data, dict):
+            data, self._backwards = upgraded(data, self._source)
+        if self._backwards is None:
+            self._fail(f"direction is {data.get('direction')!r}", "it must be disassembly or assembly")
         self._header(data, _KEYS, optional=frozenset({"forces", "displacements", "replay", "margins"}))
         structure, rules, stability = data["structure"], data["rules"], data["stability"]
         self._keys(
@@ -138,9 +83,6 @@ class PlanReader(Reader):
         parts, props = len(names), self._props(structure.get("props", []), len(names))
         boundary = np.zeros(parts, dtype=bool)
         boundary[self._parts(structure["boundary"], parts, "structure.boundary")] = True
-        if data["direction"] not in ("disassembly", "assembly"):
-            self._fail(f"direction is {data['direction']!r}", "it must be disassembly or assembly")
-        direction = Direction(data["direction"])
         if not isinstance(rules["removable_only_if_clear"], bool):
             self._fail("rules.removable_only_if_clear must be true or false")
         if not isinstance(rules.get("support", False), bool):
@@ -162,9 +104,7 @@ class PlanReader(Reader):
         replay = data.get("replay")
         self._falls = isinstance(replay, dict) and replay.get("stands") is False
         robots = self._count(data["robots"], "robots", least=1)
-        states, actions, residuals = self._sequence(
-            data, direction, boundary, robots, rules.get("support", False), len(props)
-        )
+        states, actions, residuals = self._sequence(data, boundary, robots, rules.get("support", False), len(props))
         proven = ~np.isnan(residuals)
         if (residuals[proven] > claim.tolerance).any():
             self._fail(f"a residual of {residuals[proven].max():.3g} is above the tolerance of {claim.tolerance:g}")
@@ -175,8 +115,8 @@ class PlanReader(Reader):
         fields: dict[str, Any] = {
             "states": states,
             "actions": actions,
-            "verdicts": np.where(proven, Verdict.STABLE, Verdict.UNDECIDED).astype(np.int8),
-            "proofs": np.where(proven, Proof[self._proof.upper()], Proof.NONE).astype(np.int8),
+            "verdicts": tuple(Verdict.STABLE if stable else Verdict.UNDECIDED for stable in proven),
+            "proofs": tuple(Proof[self._proof.upper()] if stable else Proof.NONE for stable in proven),
             "residuals": residuals,
             "name": structure["name"],
             "identity": structure["identity"],
@@ -185,7 +125,6 @@ class PlanReader(Reader):
             "friction": self._number(structure["friction"], "structure.friction"),
             "robots": robots,
             "claim": claim,
-            "direction": direction,
             "fixed": tuple(fixed),
             "missing": tuple(self._parts(rules["missing"], parts, "rules.missing")),
             "removable_only_if_clear": rules["removable_only_if_clear"],
@@ -214,7 +153,7 @@ class PlanReader(Reader):
         presses = [self._presses(step, number, parts) for number, step in enumerate(data["steps"], 1)]
         if any(presses):
             fields["presses"] = tuple(presses)
-        if data["needs"] != [asdict(need) for need in needs_of(actions, direction, parts, fields["missing"])]:
+        if data["needs"] != [asdict(need) for need in needs_of(actions, parts, fields["missing"])]:
             self._fail("its needs do not agree with its steps")
         return fields
 
@@ -243,7 +182,6 @@ class PlanReader(Reader):
     def _sequence(
         self,
         data: dict[str, Any],
-        direction: Direction,
         boundary: NDArray[np.bool_],
         robots: int,
         support: bool,
@@ -271,10 +209,14 @@ class PlanReader(Reader):
             word, part = step["do"], self._count(step["part"], f"{place}: part")
             if part >= parts:
                 self._fail(f"{place} names part {part}, but parts are numbered 0 to {parts - 1}")
-            way, above, old, new = MOVES[word] if isinstance(word, str) and word in MOVES else (None, False, 0, 0)
-            turned = way is not direction and not (support and (is_prop[part] or not above))
-            if way is None or turned or (is_prop[part] and not above):
-                self._fail(f"{place} does {word!r}", f"that is not an action of {direction.value}")
+            if not isinstance(word, str) or word not in MOVES:
+                self._fail(f"{place} does {word!r}", f"it must be one of {', '.join(MOVES)}")
+            old, new = MOVES[Action(word)]
+            above = REMOVED in (old, new)
+            known = above if is_prop[part] else word != Action.REMOVE and (support or word != Action.HOLD)
+            if not known:
+                what = "a prop is inserted or removed" if is_prop[part] else "a plan inserts parts and releases them"
+                self._fail(f"{place} does {word!r} with part {part}", what)
             if boundary[part] or state[part] != old:
                 found = "boundary" if boundary[part] else ("removed", "installed", "held")[int(state[part])]
                 self._fail(f"{place} cannot {word} part {part}, which is {found}")
@@ -385,9 +327,10 @@ class PlanReader(Reader):
         if counted == "parts" and count != parts:
             self._fail(f"{name}.{entry} does not hold {what}", f"the plan has {parts} parts; plan again")
         try:
-            return unpack_proofs(entry, value[entry], (states, count, 6 if name == "displacements" else 3), what)
+            found = unpack_proofs(entry, value[entry], (states, count, 6 if name == "displacements" else 3), what)
         except ValueError as error:
             self._fail(f"{name}.{entry} {error}")
+        return found[::-1].copy() if self._backwards else found
 
     def _number(self, value: Any, place: str) -> float:
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value) or value < 0:

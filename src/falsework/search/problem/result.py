@@ -173,6 +173,19 @@ class SearchResult:
         return self
 
 
+def progress_text(reached: int, steps: int, *, backwards: bool) -> str:
+    """Say how far a search came, in steps of assembly.
+
+    Args:
+        reached: steps that it completed from where it began.
+        steps: steps of a whole plan.
+        backwards: whether it began at the end of the assembly.
+    """
+    if backwards:
+        return f"from the end of the assembly, the search came back to step {steps - reached} of {steps}"
+    return f"from the beginning, the search reached step {reached} of {steps}"
+
+
 def unstable_end(task: Task, oracle: Oracle) -> SearchResult | None:
     """Return the failed search if the start or the target of a task is not stable, else None."""
     ends = np.stack([task.start, task.target])

@@ -242,8 +242,8 @@ class Page:
         if self._playing.is_set():
             self._playing.clear()
         else:
-            if self.model.reading >= self.model.last_reading:
-                self.model.go_to(0)
+            if self.model.at_end:
+                self.model.go_to(self.model.timeline.begin)
             self._playing.set()
         self._play_button.label = "Pause" if self._playing.is_set() else "Play"
 
@@ -314,7 +314,7 @@ class Page:
             begun = time.perf_counter()
             model = self.model
             before = int(model.position)
-            model.go_to_reading(model.reading + float(self._speed.value) / FRAMES)
+            model.advance(float(self._speed.value) / FRAMES)
             if int(model.position) != before or model.clock is not None:
                 self._set_slider()
             if int(model.position) != before:
@@ -324,7 +324,7 @@ class Page:
                     if model.clock is not None:  # the text shows the time
                         self._where.content = where_text(model, ask=bool(self._shown()))
                     self._draw()
-            if model.reading >= model.last_reading:
+            if model.at_end:
                 self._playing.clear()
                 self._play_button.label = "Play"
             time.sleep(max(1 / FRAMES - (time.perf_counter() - begun), 0.005))
@@ -359,9 +359,7 @@ class Page:
         model, shown = self.model, [*self._shown(), *self._presses()]
         self._where.content = where_text(model, ask=bool(self._shown()))
         self._marked.content = marked_text(model)
-        self._margins.content = margin_strip(
-            model.plan, model.direction, round(model.position) if model.clock is None else model.step
-        )
+        self._margins.content = margin_strip(model.plan, round(model.position) if model.clock is None else model.step)
         self._about.content = about_text(model)
         self._legend.content = legend_text(model, shown)
 

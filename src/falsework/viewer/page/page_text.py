@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
+from falsework.search.plans.steps import NO_ROBOT
 from falsework.viewer.arrows import KINDS
 from falsework.viewer.page.markup import html_text, markdown_text
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.palette import BOUNDARY, FIXED, INSTALLED, MISSING, RAMP, ROBOTS, SELECTED, SLIDING, robot_color
-from falsework.viewer.timeline import NO_ROBOT
 
 
 def where_text(model: ViewerState, *, ask: bool) -> str:
@@ -19,9 +19,9 @@ def where_text(model: ViewerState, *, ask: bool) -> str:
         ask: whether to include the verdict on the state; it is always included where no plan has proven the state.
     """
     steps = len(model.timeline)
-    position = model.step
-    doing = f": **{markdown_text(model.timeline.words(position - 1))}**" if position and steps else ""
-    lines = [f"step {position} of {steps}{doing}" if steps else f"**{markdown_text(model.assembly.name)}**"]
+    where, _, doing = model.timeline.label(model.step).partition(": ")
+    doing = f": **{markdown_text(doing)}**" if doing else ""
+    lines = [f"{where}{doing}" if steps else f"**{markdown_text(model.assembly.name)}**"]
     if model.clock is not None:
         lines[0] = f"{model.seconds:.1f} s of {model.clock.makespan:.1f} s, {lines[0]}"
     # A plan has proven its states; states changed by marks have no verdict yet.

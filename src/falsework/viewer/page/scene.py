@@ -71,10 +71,10 @@ class ViserScene:
         self.order(timeline)
 
     def order(self, timeline: Timeline) -> None:
-        """Merge parts by the order in which a timeline removes them; to be called when the plan changes."""
-        step = timeline.removal_step
+        """Merge parts by the order in which they leave in disassembly; to be called when the plan changes."""
+        step = timeline.insertion
         rank = np.empty(len(step), dtype=np.int64)
-        rank[np.argsort(np.where(step < 0, len(timeline) + 1, step), kind="stable")] = np.arange(len(step))
+        rank[np.argsort(-step, kind="stable")] = np.arange(len(step))
         self._chunk = rank // CHUNK
 
     def place(self, points: Array) -> Array:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, REMOVED, States, action_mask
+from falsework.search.plans.steps import NO_ROBOT
 from falsework.search.problem.task import Direction
 from falsework.stability.holds import describe_force
 from falsework.stability.oracle import Stability
@@ -24,7 +25,7 @@ from falsework.viewer.page.disruption import ClickMode, Disruption, chance_of_pa
 from falsework.viewer.page.proof_cache import ProofCache
 from falsework.viewer.palette import FIXED, SELECTED
 from falsework.viewer.proof import StateProof
-from falsework.viewer.timeline import NO_ROBOT, Timeline
+from falsework.viewer.timeline import Timeline
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -77,7 +78,7 @@ class ViewerState:
         self.policy = policy
         self.graph = graph
         self.arms = arms
-        self.position = 0.0
+        self.position = float(timeline.begin)
         self.seconds = 0.0
         self.tool = ClickMode.LOOK
         self.selected: int | None = None
@@ -126,8 +127,8 @@ class ViewerState:
 
     @property
     def step(self) -> int:
-        """Step in progress; with a schedule, where several are, the last that the structure has reached."""
-        return int(np.ceil(self.position)) if self.clock is None else int(self.position)
+        """Place that the step in progress leads to; with a schedule, where several are, the last that is reached."""
+        return (self.timeline.row if self.clock else self.timeline.next)(self.position)
 
     @property
     def reading(self) -> float:
@@ -154,14 +155,25 @@ class ViewerState:
                 self.seconds = min(max(float(reading), 0.0), self.clock.makespan)
                 self.position = self.clock.position(self.seconds)
 
+    @property
+    def at_end(self) -> bool:
+        """Whether the place that is shown last is reached."""
+        return self.reading == (self.timeline.end if self.clock is None else self.clock.makespan)
+
+    def advance(self, amount: float) -> None:
+        """Go on in the order shown, by seconds of the schedule, or steps without one."""
+        with self.lock:
+            back = self.clock is None and self.direction is Direction.DISASSEMBLY
+            self.go_to_reading(self.reading + (-amount if back else amount))
+
     def turn(self, direction: Direction) -> None:
         """Show the plan in the other order; the state shown stays."""
         with self.lock:
             if direction is not self.direction:
+                shown = self.position if self.clock is None else self.step
                 self.timeline = self.timeline.turned(direction)
                 self.arms = None if self.arms is None else self.arms.turned(direction)
-                shown = self.position if self.clock is None else self.step
-                self.go_to(len(self.timeline) - shown)
+                self.go_to(shown)
 
     def appearance(self) -> Appearance:
         """Return the present appearance of all parts."""
@@ -335,7 +347,7 @@ class ViewerState:
         assert self._guide is not None or self.policy is not None
         self.action_probabilities()
         assert self._guide is not None
-        return visited_states(self._guide, self.oracle, self.timeline.states[0], self.timeline.robots, rollouts)
+        return visited_states(self._guide, self.oracle, self.timeline.states[-1], self.timeline.robots, rollouts)
 
     def replan(self) -> NewPlan:
         """Replan from the marked state, and show the new plan if there is one.
@@ -359,13 +371,13 @@ class ViewerState:
             words = f"{kind} ({seconds:.2f} s, {decided}): {answer.reason}"
             return NewPlan(False, words, seconds, decided)
         words = f"{len(answer.plan)} steps in {seconds:.2f} s, decided by {decided}. "
-        words += self._compare(old, answer.plan)
+        words += self._compare(old, answer.plan, answer.direction)
         with self.lock:
             self._before.append((self.timeline, self.plan, self.disruption, self.position, self.arms))
             self.arms = None  # the new plan has no motions yet
-            self.timeline = Timeline.of(answer.plan, self.assembly)
+            self.timeline = Timeline.of(answer.plan, self.assembly, answer.direction)
             self.plan = answer.plan
-            self.go_to(0)
+            self.go_to(self.timeline.begin)
             # Disruptions in the new plan are no longer marked: the states of the new plan show it.
             self.disruption = Disruption(fixed=self.disruption.fixed, robots=self.disruption.robots)
         return NewPlan(True, words, seconds, decided, answer.plan)
@@ -382,10 +394,10 @@ class ViewerState:
                 self.timeline, self.plan, self.disruption, position, self.arms = self._before.pop()
                 self.go_to(position)
 
-    def _compare(self, old: Plan | None, new: Plan) -> str:
+    def _compare(self, old: Plan | None, new: Plan, direction: Direction) -> str:
         if old is None:
             return "There was no plan before."
         from falsework.replanning.plan_diff import difference
 
-        text = difference(old, new).text
+        text = difference(old, new, direction).text
         return text[:1].upper() + text[1:] + "."
