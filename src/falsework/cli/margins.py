@@ -46,8 +46,11 @@ class FindMargins(Command):
     )
 
     structure: StructureOptions
-    states: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=UNSET)] = None
-    """JSON list of states, or a .npy array; the complete structure, or the states of the plan, if not given."""
+    states: Annotated[str | None, arg(metavar="STATES", help_behavior_hint="(default: complete, or those of the plan)")] = (
+        None
+    )
+    """A state, as `complete`, digits, plan.json:31, or parts such as 0-16,keystone,held:left; or a file with states: a
+    JSON list, a .npy array, or a plan."""
     criterion: Annotated[
         Literal["contact", "equilibrium"] | None, arg(help_behavior_hint="(default: contact, or that of the plan)")
     ] = None
@@ -190,12 +193,11 @@ class FindMargins(Command):
         output.note(f"the plan with its margins is in {path}")
 
     def _states(self, plan: Plan | None, assembly: Assembly) -> States:
-        from falsework.assembly.state import as_states, complete_state
-        from falsework.cli.arguments import read_states
+        from falsework.cli.arguments import parse_states
 
-        if self.states is not None:
-            return as_states(read_states(self.states), assembly.boundary)
-        return complete_state(assembly.boundary)[None] if plan is None else plan.states
+        if self.states is None and plan is not None:
+            return plan.states
+        return parse_states(self.states or "complete", "--states", assembly)
 
     def _shares(
         self, assembly: Assembly, states: States, errors: list[float], settings: Any, output: Output

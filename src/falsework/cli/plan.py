@@ -18,6 +18,7 @@ from falsework.cli.planning import (
     first_steps,
     lacks_judge,
     lacks_reserve,
+    need_text,
     promise_lines,
     refuse_unstable,
     search_directions,
@@ -304,7 +305,7 @@ class MakePlan(Command):
         for line in margin_lines(first):
             output.say(line)
         for need in first.needs:
-            output.say(f"{first.part_names[need.part]} is needed after {need.after_parts} other parts are placed")
+            output.say(need_text(first, need))
         if len(plans) > 1:
             others = ", ".join(str(path) for path, _ in plans[1:])
             output.say(f"alternatives in {others}; the two plans most alike differ by {found.least_distance:.2f} of 1")

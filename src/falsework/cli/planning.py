@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from falsework.cli.output import Output
     from falsework.search.beam.settings import BeamSettings
     from falsework.search.find import TaskRules
-    from falsework.search.plans.plan import Plan
+    from falsework.search.plans.plan import PartDeadline, Plan
     from falsework.search.problem.task import Direction, Task
     from falsework.stability import Stability, StabilitySettings
     from falsework.stability.judges import Judgement
@@ -39,11 +39,12 @@ class RuleOptions:
     rare: ClassVar[tuple[str, ...]] = ("start", "target", "fixed", "removable_only_if_clear")
 
     start: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: complete)")] = None
-    """State from which disassembly starts, where assembly ends: `complete`, digits such as 2110, or a file."""
+    """State from which disassembly starts, where assembly ends, such as `complete`, plan.json:31, or parts as in
+    0-16,keystone,held:left."""
     target: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: empty)")] = None
-    """State in which disassembly ends, where assembly starts: `empty`, digits such as 2000, or a file."""
+    """State in which disassembly ends, where assembly starts, such as `empty`, plan.json:31, or parts."""
     missing: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
-    """Parts not delivered yet, such as 3,4; assembly does without them as long as possible."""
+    """Parts not delivered yet, such as 3,keystone; assembly does without them as long as possible."""
     fixed: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
     """Parts that are neither held nor removed, such as 7."""
     removable_only_if_clear: bool = False
@@ -182,13 +183,29 @@ def lacks_judge(plan: Plan, *, asked: bool) -> str:
     return f"no plan was found that discrete elements build; in this one {part} falls {where}"
 
 
-def first_steps(plan: Plan, direction: Direction) -> str:
-    """Describe the steps of a plan that come first in an order."""
-    steps = plan.in_order(direction)
+def first_steps(plan: Plan, direction: Direction, built: int = 0) -> str:
+    """Describe the steps of a plan that come first in an order, after those that are done."""
+    steps = plan.in_order(direction)[built:]
     if not steps:
         return "nothing is left to do"
-    rest = len(steps) - SHOWN
-    return f"from here on: {', '.join(map(str, steps[:SHOWN]))}{f', and {rest} steps more' if rest > 0 else ''}"
+    rest, since = len(steps) - SHOWN, f"from step {built + 1} on" if built else "from here on"
+    return f"{since}: {', '.join(map(str, steps[:SHOWN]))}{f', and {rest} steps more' if rest > 0 else ''}"
+
+
+def need_text(plan: Plan, need: PartDeadline, built: int = 0) -> str:
+    """Return when a missing part is needed, in one sentence.
+
+    Args:
+        plan: the plan.
+        need: of its part.
+        built: steps of the plan that are done.
+    """
+    placed = int((plan.actions[:built] >= len(plan.boundary)).sum())
+    after = need.after_parts - placed
+    return (
+        f"{plan.part_names[need.part]} is needed at step {need.after_steps + 1}, after "
+        f"{after} {'more' if built else 'other'} {'part is' if after == 1 else 'parts are'} placed"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

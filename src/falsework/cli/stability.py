@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import arg
@@ -35,8 +34,9 @@ class CheckStability(JudgingCommand):
     outcomes: ClassVar[tuple[str, str]] = ("stable", "not_stable")
 
     structure: StructureOptions
-    states: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=UNSET)] = None
-    """JSON list of states, or a .npy array; the complete structure if not given."""
+    states: Annotated[str | None, arg(metavar="STATES", help_behavior_hint="(default: complete)")] = None
+    """A state, as `complete`, digits, plan.json:31, or parts such as 0-16,keystone,held:left; or a file with states: a
+    JSON list, a .npy array, or a plan."""
     cone: Annotated[Literal["octagon", "quadratic"] | None, arg(help_behavior_hint=CONE_HINT)] = None
     """Friction cone: round, or eight-sided as in the paper."""
     solver: Literal["auto", "cpu", "gpu", "exact", "gurobi"] = "cpu"
@@ -46,15 +46,13 @@ class CheckStability(JudgingCommand):
         """Compute the verdicts and describe how unstable states fail."""
         import numpy as np
 
-        from falsework.assembly.state import as_states, complete_state
-        from falsework.cli.arguments import read_states
+        from falsework.cli.arguments import parse_states
         from falsework.cli.velocity_text import describe, motions, part_name
         from falsework.stability import Proof, Stability, Verdict
         from falsework.stability.motion import motion_of
 
         assembly = self.structure.load()
-        wanted = complete_state(assembly.boundary) if self.states is None else read_states(self.states)
-        states = as_states(wanted, assembly.boundary)
+        states = parse_states(self.states or "complete", "--states", assembly)
         verdicts = Stability(assembly, self._settings()).check(states)
         for index in range(len(states)):
             verdict, proof = Verdict(verdicts.verdict[index]), Proof(verdicts.proof[index])

@@ -74,6 +74,8 @@ class ReplanResult:
     history."""
     search: SearchResult | None = None
     """How the last search ended, if there was one."""
+    built: int = 0
+    """Steps that are done, with which the plans begin; those from now on have the numbers after it."""
 
     @property
     def found(self) -> bool:
@@ -92,6 +94,7 @@ class ReplanResult:
             "decided_by": self.decided_by.value,
             "direction": self.direction.value,
             "plans": len(self.plans),
+            "built": self.built,
             "steps": self.steps,
             "reached": self.reached,
             "seconds": round(self.seconds, 6),
@@ -105,7 +108,7 @@ class ReplanResult:
             if len(self.replays) > 1:
                 record["replays"] = [replayed.to_dict() for replayed in self.replays]
         if self.plans:
-            record["actions"] = [f"{step.action} {step.name}" for step in self.plans[0].in_order(self.direction)]
+            record["actions"] = [f"{step.action} {step.name}" for step in self.plans[0].in_order(self.direction)[self.built :]]
             record["needs"] = [asdict(need) for need in self.plans[0].needs]
             if len(self.plans) > 1:
                 record["distances"] = np.round(self.distance, 4).tolist()
