@@ -109,7 +109,9 @@ def _spell_load(load: Any) -> str:
     return f"{load['part']}={force}{'@' if at else ''}{at}"
 
 
-STATE_FORMS = "complete, empty, a plan and its step such as plan.json:31, parts such as 0-16,keystone,held:left, or a file"
+STATE_FORMS = (
+    "complete, empty, a plan and its step such as plan.json:31, parts such as 0-16,keystone,held:left, or a file"
+)
 """How states are written, for messages."""
 _HELD = "held:"
 """Before a part that is held."""

@@ -46,9 +46,9 @@ class FindMargins(Command):
     )
 
     structure: StructureOptions
-    states: Annotated[str | None, arg(metavar="STATES", help_behavior_hint="(default: complete, or those of the plan)")] = (
-        None
-    )
+    states: Annotated[
+        str | None, arg(metavar="STATES", help_behavior_hint="(default: complete, or those of the plan)")
+    ] = None
     """A state, as `complete`, digits, plan.json:31, or parts such as 0-16,keystone,held:left; or a file with states: a
     JSON list, a .npy array, or a plan."""
     criterion: Annotated[

@@ -75,7 +75,9 @@ class MakeReplan(Command):
     """Parts not delivered yet, such as 3,keystone; assembly does without them as long as possible."""
     fixed: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
     """Parts that must not be held or removed, such as 7."""
-    robots: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 2, or those of the plan or run)")] = None
+    robots: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 2, or those of the plan or run)")] = (
+        None
+    )
     """Number of robots: parts that can be held at a time."""
     holds: HoldOptions
     criterion: Annotated[
@@ -151,7 +153,9 @@ class MakeReplan(Command):
             return self._load_plan(Path(self.structure.spec))
         for name, given in (("--step", self.step), ("--structure", self.of)):
             if given is not None:
-                raise InputError(f"{name} {given} is of a plan, which {self.structure.spec} is not; give the plan, or --state")
+                raise InputError(
+                    f"{name} {given} is of a plan, which {self.structure.spec} is not; give the plan, or --state"
+                )
         return (None, *self._load_structure())
 
     def _load_plan(self, file: Path) -> tuple[Plan, Assembly, None, Mapping[str, Any] | None, int, bool]:

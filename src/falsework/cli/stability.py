@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import arg
 
-from falsework.cli.command import CONE_HINT, UNSET, JudgingCommand, StructureOptions
+from falsework.cli.command import CONE_HINT, JudgingCommand, StructureOptions
 from falsework.cli.exit_code import Exit
 
 if TYPE_CHECKING:

@@ -27,7 +27,9 @@ class BuiltSteps:
                 f"step {self.steps} does not exist; the plan has the steps 1 to {len(self.plan)}, and 0 is the start"
             )
         if self.plan.props:
-            raise PlanError("the plan has props, which replanning cannot move; plan again with --target for the present state")
+            raise PlanError(
+                "the plan has props, which replanning cannot move; plan again with --target for the present state"
+            )
 
     @property
     def state(self) -> States:

@@ -108,7 +108,9 @@ class ReplanResult:
             if len(self.replays) > 1:
                 record["replays"] = [replayed.to_dict() for replayed in self.replays]
         if self.plans:
-            record["actions"] = [f"{step.action} {step.name}" for step in self.plans[0].in_order(self.direction)[self.built :]]
+            record["actions"] = [
+                f"{step.action} {step.name}" for step in self.plans[0].in_order(self.direction)[self.built :]
+            ]
             record["needs"] = [asdict(need) for need in self.plans[0].needs]
             if len(self.plans) > 1:
                 record["distances"] = np.round(self.distance, 4).tolist()

@@ -264,7 +264,9 @@ class ReplanSession:
             reason="" if plans else self._reason(),
             moving=moving,
             distance=chosen.distance,
-            confidences=tuple(self._confidence(plan.states[self._done :]) for plan in plans) if self.request.confidences else (),
+            confidences=tuple(self._confidence(plan.states[self._done :]) for plan in plans)
+            if self.request.confidences
+            else (),
             criterion=self.context.prover.oracle.settings.criterion,
             replays=tuple(replays),
             search=self.result,

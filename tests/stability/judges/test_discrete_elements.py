@@ -244,9 +244,7 @@ def test_robots_that_press_may_be_rigid_otherwise() -> None:
     vault = library.build("vault")
     plan = find_plans(vault, stability=GIVES_WAY, forces=False).plans[0]
     assert any(plan.presses)
-    found = replay_by_discrete_elements(
-        vault, plan.states, STIFF_CONTACTS, presses=plan.presses_before, holds=RIGID
-    )
+    found = replay_by_discrete_elements(vault, plan.states, STIFF_CONTACTS, presses=plan.presses_before, holds=RIGID)
     assert found.stands.tolist() == [STANDS] * len(plan.states)
 
 

@@ -279,9 +279,7 @@ class DeadlineReplayer:
             progress.history = None  # a megabyte for a large structure, and nothing comes after
         return progress
 
-    def _advance(
-        self, progress: _Progress, states: States, given: Presses | None, *, upto: int | None = None
-    ) -> None:
+    def _advance(self, progress: _Progress, states: States, given: Presses | None, *, upto: int | None = None) -> None:
         """Replay further states of a sequence, as far as the clock allows."""
         count = len(states) if upto is None else upto
         while not progress.fell and progress.reached < count:
