@@ -89,7 +89,7 @@ def test_a_structure_has_no_steps(tmp_path: Path, capsys: pytest.CaptureFixture[
 def test_a_plan_of_another_version_is_still_taken_for_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "old.json").write_text('{"format": "falsework.plan/0"}')
     assert run("export", tmp_path / "old.json", "--out", tmp_path / "out.glb") == 2
-    assert "this version reads 'falsework.plan/3' only" in capsys.readouterr().err
+    assert "this version reads 'falsework.plan/4' only" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["out.json", "out.usda", "out.glb"])

@@ -57,9 +57,10 @@ def test_a_plan_leads_where_it_shall_and_every_state_stands(
     (plan,) = plans_of(answer)
     words = {"complete": complete_state(live.assembly.boundary), "empty": empty_state(live.assembly.boundary)}
     assert answer["outcome"] == "found"
-    assert answer["direction"] == plan.direction == direction
-    assert np.array_equal(plan.states[0], words.get(first, first) if isinstance(first, str) else first)
-    assert np.array_equal(plan.states[-1], words[last])
+    assert answer["direction"] == direction
+    begun, ended = plan.states[[0, -1]] if direction == "assembly" else plan.states[[-1, 0]]
+    assert np.array_equal(begun, words.get(first, first) if isinstance(first, str) else first)
+    assert np.array_equal(ended, words[last])
     assert plan.source is None
     assert validate_plan(plan, live.assembly).good
 

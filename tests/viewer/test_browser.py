@@ -176,7 +176,7 @@ def near(picture: np.ndarray, color: str, reach: int = 90) -> int:
 def test_a_day_on_site(opened: Callable[..., Open], arch: Any) -> None:
     """Load, slide, click a part, mark one as missing, plan anew, lose the server."""
     assembly, plan = arch
-    model = ViewerState(Timeline.of(plan.reverse(), assembly), plan=plan.reverse())
+    model = ViewerState(Timeline.of(plan, assembly), plan=plan)
     now = opened(model)
     tab = now.tab
     empty = now.picture()
@@ -186,7 +186,7 @@ def test_a_day_on_site(opened: Callable[..., Open], arch: Any) -> None:
         place for place in range(len(plan) + 1) if (model.timeline.holders[model.timeline.row(place)] >= 0).any()
     )
     now.slide(held)
-    tab.get_by_text(model.timeline.words(held - 1)).wait_for()
+    tab.get_by_text(plan[held - 1].words).wait_for()
     holding = now.picture()
     assert near(holding, ROBOTS[0]) > near(empty, ROBOTS[0]) + 100
 
@@ -264,11 +264,11 @@ def test_an_unstable_state(opened: Callable[..., Open]) -> None:
 
 
 def test_playing_probabilities_and_the_graph(opened: Callable[..., Open], arch: Any, policy: Any) -> None:
-    from falsework.search import StateGraph
+    from falsework.search import Direction, StateGraph
 
     assembly, plan = arch
     graph = StateGraph.build(task_of(assembly), plan.states, name=assembly.name)
-    model = ViewerState(Timeline.of(plan, assembly), plan=plan, policy=policy, graph=graph)
+    model = ViewerState(Timeline.of(plan, assembly, Direction.DISASSEMBLY), plan=plan, policy=policy, graph=graph)
     now = opened(model)
     now.tab.get_by_text("probability of the action on a part").wait_for()
     coloured = now.picture()
@@ -277,8 +277,8 @@ def test_playing_probabilities_and_the_graph(opened: Callable[..., Open], arch: 
     assert (np.abs(now.picture() - coloured).max(axis=2) > 25).sum() > 100
     now.page._speed.value = 8.0
     now.tab.get_by_role("button", name="Play").click()
-    now.until(lambda: model.position == len(model.timeline), "the plan is played to its end")
-    now.tab.get_by_text(f"step {len(plan)} of {len(plan)}").wait_for()
+    now.until(lambda: model.position == 0, "the plan is played to its end")
+    now.tab.get_by_text(f"step 1 of {len(plan)}").wait_for()
     now.tab.get_by_role("tab", name="Graph").click()
     now.tab.get_by_text(f"{len(graph)} states").wait_for()
     now.until(lambda: now.tab.locator("img").count() > 0, "the picture of the graph")
@@ -304,11 +304,11 @@ def test_a_thousand_parts_are_few_draw_calls(opened: Callable[..., Open]) -> Non
             state[part] = value
             states.append(state)
             actions.append(int(action))
-    from falsework.viewer.timeline import holders
+    from falsework.search.plans.steps import holders
 
-    rows = np.array(states)
-    timeline = Timeline(vault, rows, np.array(actions), holders(rows, vault.boundary), Direction.DISASSEMBLY, 1)
-    np.testing.assert_array_equal(rows[-1], empty_state(vault.boundary))
+    rows = np.array(states[::-1])
+    timeline = Timeline(vault, rows, np.array(actions[::-1]), holders(rows, vault.boundary), Direction.ASSEMBLY, 1)
+    np.testing.assert_array_equal(rows[0], empty_state(vault.boundary))
     now = opened(ViewerState(timeline))
     sent, seconds = [], []
     for place in (0, 1, 2, 3, 500, 501, 1200, 40, 1):

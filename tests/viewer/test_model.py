@@ -18,7 +18,7 @@ ABOVE, DOWN = np.array([0.0, 0.0, 10.0]), np.array([0.0, 0.0, -1.0])
 
 @pytest.fixture
 def model(arch, timeline) -> ViewerState:
-    return ViewerState(timeline, plan=arch[1].reverse())
+    return ViewerState(timeline, plan=arch[1])
 
 
 def over(model: ViewerState, part: int) -> np.ndarray:
@@ -37,9 +37,23 @@ def test_turning_keeps_the_state(model: ViewerState) -> None:
     before = model.state.copy()
     model.turn(Direction.DISASSEMBLY)
     np.testing.assert_array_equal(model.state, before)
-    assert model.position == len(model.timeline) - 3
+    assert model.position == 3
     model.turn(Direction.DISASSEMBLY)  # nothing to do
-    assert model.position == len(model.timeline) - 3
+    assert model.position == 3
+
+
+def test_playing_goes_in_the_order_shown(model: ViewerState) -> None:
+    count = len(model.timeline)
+    assert (model.position, model.at_end) == (0, False)
+    model.advance(1.5)
+    assert (model.position, model.step) == (1.5, 2)
+    model.turn(Direction.DISASSEMBLY)
+    model.go_to(model.timeline.begin)
+    assert (model.position, model.at_end) == (count, False)
+    model.advance(1.5)
+    assert (model.position, model.step) == (count - 1.5, count - 2)
+    model.advance(1e9)
+    assert (model.position, model.at_end) == (0, True)
 
 
 def test_a_click_selects_and_a_click_beside_forgets(model: ViewerState) -> None:
@@ -196,7 +210,7 @@ def test_a_senseless_question_is_refused(model: ViewerState) -> None:
 
 def test_a_structure_without_a_plan_gets_one(arch) -> None:
     assembly, plan = arch
-    still = Timeline.from_state(assembly, plan.states[-1])
+    still = Timeline.from_state(assembly, plan.states[0])
     model = ViewerState(still)
     answer = model.replan()
     assert answer.found
@@ -206,7 +220,7 @@ def test_a_structure_without_a_plan_gets_one(arch) -> None:
 
 def test_probabilities_are_those_of_the_policy(arch, policy) -> None:
     assembly, plan = arch
-    model = ViewerState(Timeline.of(plan, assembly), plan=plan, policy=policy)
+    model = ViewerState(Timeline.of(plan, assembly, Direction.DISASSEMBLY), plan=plan, policy=policy)
     action_probabilities = model.action_probabilities()
     assert np.isfinite(action_probabilities).sum() == (model.state == INSTALLED).sum()
     assert np.nansum(action_probabilities) == pytest.approx(1.0)
@@ -216,7 +230,7 @@ def test_probabilities_are_those_of_the_policy(arch, policy) -> None:
     assert dict(model.about(part))["policy"].startswith("hold it with")
     visited = model.visited(4)
     assert (visited[:, assembly.boundary] == HELD).all()
-    assert (visited == plan.states[0]).all(axis=1).any()
+    assert (visited == plan.states[-1]).all(axis=1).any()
     from falsework.stability import Stability
 
     assert Stability(assembly).judge(visited).stable.all()

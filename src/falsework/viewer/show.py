@@ -351,4 +351,4 @@ def _model(shown: Viewable, place: int | None = None, **options: Any) -> ViewerS
 
 
 def _unstable(proofs: dict[int, StateProof]) -> tuple[int, ...]:
-    return tuple(place for place, proof in proofs.items() if not proof.stable)
+    return tuple(sorted(place for place, proof in proofs.items() if not proof.stable))

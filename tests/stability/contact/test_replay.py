@@ -27,7 +27,7 @@ def plan_states(assembly: Assembly, robots: int = 2) -> NDArray[np.uint8]:
     """States of a plan in the order of assembly; the search has replayed it."""
     planning = find_plans(assembly, task_of(assembly, robots))
     assert planning.found
-    return np.ascontiguousarray(planning.plans[0].states[::-1])
+    return planning.plans[0].states
 
 
 def replayed(assembly: Assembly, plan: Plan) -> PlanReplay:
@@ -132,7 +132,7 @@ def test_history_fells_a_plan_whose_states_all_stand() -> None:
     """The vault's plan without history: every state stands from rest, and the replay falls; discrete elements agree."""
     vault = library.build("vault")
     planning = find_plans(vault, task_of(vault, 2), oracle=Forgetful(vault))
-    states = np.ascontiguousarray(planning.plans[0].states[::-1])
+    states = planning.plans[0].states
     replay = Replayer(vault).replay(states)
     assert not replay.good
     assert replay.falls_at is not None

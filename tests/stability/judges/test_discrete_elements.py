@@ -252,7 +252,7 @@ def test_robots_that_press_may_be_rigid_otherwise() -> None:
 def test_a_plan_for_an_arch_can_be_built(share: float) -> None:
     """Each state of a plan that robots support on the way stands, however friction has come to lie."""
     arch = library.build("arch:blocks=7")
-    plan = find_plans(arch).plans[0].reverse()
+    plan = find_plans(arch).plans[0]
     replay = replay_by_discrete_elements(arch, plan.states, DiscreteElementSettings(friction_share=share, seed=3))
     assert len(replay.stands) == len(plan.states)
     assert (replay.stands == STANDS).all()
@@ -345,7 +345,7 @@ def test_a_judge_builds_plans_from_where_they_differ(monkeypatch: pytest.MonkeyP
     """What it says does not depend on the plans before, nor on where it was stopped."""
     monkeypatch.setattr(build_judge, "_KEPT", 4)
     arch = library.build("arch:blocks=7,thickness=0.13")
-    states = find_plans(arch).plans[0].reverse().states
+    states = find_plans(arch).plans[0].states
     other = states.copy()
     other[6:, 3] = np.where(other[6:, 3] == 2, 1, other[6:, 3])  # a part that nothing holds any more
     none: list[tuple[Press, ...]] = [()] * len(states)
