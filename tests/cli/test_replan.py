@@ -212,7 +212,7 @@ def test_a_state_that_slides_is_no_beginning_under_contact(falsework: Run, tmp_p
 def test_go_on_from_a_step_of_the_plan(falsework: Run, old: Path, tmp_path: Path) -> None:
     """Stone 17 is late, and we are at step 31: names, numbers that stay, and what changes, in one command."""
     plan, out = load_plan(old), tmp_path / "new.json"
-    late = [step for step in plan if step.action == "insert" and step.number > 5][0]
+    late = next(step for step in plan if step.action == "insert" and step.number > 5)
     done = falsework("replan", old, "--step", 4, "--missing", late.name, "--out", out, "--json")
     assert done.code == 0, done.error
     new, answer = load_plan(out), done.answer

@@ -23,9 +23,9 @@ def named_state(given: StateLike, assembly: Assembly, what: str = "the state") -
     """Return a state that is given as values or by the parts that stand and that are held.
 
     Args:
-        given: one value a part, shape (parts,); `complete`; `empty`; or an object with lists of numbers, ranges or names
-            of parts, `standing` for those that stand by themselves and `held` for those that robots hold. All others
-            are removed, boundary parts apart.
+        given: one value a part, shape (parts,); `complete`; `empty`; or an object with lists of numbers, ranges or
+            names of parts, `standing` for those that stand by themselves and `held` for those that robots hold. All
+            others are removed, boundary parts apart.
         assembly: the structure.
         what: begins the message.
 

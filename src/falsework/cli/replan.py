@@ -33,10 +33,11 @@ class MakeReplan(Command):
 
     STRUCTURE is the plan that is being carried out, with its last step that is done: the new plan begins with the steps
     that are done, so that steps keep their numbers, and keeps the criterion, reserve and robots of the old one unless
-    others are given. Or it is a structure, in a state that is given by --state. It may also be a run, the folder that `falsework train` wrote: its policy then proposes the steps, and
-    searches take over where it fails. Every state of the new plan is certified as stable. With --order assembly the
-    plan adds parts to the state, with disassembly it removes them. How a state that is given by itself was reached is not
-    known: it is loaded from rest. Exit code 1 if there is no plan, none was found, or none that keeps the reserve.
+    others are given. Or it is a structure, in a state that is given by --state. It may also be a run, the folder that
+    `falsework train` wrote: its policy then proposes the steps, and searches take over where it fails. Every state of
+    the new plan is certified as stable. With --order assembly the plan adds parts to the state, with disassembly it
+    removes them. How a state that is given by itself was reached is not known: it is loaded from rest. Exit code 1 if
+    there is no plan, none was found, or none that keeps the reserve.
     """
 
     rare: ClassVar[tuple[str, ...]] = (

@@ -212,7 +212,7 @@ def replan(
         structure: structure of the plan, instead of the one that the plan names.
         policy: proposes actions, a `torch.nn.Module` as of `load_policy`; None searches alone.
         oracle: decides stability; pass an existing one to reuse its cache.
-        stability: criterion, reserve and robots, where no oracle is given; those of the plan, else `PLANS`, if not given.
+        stability: criterion, reserve and robots, where no oracle is given; by default those of the plan, else `PLANS`.
             Where no plan keeps the reserve, half of the deadline is left to look for one without; `Plan.claim` of the
             answer has its reserve.
         settings: how hard to try.

@@ -33,8 +33,8 @@ class Request:
     """
 
     state: StateLike | None = None
-    """Current state: 0 removed, 1 installed, 2 held, shape (parts,); or as `named_state` reads it. With `plan` the state
-    after its step `step`."""
+    """Current state: 0 removed, 1 installed, 2 held, shape (parts,); or as `named_state` reads it. With `plan` it is
+    the state after `step`."""
     plan: Plan | None = None
     """Plan that is being carried out; the new one has its first steps, and goes on after them."""
     step: int | None = None

@@ -93,7 +93,7 @@ class ReplanSession:
         self.way = request.way(context.assembly)
         done = request.done(context.assembly)
         self.built = done if self.way is Direction.ASSEMBLY else None
-        """Steps that are done, with which the plans begin; whoever takes the structure apart begins a plan of its own."""
+        """Steps that are done, with which the plans begin; plans that take the structure apart begin anew."""
         replayer, history = context.prover.oracle.replayer, None if self.built is None else self.built.history
         self.replayer = (
             None if replayer is None else DeadlineReplayer(replayer, self.clock, lambda: self.yield_control(), history)

@@ -119,8 +119,8 @@ def models_of(assembly: Assembly, settings: ServiceSettings) -> Models:
             dict[str, Any] | None,
             Field(
                 default=None,
-                description="a plan as in an answer, which is being carried out, in place of a state; the new one begins "
-                "with the steps that are done",
+                description="a plan as in an answer, which is being carried out, in place of a state; the new one "
+                "begins with the steps that are done",
             ),
         ),
         "step": (
@@ -265,8 +265,8 @@ def complaint(error: ValidationError, parts: int) -> str:
     if place[0] in ("state", "target", "states"):
         where = f"states {place[1]}" if place[0] == "states" and len(place) > 1 else place[0]
         return (
-            f"{where}: give {parts} values 0 (removed), 1 (installed) or 2 (held), one a part, complete or empty, or an "
-            "object with the parts standing and held"
+            f"{where}: give {parts} values 0 (removed), 1 (installed) or 2 (held), one a part, complete or empty, or "
+            "an object with the parts standing and held"
         )
     if place[0] in ("missing", "fixed") and len(place) > 1:
         return f"{place[0]} {place[1][:_SHOWN]}: give numbers from 0 to {parts - 1} or names of parts"
