@@ -48,9 +48,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class PlanRobots(Command):
-    """Plan arm motions that disassemble a structure and, in reverse, assemble it.
+    """Plan arm motions that assemble a structure, or take it apart.
 
-    Actions and motions are planned together: every state is stable, a replay in assembly order succeeds in which
+    Actions and motions are planned together: every state is stable, a replay of the assembly succeeds in which
     robots bear and press no more than their grippers allow, every motion is collision-free. Then motions of different
     robots are scheduled to take place at the same time wherever that is proven safe, whatever the delays. Exit code 1
     if no plan was found, or none that keeps the reserve and the limits of grippers; the report lists parts out of
@@ -62,8 +62,9 @@ class PlanRobots(Command):
     examples: ClassVar[tuple[str, ...]] = (
         "falsework robots plan my-folder --cell cell.toml --out robot_plan.json",
         "falsework robots plan my-folder --cell cell.toml --policy my-run --robots-seed 3 --deadline 60",
-        "falsework robots plan my-folder --cell cell.toml --state 2210 --joints now.json --holding left=3 --support",
-        "falsework robots plan my-folder --cell cell.toml --direction assembly --state 2110 --joints now.json "
+        "falsework robots plan my-folder --cell cell.toml --order disassembly --state 2210 --joints now.json "
+        "--holding left=3 --support",
+        "falsework robots plan my-folder --cell cell.toml --state 2110 --joints now.json "
         "--holding left=2,right=3 --grips robot_plan.json --out rest.json",
     )
 
@@ -80,30 +81,28 @@ class PlanRobots(Command):
     """Random seed; results are reproducible on one machine."""
     deadline: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint=UNSET)] = None
     """Time limit."""
-    direction: Literal["disassembly", "assembly"] = "disassembly"
-    """`assembly` goes on building from where the robots are: --state, --joints, --holding and --grips describe its
-    start, and the motions are written in the order of assembly. Otherwise they describe the start of disassembly."""
+    order: Literal["assembly", "disassembly"] = "assembly"
+    """Order in which the motions are executed; the schedule is for it. --state, --joints, --holding and --grips
+    describe its start."""
     start: Annotated[
-        str | None, arg(metavar="STATE", help_behavior_hint="(default: complete or empty)", aliases=["--state"])
+        str | None, arg(metavar="STATE", help_behavior_hint="(default: empty or complete)", aliases=["--state"])
     ] = None
     """State to start from: `complete`, `empty`, digits such as 2110, or a file."""
     joints: Annotated[str | None, arg(metavar="JOINTS", help_behavior_hint="(default: all at home)")] = None
     """Joint values of the robots in rad at the start, such as left=0,0.1,-0.5,0,1,0;right=home, or a JSON file with
-    such lists by robot."""
+    such lists by robot. An assembly for which nothing of its start is given begins where its first motion does."""
     holding: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
     """Parts that robots hold at the start, such as left=3,right=keystone; a part that is not in place is carried."""
     grips: Annotated[str | None, arg(metavar="GRIPS", help_behavior_hint=UNSET)] = None
     """For carried parts the joint values with which their robots would hold them at their places, as with --joints, or
     the file of the robot plan that was under way."""
-    target: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: empty or complete)")] = None
-    """State to end in: `empty`, `complete`, digits, or a file."""
+    target: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: complete or empty)")] = None
+    """State to end in: `complete`, `empty`, digits, or a file."""
     missing: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
     """Parts not delivered yet, such as 3,4; assembly does without them as long as possible."""
     support: bool = False
     """Let arms release parts that stand without them and hold them again with another grasp, hand other parts to
     another arm, and put parts down on the way to grip them in another way, where there is no other way."""
-    assembly_order: bool = False
-    """Write the motions in the order of assembly."""
     sequential: bool = False
     """One robot moves at a time."""
     proofs: bool = False
@@ -117,18 +116,19 @@ class PlanRobots(Command):
         """Search, save, report."""
         from falsework.robots.cells.cell_file import load_cell
         from falsework.robots.model.cell_holds import CellScale
-        from falsework.robots.planning.end_motions import Continuation
         from falsework.robots.planning.hybrid_planner import plan_robots
         from falsework.robots.planning.hybrid_result import HybridSettings
         from falsework.robots.planning.plan_together import plan_together
+        from falsework.search.problem.task import Direction
         from falsework.stability import Stability
 
         writable(self.out)
         cell = load_cell(self.cell)
         together = not self.sequential and cell.robot_count > 1 and can_schedule(output)
-        settings = HybridSettings(seed=self.robots_seed, deadline=self.deadline, forces=self.proofs)
+        order = Direction(self.order)
+        settings = HybridSettings(order, seed=self.robots_seed, deadline=self.deadline, forces=self.proofs)
         assembly = self.structure.load()
-        building = self.direction == "assembly"
+        building = order is Direction.ASSEMBLY
         held = parse_holding(self.holding, cell, assembly)
         joints, task = parse_joints(self.joints, cell), self._task(assembly, cell, held)
         grips = parse_grips(self.grips, held, task.target if building else task.start, cell, assembly)
@@ -139,18 +139,15 @@ class PlanRobots(Command):
             return Exit.NO
         guide = self._guide(assembly, task)
         given: dict[str, Any] = {"task": task, "stability": stability, "guide": guide, "settings": settings}
-        now: dict[str, Any] = {"configurations": joints, "held": held, "gripped": grips}
-        given |= {"continued": Continuation(**now)} if building else now
-        assembly_order = self.assembly_order or building
+        if not building or {self.start, self.joints, self.holding, self.grips} != {None}:
+            given |= {"configurations": joints, "held": held, "gripped": grips}
         with output.bar("planning motions") as show:
             given["progress"] = lambda now: show(now.reached, now.steps, f"step {now.reached} of {now.steps}")
             if together:
-                result = plan_together(assembly, cell, assembly_order=assembly_order, **given)
+                result = plan_together(assembly, cell, **given)
             else:
                 result = plan_robots(assembly, cell, **given)
         found = result.partial if result.plan is None else result.plan  # a plan without steps is false
-        if found is not None and assembly_order and not together:
-            found = found.reverse()
         done = self._report(result, found, output)
         if done is not Exit.DONE or found is None:
             return done
@@ -166,7 +163,7 @@ class PlanRobots(Command):
     def _task(self, assembly: Assembly, cell: Cell, held: Sequence[int | None]) -> Task:
         from falsework.search.problem.task import Task
 
-        building = self.direction == "assembly"
+        building = self.order == "assembly"
         now = parse_now(self.start or ("empty" if building else "complete"), held, assembly)
         end = None if self.target is None else parse_state(self.target, "--target", assembly)
         start, target = (end, now) if building else (now, end)  # plans are found as disassembly
@@ -206,7 +203,8 @@ class PlanRobots(Command):
                     output.say(text)
                 return Exit.DONE
             output.outcome("partial")
-            output.note(f"{self.out} has the first {counted(len(saved), 'step')}")
+            which = "first" if saved.direction == "disassembly" else "last"
+            output.note(f"{self.out} has the {which} {counted(len(saved), 'step')}")
         else:
             why = result.explanation.to_dict() if result.explanation else {}
             output.record({"failure": why, **statistics_record(result.statistics)})
@@ -358,7 +356,7 @@ class ExportRobots(Command):
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework robots export robot_plan.json --format ros2-json --out motions",
-        "falsework robots export robot_plan.json --format rapid --assembly-order --out rapid",
+        "falsework robots export robot_plan.json --format rapid --out rapid",
     )
 
     plan: Annotated[Positional[Path], arg(metavar="ROBOT_PLAN")]
@@ -373,8 +371,6 @@ class ExportRobots(Command):
     """Cell that the programs are for, instead of the one that the plan names."""
     rate: float = 50.0
     """Rows per second, for csv and urscript."""
-    assembly_order: bool = False
-    """Write the motions in assembly order, even if the plan is a disassembly."""
 
     def run(self, output: Output) -> Exit:
         """Load and write."""
@@ -383,11 +379,8 @@ class ExportRobots(Command):
         from falsework.robots.plans.presses import has_presses
         from falsework.robots.plans.robot_plan_file import load_robot_plan
         from falsework.search.plans.plan_source import structure_of_plan
-        from falsework.search.problem.task import Direction
 
         plan = load_robot_plan(self.plan)
-        if self.assembly_order and plan.direction is Direction.DISASSEMBLY:
-            plan = plan.reverse()
         cell, shapes = load_cell(self.cell or plan.cell_place(self.plan)), None
         pressed = has_presses(plan)
         if self.format == "mcap" or pressed:
