@@ -45,11 +45,11 @@ COMMANDS = {
     "replan": "MakeReplan",
     "view": "View",
     "picture": "MakePicture",
-    "robots plan": "PlanRobots",
+    "robots plan": "robots_plan.PlanRobots",
     "robots check": "CheckRobots",
     "robots export": "ExportRobots",
 }
-"""Module of each subcommand in this package, named like the first word, and its class there."""
+"""Class of each subcommand, in the module of this package that is named like its first word unless another is given."""
 
 _ABOUT = """Plan assembly sequences for rigid-block structures, with robots as temporary supports.
 
@@ -250,11 +250,14 @@ def _prepare(kind: Any, shown: _Shown) -> None:
 
 
 def _command_class(name: str) -> type[Command]:
-    return getattr(importlib.import_module(f"falsework.cli.{_module(name)}"), COMMANDS[name])
+    module, kind = _place(name)
+    return getattr(importlib.import_module(f"falsework.cli.{module}"), kind)
 
 
-def _module(name: str) -> str:
-    return name.split()[0].replace("-", "_")
+def _place(name: str) -> tuple[str, str]:
+    """Return the module and the class of a subcommand."""
+    module, _, kind = COMMANDS[name].rpartition(".")
+    return module or name.split()[0], kind
 
 
 @cache
@@ -266,7 +269,8 @@ def _first_lines(module: str) -> dict[str, str]:
 
 
 def _first_line(name: str) -> str:
-    return _first_lines(_module(name)).get(COMMANDS[name], "")
+    module, kind = _place(name)
+    return _first_lines(module).get(kind, "")
 
 
 def _overview() -> str:

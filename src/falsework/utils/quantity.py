@@ -12,6 +12,7 @@ UNITS: dict[str, dict[str, float]] = {
     "force": {"N": 1.0, "kN": 1e3},
     "moment": {"Nm": 1.0, "kNm": 1e3},
     "length": {"mm": 1e-3, "cm": 1e-2, "m": 1.0},
+    "duration": {"s": 1.0, "min": 60.0},
     "share of gravity": {"g": 1.0},
     "factor": {"": 1.0},
 }

@@ -16,6 +16,7 @@ pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'fal
 from falsework.cli.main import main
 from falsework.cli.robot_reports import schedule_text
 from falsework.robots.plans.robot_plan_file import load_robot_plan
+from falsework.robots.plans.timeline import interruption
 
 CELL = """
 format = "falsework.cell/1"
@@ -462,3 +463,63 @@ def test_limits_that_are_none(run: Callable, cell_file: Path, tmp_path: Path, li
     code, _, error = run("robots", "plan", STACK, "--cell", cell_file, "--out", tmp_path / "robot_plan.json")
     assert code == 2
     assert f"grippers.cup.{limit.split()[0]} is" in error
+
+
+def test_go_on_from_an_interruption(run: Callable, cell_file: Path, tmp_path: Path) -> None:
+    """Structure, cell, state, arms and what they carry come from the plan, at any time of it."""
+    first = tmp_path / "first" / "all.json"
+    first.parent.mkdir()
+    wanted = ("robots", "plan", STACK, "--cell", cell_file, "--criterion", "equilibrium", "--out", first)
+    assert run(*wanted, "--sequential")[0] == 0
+    plan, rest = load_robot_plan(first), tmp_path / "rest.json"
+    for share in (0.1, 0.45, 0.8):
+        now = interruption(plan, share * plan.makespan)
+        words = ("robots", "plan", "--from", first, "--at", f"{share * plan.makespan:.3f}s", "--sequential", "--json")
+        code, answer, error = run(*words, "--out", rest)
+        assert code == 0, error
+        made = load_robot_plan(rest)
+        assert answer["files"] == [str(rest)]
+        assert made.plan.claim.criterion == "equilibrium"
+        np.testing.assert_array_equal(made.states[0], now.state)
+        np.testing.assert_array_equal(made.states[-1], plan.states[-1])
+        np.testing.assert_allclose(made.keyframes[0].configurations[0], now.configurations[0], atol=1e-9)
+        code, _, error = run("robots", "check", rest, "--motions-only")  # finds structure and cell from where it lies
+        assert code == 0, error
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ((), "name the time of the interruption by --at"),
+        (("--at", "7.2"), "--at: '7.2' has no unit; give 2s or 2min"),
+        (("--at", "1000s"), "; give an earlier time"),
+        (("--at", "2s", "--joints", "arm=home"), "leave out --joints"),
+        (("--at", "2s", "--state", "empty", "--holding", "arm=0"), "leave out --holding and --state"),
+        (("--at", "2s", "--order", "disassembly"), "is a plan of assembly; go on in that order"),
+        (("STRUCTURE", "--at", "2s"), "the robot plan is for another"),
+        (("NO PLAN", "--at", "2s"), "there is no robot plan file"),
+        (("NO FROM", "--at", "2s"), "--at 2s is a time of a robot plan; name that by --from"),
+        (("NO FROM",), "missing from falsework robots plan: STRUCTURE, --cell; or go on by --from and --at"),
+    ],
+)
+def test_an_interruption_that_is_none(
+    options: tuple[str, ...], message: str, interrupted: Path, run: Callable, tmp_path: Path
+) -> None:
+    words: list[object] = ["robots", "plan", "--out", tmp_path / "rest.json"]
+    words += [] if "NO FROM" in options else ["--from", tmp_path / "no.json" if "NO PLAN" in options else interrupted]
+    words += ["stack:blocks=3" if word == "STRUCTURE" else word for word in options if not word.startswith("NO ")]
+    code, _, error = run(*words)
+    assert code == 2
+    assert message in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "rest.json").exists()
+
+
+@pytest.fixture(scope="module")
+def interrupted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A robot plan, with its cell beside it."""
+    folder = tmp_path_factory.mktemp("interrupted")
+    (folder / "cell.toml").write_text(CELL)
+    words = ["robots", "plan", STACK, "--cell", folder / "cell.toml", "--criterion", "equilibrium", "--sequential"]
+    assert main([*map(str, words), "--out", str(folder / "plan.json")]) == 0
+    return folder / "plan.json"
