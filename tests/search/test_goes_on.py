@@ -11,10 +11,10 @@ import pytest
 
 import falsework as fw
 from falsework.assembly import Assembly, load_structure
-from falsework.assembly.named_state import named_state
 from falsework.assembly.props import prop_places, with_props
 from falsework.errors import InputError, PlanError, StateError
 from falsework.replanning.built import BuiltSteps
+from falsework.replanning.named_state import named_state
 from falsework.replanning.replanner import Replanner, replan
 from falsework.search import Plan, find_plans, save_plan, validate_plan
 from falsework.search.problem.deadline import Deadline

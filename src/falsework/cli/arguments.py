@@ -169,8 +169,8 @@ def parse_states(text: str, option: str, assembly: Assembly) -> States:
     Raises:
         InputError: no states of this structure.
     """
-    from falsework.assembly.named_state import named_state
     from falsework.assembly.state import as_states
+    from falsework.replanning.named_state import named_state
     from falsework.search.plans.plan_file import is_plan_file
 
     try:
@@ -216,7 +216,7 @@ def _state_of_step(file: str, step: str, assembly: Assembly) -> States:
 
 def _state_of_parts(text: str, option: str, assembly: Assembly) -> States:
     """Return the state in which some parts stand and others are held."""
-    from falsework.assembly.named_state import named_state
+    from falsework.replanning.named_state import named_state
 
     parts: dict[str, list[int]] = {"standing": [], "held": []}
     for item in split_parts(text, option):

@@ -12,7 +12,6 @@ from falsework.utils.quantity import format_quantity, parse_quantity
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.assembly.state import States
-    from falsework.cli.robots_plan import PlanRobots
     from falsework.robots.model.cell import Cell
     from falsework.robots.plans.robot_plan import RobotPlan
     from falsework.robots.plans.timeline import Interruption
@@ -30,41 +29,41 @@ class BegunPlan:
     now: Interruption
 
     @classmethod
-    def read(cls, options: PlanRobots, file: Path) -> BegunPlan:
+    def read(
+        cls, file: Path, at: str | None, order: str, structure: str | None, cell: str | None, **options: Any
+    ) -> BegunPlan:
         """Read the plan, and find out where it stands.
 
         Args:
-            options: of the command.
             file: of the plan.
+            at: time of the interruption, such as `7.2s`.
+            order: of the motions that are wanted.
+            structure: structure in place of the one that the plan names.
+            cell: cell in place of the one that the plan names.
+            options: as for `load_structure`.
 
         Raises:
-            InputError: no such plan, a time that it does not have, or options that contradict it.
+            InputError: no such plan, a time that it does not have, another order, structure or cell.
         """
         from falsework.robots.cells.cell_file import load_cell
         from falsework.robots.plans.robot_plan_file import load_robot_plan
         from falsework.robots.plans.timeline import interruption
         from falsework.search.plans.plan_source import structure_of_plan
 
-        if options.at is None:
+        if at is None:
             raise InputError(f"--from {file}: name the time of the interruption by --at, such as --at 7.2s")
-        seconds = parse_quantity(options.at, "duration", "--at")
-        others = {name: getattr(options, name) for name in ("joints", "holding", "grips")} | {"state": options.start}
-        given = [f"--{name}" for name, value in others.items() if value is not None]
-        if given:
-            raise InputError(f"--from says where the arms are and what stands; leave out {' and '.join(given)}")
+        seconds = parse_quantity(at, "duration", "--at")
         plan = load_robot_plan(file)
         if seconds >= plan.makespan:
             raise InputError(
-                f"--at {options.at}: {file} ends after {format_quantity(plan.makespan, 'duration')}; "
-                "give an earlier time"
+                f"--at {at}: {file} ends after {format_quantity(plan.makespan, 'duration')}; give an earlier time"
             )
-        if plan.direction != options.order:
-            raise InputError(f"--order {options.order}: {file} is a plan of {plan.direction}; go on in that order")
-        spec = options.structure.spec or None
-        assembly = structure_of_plan(plan.plan, file, spec, **options.structure.given())
-        cell = load_cell(options.cell or plan.cell_place(file))
-        plan.check_identity(assembly, cell)
-        return cls(plan, file, assembly, cell, interruption(plan, seconds))
+        if plan.direction != order:
+            raise InputError(f"--order {order}: {file} is a plan of {plan.direction}; go on in that order")
+        assembly = structure_of_plan(plan.plan, file, structure, **options)
+        place = load_cell(cell or plan.cell_place(file))
+        plan.check_identity(assembly, place)
+        return cls(plan, file, assembly, place, interruption(plan, seconds))
 
     @property
     def state(self) -> States:

@@ -52,8 +52,7 @@ class MakeReplan(Command):
     )
 
     examples: ClassVar[tuple[str, ...]] = (
-        "falsework plan arch:blocks=5 --out plan.json",
-        "falsework replan plan.json --step 4 --missing voussoir-2 --out replan.json",
+        "falsework replan plan.json --step 4 --missing 3 --out replan.json",
         "falsework replan arch:blocks=5 --state voussoir-0,voussoir-4 --missing 2 --order assembly --out replan.json",
     )
 

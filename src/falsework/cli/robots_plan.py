@@ -128,7 +128,7 @@ class PlanRobots(Command):
         from falsework.stability import Stability
 
         writable(self.out)
-        begun = None if self.begun is None else BegunPlan.read(self, self.begun)
+        begun = self._begun()
         if begun is not None:
             assembly, cell = begun.assembly, begun.cell
         else:
@@ -171,6 +171,17 @@ class PlanRobots(Command):
         for text in (*([lost] if lost else []), *heavy):
             output.note(f"falsework: {text}")
         return output.outcome("weaker") if lost or heavy else Exit.DONE
+
+    def _begun(self) -> BegunPlan | None:
+        """Return the plan that was interrupted, if there is one."""
+        if self.begun is None:
+            return None
+        others = {"state": self.start, "joints": self.joints, "holding": self.holding, "grips": self.grips}
+        given = [f"--{name}" for name, value in others.items() if value is not None]
+        if given:
+            raise InputError(f"--from says what stands and where the arms are; leave out {' and '.join(given)}")
+        structure, options = self.structure.spec or None, self.structure.given()
+        return BegunPlan.read(self.begun, self.at, self.order, structure, self.cell, **options)
 
     @property
     def _beginning(self) -> str:

@@ -17,9 +17,9 @@ import numpy as np
 
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
-from falsework.assembly.named_state import StateLike
 from falsework.assembly.state import complete_state
 from falsework.errors import InputError
+from falsework.replanning.named_state import StateLike
 from falsework.replanning.policy_guide import PolicyGuide
 from falsework.replanning.policy_stages import follow_greedily, follow_samples, with_time
 from falsework.replanning.proving import Prover

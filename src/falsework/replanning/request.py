@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.named_state import StateLike, named_state
 from falsework.assembly.part_numbers import part_ids
 from falsework.assembly.state import HELD, REMOVED, States, complete_state, held_count
 from falsework.errors import InputError, StateError
 from falsework.replanning.built import BuiltSteps
+from falsework.replanning.named_state import StateLike, named_state
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_check import check_identity
 from falsework.search.problem.deadline import check_deadline

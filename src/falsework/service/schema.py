@@ -11,9 +11,9 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from pydantic.json_schema import models_json_schema
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.named_state import named_state
 from falsework.assembly.state import States
 from falsework.errors import InputError, StateError
+from falsework.replanning.named_state import named_state
 from falsework.search.plans.plan_file import plan_schema
 from falsework.service.settings import LONGEST_DEADLINE, ServiceSettings
 from falsework.service.worker import NOT_YET

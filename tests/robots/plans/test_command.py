@@ -494,7 +494,7 @@ def test_go_on_from_an_interruption(run: Callable, cell_file: Path, tmp_path: Pa
         (("--at", "7.2"), "--at: '7.2' has no unit; give 2s or 2min"),
         (("--at", "1000s"), "; give an earlier time"),
         (("--at", "2s", "--joints", "arm=home"), "leave out --joints"),
-        (("--at", "2s", "--state", "empty", "--holding", "arm=0"), "leave out --holding and --state"),
+        (("--at", "2s", "--state", "empty", "--holding", "arm=0"), "leave out --state and --holding"),
         (("--at", "2s", "--order", "disassembly"), "is a plan of assembly; go on in that order"),
         (("STRUCTURE", "--at", "2s"), "the robot plan is for another"),
         (("NO PLAN", "--at", "2s"), "there is no robot plan file"),
