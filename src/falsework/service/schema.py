@@ -102,7 +102,7 @@ def models_of(assembly: Assembly, settings: ServiceSettings) -> Models:
         BeforeValidator(_whole_values),
         Field(min_length=parts, max_length=parts, description="one value a part: 0 removed, 1 installed, 2 held"),
     ]
-    part = whole(0, parts - 1) | Annotated[str, Field(max_length=_NAME)]
+    part: Any = whole(0, parts - 1) | Annotated[str, Field(max_length=_NAME)]
     numbers = Annotated[list[part], Field(max_length=parts, json_schema_extra={"uniqueItems": True})]  # type: ignore[valid-type]
     named: Any = create_model(
         "NamedState",
