@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import json
 import os
 import signal
 import subprocess
@@ -56,6 +57,24 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> Iterat
     skipped = [report.longrepr[2] for report in terminalreporter.stats.get("skipped", [])]
     for reason, count in sorted(Counter(reason.removeprefix("Skipped: ") for reason in skipped).items()):
         terminalreporter.write_line(f"not run: {count} {'test' if count == 1 else 'tests'} ({reason})")
+
+
+@pytest.fixture(scope="session")
+def read_answer() -> Callable[[str], dict[str, Any]]:
+    """Read what a command prints with `--json`: one line, which the published schema describes."""
+    import jsonschema
+
+    from falsework.cli.output import answer_schema
+
+    validator = jsonschema.Draft202012Validator(answer_schema())
+
+    def read(text: str) -> dict[str, Any]:
+        (line,) = text.splitlines()
+        answer = json.loads(line)
+        validator.validate(answer)
+        return answer
+
+    return read
 
 
 @pytest.fixture(scope="session")

@@ -77,12 +77,12 @@ def state_graph(path: Path) -> None:
 
 def arch_that_stands(path: Path) -> None:
     """A thick arch with the forces that prove it stable."""
-    run("picture", "arch:blocks=15,thickness=0.2", "--svg", "--forces", "--width", "420", "--out", str(path))
+    run("picture", "arch:blocks=15,thickness=0.2", "--forces", "--width", "420", "--out", str(path))
 
 
 def arch_that_falls(path: Path) -> None:
     """A thin arch with the motion that proves it unstable."""
-    run("picture", "arch:blocks=15,thickness=0.08", "--svg", "--forces", "--width", "420", "--out", str(path))
+    run("picture", "arch:blocks=15,thickness=0.08", "--forces", "--width", "420", "--out", str(path))
 
 
 def gallery(path: Path) -> None:
@@ -114,5 +114,5 @@ def film(path: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:
         plan, draft = str(Path(folder) / "plan.json"), str(Path(folder) / path.name)
         run("plan", "arch:blocks=7", "--out", plan)
-        run("animate", plan, "--width", "360", "--rate", "6", "--out", draft)
+        run("picture", plan, "--width", "360", "--rate", "6", "--out", draft)
         shutil.copyfile(draft, path)

@@ -93,14 +93,14 @@ def test_replan_presses(falsework: Run, tmp_path: Path, direction: str) -> None:
     assert any(plan.presses)
     assert plan.claim.holds.stiffness == 1e5
     assert validate_plan(plan, load_structure(ARCH), StabilitySettings(reserve=1.1)).good
-    (record,) = falsework("replan", ARCH, *SOFT, *options, "--json").records
+    record = falsework("replan", ARCH, *SOFT, *options, "--json").answer
     assert record["reserve"] == 1.1
     assert record["presses"] == sum(map(bool, plan.presses))
 
 
 def test_the_reserve_that_no_plan_keeps(falsework: Run, tmp_path: Path) -> None:
     """The best plan is delivered with what it keeps, and the exit code says so."""
-    for command in ("plan", "replan", "robots-needed"):
+    for command in ("plan", "replan"):
         out = tmp_path / f"{command}.json"
         done = falsework(command, "arch:blocks=5", "--reserve", 5, "--out", out)
         assert done.code == 1
@@ -112,7 +112,7 @@ def test_the_reserve_that_no_plan_keeps(falsework: Run, tmp_path: Path) -> None:
         assert "the plan claims a reserve of 1; 1.2 is asked" in asked.error
 
 
-@pytest.mark.parametrize("command", ["plan", "replan", "robots-needed"])
+@pytest.mark.parametrize("command", ["plan", "replan"])
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -129,7 +129,7 @@ def test_the_reserve_that_no_plan_keeps(falsework: Run, tmp_path: Path) -> None:
     ],
 )
 def test_wrong_options(falsework: Run, tmp_path: Path, command: str, options: tuple[str, ...], words: str) -> None:
-    out = () if command == "robots-needed" else ("--out", tmp_path / "plan.json")
+    out = ("--out", tmp_path / "plan.json")
     refused(falsework(command, "arch:blocks=5", *options, *out), words)
     assert not list(tmp_path.iterdir())
 

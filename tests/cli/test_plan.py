@@ -26,15 +26,15 @@ def test_plan_and_check(falsework: Run, tmp_path: Path) -> None:
     planned = falsework("plan", "arch:blocks=7", "--robots", 2, "--out", out, "--json")
     assert planned.code == 0, planned.error
     assert planned.error == ""
-    (record,) = planned.records
-    assert record["plan"] == str(out)
+    (record,) = planned.answer["plans"]
+    assert planned.answer["files"] == [record["file"]] == [str(out)]
     assert record["steps"] == 14  # each block is held and removed once
     plan = load_plan(out)
     assert validate_plan(plan, load_structure("arch:blocks=7")).good
     checked = falsework("check", out, "--json")
     assert checked.code == 0, checked.error
-    assert checked.records[0]["good"] is True
-    assert checked.records[0]["checked"] == checked.records[0]["states"] == 15
+    assert (checked.answer["ok"], checked.answer["outcome"]) == (True, "verified")
+    assert checked.answer["checked"] == checked.answer["states"] == 15
     people = falsework("check", out, "--steps")
     assert people.code == 0
     lines = people.out.splitlines()
@@ -55,20 +55,20 @@ def test_one_robot_is_not_plural(falsework: Run, tmp_path: Path) -> None:
 def test_the_replay_is_printed_step_by_step(falsework: Run, tmp_path: Path) -> None:
     out = tmp_path / "plan.json"
     planned = falsework("plan", "arch:blocks=7", "--out", out, "--json")
-    (record,) = planned.records
+    (record,) = planned.answer["plans"]
     assert record["criterion"] == "contact"
     assert record["replay"]["stands"] is True
-    assert 0 < record["replay"]["moved"] < 1e-3
+    assert 0 < record["replay"]["moved_mm"] < 1
     people = falsework("check", out, "--replay")
     assert people.code == 0, people.error
     lines = people.out.splitlines()
     assert len(lines) == 2 + 15 + 1
     assert all("stands" in line for line in lines[2:17])
-    records = falsework("check", out, "--replay", "--json").records
-    assert records[0]["criterion"] == "contact"
-    assert [entry["replay"] for entry in records[1:16]] == ["stands"] * 15
-    assert records[16]["replay"] == "stands"
-    assert len(records[16]["variations"]) == 10
+    answer = falsework("check", out, "--replay", "--json").answer
+    assert answer["claim"]["criterion"] == "contact"
+    assert [entry["replay"] for entry in answer["steps"]] == ["stands"] * 15
+    assert answer["replay"] == "stands"
+    assert len(answer["variations"]) == 10
 
 
 def test_a_plan_in_equilibrium_is_not_one_that_stands(falsework: Run, tmp_path: Path) -> None:
@@ -117,8 +117,8 @@ def test_a_plan_that_discrete_elements_build(falsework: Run, tmp_path: Path) -> 
     assert "not verified: its replay, its build by discrete elements" in falsework("check", out).out
     checked = falsework("check", out, "--judge", "--json")
     assert checked.code == 0, checked.error
-    assert checked.records[0]["unverified"] == ["its replay"]
-    assert checked.records[1] == {"judgement": judgement}
+    assert checked.answer["unverified"] == ["its replay"]
+    assert checked.answer["judgement"] == judgement
 
 
 def test_a_plan_that_discrete_elements_do_not_build(
@@ -130,7 +130,7 @@ def test_a_plan_that_discrete_elements_do_not_build(
     planned = falsework("plan", "arch:blocks=7", "--judge", "--deadline", 20, "--out", out, "--json")
     assert planned.code == 1
     assert "no plan was found that discrete elements build; in this one " in planned.error
-    judgement = planned.records[0]["replay"]["judgement"]
+    judgement = planned.answer["plans"][0]["replay"]["judgement"]
     assert judgement["falls_at"] == judgement["built"] < judgement["of"]
     checked = falsework("check", out, "--judge")
     assert checked.code == 1
@@ -190,9 +190,9 @@ def test_an_arch_needs_two_robots(falsework: Run, tmp_path: Path) -> None:
     assert "voussoir-" in finished.error
     assert list(tmp_path.iterdir()) == []
     machine = falsework("plan", "arch:blocks=5", "--robots", 1, "--out", tmp_path / "plan.json", "--json")
-    (record,) = machine.records
-    assert record["plan"] is None
-    assert record["outcome"] == "no plan exists"
+    record = machine.answer
+    assert record["files"] == []
+    assert record["outcome"] == "impossible"
     assert record["moving"]
 
 
@@ -234,7 +234,7 @@ def test_missing_parts_come_last(falsework: Run, write_structure: Write, tmp_pat
     folder, out = write_structure(tmp_path / "row", boxes), tmp_path / "plan.json"
     finished = falsework("plan", folder, "--missing", "2,3", "--out", out, "--json")
     assert finished.code == 0
-    needs = {need["part"]: need["after_parts"] for need in finished.records[0]["needs"]}
+    needs = {need["part"]: need["after_parts"] for need in finished.answer["plans"][0]["needs"]}
     # Nothing stands on anything here, so both can wait for all the others.
     assert sorted(needs.values()) == [2, 3]
     assert "is needed after 2 other parts" in falsework("plan", folder, "--missing", "2,3", "--out", out).out
@@ -270,14 +270,15 @@ def test_alternatives_differ(falsework: Run, tmp_path: Path) -> None:
     out = tmp_path / "plan.json"
     finished = falsework("plan", "arch:blocks=7", "--alternatives", 3, "--out", out, "--json")
     assert finished.code == 0, finished.error
-    assert [Path(record["plan"]).name for record in finished.records] == ["plan.json", "plan-2.json", "plan-3.json"]
-    distances = [record["distances"] for record in finished.records]
+    plans = finished.answer["plans"]
+    assert [Path(record["file"]).name for record in plans] == ["plan.json", "plan-2.json", "plan-3.json"]
+    distances = [record["distances"] for record in plans]
     assert all(distances[i][i] == 0 for i in range(3))
     assert min(distances[i][j] for i in range(3) for j in range(i)) > 0
     sequences = set()
-    for record in finished.records:
-        assert falsework("check", record["plan"]).code == 0
-        sequences.add(load_plan(record["plan"]).actions.tobytes())
+    for record in plans:
+        assert falsework("check", record["file"]).code == 0
+        sequences.add(load_plan(record["file"]).actions.tobytes())
     assert len(sequences) == 3
 
 
@@ -299,8 +300,8 @@ def test_graph(falsework: Run, tmp_path: Path) -> None:
     finished = falsework("graph", "arch:blocks=5", "--width", 16, "--robots", 2, "--out", out, "--json")
     assert finished.code == 0, finished.error
     graph = load_state_graph(out)
-    assert finished.records[0]["states"] == len(graph)
-    assert finished.records[0]["actions"] == len(graph.source)
+    assert finished.answer["states"] == len(graph)
+    assert finished.answer["actions"] == len(graph.source)
     assert graph.count_routes() >= 1
     assert graph.solvable.all()  # found from the empty structure
 
@@ -393,8 +394,8 @@ def test_first_bad_step_is_named(falsework: Run, write_structure: Write, tmp_pat
     assert "part 2 falls" in finished.error
     machine = falsework("check", out, "--json")
     assert machine.code == 1
-    (record,) = machine.records
-    assert record["good"] is False
+    record = machine.answer
+    assert record["outcome"] == "refuted"
     assert record["bad_step"] == 1
     assert record["checked"] == 2
 

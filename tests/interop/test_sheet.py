@@ -170,15 +170,26 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
 
     plan = tmp_path / "plan.json"
     assert run("plan", "arch:blocks=3", "--out", plan) == 0
-    assert run("sheet", plan, "--out", tmp_path / "site.csv") == 0
+    assert run("export", plan, "--out", tmp_path / "site.csv") == 0
     text = (tmp_path / "site.csv").read_bytes()
     assert text.startswith(b"\xef\xbb\xbfstep,")
     capsys.readouterr()
-    for out, hint in (("site.doc", ".pdf or .csv"), ("no/site.csv", "no folder")):
-        assert run("sheet", plan, "--out", tmp_path / out) == 2
+    for out, hint in (
+        ("site.doc", "no export format ends in .doc; write .glb, .gltf, .usd, .usda, .json, .pdf, .csv"),
+        ("no/site.csv", "no folder"),
+    ):
+        assert run("export", plan, "--out", tmp_path / out) == 2
         assert hint in capsys.readouterr().err
-    assert run("sheet", plan, "--out", tmp_path / "site.pdf", "--elevation", "90") == 2
+    assert run("export", plan, "--out", tmp_path / "site.pdf", "--elevation", "90") == 2
     assert "elevation" in capsys.readouterr().err
+    assert run("export", plan, "--out", tmp_path / "site.csv", "--azimuth", "30") == 2
+    assert "--azimuth is for the pictures of a PDF sheet" in capsys.readouterr().err
+    assert run("export", plan, "--out", tmp_path / "site.pdf", "--step-seconds", "1") == 2
+    assert "plans in motion" in capsys.readouterr().err
+    assert run("export", "arch:blocks=3", "--out", tmp_path / "site.pdf") == 2
+    assert "pdf has the steps of a plan; give a plan" in capsys.readouterr().err
+    assert run("export", "arch:blocks=3", "--structure", "arch", "--out", tmp_path / "arch.glb") == 2
+    assert "which arch:blocks=3 is not" in capsys.readouterr().err
     assert not (tmp_path / "site.pdf").exists()
 
 

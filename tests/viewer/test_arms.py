@@ -162,7 +162,7 @@ def test_from_a_file(
     pytest.importorskip("PIL", reason="pictures need Pillow")
     words = ["robot_plan.json", "--cell", "mine.toml"]
     assert main(["picture", *words, "--step", "2", "--width", "160"]) == 0
-    assert main(["animate", *words, "--width", "80", "--rate", "2", "--seconds", "0.5", "--out", "plan.gif"]) == 0
+    assert main(["picture", *words, "--width", "80", "--rate", "2", "--step-seconds", "0.5", "--out", "plan.gif"]) == 0
 
 
 def test_quaternions() -> None:

@@ -499,7 +499,7 @@ def test_the_command_serves_until_interrupted(start_command: Callable[..., subpr
     assert process.stdout is not None
     about = json.loads(process.stdout.readline())
     assert about["kind"] == "structure"
-    with urllib.request.urlopen(about["address"], timeout=PATIENCE) as answer:
+    with urllib.request.urlopen(about["url"], timeout=PATIENCE) as answer:
         assert answer.status == 200
     time.sleep(0.5)  # until it waits
     process.send_signal(signal.SIGINT)

@@ -81,12 +81,11 @@ def test_a_chart_is_drawn_from_the_command_line_as_asked(
     monkeypatch.chdir(tmp_path)
     shown = SimpleNamespace(arms=SimpleNamespace(plan=plan))
     monkeypatch.setattr(ViewableOptions, "open", lambda self: shown)
-    assert main(["picture", "plan.json", "--gantt", "--svg"]) == 0
-    assert (tmp_path / "picture.svg").read_text().startswith("<?xml")
     assert main(["picture", "plan.json", "--gantt", "--out", "chart.svg"]) == 0
+    assert (tmp_path / "chart.svg").read_text().startswith("<?xml")
     assert capsys.readouterr().out.splitlines()[-1].startswith("chart.svg: 2 arms over")
     for given, message in (
-        (("--svg", "--out", "chart.png"), "chart.png and --svg do not fit"),
+        (("--out", "chart.mp4"), "a video such as chart.mp4 has no --gantt"),
         (("--step", "1", "--forces"), "leave out --step and --forces, or --gantt"),
         (("--width=-5",), "-5"),
     ):

@@ -38,7 +38,7 @@ def pressed(arch: tuple[Assembly, Plan], press_once: Callable[..., tuple[Plan, i
 
 def test_forces_in_words() -> None:
     values = (0.5, 49.96, 885.4, 999.4, 999.6, 3885.0, 99940.0, 120000.0)
-    words = ["0.5 N", "50 N", "885 N", "999 N", "1.0 kN", "3.9 kN", "99.9 kN", "120 kN"]
+    words = ["0.5 N", "50 N", "885 N", "999 N", "1 kN", "3.88 kN", "99.9 kN", "120 kN"]
     assert [describe_force(value) for value in values] == words
 
 

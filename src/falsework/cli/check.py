@@ -16,6 +16,7 @@ from falsework.cli.output import counted
 from falsework.cli.overrides import exit_of_good, say_overrides
 from falsework.cli.planning import judge_text
 from falsework.errors import InputError
+from falsework.utils.quantity import format_quantity
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -54,12 +55,25 @@ class CheckPlan(JudgingCommand):
     too. Exit code 1 at the first step that fails; 3 if all is well, but only with such options of the plan.
     """
 
+    rare: ClassVar[tuple[str, ...]] = (
+        "cone",
+        "tolerance",
+        "gravity",
+        "force_bound",
+        "reserve",
+        "hold_force",
+        "margin",
+        "by",
+    )
+
     examples: ClassVar[tuple[str, ...]] = (
         "falsework check plan.json",
         "falsework check plan.json --replay",
         "falsework check plan.json --structure my-folder --steps",
         "falsework check plan.json --accept-overrides",
     )
+
+    outcomes: ClassVar[tuple[str, str]] = ("verified", "refuted")
 
     plan: Annotated[Positional[Path], arg(metavar="PLAN")]
     """Plan to check, as `falsework plan` wrote it."""
@@ -158,8 +172,6 @@ class CheckPlan(JudgingCommand):
         moving = [] if motion is None else motions(assembly, motion)
         output.record(
             {
-                "plan": str(self.plan),
-                "good": found.good,
                 "states": found.states,
                 "checked": found.checked,
                 "residual": found.residual,
@@ -167,7 +179,7 @@ class CheckPlan(JudgingCommand):
                 "reason": found.reason,
                 "moving": [motion.to_dict(assembly) for motion in moving],
                 "seconds": found.seconds,
-                **found.claim.to_dict(),
+                "claim": found.claim.to_dict(),
                 "about": None if found.about is None else asdict(found.about),
                 "overrides": overrides,
                 "certified": found.certified,
@@ -241,11 +253,11 @@ class CheckPlan(JudgingCommand):
         output.record(
             {
                 "replay": "stands" if not failed else "marginal",
-                "largest_mm": replay.largest * 1e3,
+                "moved_mm": replay.largest * 1e3,
                 "variations": [asdict(case) for case in varied],
             }
         )
-        output.say(f"the replay succeeds; parts move by at most {replay.largest * 1e3:.3g} mm")
+        output.say(f"the replay succeeds; parts move by at most {format_quantity(replay.largest, 'length')}")
         if failed:
             names = "; ".join(f"{case.name} (fails at state {case.falls_at})" for case in failed)
             output.note(f"falsework: warning: the plan is marginal: its replay fails under {names}")
@@ -260,9 +272,11 @@ class CheckPlan(JudgingCommand):
         word = {1: "stands", -1: "falls", -2: "a robot bears more than it can", 0: "open"}[int(replay.stands[row])]
         record: dict[str, Any] = {"step": row, "replay": word, "moved_mm": moved * 1e3}
         record |= {"part": assembly.names[part] if part >= 0 else None, "share_of_part": moved / size}
-        output.record(record)
+        output.row("steps", record)
         mover = (
-            f"{assembly.names[part]} moved {moved * 1e3:.3g} mm, {moved / size:.1e} of its size" if part >= 0 else ""
+            f"{assembly.names[part]} moved {format_quantity(moved, 'length')}, {moved / size:.1e} of its size"
+            if part >= 0
+            else ""
         )
         output.say(f"{plan.line(row)}: {word}{'; ' if mover else ''}{mover}")
 
@@ -292,7 +306,7 @@ class CheckPlan(JudgingCommand):
             (answer,) = judge_by_lmgc90(assembly, plan.states[row : row + 1])
             moved = answer.moved * 1e3 if math.isfinite(answer.moved) else None
             record: dict[str, Any] = {"step": row, "lmgc90": answer.answer, "moved_mm": moved}
-            output.record(record | {"reason": answer.reason})
+            output.row("steps", record | {"reason": answer.reason})
             output.say(f"{plan.line(row)}: {answer.answer}{f'; {answer.reason}' if answer.reason else ''}")
             stands += answer.answer == "stands"
             refused += answer.answer == "not judged"

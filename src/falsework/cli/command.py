@@ -29,9 +29,13 @@ class Command(ABC):
 
     examples: ClassVar[tuple[str, ...]] = ()
     """Command lines for the end of the help text."""
+    rare: ClassVar[tuple[str, ...]] = ("debug",)
+    """Options that only `--help-all` shows, of this class; groups of options have such a list, too."""
+    outcomes: ClassVar[tuple[str, str]] = ("done", "failed")
+    """Outcomes in JSON with the exit codes 0 and 1."""
 
     json: bool = False
-    """Print JSON, one object per line; notes go to standard error."""
+    """Print the answer as one JSON object; notes go to standard error too."""
     debug: bool = False
     """Show the traceback of an error."""
 
@@ -51,7 +55,7 @@ class JudgingCommand(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class LoadOptions:
-    """Options that override the files of a structure."""
+    """Options that override the files of a structure; `falsework structures --help` describes them for all commands."""
 
     unit: Annotated[str | None, arg(metavar="UNIT", help_behavior_hint=UNSET)] = None
     """Unit of the meshes, such as mm."""

@@ -25,7 +25,7 @@ def refuse_weak_end(oracle: DemandingStability, task: Task, output: Output) -> b
         if broken:
             lacks = shortfall(oracle, state[None])
             text = f"no plan was found: the {name} state does not keep {broken}"
-            output.record({"plan": None, "outcome": text, "shortfall": lacks})
+            output.record({"reason": text, "shortfall": lacks})
             output.note(f"falsework: {text}{_words(lacks)}")
             return True
     return False

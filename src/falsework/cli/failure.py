@@ -45,13 +45,18 @@ class Failure:
 
     @property
     def outcome(self) -> str:
+        """Outcome of the command."""
+        return "impossible" if self.proven else "not_found"
+
+    @property
+    def words(self) -> str:
         """What the search says about plans."""
         return "no plan exists" if self.proven else "no plan was found"
 
     @property
     def text(self) -> str:
         """Summary in one line."""
-        parts = [text for text in (self.outcome, self.progress, self.there, self.reason) if text]
+        parts = [text for text in (self.words, self.progress, self.there, self.reason) if text]
         if self.sliding:
             sliding = "1 state on the way slides" if self.sliding == 1 else f"{self.sliding} states on the way slide"
             parts.append(f"{sliding}; another robot or more friction may help")
@@ -59,7 +64,7 @@ class Failure:
 
     def in_which(self, condition: str) -> str:
         """Return a summary for a search that ended at states that are stable, but do not meet a condition."""
-        return f"{self.outcome} in which {condition}; {self.progress}"
+        return f"{self.words} in which {condition}; {self.progress}"
 
     @property
     def progress(self) -> str:
@@ -71,8 +76,6 @@ class Failure:
     def to_dict(self, assembly: Assembly) -> dict[str, Any]:
         """Return the report as a JSON object."""
         return {
-            "plan": None,
-            "outcome": self.outcome,
             "interrupted": self.cut,
             "reached": self.reached,
             "steps": self.steps,

@@ -18,6 +18,7 @@ from falsework.cli.planning import (
     first_steps,
     lacks_judge,
     lacks_reserve,
+    need_text,
     promise_lines,
     refuse_unstable,
     search_directions,
@@ -42,6 +43,19 @@ class MakePlan(Command):
     plan; the same command with --resume continues it.
     """
 
+    rare: ClassVar[tuple[str, ...]] = (
+        "width",
+        "search_from",
+        "seed",
+        "cone",
+        "solver",
+        "maximise",
+        "robust",
+        "judge",
+        "proofs",
+    )
+
+    outcomes: ClassVar[tuple[str, str]] = ("found", "not_found")
     examples: ClassVar[tuple[str, ...]] = (
         "falsework plan vault --robots 2 --out plan.json",
         "falsework plan arch --robots auto --deadline 120 --out plan.json",
@@ -177,10 +191,11 @@ class MakePlan(Command):
             for lack in filter(None, lacking):
                 output.note(f"falsework: {lack}")
             if any(lacking):
-                return Exit.NO
+                return output.outcome("weaker")
         else:
             failure = explain(assembly, oracle, result)
             lacks, words = ({}, "") if demanding is None else explain_shortfall(demanding, result)
+            output.outcome(failure.outcome)
             output.record(failure.to_dict(assembly) | ({"shortfall": lacks} if demanding is not None else {}))
             reason = f"{failure.in_which(f'every state keeps {demands}') if lacks else failure.text}{words}"
             output.note(f"{cut}: {reason}; {saved}" if result.interrupted else f"falsework: {reason}")
@@ -192,7 +207,7 @@ class MakePlan(Command):
 
     def _with_fewest_robots(self, output: Output) -> Exit:
         """Search for the fewest robots, and save the plan found with them."""
-        from falsework.cli.robots_needed import ask, report
+        from falsework.cli.fewest_robots import ask, report
 
         if self.alternatives > 1 or self.resume:
             raise InputError("--robots auto takes neither --alternatives nor --resume; give the number of robots")
@@ -243,13 +258,15 @@ class MakePlan(Command):
         assert saved.replay is not None
         step = saved.replay.falls_at
         if step is None:
-            output.record({"plan": str(path), "replay": saved.replay.to_dict() | {"robust": False}})
+            output.file(path)
+            output.record({"best": {**(_replay_record(saved) or {}), "robust": False}})
             output.note(
                 f"falsework: the best plan is in {path}: its replay succeeds under the default settings only; "
                 f"falsework check {path} --replay names those under which it fails"
             )
             return
-        output.record({"plan": str(path), "replay": saved.replay.to_dict()})
+        output.file(path)
+        output.record({"best": _replay_record(saved)})
         output.note(f"falsework: the best plan is in {path}: its replay fails {place_in_words(saved, step)}")
 
     def _report(self, plans: list[tuple[Path, Plan]], planning: Planning, output: Output) -> None:
@@ -258,10 +275,11 @@ class MakePlan(Command):
 
         seconds, asked, found = planning.result.seconds, planning.result.counters.asked, planning.alternatives
         for number, (path, plan) in enumerate(plans):
-            record: dict[str, Any] = {"plan": str(path), "steps": len(plan), "robots": plan.robots}
+            output.file(path)
+            record: dict[str, Any] = {"file": str(path), "steps": len(plan), "robots": plan.robots}
             record["needs"] = [asdict(need) for need in plan.needs]
             record["criterion"] = plan.claim.criterion
-            record["replay"] = None if plan.replay is None else plan.replay.to_dict()
+            record["replay"] = _replay_record(plan)
             record["reserve"] = plan.claim.reserve
             record["presses"] = sum(map(bool, plan.presses))
             if plan.props:
@@ -270,7 +288,8 @@ class MakePlan(Command):
                 record["margins"] = plan.margins.to_dict()
             if self.alternatives > 1:
                 record["distances"] = [round(float(distance), 4) for distance in found.distance[number]]
-            output.record({**record, "verdicts": asked, "seconds": seconds})
+            output.row("plans", record)
+        output.record({"verdicts": asked, "seconds": seconds})
         path, first = plans[0]
         output.say(
             f"{path}: {counted(len(first), 'step')} with {counted(first.robots, 'robot')}, every state proven stable "
@@ -286,9 +305,19 @@ class MakePlan(Command):
         for line in margin_lines(first):
             output.say(line)
         for need in first.needs:
-            output.say(f"{first.part_names[need.part]} is needed after {need.after_parts} other parts are placed")
+            output.say(need_text(first, need))
         if len(plans) > 1:
             others = ", ".join(str(path) for path, _ in plans[1:])
             output.say(f"alternatives in {others}; the two plans most alike differ by {found.least_distance:.2f} of 1")
         if len(plans) < self.alternatives:
             output.note(f"only {len(plans)} of the {self.alternatives} requested plans were found")
+
+
+def _replay_record(plan: Plan) -> dict[str, Any] | None:
+    """Return the result of the replay of a plan; None if it has none."""
+    if plan.replay is None:
+        return None
+    judgement = plan.replay.judgement
+    record: dict[str, Any] = {"stands": plan.replay.stands, "falls_at": plan.replay.falls_at}
+    record["moved_mm"] = plan.replay.moved * 1e3
+    return record | ({} if judgement is None else {"judgement": judgement.to_dict()})

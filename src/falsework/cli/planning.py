@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import arg
 
@@ -13,13 +13,14 @@ from falsework.cli.command import UNSET
 from falsework.cli.output import counted
 from falsework.errors import InputError
 from falsework.utils.files.output_file import check_writable
+from falsework.utils.quantity import format_quantity
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
     from falsework.search.beam.settings import BeamSettings
     from falsework.search.find import TaskRules
-    from falsework.search.plans.plan import Plan
+    from falsework.search.plans.plan import PartDeadline, Plan
     from falsework.search.problem.task import Direction, Task
     from falsework.stability import Stability, StabilitySettings
     from falsework.stability.judges import Judgement
@@ -35,12 +36,15 @@ SHOWN = 8
 class RuleOptions:
     """Rules that a plan must obey in addition to the number of robots."""
 
+    rare: ClassVar[tuple[str, ...]] = ("start", "target", "fixed", "removable_only_if_clear")
+
     start: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: complete)")] = None
-    """State from which disassembly starts, where assembly ends: `complete`, digits such as 2110, or a file."""
+    """State from which disassembly starts, where assembly ends, such as `complete`, plan.json:31, or parts as in
+    0-16,keystone,held:left."""
     target: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: empty)")] = None
-    """State in which disassembly ends, where assembly starts: `empty`, digits such as 2000, or a file."""
+    """State in which disassembly ends, where assembly starts, such as `empty`, plan.json:31, or parts."""
     missing: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
-    """Parts not delivered yet, such as 3,4; assembly does without them as long as possible."""
+    """Parts not delivered yet, such as 3,keystone; assembly does without them as long as possible."""
     fixed: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
     """Parts that are neither held nor removed, such as 7."""
     removable_only_if_clear: bool = False
@@ -105,6 +109,8 @@ class SupportOptions(RuleOptions):
 @dataclass(frozen=True, kw_only=True)
 class HoldOptions:
     """What robots that hold parts can do, and the reserve that a plan keeps; under the criterion `contact`."""
+
+    rare: ClassVar[tuple[str, ...]] = ("hold_force", "hold_stiffness", "no_press", "reserve")
 
     hold_force: Annotated[float | None, arg(metavar="N", help_behavior_hint="(default: 50 weights)")] = None
     """Largest force of a robot on a part that it holds, N; by default fifty weights of the heaviest part."""
@@ -177,13 +183,29 @@ def lacks_judge(plan: Plan, *, asked: bool) -> str:
     return f"no plan was found that discrete elements build; in this one {part} falls {where}"
 
 
-def first_steps(plan: Plan, direction: Direction) -> str:
-    """Describe the steps of a plan that come first in an order."""
-    steps = plan.in_order(direction)
+def first_steps(plan: Plan, direction: Direction, built: int = 0) -> str:
+    """Describe the steps of a plan that come first in an order, after those that are done."""
+    steps = plan.in_order(direction)[built:]
     if not steps:
         return "nothing is left to do"
-    rest = len(steps) - SHOWN
-    return f"from here on: {', '.join(map(str, steps[:SHOWN]))}{f', and {rest} steps more' if rest > 0 else ''}"
+    rest, since = len(steps) - SHOWN, f"from step {built + 1} on" if built else "from here on"
+    return f"{since}: {', '.join(map(str, steps[:SHOWN]))}{f', and {rest} steps more' if rest > 0 else ''}"
+
+
+def need_text(plan: Plan, need: PartDeadline, built: int = 0) -> str:
+    """Return when a missing part is needed, in one sentence.
+
+    Args:
+        plan: the plan.
+        need: of its part.
+        built: steps of the plan that are done.
+    """
+    placed = int((plan.actions[:built] >= len(plan.boundary)).sum())
+    after = need.after_parts - placed
+    return (
+        f"{plan.part_names[need.part]} is needed at step {need.after_steps + 1}, after "
+        f"{after} {'more' if built else 'other'} {'part is' if after == 1 else 'parts are'} placed"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,6 +229,8 @@ class TaskOptions(RuleOptions):
 @dataclass(frozen=True, kw_only=True)
 class SearchOptions:
     """Options of the search."""
+
+    rare: ClassVar[tuple[str, ...]] = ("search_from", "seed")
 
     width: int = 64
     """States kept at each step; a wider search finds more and takes longer."""
@@ -239,7 +263,7 @@ def replay_text(plan: Plan, also: str = "") -> str:
     kept, replay = plan.claim.reserve, plan.replay
     assert replay is not None
     reserve = f" with the true friction and with friction / {kept:g}" if kept > 1 else ""
-    return f"the replay succeeds{reserve}{also}; parts move by at most {replay.moved * 1e3:.3g} mm"
+    return f"the replay succeeds{reserve}{also}; parts move by at most {format_quantity(replay.moved, 'length')}"
 
 
 def press_text(plan: Plan, scale: float = 1.0) -> str:
@@ -251,7 +275,7 @@ def press_text(plan: Plan, scale: float = 1.0) -> str:
     """
     forces = [scale * press.force for presses in plan.presses for press in presses]
     steps = counted(sum(map(bool, plan.presses)), "step")
-    return f"robots press in {steps}, with at most {max(forces):.4g} N" if forces else ""
+    return f"robots press in {steps}, with at most {format_quantity(max(forces), 'force')}" if forces else ""
 
 
 def writable(path: Path, suffix: str = "") -> None:
@@ -302,7 +326,8 @@ def refuse_unstable(
         text = f"{outcome}: the {subject} {Verdict(verdicts.verdict[0]).words}"
         if verdicts.on_tolerance[0]:
             text += ", which depends on the tolerance"
-        output.record({"plan": None, "outcome": text, "moving": [motion.to_dict(assembly) for motion in moving]})
+        output.outcome("impossible" if verdicts.unstable[0] else "not_found")
+        output.record({"reason": text, "moving": [motion.to_dict(assembly) for motion in moving]})
         output.note(f"falsework: {text}{'; ' if moving else ''}{describe(assembly, moving, limit=3)}")
         return True
     return False

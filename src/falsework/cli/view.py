@@ -25,10 +25,14 @@ class View(JudgingCommand):
     is served to this machine only, unless --host is given, until Ctrl-C.
     """
 
+    rare: ClassVar[tuple[str, ...]] = ("host", "allow_host", "deadline")
+
     examples: ClassVar[tuple[str, ...]] = (
         "falsework view plan.json",
         "falsework view vault --robots 3 --browser",
     )
+
+    outcomes: ClassVar[tuple[str, str]] = ("serving", "failed")
 
     subject: ViewableOptions
     policy: Annotated[str | None, arg(metavar="RUN", help_behavior_hint=UNSET)] = None
@@ -69,7 +73,8 @@ class View(JudgingCommand):
         )
         if warning is not None:
             output.note(f"falsework: warning: {warning}")
-        output.record({"address": page.address, "kind": subject.kind, "parts": subject.assembly.part_count})
+        output.record({"url": page.address, "kind": subject.kind, "parts": subject.assembly.part_count})
+        output.answer(Exit.DONE)
         # A shell makes commands ignore Ctrl-C that it starts in the background of a script.
         ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
         end = f"kill {os.getpid()}" if ignored else "Ctrl-C"

@@ -51,6 +51,7 @@ class Prover:
         task: Task,
         replayer: DeadlineReplayer | None = None,
         *,
+        built: int = 0,
         forces: bool = False,
         seconds: float = np.inf,
     ) -> Plan:
@@ -60,6 +61,7 @@ class Prover:
             route: states and actions.
             task: task of the route.
             replayer: has replayed the route as far as time allowed; None without contact history.
+            built: steps of the route, in assembly order, that `replayer` takes as built.
             forces: keep the certificates in the plan.
             seconds: time that is left. Where it is too short to replay all states or to verify them, the plan rests on
                 the replay as far as it came, and after that on verdicts from rest.
@@ -67,7 +69,7 @@ class Prover:
         Raises:
             PlanError: a state that cannot be proved stable.
         """
-        replayed = None if replayer is None else replayer.as_time_allows(route.states[::-1])
+        replayed = None if replayer is None else replayer.as_time_allows(route.states[::-1][built:])
         whole = replayed is None or replayed.stands is True
         if forces or (whole and self.seconds_for(len(route.states)) <= seconds):
             known, begun = None if replayed is None or not whole else _summary(replayed), time.perf_counter()

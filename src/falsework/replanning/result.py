@@ -75,6 +75,8 @@ class ReplanResult(Displayed):
     history."""
     search: SearchResult | None = None
     """How the last search ended, if there was one."""
+    built: int = 0
+    """Steps that are done, with which the plans begin; those from now on have the numbers after it."""
 
     @property
     def found(self) -> bool:
@@ -93,10 +95,11 @@ class ReplanResult(Displayed):
             "decided_by": self.decided_by.value,
             "direction": self.direction.value,
             "plans": len(self.plans),
+            "built": self.built,
             "steps": self.steps,
             "reached": self.reached,
             "seconds": round(self.seconds, 6),
-            "spent": {name: round(seconds, 6) for name, seconds in self.spent.items()},
+            "spent_seconds": {name: round(seconds, 6) for name, seconds in self.spent.items()},
             "verdicts": self.verdicts,
             "deadline_passed": self.deadline_passed,
             "criterion": self.criterion,
@@ -106,7 +109,9 @@ class ReplanResult(Displayed):
             if len(self.replays) > 1:
                 record["replays"] = [replayed.to_dict() for replayed in self.replays]
         if self.plans:
-            record["actions"] = [f"{step.action} {step.name}" for step in self.plans[0].in_order(self.direction)]
+            record["actions"] = [
+                f"{step.action} {step.name}" for step in self.plans[0].in_order(self.direction)[self.built :]
+            ]
             record["needs"] = [asdict(need) for need in self.plans[0].needs]
             if len(self.plans) > 1:
                 record["distances"] = np.round(self.distance, 4).tolist()

@@ -67,7 +67,9 @@ def timed(falling: Assembly, roofed: Cell, begun: dict[str, Any]) -> RobotPlan:
 
     given = {key: value for key, value in begun.items() if key != "start"}
     task = task_of(falling, begun, support=True)
-    found = plan_together(falling, roofed, task=task, settings=HybridSettings(attempts=4), **given).plan
+    found = plan_together(
+        falling, roofed, task=task, settings=HybridSettings(Direction.DISASSEMBLY, attempts=4), **given
+    ).plan
     assert found is not None
     assert found.schedule is not None
     return found

@@ -61,7 +61,7 @@ REMOVAL = 1
 def planned(assembly: Assembly, cell: Cell, *, support: bool) -> HybridResult:
     """Search for a plan that takes everything away."""
     task = task_of(assembly, cell, support=support)
-    return plan_robots(assembly, cell, task=task, settings=HybridSettings(attempts=3))
+    return plan_robots(assembly, cell, task=task, settings=HybridSettings(Direction.DISASSEMBLY, attempts=3))
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +103,7 @@ def timed(stack: Assembly, two: Cell) -> RobotPlan:
     from falsework.robots.planning.plan_together import plan_together
 
     task = task_of(stack, two, support=True)
-    found = plan_together(stack, two, task=task, settings=HybridSettings(attempts=3)).plan
+    found = plan_together(stack, two, task=task, settings=HybridSettings(Direction.DISASSEMBLY, attempts=3)).plan
     assert found is not None
     assert sum(step.put_down is not None for step in found.steps) == 1
     return found

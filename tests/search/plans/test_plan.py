@@ -35,6 +35,7 @@ from falsework.search.plans import packed_proofs
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
 from falsework.stability import Stability, StabilitySettings, Verdict
 from falsework.stability.settings import EQUILIBRIUM
+from tests.older_files import as_version_3
 
 
 @pytest.fixture(scope="module")
@@ -172,33 +173,6 @@ def test_files_follow_the_published_schema(plan: Plan, tmp_path: Path, proofs: b
     jsonschema.validate(json.loads(path.read_text()), schema)
 
 
-def as_version_3(plan: Plan, direction: Direction) -> dict[str, Any]:
-    """A file of version 3, which says in which order it is: written here as that version wrote it."""
-    backwards = direction is Direction.DISASSEMBLY
-    order = slice(None, None, -1) if backwards else slice(None)
-    arrays = {name: getattr(plan, name) for name in ("forces", "displacement")}
-    arrays = {name: None if array is None else array[order].copy() for name, array in arrays.items()}
-    data = json.loads(json.dumps(plan_to_dict(replace(plan, **arrays), proofs=plan.proof_arrays() is not None)))
-    states = [state.tolist() for state in plan.states[order]]
-    judged = [
-        {key: record[key] for key in ("verdict", "proof", "residual")} for record in (data["start"], *data["steps"])
-    ]
-    judged = judged[order]
-    steps = [{key: step[key] for key in step if key not in judged[0]} for step in data["steps"]][order]
-    words = {"insert": "remove", "release": "hold", "hold": "release", "remove": "insert"}
-    steps = [step | {"do": words[step["do"]] if backwards else step["do"]} for step in steps]
-    if "margins" in data:
-        measured = data["margins"]["measured"]
-        data["margins"]["measured"] = {kind: values[order] for kind, values in measured.items()}
-    return data | {
-        "format": "falsework.plan/3",
-        "direction": direction.value,
-        "start": {"state": states[0]} | judged[0],
-        "steps": [step | judgement for step, judgement in zip(steps, judged[1:], strict=True)],
-        "end": states[-1],
-    }
-
-
 @pytest.mark.parametrize("direction", list(Direction))
 def test_plans_of_version_3_are_read_in_the_order_of_assembly(
     plan: Plan, balanced: tuple[Assembly, Plan], small_arch: Assembly, tmp_path: Path, direction: Direction
@@ -217,7 +191,7 @@ def test_plans_of_version_3_are_read_in_the_order_of_assembly(
         assert old.replay == made.replay
         assert (old.margins is None) == (made.margins is None)
         if old.margins is not None:
-            np.testing.assert_allclose(old.margins.measured["friction"], margins.measured["friction"], rtol=1e-8)
+            assert old.margins.measured["friction"] == pytest.approx(margins.measured["friction"], rel=1e-8)
         assert validate_proofs(old, assembly, settings).good
         save_plan(old, path, proofs=True)
         assert json.loads(path.read_text())["format"] == "falsework.plan/4"

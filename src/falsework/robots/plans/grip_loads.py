@@ -21,6 +21,7 @@ from falsework.stability.contact.build_verifier import BuildVerifier
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
+from falsework.utils.quantity import format_quantity
 
 Array = NDArray[np.float64]
 
@@ -53,12 +54,10 @@ class GripLoad:
         """Return what the gripper does not bear; empty if it bears the load, as far as the cell gives limits."""
         gripper, name = cell.robots[self.robot].gripper, plan.plan.part_names[self.part]
         does = "pressing" if self.presses else "holding"
-        for what, value, limit, unit in (
-            ("force", self.force_n, gripper.force, "N"),
-            ("moment", self.moment_nm, gripper.moment, "Nm"),
-        ):
+        for what, value, limit in (("force", self.force_n, gripper.force), ("moment", self.moment_nm, gripper.moment)):
             if value > limit:
-                return f"{does} {name} takes a {what} of {value:.4g} {unit}; its gripper bears {limit:.4g} {unit}"
+                takes, bears = format_quantity(value, what), format_quantity(limit, what)
+                return f"{does} {name} takes a {what} of {takes}; its gripper bears {bears}"
         return ""
 
 

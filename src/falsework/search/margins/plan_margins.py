@@ -15,6 +15,7 @@ from falsework.search.margins.demands import Demands
 from falsework.stability.margins.claims import MarginClaims
 from falsework.stability.margins.state_margins import StateMargins
 from falsework.stability.oracle import Stability
+from falsework.utils.quantity import format_quantity
 
 Measured = Literal["friction", "tilt", "horizontal", "push"]
 MEASURED: tuple[Measured, ...] = get_args(Measured)
@@ -155,8 +156,8 @@ class PlanMargins:
 
 def quantity_text(kind: str, value: float) -> str:
     """Return a margin with its unit, such as `3.2 deg`."""
-    units = {"friction": "", "tilt": " deg", "horizontal": " g", "push": " N"}
-    return f"{np.degrees(value) if kind == 'tilt' else value:.3g}{units[kind]}"
+    kinds = {"friction": "factor", "tilt": "angle", "horizontal": "share of gravity", "push": "force"}
+    return format_quantity(value, kinds[kind])
 
 
 def _is_bound(value: Any, kind: Any) -> bool:

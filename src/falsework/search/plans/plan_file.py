@@ -17,7 +17,7 @@ from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_reader import PROOF_ARRAYS, PROOF_WORDS, PlanReader
 from falsework.search.plans.steps import Step
 from falsework.stability.verdict import Verdict
-from falsework.utils.json_file import write_json
+from falsework.utils.json_file import read_format, write_json
 
 
 def plan_schema() -> dict[str, Any]:
@@ -109,6 +109,16 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
             arrays = arrays.reshape(len(arrays), -1, 6)
         data[name] |= pack_proofs(arrays)
     return data
+
+
+def is_plan_file(path: Path | str) -> bool:
+    """Return whether a file says that it is a plan.
+
+    Raises:
+        PlanError: a JSON file that cannot be read.
+    """
+    file = Path(path)
+    return file.suffix.lower() == ".json" and file.is_file() and read_format(file).startswith("falsework.plan/")
 
 
 def load_plan(path: Path | str) -> Plan:

@@ -152,25 +152,26 @@ class NewPlan:
     plan: Plan | None = None
 
 
-def new_plan(answer: ReplanResult, seconds: float, old: Plan | None, done: int) -> NewPlan:
+def new_plan(answer: ReplanResult, seconds: float, old: Plan | None, before: int) -> NewPlan:
     """Describe the answer to a request.
 
     Args:
         answer: of the replanner.
         seconds: that it took.
         old: plan that was shown before.
-        done: steps that are done already, with which the numbers of the new ones go on.
+        before: steps that are done and not in the new plan, with which its numbers go on.
     """
     decided = answer.decided_by.value
     if answer.plan is None:
         kind = "there is no plan" if answer.outcome.value == "proved_impossible" else "no plan was found"
         return NewPlan(False, f"{kind} ({seconds:.2f} s, {decided}): {answer.reason}", seconds, decided)
     plan = answer.plan
-    texts = [f"{len(plan)} steps in {seconds:.2f} s, decided by {decided}."]
+    texts = [f"{len(plan) - answer.built} steps in {seconds:.2f} s, decided by {decided}."]
+    placed = int((plan.actions[: answer.built] >= len(plan.boundary)).sum())
     for need in plan.needs:
-        name, others = plan.part_names[need.part], need.after_parts
+        name, others = plan.part_names[need.part], need.after_parts - placed
         after = f"after {others} other part{'s' * (others != 1)}" if others else "before any other part"
-        texts.append(f"{name} is needed at step {done + need.after_steps + 1}, {after}.")
+        texts.append(f"{name} is needed at step {before + need.after_steps + 1}, {after}.")
     if old is None:
         texts.append("There was no plan before.")
     else:

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -64,7 +65,7 @@ class ViewerState:
         self.timeline = timeline
         self.plan = plan
         self.built = 0
-        """Steps that were done before the plan was made; the timeline begins with them."""
+        """Steps that are done and not in the plan; the timeline begins with them."""
         self.policy = policy
         self.graph = graph
         self.arms = arms
@@ -330,7 +331,7 @@ class ViewerState:
         Raises:
             InputError: the marks contradict each other or the state; the message says what to do.
         """
-        from falsework.replanning.replanner import Replanner
+        from falsework.replanning.replanner import Replanner, replan
 
         begun = time.perf_counter()
         with self.lock:
@@ -338,22 +339,31 @@ class ViewerState:
             if len(self.timeline) == 0 and np.array_equal(question["state"], question["target"]):
                 # A structure that nothing has been planned for is asked from its beginning.
                 question["state"] = empty_state(self.assembly.boundary)
-            old = self.plan
-            done = self.timeline.row(self.position) if self.direction is Direction.ASSEMBLY else 0
-            if self._replanner is None:
-                self._replanner = Replanner(self.assembly, self.policy, self.oracle)
-        answer = self._replanner.replan(**question, deadline=self.deadline)
-        found = new_plan(answer, time.perf_counter() - begun, old, done)
+            old, building = self.plan, self.direction is Direction.ASSEMBLY
+            place = self.timeline.row(self.position)
+            before = place if building else 0
+            planned = building and place >= self.built and np.array_equal(self.site, self.state)
+            if planned and old is not None and not old.props:
+                # The new plan has the steps that are done, and goes on with their history.
+                before = self.built
+                del question["state"]
+                ask = partial(replan, old, step=place - self.built, structure=self.assembly, policy=self.policy)
+            else:
+                if self._replanner is None:
+                    self._replanner = Replanner(self.assembly, self.policy, self.oracle)
+                ask = self._replanner.replan
+        answer = ask(**question, deadline=self.deadline)
+        found = new_plan(answer, time.perf_counter() - begun, old, before)
         if found.plan is not None:
             with self.lock:
                 self._before.append((self.timeline, self.plan, self.built, self.disruption, self.position, self.arms))
                 self.arms = None  # the new plan has no motions yet
-                if answer.direction is Direction.ASSEMBLY:
-                    self.timeline = self.timeline.going_on(done, found.plan)
+                if building:
+                    self.timeline = self.timeline.going_on(before, found.plan)
                 else:
                     self.timeline = Timeline.of(found.plan, self.assembly, answer.direction)
-                self.plan, self.built = found.plan, done
-                self.go_to(done if answer.direction is Direction.ASSEMBLY else self.timeline.begin)
+                self.plan, self.built = found.plan, before
+                self.go_to(place if building else self.timeline.begin)
                 # Disruptions in the new plan are no longer marked: the states of the new plan show it.
                 self.disruption = Disruption(fixed=self.disruption.fixed, robots=self.disruption.robots)
         return found

@@ -40,7 +40,7 @@ def flat_axis(assembly: Assembly) -> int:
         if all(_is_prism(mesh.triangles, axis) for mesh in assembly.meshes):
             return axis
     raise InputError(
-        f"{assembly.name} is not two-dimensional, so it has no line drawing; leave --svg out for a picture in three"
+        f"{assembly.name} is not two-dimensional, so it has no line drawing; write a .png for a picture in three"
     )
 
 
