@@ -40,6 +40,7 @@ def main() -> None:
         **{f"real-{name}": commands.real for name in (*commands.REAL, *commands.PUBLIC)},
         "arch-plan.gif": commands.film,
         "page": screen.page,
+        "notebook": screen.notebook,
     }
     for name in sys.argv[1:] or pictures:
         path = folder / (name if "." in name else f"{name}.png")

@@ -187,11 +187,12 @@ def test_replanning_around_a_missing_part_and_back(model: ViewerState) -> None:
     assert [str(step) for step in model.timeline.steps[:4]] == done
     assert [step.number for step in model.timeline.steps] == list(range(1, len(model.timeline) + 1))
     np.testing.assert_array_equal(model.timeline.states[:4], old.states[:4])
-    np.testing.assert_array_equal(model.timeline.states[4:], answer.plan.states)
+    np.testing.assert_array_equal(model.timeline.states, answer.plan.states)  # what is saved has them too
     (need,) = answer.plan.needs
     name = model.assembly.names[absent[0]]
-    assert f"{name} is needed at step {4 + need.after_steps + 1}, after {need.after_parts} other part" in answer.words
-    assert model.timeline.steps[4 + need.after_steps].words == f"insert {name}"
+    others = sum(step.action == "insert" for step in answer.plan.steps[4 : need.after_steps])
+    assert f"{name} is needed at step {need.after_steps + 1}, after {others} other part" in answer.words
+    assert model.timeline.steps[need.after_steps].words == f"insert {name}"
     assert model.disruption == Disruption(robots=3)
     assert model.can_go_back
     model.go_back()
@@ -200,14 +201,22 @@ def test_replanning_around_a_missing_part_and_back(model: ViewerState) -> None:
     assert not model.can_go_back
 
 
-def test_proofs_of_a_new_plan_are_those_of_its_own_states(model: ViewerState) -> None:
+@pytest.mark.parametrize("found", [True, False])
+def test_proofs_of_a_new_plan_are_those_of_its_own_states(model: ViewerState, found: bool) -> None:
+    """With another state on site than planned, the steps that are done belong to no plan that can be proved."""
     model.go_to(4)
+    if found:
+        model.tool = ClickMode.HOLD
+        model.click_part(int(np.argmax(model.state == INSTALLED)))
+    count = len(model.timeline)
     assert model.replan().found
+    assert (len(model.timeline) > count) == found  # what is held now is released
+    assert model.built == (4 if found else 0)
     for place in range(len(model.timeline) + 1):
         model.go_to(place)
         proof = model.proof()
         assert proof.stable
-        assert ("as reached in assembly" in proof.words) == (place >= 4), place
+        assert ("as reached in assembly" in proof.words) == (place >= model.built), place
 
 
 def test_a_robot_holds_a_part_by_a_click(model: ViewerState) -> None:

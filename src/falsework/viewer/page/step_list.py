@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from falsework.viewer.page.host import Host
     from falsework.viewer.timeline import Timeline
 
-_CELL = "padding:1px 6px 1px 0"
+_CELL = "padding:1px 6px 1px 0;text-align:left"
 _ROW = "falsework-step-"
 """Identifier of the row of a step, before the place that it leads to."""
 Names = Callable[[int], str]

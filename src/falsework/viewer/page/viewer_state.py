@@ -311,7 +311,7 @@ class ViewerState:
 
                 self._guide = PolicyGuide(self.policy)
             site = self.site[None]
-            legal = action_mask, empty_state(site, self.assembly.boundary, self.disruption.robots)
+            legal = action_mask(site, self.assembly.boundary, self.disruption.robots)
             target = np.where(self.assembly.boundary, HELD, REMOVED).astype(np.uint8)[None]
             scores = self._guide.log_probabilities(site, legal, target)
             return chance_of_parts(np.exp(scores[0]))
