@@ -316,6 +316,7 @@ def test_steps_are_found_and_gone_to(opened: Callable[..., Open], arch: Any) -> 
     assert complaints_of(now) == []
 
 
+@pytest.mark.slow
 def test_files_come_and_go(opened: Callable[..., Open], arch: Any, tmp_path: Path) -> None:
     """Download the plan, the page and a screenshot, and open a plan and a structure."""
     import falsework as fw

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -76,6 +77,43 @@ def test_names_do_not_become_markup(arch: Any) -> None:
 def test_what_is_no_object_of_ours_shows_nothing() -> None:
     assert html_of(3) is None
     assert notebook.notebook_progress("searching") is None  # no notebook here
+
+
+@pytest.fixture
+def cell_lines(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What a cell of a notebook would show."""
+    lines: list[str] = []
+
+    def progress(title: str) -> Callable[[float, str], None]:
+        return lambda share, words: lines.append(f"{title} {share:.2f} {words}")
+
+    for module in ("falsework.utils.display.notebook", "falsework.learn.training.train"):
+        monkeypatch.setattr(f"{module}.notebook_progress", progress)
+    return lines
+
+
+def test_searches_for_the_fewest_robots_show_their_progress(cell_lines: list[str]) -> None:
+    fw.robots_needed("arch:blocks=3")
+    assert cell_lines
+    assert all(line.startswith("searching ") and "verdicts" in line for line in cell_lines)
+
+
+def test_a_callback_of_the_caller_is_left_alone(cell_lines: list[str]) -> None:
+    seen: list[object] = []
+    fw.find_plans("arch:blocks=3", progress=seen.append)
+    assert seen
+    assert cell_lines == []
+
+
+def test_training_shows_its_progress(cell_lines: list[str]) -> None:
+    pytest.importorskip("torch", reason="training needs torch; pip install 'falsework[learn]'")
+    from falsework.learn.config.policy import PolicySettings
+    from falsework.learn.config.train import TrainSettings
+
+    small = TrainSettings(steps=4, block=2, widths=(4,), policy=PolicySettings("resmlp", channels=8, layers=1))
+    fw.train("arch:blocks=3", small, folder=None, device="cpu")
+    assert cell_lines
+    assert all(line.startswith("training ") for line in cell_lines)
 
 
 def test_a_robot_plan_shows_its_chart(robot_plan: Any) -> None:

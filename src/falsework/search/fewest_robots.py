@@ -25,6 +25,7 @@ from falsework.search.settings import PlannerSettings
 from falsework.search.support.planner import SupportPlanner, planner_for
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
+from falsework.utils.display.notebook import or_notebook
 
 DEADLINE = 60.0
 """Seconds for the whole question unless another deadline is given."""
@@ -110,7 +111,7 @@ def robots_needed(
             number of robots, half of the deadline is left to ask for plans without; `Plan.claim` has its reserve.
         settings: effort of the search for each plan.
         deadline: seconds for all searches together; None for as long as they take.
-        progress: called after every level of every search.
+        progress: called after every level of every search; notebooks show it if not given.
         forces: keep the contact forces that prove each state in the plan.
         rules: start, target, fixed, missing, removable_only_if_clear, support and props; see `TaskRules`.
 
@@ -121,6 +122,7 @@ def robots_needed(
         InputError: a deadline of zero or less, or rules that the structure cannot keep.
     """
     clock, assembly = Deadline(deadline), as_assembly(assembly)
+    progress = or_notebook(progress, "searching")
     first = oracle or Stability(assembly, stability)
     again = oracle is None and stability.reserve > 1.0 and first.replayer is not None
     share = Deadline(None if deadline is None else FIRST_SHARE * deadline) if again else clock

@@ -38,7 +38,7 @@ from falsework.search.settings import PlannerSettings
 from falsework.search.support.planner import SupportPlanner, planner_for
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
-from falsework.utils.display.notebook import Displayed, notebook_progress
+from falsework.utils.display.notebook import Displayed, or_notebook
 
 _SAVE_EVERY = 30.0
 """Seconds between two checkpoints."""
@@ -152,8 +152,7 @@ def find_plans(
     if task is not None and named:
         raise InputError(f"a task and {', '.join(named)} were given; put them into the task, or leave the task out")
     assembly = as_assembly(assembly)
-    show = notebook_progress("searching")
-    progress = progress or (None if show is None else lambda now: show(now.share, now.words))
+    progress = or_notebook(progress, "searching")
     if oracle is None:
         task = task or task_of(assembly, 2 if robots is None else robots, **rules)
         more = {"settings": settings, "guide": guide, "progress": progress, "stop": stop, "forces": forces}

@@ -21,6 +21,7 @@ from falsework.search.problem.guide import Guide
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
+from falsework.utils.display.notebook import or_notebook
 
 
 def plan_robots(
@@ -58,7 +59,7 @@ def plan_robots(
             friction; `plan.claim` of the result has its reserve.
         guide: action heuristic, such as a trained policy, added to the ease of execution by the arms.
         settings: order of execution, and limits of the search.
-        progress: callback, called at intervals.
+        progress: callback, called at intervals; notebooks show it if not given.
         graph: keyframe graph of the same structure and cell, whose motions are used again.
 
     Raises:
@@ -67,6 +68,7 @@ def plan_robots(
         StateError: held parts that do not go with the state that is begun with.
     """
     assembly, cell = as_assembly(assembly), as_cell(cell)
+    progress = or_notebook(progress, "planning motions")
     if oracle is None:
         given: dict[str, Any] = {"task": task, "configurations": configurations, "held": held, "gripped": gripped}
         given |= {"guide": guide, "progress": progress, "graph": graph}

@@ -77,5 +77,15 @@ class HybridProgress:
     dead_ends: int
     seconds: float
 
+    @property
+    def share(self) -> float:
+        """How far the search is, from 0 to 1."""
+        return self.reached / max(self.steps, 1)
+
+    @property
+    def words(self) -> str:
+        """The progress on one line."""
+        return f"step {self.reached} of {self.steps}, {self.dead_ends} dead ends"
+
 
 Progress = Callable[[HybridProgress], None]

@@ -36,6 +36,7 @@ from falsework.search.problem.guide import Guide
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
+from falsework.utils.display.notebook import or_notebook
 
 _APPROACHES = (0.4, 1.0, 1.8)
 _WITHDRAWALS = (0.4, 1.0, 2.0, 4.0)
@@ -79,6 +80,7 @@ def plan_together(
     """
     import_ortools()
     assembly, cell = as_assembly(assembly), as_cell(cell)
+    progress = or_notebook(progress, "planning motions")
     now = {"configurations": configurations, "held": held, "gripped": gripped}
     start: dict[str, Any] = {"task": task, **now}
     if oracle is None:

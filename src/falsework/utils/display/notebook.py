@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from html import escape
 from importlib import import_module
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 _EVERY = 0.2
 """Seconds between two updates of a line."""
@@ -39,6 +39,32 @@ def in_notebook() -> bool:
         return False
     shell = sys.modules["IPython"].get_ipython()
     return shell is not None and hasattr(shell, "kernel")
+
+
+class Progress(Protocol):
+    """Progress of a search."""
+
+    @property
+    def share(self) -> float:
+        """How far it is, from 0 to 1."""
+
+    @property
+    def words(self) -> str:
+        """The progress on one line."""
+
+
+P = TypeVar("P", bound=Progress)
+
+
+def or_notebook(report: Callable[[P], None] | None, title: str) -> Callable[[P], None] | None:
+    """Return a callback as it is; where none is given, in notebooks, one that shows progress in the cell.
+
+    Args:
+        report: called with progress; None if not given.
+        title: what is being done.
+    """
+    show = notebook_progress(title) if report is None else None
+    return report if show is None else lambda now: show(now.share, now.words)
 
 
 def notebook_progress(title: str) -> Callable[[float, str], None] | None:
