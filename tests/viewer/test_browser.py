@@ -436,12 +436,23 @@ def test_a_file_plays_without_a_server(browser: Any, arch: Any, tmp_path: Path) 
     tab.add_style_tag(content=".mantine-Notifications-root { display: none }")
     tab.locator("summary").click()
     tab.get_by_text(plan.steps[0].words, exact=True).wait_for()
-    time_box = tab.locator("input").first
+    tab.locator("summary").click()
+    time_box = tab.locator("input.mantine-NumberInput-input").first
     end, seen = time.monotonic() + PATIENCE, set()
     while len(seen) < 3:  # it plays
         assert time.monotonic() < end
         seen.add(time_box.input_value())
         tab.wait_for_timeout(300)
+
+    def at(step: int) -> np.ndarray:
+        time_box.fill(str(step))
+        time_box.press("Enter")
+        tab.wait_for_timeout(1500)
+        return np.asarray(pil.open(io.BytesIO(tab.screenshot())).convert("RGB")).astype(int)
+
+    first, last, again = at(1), at(len(plan)), at(1)
+    assert (np.abs(first - last).max(axis=2) > 60).sum() > 2000
+    assert (np.abs(first - again).max(axis=2) > 60).sum() < 500  # going back leaves nothing of what came later
     assert [text for text in wrong if not any(word in text for word in HARMLESS)] == []
     tab.close()
 

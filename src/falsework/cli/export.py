@@ -73,7 +73,7 @@ class Export(Command):
         subject, assembly = read_exportable(self.structure.spec, self.of, **self.structure.given())
         plan = subject.plan if isinstance(subject, RobotPlan) else subject if isinstance(subject, Plan) else None
         if assembly is None and chosen != "html":
-            raise InputError(f"{self.structure.spec} is a robot plan; export it by falsework robots export, or as .html")
+            raise InputError(f"{self.structure.spec} is a robot plan; use falsework robots export, or write .html")
         if self.of is not None and plan is None:
             raise InputError(
                 f"--structure names the structure of a plan, which {self.structure.spec} is not; leave it out"

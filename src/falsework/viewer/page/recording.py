@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from falsework.errors import InputError
 from falsework.search.problem.task import Direction
@@ -46,10 +47,13 @@ _PANEL = (
 
 
 class RecordedScene(ViserScene):
-    """Scene with one node a part: a step then changes a few properties, and each mesh is in the file once."""
+    """Scene with one node a part: a step then changes a few properties, and each mesh is in the file once.
+
+    What is not seen is removed, since viser's player, when it goes back, shows hidden nodes that it makes again.
+    """
 
     def __init__(self, scene: Any, timeline: Timeline) -> None:
-        """Fill a scene with hidden parts.
+        """Begin without parts.
 
         Args:
             scene: `viser.SceneApi`.
@@ -60,14 +64,7 @@ class RecordedScene(ViserScene):
         self._opacities = np.zeros(parts)
         self._colors = np.zeros((parts, 3), dtype=np.uint8)
         self._shifts = np.zeros((parts, 3))
-        self._parts = []
-        for part, (vertices, faces) in enumerate(zip(self._vertices, self._faces, strict=True)):
-            name = f"/parts/{part}"
-            node = scene.add_mesh_simple(name, vertices, faces, color=(0, 0, 0), flat_shading=True, visible=False)
-            if self._lined:
-                edges = self._edges[part]
-                scene.add_line_segments(f"{name}/edges", edges, rgb(INK), thickness=1.4, thickness_units="screen")
-            self._parts.append(node)
+        self._parts: dict[int, Any] = {}
 
     def show(
         self,
@@ -83,21 +80,43 @@ class RecordedScene(ViserScene):
         shifted = (appearance.shift != self._shifts).any(axis=1)
         changed = np.flatnonzero((now != before) | ((now > 0) & (dyed | shifted)))
         for part in changed.tolist():
-            node, opacity = self._parts[part], float(now[part])
-            if (opacity > 0) != (before[part] > 0):
-                node.visible = opacity > 0
-            if opacity == 0:
+            if now[part] == 0:
+                self._parts.pop(part).remove()
+                continue
+            color = tuple(appearance.color[part].tolist())
+            position = appearance.shift[part] * self.scale
+            opacity = None if now[part] >= 1 else round(float(now[part]), 3)
+            node = self._parts.get(part)
+            if node is None:
+                self._parts[part] = self._part(part, color, opacity, position)
                 continue
             if dyed[part]:
-                node.color = tuple(appearance.color[part].tolist())
+                node.color = color
             if shifted[part]:
-                node.position = appearance.shift[part] * self.scale
-            node.opacity = None if opacity >= 1 else round(opacity, 3)
+                node.position = position
+            node.opacity = opacity
         seen = changed[now[changed] > 0]
         self._colors[seen], self._shifts[seen] = appearance.color[seen], appearance.shift[seen]
         self._opacities = now.copy()
         self._show_labels(appearance, labels or {})
         return len(changed)
+
+    def _part(self, part: int, color: tuple[int, ...], opacity: float | None, position: NDArray[np.float64]) -> Any:
+        name = f"/parts/{part}"
+        node = self._scene.add_mesh_simple(
+            name, self._vertices[part], self._faces[part], color=color, opacity=opacity, position=position,
+            flat_shading=True,
+        )  # fmt: skip
+        if self._lined:
+            edges = self._edges[part]
+            self._scene.add_line_segments(f"{name}/edges", edges, rgb(INK), thickness=1.4, thickness_units="screen")
+        return node
+
+    def _hide(self, name: str) -> None:
+        if name in self._shown:
+            del self._shown[name]
+            for node in self._nodes.pop(name)[1]:
+                node.remove()
 
 
 class _NoVisitors(OriginGuard):
