@@ -78,10 +78,8 @@ class PlanRobots(Command):
     order: Literal["assembly", "disassembly"] = "assembly"
     """Order in which the motions are executed; the schedule is for it. --state, --joints, --holding and --grips
     describe its start."""
-    start: Annotated[
-        str | None, arg(metavar="STATE", help_behavior_hint="(default: empty or complete)", aliases=["--state"])
-    ] = None
-    """State to start from: `complete`, `empty`, digits such as 2110, or a file."""
+    state: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: empty or complete)")] = None
+    """State to start from: `empty`, `complete`, digits such as 2110, or a file."""
     joints: Annotated[str | None, arg(metavar="JOINTS", help_behavior_hint="(default: all at home)")] = None
     """Joint values of the robots in rad at the start, such as left=0,0.1,-0.5,0,1,0;right=home, or a JSON file with
     such lists by robot. An assembly for which nothing of its start is given begins where its first motion does."""
@@ -134,7 +132,7 @@ class PlanRobots(Command):
             return Exit.NO
         guide = self._guide(assembly, task)
         given: dict[str, Any] = {"task": task, "stability": stability, "guide": guide, "settings": settings}
-        if not building or {self.start, self.joints, self.holding, self.grips} != {None}:
+        if not building or {self.state, self.joints, self.holding, self.grips} != {None}:
             given |= {"configurations": joints, "held": held, "gripped": grips}
         with output.bar("planning motions") as show:
             given["progress"] = lambda now: show(now.reached, now.steps, f"step {now.reached} of {now.steps}")
@@ -159,7 +157,7 @@ class PlanRobots(Command):
         from falsework.search.problem.task import Task
 
         building = self.order == "assembly"
-        now = parse_now(self.start or ("empty" if building else "complete"), held, assembly)
+        now = parse_now(self.state or ("empty" if building else "complete"), held, assembly)
         end = None if self.target is None else parse_state(self.target, "--target", assembly)
         start, target = (end, now) if building else (now, end)  # plans are found as disassembly
         return Task.create(
