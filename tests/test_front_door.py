@@ -354,7 +354,7 @@ def test_results_print_as_one_line(arch: Assembly, plan: fw.Plan) -> None:
         repr(arch): "7 parts, 2 of them boundary, 6 contacts",
         repr(arch.meshes[0]): "voussoir-0: 8 vertices",
         repr(arch.contacts): "6 with 24 points",
-        repr(plan): "disassembly in 10 steps with 2 robots, criterion contact",
+        repr(plan): "10 steps with 2 robots, criterion contact",
         repr(planning): "proved_impossible",
         repr(fw.find_plans(arch, robots=2)): "found, (<Plan",
         repr(oracle.check(plan.states)): "11 states: 11 stable",

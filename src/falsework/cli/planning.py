@@ -36,13 +36,12 @@ SHOWN = 8
 class RuleOptions:
     """Rules that a plan must obey in addition to the number of robots."""
 
-    rare: ClassVar[tuple[str, ...]] = ("start", "target", "fixed", "removable_only_if_clear")
+    rare: ClassVar[tuple[str, ...]] = ("begin", "end", "fixed", "removable_only_if_clear")
 
-    start: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: complete)")] = None
-    """State from which disassembly starts, where assembly ends, such as `complete`, plan.json:31, or parts as in
-    0-16,keystone,held:left."""
-    target: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: empty)")] = None
-    """State in which disassembly ends, where assembly starts, such as `empty`, plan.json:31, or parts."""
+    begin: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: empty)")] = None
+    """State in which the assembly begins, such as `empty`, plan.json:31, or parts as in 0-16,keystone,held:left."""
+    end: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: complete)")] = None
+    """State in which the assembly ends, such as `complete`, plan.json:31, or parts."""
     missing: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
     """Parts not delivered yet, such as 3,keystone; assembly does without them as long as possible."""
     fixed: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
@@ -57,8 +56,9 @@ class RuleOptions:
             InputError: parts or states that the structure does not have; the message says what to do.
         """
         return {
-            "start": None if self.start is None else parse_state(self.start, "--start", assembly),
-            "target": None if self.target is None else parse_state(self.target, "--target", assembly),
+            # A task starts with the state that has more parts.
+            "start": None if self.end is None else parse_state(self.end, "--end", assembly),
+            "target": None if self.begin is None else parse_state(self.begin, "--begin", assembly),
             "fixed": () if self.fixed is None else parse_parts(self.fixed, "--fixed", assembly.names),
             "missing": () if self.missing is None else parse_parts(self.missing, "--missing", assembly.names),
             "removable_only_if_clear": self.removable_only_if_clear,
