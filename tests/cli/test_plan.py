@@ -191,9 +191,11 @@ def test_a_step_has_one_number_and_a_robot_in_every_output(falsework: Run, tmp_p
     assert apart == [
         line.replace(step.action, words[step.action]) for line, step in zip(lines[:0:-1], plan[::-1], strict=True)
     ]
-    margins = falsework("margins", out).out.splitlines()
-    assert [line.partition(":")[0] for line in margins[:11]] == lines
-    assert falsework("sheet", out, "--out", tmp_path / "sheet.csv").code == 0
+    margins = falsework("margins", out, "--steps").out.splitlines()[1:12]
+    assert {line[: line.find("  ")].replace("*", "") for line in margins} == {
+        line.strip().replace("  ", " ") for line in lines
+    }
+    assert falsework("export", out, "--out", tmp_path / "sheet.csv").code == 0
     table = list(csv.DictReader((tmp_path / "sheet.csv").open(encoding="utf-8-sig")))
     assert [(int(row["step"]), row["name"], int(row["support"])) for row in table] == [
         (step.number, step.name, (step.robot or 0) + 1) for step in plan
@@ -257,7 +259,10 @@ def test_missing_parts_come_last(falsework: Run, write_structure: Write, tmp_pat
     needs = {need["part"]: need["after_parts"] for need in finished.answer["plans"][0]["needs"]}
     # Nothing stands on anything here, so both can wait for all the others.
     assert sorted(needs.values()) == [2, 3]
-    assert "is needed after 2 other parts" in falsework("plan", folder, "--missing", "2,3", "--out", out).out
+    assert (
+        "is needed at step 5, after 2 other parts are placed"
+        in falsework("plan", folder, "--missing", "2,3", "--out", out).out
+    )
 
 
 def test_clear_ways_out(falsework: Run, tmp_path: Path) -> None:

@@ -86,7 +86,7 @@ def test_build_on_without_a_part(falsework: Run, old: Path, tmp_path: Path) -> N
     assert finished.code == 0, finished.error
     assert "steps of assembly with 2 robots" in finished.out
     assert "from here on: " in finished.out
-    assert f"{ARCH.names[late]} is needed after" in finished.out
+    assert f"{ARCH.names[late]} is needed at step " in finished.out
     assert f"compared with {old}" in finished.out
     new = load_plan(out)
     np.testing.assert_array_equal(new.states[0], state)
