@@ -201,11 +201,10 @@ def need_text(plan: Plan, need: PartDeadline, built: int = 0) -> str:
         built: steps of the plan that are done.
     """
     placed = int((plan.actions[:built] >= len(plan.boundary)).sum())
-    after = need.after_parts - placed
-    return (
-        f"{plan.part_names[need.part]} is needed at step {need.after_steps + 1}, after "
-        f"{after} {'more' if built else 'other'} {'part is' if after == 1 else 'parts are'} placed"
-    )
+    after, when = need.after_parts - placed, f"{plan.part_names[need.part]} is needed at step {need.after_steps + 1}"
+    if not after:
+        return f"{when}, before any other part"
+    return f"{when}, after {after} {'more' if built else 'other'} {'part is' if after == 1 else 'parts are'} placed"
 
 
 @dataclass(frozen=True, kw_only=True)
