@@ -240,6 +240,18 @@ def test_criterion_robots_and_reserve_are_those_of_the_plan(falsework: Run, tmp_
     assert load_plan(out).claim.criterion == "equilibrium"
 
 
+def test_a_robot_that_has_failed(falsework: Run, tmp_path: Path) -> None:
+    """The rest is built by those that are left; the whole has the steps of all."""
+    first, out = tmp_path / "first.json", tmp_path / "new.json"
+    assert falsework("plan", "stack:blocks=4", "--robots", 2, "--out", first).code == 0
+    done = falsework("replan", first, "--step", 2, "--robots", 1, "--out", out)
+    assert done.code == 0, done.error
+    assert "with 2 robots, 1 from step 3 on, every state" in done.out
+    plan = load_plan(out)
+    assert ((plan.states[2:] == 2) & ~plan.boundary).sum(axis=1).max() == 1
+    assert falsework("check", out).code == 0
+
+
 @pytest.mark.parametrize("step", [0, 3, -1])
 def test_every_step_can_be_the_last(step: int, falsework: Run, old: Path, tmp_path: Path) -> None:
     plan, out = load_plan(old), tmp_path / "new.json"
