@@ -25,7 +25,7 @@ def page(path: Path) -> None:
     from playwright.sync_api import sync_playwright
 
     vault = load_structure("vault")
-    plan = find_plans(vault, task_of(vault)).plans[0].reverse()
+    plan = find_plans(vault, task_of(vault)).plans[0]
     model = ViewerState(Timeline.of(plan, vault), plan=plan)
     busy = [(model.timeline.holders[model.timeline.row(place)] != NO_ROBOT).sum() for place in range(len(plan))]
     middle = len(plan) // 2

@@ -158,11 +158,13 @@ def test_robot_plans(falsework: Run, tmp_path: Path, plan_data: dict[str, Any]) 
     }  # fmt: skip
     steps = len(plan_data["steps"])
     data = {
-        "format": "falsework.robot-plan/1",
+        "format": "falsework.robot-plan/3",
+        "direction": "disassembly",
         "cell": {"name": "cell", "identity": "0", "robots": [robot]},
         "plan": plan_data,
         "keyframes": [frame] * (steps + 1),
         "steps": [{"do": "", "robot": 0, "trajectories": [motion]}] * steps,
+        "schedule": None,
         "statistics": {},
     }
     file = tmp_path / "robot_plan.json"
