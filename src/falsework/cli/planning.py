@@ -184,7 +184,7 @@ def first_steps(plan: Plan, direction: Direction) -> str:
     if not steps:
         return "nothing is left to do"
     rest = len(steps) - SHOWN
-    return f"from here on: {', '.join(map(str, steps[:SHOWN]))}{f', and {rest} steps more' if rest > 0 else ''}"
+    return f"{', '.join(map(str, steps[:SHOWN]))}{f', and {rest} steps more' if rest > 0 else ''}"
 
 
 @dataclass(frozen=True, kw_only=True)

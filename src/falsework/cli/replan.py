@@ -175,7 +175,7 @@ class MakeReplan(JudgingCommand):
         )
         for line in promise_lines(plan):
             output.say(line)
-        output.say(first_steps(plan, answer.direction))
+        output.say(f"from here on: {first_steps(plan, answer.direction)}")
         for need in plan.needs:
             output.say(f"{plan.part_names[need.part]} is needed after {need.after_parts} other parts are placed")
         if len(paths) > 1:
