@@ -188,8 +188,8 @@ def first_steps(plan: Plan, direction: Direction, built: int = 0) -> str:
     steps = plan.in_order(direction)[built:]
     if not steps:
         return "nothing is left to do"
-    rest, since = len(steps) - SHOWN, f"from step {built + 1} on" if built else "from here on"
-    return f"{since}: {', '.join(map(str, steps[:SHOWN]))}{f', and {rest} steps more' if rest > 0 else ''}"
+    rest = len(steps) - SHOWN
+    return f"{', '.join(map(str, steps[:SHOWN]))}{f', and {rest} steps more' if rest > 0 else ''}"
 
 
 def need_text(plan: Plan, need: PartDeadline, built: int = 0) -> str:

@@ -251,7 +251,8 @@ class MakeReplan(Command):
         )
         for line in promise_lines(plan):
             output.say(line)
-        output.say(first_steps(plan, answer.direction, answer.built))
+        since = f"from step {answer.built + 1} on" if answer.built else "from here on"
+        output.say(f"{since}: {first_steps(plan, answer.direction, answer.built)}")
         for need in plan.needs:
             output.say(need_text(plan, need, answer.built))
         if len(paths) > 1:
