@@ -169,9 +169,7 @@ def plan(name: str, options: Options) -> Iterator[dict[str, Any]]:
         for found in planning.plans:
             assert oracle.replayer is not None
             states += len(found.states)
-            fail += int(
-                (oracle.replayer.replay(found.states, presses=found.presses_before).stands != 1).sum()
-            )
+            fail += int((oracle.replayer.replay(found.states, presses=found.presses_before).stands != 1).sum())
     yield {
         "seeds": tuple(range(options.seeds)),
         "robots": options.robots,

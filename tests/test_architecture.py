@@ -26,6 +26,7 @@ ROOMS = (
     "replanning",
     "learn",
     "robots",
+    "files",
     "viewer",
     "service",
     "interop",

@@ -71,7 +71,7 @@ def state_graph(path: Path) -> None:
     """All states of a small arch that stand and can be reached, and one plan."""
     with tempfile.TemporaryDirectory() as folder:
         graph = str(Path(folder) / "graph.npz")
-        run("graph", "arch:blocks=4,thickness=0.3", "--width", "1000", "--direction", "disassembly", "--out", graph)
+        run("graph", "arch:blocks=4,thickness=0.3", "--width", "1000", "--search-from", "end", "--out", graph)
         run("picture", graph, "--out", str(path))
 
 

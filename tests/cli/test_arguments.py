@@ -50,7 +50,7 @@ def test_what_is_no_part_is_refused(text: str) -> None:
     ],
 )
 def test_states(text: str, state: list[int]) -> None:
-    assert parse_state(text, "--start", FOUR_PARTS).tolist() == state
+    assert parse_state(text, "--end", FOUR_PARTS).tolist() == state
 
 
 @pytest.mark.parametrize(
@@ -58,7 +58,7 @@ def test_states(text: str, state: list[int]) -> None:
 )
 def test_what_is_no_state_is_refused(text: str) -> None:
     with pytest.raises(StateError):
-        parse_state(text, "--start", FOUR_PARTS)
+        parse_state(text, "--end", FOUR_PARTS)
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_states_from_files(tmp_path: Path) -> None:
     assert read_states(text) == states
     assert read_states(array).tolist() == states
     text.write_text(str(states[:1]))
-    assert parse_state(str(text), "--start", FOUR_PARTS).tolist() == states[0]
+    assert parse_state(str(text), "--end", FOUR_PARTS).tolist() == states[0]
 
 
 @pytest.mark.parametrize(

@@ -221,8 +221,8 @@ def test_no_plan(name: str, hint: str, falsework: Run, tmp_path: Path) -> None:
         ("--missing", "9", "9"),
         ("--missing", "lid", "lid"),
         ("--fixed", "1,1", "twice"),
-        ("--start", "211111", "3"),
-        ("--target", "somewhere", "--target"),
+        ("--end", "211111", "3"),
+        ("--begin", "somewhere", "--begin"),
         ("--alternatives", "0", "1"),
     ],
 )

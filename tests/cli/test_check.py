@@ -87,13 +87,12 @@ def test_the_answer_says_what_was_checked(falsework: Run, planned: Path) -> None
         "structure": "arch:blocks=3",
         "identity": plan.identity,
         "boundary": [3, 4],
-        "direction": "disassembly",
         "steps": 6,
         "robots": 2,
         "props": 0,
         "prop_limit": 0,
-        "start": [1, 1, 1, 2, 2],
-        "end": [0, 0, 0, 2, 2],
+        "start": [0, 0, 0, 2, 2],
+        "end": [1, 1, 1, 2, 2],
     }
     assert record["claim"]["criterion"] == "contact"
     assert record["overrides"] == {}
@@ -103,10 +102,10 @@ def test_the_answer_says_what_was_checked(falsework: Run, planned: Path) -> None
 
 def test_start_and_end_in_words(falsework: Run, tmp_path: Path) -> None:
     out = tmp_path / "plan.json"
-    options = ("--start", "1102", "--target", "2002", "--criterion", "equilibrium")
+    options = ("--end", "1102", "--begin", "2002", "--criterion", "equilibrium")
     assert falsework("plan", "stack:blocks=3", *options, "--out", out).code == 0
     text = falsework("check", out, "--criterion", "equilibrium").out
-    assert "from 2 of 3 parts to 1 of 3 parts, 1 held" in text
+    assert "from 1 of 3 parts, 1 held to 2 of 3 parts" in text
 
 
 def test_certificates_are_evaluated(falsework: Run, tmp_path: Path) -> None:

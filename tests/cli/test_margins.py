@@ -124,7 +124,7 @@ def test_margins_are_written_into_a_plan(falsework: Run, stack: Path, tmp_path: 
     sheet = tmp_path / "site.csv"
     assert falsework("export", other, "--out", sheet).code == 0
     assert "(weakest)" in sheet.read_text(encoding="utf-8-sig")
-    data["margins"]["measured"]["tilt"][0] = 1.0
+    data["margins"]["measured"]["tilt"][-1] = 1.0
     other.write_text(json.dumps(data))
     assert falsework("check", other).code == 1
 

@@ -14,7 +14,6 @@ from falsework.assembly import Assembly, load_structure
 from falsework.assembly.library.blocks import box, gather
 from falsework.assembly.store import save_assembly
 from falsework.search import load_plan
-from falsework.search.problem.task import Direction
 
 Run = Callable[..., Any]
 ARCH = load_structure("arch:blocks=5")
@@ -73,25 +72,25 @@ def test_take_down_what_is_there(falsework: Run, old: Path, tmp_path: Path) -> N
     assert record["direction"] == "disassembly"
     plan = load_plan(out)
     assert len(plan) == record["steps"] == 5
-    np.testing.assert_array_equal(plan.states[0], state)
+    np.testing.assert_array_equal(plan.states[-1], state)
     assert falsework("check", out).code == 0
 
 
 def test_build_on_without_a_part(falsework: Run, old: Path, tmp_path: Path) -> None:
     """From a state on the way up, with a part late: assembly, and what changes against the old plan."""
     plan = load_plan(old)
-    state, late = plan.states[2], int(plan.removed_parts[1])
+    state, late = plan.states[2], int(plan.inserted_parts[1])
     out = tmp_path / "new.json"
     words = ("replan", "arch:blocks=5", "--state", digits(state), "--missing", late, "--compare", old, "--out", out)
     finished = falsework(*words)
     assert finished.code == 0, finished.error
     assert "steps of assembly with 2 robots" in finished.out
     assert "from here on: " in finished.out
-    assert f"{ARCH.names[late]} is needed after" in finished.out
+    assert f"{ARCH.names[late]} is needed at step " in finished.out
     assert f"compared with {old}" in finished.out
     new = load_plan(out)
-    assert new.direction is Direction.ASSEMBLY
-    assert new.removed_parts[0] != late
+    np.testing.assert_array_equal(new.states[0], state)
+    assert new.inserted_parts[0] != late
     assert falsework("check", out).code == 0
     record = falsework(*words, "--json").answer
     assert record["difference"]["begins_on_the_way"] is True
@@ -106,7 +105,7 @@ def test_with_a_run(falsework: Run, run: Path, tmp_path: Path) -> None:
     record = finished.answer
     assert len(record["files"]) == 2
     assert len(record["confidences"]) == record["steps"] + 1
-    assert sum(record["confidences"][0].values()) == pytest.approx(1, abs=1e-4)
+    assert sum(record["confidences"][-1].values()) == pytest.approx(1, abs=1e-4)
     assert falsework("check", out).code == 0
     assert falsework("check", out.with_stem("new-2")).code == 0
 
@@ -145,7 +144,7 @@ def test_deadline_that_is_too_short(falsework: Run, tmp_path: Path) -> None:
         (("--state", "2200022", "--robots", 1), "2 parts held"),
         (("--state", "1121122", "--target", "0020022", "--robots", 1), "no action is legal in this state"),
         (("--missing", "nobody"), "is not a part"),
-        (("--missing", "2", "--direction", "assembly"), "said to be missing, yet the state has it"),
+        (("--missing", "2", "--order", "assembly"), "said to be missing, yet the state has it"),
         (("--deadline", -1), "leaves no time"),
         (("--alternatives", 0), "ask for at least 1"),
         (("--confidences",), "needs a policy"),
@@ -239,6 +238,18 @@ def test_criterion_robots_and_reserve_are_those_of_the_plan(falsework: Run, tmp_
     assert (plan.robots, plan.claim.reserve, plan.claim.holds.force) == (3, 1.2, 90000)
     assert falsework("replan", first, "--step", 2, "--reserve", 1, "--criterion", "equilibrium", "--out", out).code == 0
     assert load_plan(out).claim.criterion == "equilibrium"
+
+
+def test_a_robot_that_has_failed(falsework: Run, tmp_path: Path) -> None:
+    """The rest is built by those that are left; the whole has the steps of all."""
+    first, out = tmp_path / "first.json", tmp_path / "new.json"
+    assert falsework("plan", "stack:blocks=4", "--robots", 2, "--out", first).code == 0
+    done = falsework("replan", first, "--step", 2, "--robots", 1, "--out", out)
+    assert done.code == 0, done.error
+    assert "with 2 robots, 1 from step 3 on, every state" in done.out
+    plan = load_plan(out)
+    assert ((plan.states[2:] == 2) & ~plan.boundary).sum(axis=1).max() == 1
+    assert falsework("check", out).code == 0
 
 
 @pytest.mark.parametrize("step", [0, 3, -1])

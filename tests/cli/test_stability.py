@@ -185,3 +185,20 @@ def test_a_block_between_two_walls_slides(falsework: Run, write_structure: Write
     paper = falsework("stability", folder, "--criterion", "equilibrium", "--json")
     assert paper.code == 0
     assert paper.answer["states"][0]["verdict"] == "stable"
+
+
+@pytest.mark.parametrize("command", ["stability", "plan"])
+@pytest.mark.parametrize(
+    ("options", "doubt"),
+    [
+        (("--density", 2.4), "the density is 2.4 kg/m3, which no building material has"),
+        (("--friction", 35), "a coefficient of friction is 35; it is the tangent of an angle"),
+    ],
+)
+def test_nonsense_is_not_certified_in_silence(
+    command: str, options: tuple[str, float], doubt: str, falsework: Run, tmp_path: Path
+) -> None:
+    out = ("--out", tmp_path / "plan.json") if command == "plan" else ()
+    done = falsework(command, "arch:blocks=3", *options, *out, "--json")
+    assert doubt in done.error
+    assert any(doubt in note for note in done.answer["notes"])

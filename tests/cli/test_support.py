@@ -15,7 +15,7 @@ Run = Callable[..., Any]
 
 def test_props_and_what_shows_them(falsework: Run, tmp_path: Path) -> None:
     out = tmp_path / "plan.json"
-    options = ("--ground", "--robots", "1", "--props", "3", "--start", "complete", "--out", out)
+    options = ("--ground", "--robots", "1", "--props", "3", "--end", "complete", "--out", out)
     finished = falsework("plan", "arch:blocks=7", *options)
     assert finished.code == 0, finished.error
     plan = load_plan(out)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
@@ -101,14 +102,18 @@ class StructureOptions(LoadOptions):
     """Built-in such as `vault` or `arch:blocks=15,thickness=0.2`, or a folder or file of meshes or COMPAS data."""
 
     def load(self) -> Assembly:
-        """Build or read the structure.
+        """Build or read the structure, and warn of materials that none has.
 
         Raises:
             InputError: no such structure, or it cannot be used; the message says what to do.
         """
+        from falsework.assembly.doubts import doubts_of_materials
         from falsework.assembly.load import load_structure
 
-        return load_structure(self.spec, **self.given())
+        assembly = load_structure(self.spec, **self.given())
+        for doubt in doubts_of_materials(assembly):
+            warnings.warn(doubt, stacklevel=2)
+        return assembly
 
     def source(self, beside: Path) -> dict[str, Any]:
         """Return the source of the structure, to be recorded in a file.

@@ -106,7 +106,7 @@ class MakeGraph(JudgingCommand):
 
     def _widths(self, text: str) -> tuple[int, ...]:
         """Return the widths of `--sets`, and refuse options that searches for data sets do not have."""
-        others = {"start": self.task.start, "target": self.task.target, "missing": self.task.missing}
+        others = {"begin": self.task.begin, "end": self.task.end, "missing": self.task.missing}
         given = [name for name, value in others.items() if value is not None]
         plain = SearchOptions()
         given += [name for name in ("width", "search_from") if getattr(self.search, name) != getattr(plain, name)]

@@ -222,5 +222,5 @@ class FindMargins(Command):
 
     def _subject(self, row: int, plan: Plan | None, assembly: Assembly) -> str:
         if plan is not None and self.states is None:
-            return plan.line(row).strip()
+            return f"{row} {plan.steps[row - 1] if row else 'start'}"
         return assembly.name if self.states is None else f"state {row}"

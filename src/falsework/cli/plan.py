@@ -297,7 +297,7 @@ class MakePlan(Command):
         )
         for line in promise_lines(first, robust=self.robust):
             output.say(line)
-        output.say(first_steps(first, Direction.ASSEMBLY))
+        output.say(f"first steps: {first_steps(first, Direction.ASSEMBLY)}")
         for prop in first.props:
             place = ", ".join(f"{value:.3f}" for value in prop.at)
             name = first.part_names[prop.part]

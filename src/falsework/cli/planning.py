@@ -36,13 +36,12 @@ SHOWN = 8
 class RuleOptions:
     """Rules that a plan must obey in addition to the number of robots."""
 
-    rare: ClassVar[tuple[str, ...]] = ("start", "target", "fixed", "removable_only_if_clear")
+    rare: ClassVar[tuple[str, ...]] = ("begin", "end", "fixed", "removable_only_if_clear")
 
-    start: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: complete)")] = None
-    """State from which disassembly starts, where assembly ends, such as `complete`, plan.json:31, or parts as in
-    0-16,keystone,held:left."""
-    target: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: empty)")] = None
-    """State in which disassembly ends, where assembly starts, such as `empty`, plan.json:31, or parts."""
+    begin: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: empty)")] = None
+    """State in which the assembly begins, such as `empty`, plan.json:31, or parts as in 0-16,keystone,held:left."""
+    end: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: complete)")] = None
+    """State in which the assembly ends, such as `complete`, plan.json:31, or parts."""
     missing: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
     """Parts not delivered yet, such as 3,keystone; assembly does without them as long as possible."""
     fixed: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
@@ -57,8 +56,9 @@ class RuleOptions:
             InputError: parts or states that the structure does not have; the message says what to do.
         """
         return {
-            "start": None if self.start is None else parse_state(self.start, "--start", assembly),
-            "target": None if self.target is None else parse_state(self.target, "--target", assembly),
+            # A task starts with the state that has more parts.
+            "start": None if self.end is None else parse_state(self.end, "--end", assembly),
+            "target": None if self.begin is None else parse_state(self.begin, "--begin", assembly),
             "fixed": () if self.fixed is None else parse_parts(self.fixed, "--fixed", assembly.names),
             "missing": () if self.missing is None else parse_parts(self.missing, "--missing", assembly.names),
             "removable_only_if_clear": self.removable_only_if_clear,
@@ -188,8 +188,8 @@ def first_steps(plan: Plan, direction: Direction, built: int = 0) -> str:
     steps = plan.in_order(direction)[built:]
     if not steps:
         return "nothing is left to do"
-    rest, since = len(steps) - SHOWN, f"from step {built + 1} on" if built else "from here on"
-    return f"{since}: {', '.join(map(str, steps[:SHOWN]))}{f', and {rest} steps more' if rest > 0 else ''}"
+    rest = len(steps) - SHOWN
+    return f"{', '.join(map(str, steps[:SHOWN]))}{f', and {rest} steps more' if rest > 0 else ''}"
 
 
 def need_text(plan: Plan, need: PartDeadline, built: int = 0) -> str:
@@ -201,11 +201,10 @@ def need_text(plan: Plan, need: PartDeadline, built: int = 0) -> str:
         built: steps of the plan that are done.
     """
     placed = int((plan.actions[:built] >= len(plan.boundary)).sum())
-    after = need.after_parts - placed
-    return (
-        f"{plan.part_names[need.part]} is needed at step {need.after_steps + 1}, after "
-        f"{after} {'more' if built else 'other'} {'part is' if after == 1 else 'parts are'} placed"
-    )
+    after, when = need.after_parts - placed, f"{plan.part_names[need.part]} is needed at step {need.after_steps + 1}"
+    if not after:
+        return f"{when}, before any other part"
+    return f"{when}, after {after} {'more' if built else 'other'} {'part is' if after == 1 else 'parts are'} placed"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -241,15 +241,18 @@ class MakeReplan(Command):
         return paths
 
     def _tell(self, answer: ReplanResult, paths: list[Path], output: Output) -> None:
-        plan = answer.plans[0]
+        plan, fewer = answer.plans[0], ""
+        if answer.built and self.robots is not None and self.robots < plan.robots:
+            fewer = f", {self.robots} from step {answer.built + 1} on"
         output.say(
             f"{paths[0]}: {counted(len(plan), 'step')} of {answer.direction.value} with "
-            f"{counted(plan.robots, 'robot')}, every state proven stable (criterion {plan.claim.criterion}, decided by "
-            f"{answer.decided_by.value}, {answer.seconds:.2f} s, {answer.verdicts} verdicts)"
+            f"{counted(plan.robots, 'robot')}{fewer}, every state proven stable (criterion {plan.claim.criterion}, "
+            f"decided by {answer.decided_by.value}, {answer.seconds:.2f} s, {answer.verdicts} verdicts)"
         )
         for line in promise_lines(plan):
             output.say(line)
-        output.say(first_steps(plan, answer.direction, answer.built))
+        since = f"from step {answer.built + 1} on" if answer.built else "from here on"
+        output.say(f"{since}: {first_steps(plan, answer.direction, answer.built)}")
         for need in plan.needs:
             output.say(need_text(plan, need, answer.built))
         if len(paths) > 1:

@@ -88,9 +88,7 @@ class PlanRobots(Command):
     order: Literal["assembly", "disassembly"] = "assembly"
     """Order in which the motions are executed; the schedule is for it. --state, --joints, --holding and --grips
     describe its start."""
-    start: Annotated[
-        str | None, arg(name="state", metavar="STATE", help_behavior_hint="(default: empty or complete)")
-    ] = None
+    state: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: empty or complete)")] = None
     """State to start from, such as `empty`, `complete`, plan.json:31, or parts as in 0-16,keystone,held:left."""
     joints: Annotated[str | None, arg(metavar="JOINTS", help_behavior_hint="(default: all at home)")] = None
     """Joint values of the robots in rad at the start, such as left=0,0.1,-0.5,0,1,0;right=home, or a JSON file with
@@ -142,7 +140,7 @@ class PlanRobots(Command):
             task = self._task(assembly, cell, begun.state)
         else:
             held, joints = parse_holding(self.holding, cell, assembly), parse_joints(self.joints, cell)
-            task = self._task(assembly, cell, parse_now(self.start or self._beginning, held, assembly))
+            task = self._task(assembly, cell, parse_now(self.state or self._beginning, held, assembly))
             grips = parse_grips(self.grips, held, task.target if building else task.start, cell, assembly)
         stability = self.holds.settings(self.criterion or ("contact" if begun is None else begun.criterion))
         if refuse_unstable(
@@ -151,7 +149,7 @@ class PlanRobots(Command):
             return Exit.NO
         guide = self._guide(assembly, task)
         given: dict[str, Any] = {"task": task, "stability": stability, "guide": guide, "settings": settings}
-        if not building or begun is not None or {self.start, self.joints, self.holding, self.grips} != {None}:
+        if not building or begun is not None or {self.state, self.joints, self.holding, self.grips} != {None}:
             given |= {"configurations": joints, "held": held, "gripped": grips}
         with output.bar("planning motions") as show:
             given["progress"] = lambda now: show(now.reached, now.steps, f"step {now.reached} of {now.steps}")
@@ -176,7 +174,7 @@ class PlanRobots(Command):
         """Return the plan that was interrupted, if there is one."""
         if self.begun is None:
             return None
-        others = {"state": self.start, "joints": self.joints, "holding": self.holding, "grips": self.grips}
+        others = {"state": self.state, "joints": self.joints, "holding": self.holding, "grips": self.grips}
         given = [f"--{name}" for name, value in others.items() if value is not None]
         if given:
             raise InputError(f"--from says what stands and where the arms are; leave out {' and '.join(given)}")

@@ -28,7 +28,7 @@ class BuiltSteps:
             )
         if self.plan.props:
             raise PlanError(
-                "the plan has props, which replanning cannot move; plan again with --target for the present state"
+                "the plan has props, which replanning cannot move; plan again with --begin for the present state"
             )
 
     @property

@@ -84,7 +84,8 @@ class Difference:
             far, places = abs(move.places), "place" if abs(move.places) == 1 else "places"
             pieces.append(f"{move.name} comes {far} {places} {'later' if move.places > 0 else 'earlier'}")
         if len(self.moved) > _NAMED:
-            pieces.append(f"{len(self.moved) - _NAMED} more parts change their place")
+            rest = len(self.moved) - _NAMED
+            pieces.append(f"{rest} more {'part changes its place' if rest == 1 else 'parts change their places'}")
         if self.added:
             pieces.append(f"new: {', '.join(self.added)}")
         if self.dropped:

@@ -284,7 +284,7 @@ def plan_of(
     if oracle.replayer is None:
         verdicts, arrays = prove(route.states, oracle, forces=forces)
         plan = Plan.of(route, assembly, task, verdicts[::-1], oracle.settings.claim)
-        plan = replace(plan, forces=None if arrays is None else arrays[::-1])
+        plan = replace(plan, forces=arrays and arrays[::-1])
     else:
         plan = plan_of_build(route, assembly, task, oracle.replayer, replay, forces=forces)
     if isinstance(oracle, DemandingStability):
@@ -326,8 +326,7 @@ def _weak_states(route: States, oracle: Stability) -> States:
     """Return the states of a route, shape (steps + 1, parts), that cannot be proved or at which its replay fails."""
     if oracle.replayer is None:
         return route[~prove(route, oracle, forces=False)[0].stable]
-    states = route[::-1]
-    row = Acceptance(oracle.replayer).falls_at(states)
+    row = Acceptance(oracle.replayer).falls_at(states := route[::-1])
     return states[:0] if row is None else states[min(max(row, 1), max(len(states) - 2, 0))][None]
 
 

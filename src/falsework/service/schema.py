@@ -181,7 +181,10 @@ def models_of(assembly: Assembly, settings: ServiceSettings) -> Models:
         ),
         "step": (
             whole(0, 2**31 - 1) | None,
-            Field(default=None, description="draws the state after this step of the plan alone; 0 is the beginning"),
+            Field(
+                default=None,
+                description="draws the state in which this many steps of the plan are done alone; 0 is the beginning",
+            ),
         ),
         "frames": (whole(1, MOST_FRAMES), Field(default=12, description="states of a contact sheet")),
         "proof": (

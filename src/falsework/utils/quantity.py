@@ -51,7 +51,7 @@ _SCALES: dict[str, tuple[tuple[float, str], ...]] = {
     "mass": ((1.0, "kg"), (1e3, "t")),
     "force": ((1.0, "N"), (1e3, "kN")),
     "moment": ((1.0, "Nm"), (1e3, "kNm")),
-    "volume": ((1e-6, "cm3"), (1.0, "m3")),
+    "volume": ((1e-6, "cm3"), (1e-3, "dm3"), (1.0, "m3")),
     "stiffness": ((1.0, "N/m"), (1e3, "kN/m"), (1e6, "MN/m")),
     "angle": ((math.pi / 180, "deg"),),
     "duration": ((1.0, "s"),),

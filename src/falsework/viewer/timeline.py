@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.state import REMOVED, States, as_states
 from falsework.search.plans.plan_check import check_identity
-from falsework.search.plans.steps import NO_ROBOT, Step, holders, steps_of, undone
+from falsework.search.plans.steps import NO_ROBOT, PlanStep, holders, steps_of, undone
 from falsework.search.problem.task import Direction
 from falsework.stability.holds import Press
 from falsework.stability.verdict import Verdict
@@ -136,14 +136,14 @@ class Timeline:
         return int(rounded(min(max(float(position), 0.0), float(len(self)))))
 
     @cached_property
-    def steps(self) -> tuple[Step, ...]:
+    def steps(self) -> tuple[PlanStep, ...]:
         """Steps in the order shown, with their robots."""
         verdicts = self.verdicts or (Verdict.UNDECIDED,) * len(self.states)
         names = tuple(self.assembly.names)
         steps = steps_of(self.states, self.actions, self.holders, verdicts, names, self.presses)
         return steps if self.direction is Direction.ASSEMBLY else undone(steps, self.states[0], verdicts[0])
 
-    def step_to(self, place: int) -> Step | None:
+    def step_to(self, place: int) -> PlanStep | None:
         """Return the step that leads to a place in the order shown; None for the place that is shown first."""
         return None if place == self.begin else self.steps[abs(place - self.begin) - 1]
 

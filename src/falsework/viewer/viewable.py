@@ -14,19 +14,17 @@ from falsework.assembly.load import as_assembly, load_structure
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.errors import InputError
+from falsework.files import load_own
 from falsework.robots.model.cell import Cell
 from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.robots.plans.robot_plan_file import load_robot_plan
 from falsework.search.plans.plan import Plan
-from falsework.search.plans.plan_file import load_plan
 from falsework.search.plans.plan_source import structure_of_plan
 from falsework.search.plans.steps import holders
-from falsework.search.problem.state_graph import StateGraph, load_state_graph
+from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.task import Direction
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Criterion
-from falsework.utils.json_file import read_format
 from falsework.viewer.arms import Arms
 from falsework.viewer.proof import BuildProofs, StateProof, proofs_of_states
 from falsework.viewer.timeline import Timeline
@@ -103,19 +101,17 @@ def open_file(
         InputError: nothing that can be shown.
         DependencyError: a run without torch.
     """
-    file = Path(path)
-    if file.is_file() and file.suffix.lower() == ".json":
-        form = read_format(file)
-        if form.startswith("falsework.plan/"):
-            return _plan(load_plan(file), file, structure, direction, options)
-        if form.startswith("falsework.robot"):
-            return _robot_plan(load_robot_plan(file), file, structure, cell, direction, options)
-        if form and not form.startswith("falsework.assembly/"):
-            raise InputError(f"{file} has format {form!r}, which cannot be shown; give a plan or a structure")
-    elif file.is_file() and file.suffix.lower() == ".npz":
-        return _graph(load_state_graph(file), str(file), structure, direction, options)
-    elif file.is_dir() and (file / "run.json").is_file():
-        return _run(file, structure, options)
+    file, known = Path(path), load_own(path)
+    if isinstance(known, Plan):
+        return _plan(known, file, structure, direction, options)
+    if isinstance(known, RobotPlan):
+        return _robot_plan(known, file, structure, cell, direction, options)
+    if isinstance(known, StateGraph):
+        return _graph(known, str(file), structure, direction, options)
+    if isinstance(known, Cell):
+        raise InputError(f"{path} is a cell, which cannot be shown; give a plan, structure or state graph")
+    if known is not None:
+        return _run(known if structure is None else _load_run(file, as_assembly(structure, **options)))
     if structure is not None:
         raise InputError(f"{path} is a structure itself; leave --structure out")
     assembly = load_structure(path, **options)
@@ -214,8 +210,7 @@ def _load_run(folder: Path | str, assembly: Assembly | None) -> Any:
     return load_run(folder, assembly=assembly)
 
 
-def _run(folder: Path, structure: Assembly | str | Path | None, options: dict[str, Any]) -> Viewable:
-    run = _load_run(folder, None if structure is None else as_assembly(structure, **options))
+def _run(run: Any) -> Viewable:
     robots = getattr(run.settings, "robots", 2)
     # A policy disassembles: its next actions are shown for the complete structure.
     still = _still(run.assembly, complete_state(run.assembly.boundary), robots, Direction.DISASSEMBLY)

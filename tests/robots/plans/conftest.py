@@ -112,3 +112,15 @@ def robot_plan(result: HybridResult) -> RobotPlan:
     """That plan."""
     assert result.plan is not None
     return result.plan
+
+
+@pytest.fixture(scope="session")
+def row(make_boxes: Callable[..., Assembly]) -> Assembly:
+    """Four cubes, two on each side."""
+    return make_boxes((-0.45, -0.1, 0.0), (-0.2, -0.1, 0.0), (0.05, -0.1, 0.0), (0.3, -0.1, 0.0))
+
+
+@pytest.fixture(scope="session")
+def wide(cell_of: Callable[..., Cell]) -> Cell:
+    """Two arms at its ends."""
+    return cell_of(2, 1.3)

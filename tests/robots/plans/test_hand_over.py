@@ -105,7 +105,7 @@ def test_the_second_arm_holds_the_part_before_the_first_leaves_it(
     assert len(plan) == len(plan.plan) + 2
     np.testing.assert_array_equal(plan.states[take], plan.states[leave + 1])
     assert plan.states[take][NEAR] == HELD
-    assert (np.diff(plan.rows) >= 0).all()
+    assert (np.diff(plan.rows) <= 0).all()
     report = check_robot_plan(plan, falling, roofed)
     assert report.good, what(report)
     assert validate_plan(plan.plan, falling).good

@@ -40,18 +40,6 @@ from tests.robots.plans.orders import APART
 
 
 @pytest.fixture(scope="module")
-def row(make_boxes: Callable[..., Assembly]) -> Assembly:
-    """Four cubes, two on each side."""
-    return make_boxes((-0.45, -0.1, 0.0), (-0.2, -0.1, 0.0), (0.05, -0.1, 0.0), (0.3, -0.1, 0.0))
-
-
-@pytest.fixture(scope="module")
-def wide(cell_of: Callable[..., Cell]) -> Cell:
-    """Two arms at its ends."""
-    return cell_of(2, 1.3)
-
-
-@pytest.fixture(scope="module")
 def planned(planned_in_turn: Callable[[Assembly, Cell], RobotPlan], row: Assembly, wide: Cell) -> RobotPlan:
     """A plan for them that lets both arms work, one after the other."""
     return planned_in_turn(row, wide)

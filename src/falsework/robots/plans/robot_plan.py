@@ -257,15 +257,9 @@ class RobotPlan(Displayed):
 
         Shape (steps,).
         """
-        found = [
-            int(self.plan.actions[self.number(index) - 1])
-            if acts(step)
-            else -1
-            if step.hands_over is None
-            else step.hands_over
-            for index, step in enumerate(self.steps)
-        ]
-        return np.array(found, dtype=np.int64)
+        found = np.array([-1 if step.hands_over is None else step.hands_over for step in self.steps], dtype=np.int64)
+        found[np.diff(self.done) > 0] = self.plan.actions[:: 1 if self.direction is Direction.ASSEMBLY else -1]
+        return found
 
     @property
     def seconds(self) -> float:

@@ -15,7 +15,7 @@ from falsework.assembly.state import HELD, INSTALLED, Mask, States
 from falsework.errors import PlanError
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans.plan_replay import PlanReplay
-from falsework.search.plans.steps import Step, holders, steps_of, undone
+from falsework.search.plans.steps import PlanStep, holders, steps_of, undone
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.certificate import StabilityCriterion
@@ -174,16 +174,16 @@ class Plan(Displayed):
     def __len__(self) -> int:
         return len(self.actions)
 
-    def __iter__(self) -> Iterator[Step]:
+    def __iter__(self) -> Iterator[PlanStep]:
         return iter(self.steps)
 
     @overload
-    def __getitem__(self, index: int) -> Step: ...
+    def __getitem__(self, index: int) -> PlanStep: ...
 
     @overload
-    def __getitem__(self, index: slice) -> tuple[Step, ...]: ...
+    def __getitem__(self, index: slice) -> tuple[PlanStep, ...]: ...
 
-    def __getitem__(self, index: int | slice) -> Step | tuple[Step, ...]:
+    def __getitem__(self, index: int | slice) -> PlanStep | tuple[PlanStep, ...]:
         return self.steps[index]
 
     def __repr__(self) -> str:
@@ -193,11 +193,11 @@ class Plan(Displayed):
         )
 
     @cached_property
-    def steps(self) -> tuple[Step, ...]:
+    def steps(self) -> tuple[PlanStep, ...]:
         """Steps in the order of assembly; the first has the number 1 and the index 0."""
         return steps_of(self.states, self.actions, self.holders, self.verdicts, self.part_names, self.presses)
 
-    def in_order(self, direction: Direction) -> tuple[Step, ...]:
+    def in_order(self, direction: Direction) -> tuple[PlanStep, ...]:
         """Return the steps as they are done in assembly, or in disassembly, in which the last one is undone first.
 
         In disassembly a step keeps its number, but holds where that of assembly releases, and removes where it

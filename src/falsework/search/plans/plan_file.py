@@ -15,7 +15,7 @@ from falsework.search.plans.older_plans import FORMAT, UNPROVEN
 from falsework.search.plans.packed_proofs import pack_proofs
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_reader import PROOF_ARRAYS, PROOF_WORDS, PlanReader
-from falsework.search.plans.steps import Step
+from falsework.search.plans.steps import PlanStep
 from falsework.stability.verdict import Verdict
 from falsework.utils.json_file import read_format, write_json
 
@@ -55,7 +55,7 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
         for residual, stable in zip(plan.residuals, [kind is Verdict.STABLE for kind in plan.verdicts], strict=True)
     ]
 
-    def pressed(step: Step) -> dict[str, Any]:
+    def pressed(step: PlanStep) -> dict[str, Any]:
         some = [{"part": press.part, "wrench": list(press.wrench)} for press in step.presses]
         return {"presses": some} if some else {}
 

@@ -42,7 +42,7 @@ _UNDONE = {
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class PlanStep:
     """One step of a plan."""
 
     number: int
@@ -72,7 +72,7 @@ class Step:
         return "; ".join(filter(None, (f"{self.action} {self.name}{by}", self.pressed)))
 
     def __repr__(self) -> str:
-        return f"<Step {self.number}: {self}>"
+        return f"<PlanStep {self.number}: {self}>"
 
 
 def steps_of(
@@ -82,7 +82,7 @@ def steps_of(
     verdicts: tuple[Verdict, ...],
     names: tuple[str, ...],
     presses: tuple[tuple[Press, ...], ...],
-) -> tuple[Step, ...]:
+) -> tuple[PlanStep, ...]:
     """Return the steps between the states of a plan.
 
     Args:
@@ -103,7 +103,7 @@ def steps_of(
         robot = max(int(who[number - 1, part]), int(who[number, part]))
         pressing = presses[number - 1] if presses else ()
         found.append(
-            Step(
+            PlanStep(
                 number,
                 does,
                 part,
@@ -118,7 +118,7 @@ def steps_of(
     return tuple(found)
 
 
-def undone(steps: tuple[Step, ...], first: States, verdict: Verdict) -> tuple[Step, ...]:
+def undone(steps: tuple[PlanStep, ...], first: States, verdict: Verdict) -> tuple[PlanStep, ...]:
     """Return steps as they are undone, the last one first.
 
     A step keeps its number and robot, but holds where it released, and removes where it inserted. Robots do not press.

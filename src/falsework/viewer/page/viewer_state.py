@@ -166,7 +166,7 @@ class ViewerState:
         """Go on in the order shown, by seconds of the schedule, or steps without one."""
         with self.lock:
             back = self.clock is None and self.direction is Direction.DISASSEMBLY
-            self.go_to_reading(self.reading + (-amount if back else amount))
+            self.go_to_reading(self.reading - amount if back else self.reading + amount)
 
     def turn(self, direction: Direction) -> None:
         """Show the plan in the other order; the state shown stays."""
@@ -233,10 +233,7 @@ class ViewerState:
         return labels
 
     def click(self, origin: NDArray[np.float64], ray: NDArray[np.float64]) -> int | None:
-        """Handle a click along a ray: select the part that it hits, and toggle its mark if a tool is chosen.
-
-        Returns:
-            The part, or None if the ray hits nothing.
+        """Select the part that a ray hits, None if none, and toggle its mark if a tool is chosen; return the part.
 
         Raises:
             InputError: the part cannot be marked.
