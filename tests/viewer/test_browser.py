@@ -336,7 +336,7 @@ def test_files_come_and_go(opened: Callable[..., Open], arch: Any, tmp_path: Pat
     assert pixels.shape == (WINDOW["height"], WINDOW["width"], 3)
     assert pixels.std() > 5
     tab.get_by_role("tab", name="Files").click()
-    kept = fw.load_plan(download("Download the plan", ".json"))
+    kept = fw.load(download("Download the plan", ".json"))
     np.testing.assert_array_equal(kept.states, plan.states)
     assert "__VISER_EMBED_DATA__" in download("Download as a page", ".html").read_text(encoding="utf-8")
 

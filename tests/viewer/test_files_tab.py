@@ -70,6 +70,6 @@ def test_what_cannot_be_opened_is_said_in_one_line(model: ViewerState, tmp_path:
 
 
 def test_a_robot_plan_needs_its_cell(robot_plan: Any, model: ViewerState, tmp_path: Path) -> None:
-    fw.save_robot_plan(robot_plan, tmp_path / "robot.json")
+    fw.save(robot_plan, tmp_path / "robot.json")
     with pytest.raises(FalseworkError, match="a robot plan; the page opens it where"):
         opened("robot.json", (tmp_path / "robot.json").read_bytes(), model)

@@ -62,7 +62,7 @@ def test_names_do_not_become_markup(arch: Any) -> None:
 
 def test_the_command_and_the_function_write_it(arch: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assembly, plan = arch
-    fw.save_plan(plan, tmp_path / "plan.json")
+    fw.save(plan, tmp_path / "plan.json")
     out = tmp_path / "plan.html"
     assert main(["export", str(tmp_path / "plan.json"), "--out", str(out), "--json"]) == 0
     answer = json.loads(capsys.readouterr().out.splitlines()[-1])
