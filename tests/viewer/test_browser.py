@@ -329,8 +329,8 @@ def test_files_come_and_go(opened: Callable[..., Open], arch: Any, tmp_path: Pat
         with tab.expect_download(timeout=1000 * PATIENCE) as loaded:
             tab.get_by_role("button", name=button).click()
         assert loaded.value.suggested_filename == f"arch-blocks-5{name}"
-        loaded.value.save_as(tmp_path / name[1:])
-        return tmp_path / name[1:]
+        loaded.value.save_as(tmp_path / f"saved{name}")
+        return tmp_path / f"saved{name}"
 
     pixels = np.asarray(pil.open(download("Screenshot", ".png")).convert("RGB"))
     assert pixels.shape == (WINDOW["height"], WINDOW["width"], 3)
