@@ -8,14 +8,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import falsework as fw
-from falsework.assembly.state import complete_state
+from falsework.assembly.state import HELD, INSTALLED, complete_state, empty_state
 from falsework.cli.main import main
 from falsework.errors import InputError
+from falsework.search.plans.steps import holders
 from falsework.search.problem.task import Direction
 from falsework.viewer.page.recording import record
+from falsework.viewer.page.scene import EDGES_UP_TO
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.timeline import Timeline
 
@@ -72,6 +75,22 @@ def test_the_command_and_the_function_write_it(arch: Any, tmp_path: Path, capsys
     assert "__VISER_EMBED_DATA__" in (tmp_path / "arch.html").read_text(encoding="utf-8")
     assert main(["export", "arch:blocks=3", "--out", str(tmp_path / "a.html"), "--step-seconds", "2"]) == 2
     assert "leave it out" in capsys.readouterr().err
+
+
+def test_four_hundred_parts_are_a_small_file() -> None:
+    vault = fw.load_structure("vault:parts=390")
+    states = [empty_state(vault.boundary)]
+    actions = []
+    for part in np.flatnonzero(~vault.boundary)[np.argsort(vault.mass.center[~vault.boundary, 2], kind="stable")]:
+        for action, value in ((part + vault.part_count, HELD), (part, INSTALLED)):  # as a plan looks, proven or not
+            states.append(states[-1].copy())
+            states[-1][part] = value
+            actions.append(int(action))
+    rows = np.array(states)
+    who = holders(rows, vault.immovable)
+    page = record(ViewerState(Timeline(vault, rows, np.array(actions), who, Direction.ASSEMBLY, 1)))
+    assert 380 < len(vault.names) <= EDGES_UP_TO
+    assert len(page) < 2e6
 
 
 def test_another_ending_is_refused(arch: Any, tmp_path: Path) -> None:

@@ -41,7 +41,7 @@ def in_notebook() -> bool:
     return shell is not None and hasattr(shell, "kernel")
 
 
-class Progress(Protocol):
+class Reported(Protocol):
     """Progress of a search."""
 
     @property
@@ -53,7 +53,7 @@ class Progress(Protocol):
         """The progress on one line."""
 
 
-P = TypeVar("P", bound=Progress)
+P = TypeVar("P", bound=Reported)
 
 
 def or_notebook(report: Callable[[P], None] | None, title: str) -> Callable[[P], None] | None:
