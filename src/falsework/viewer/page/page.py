@@ -123,8 +123,8 @@ class Page:
 
     def show(self, model: ViewerState) -> None:
         """Show another model instead of the present one."""
+        self.play.close()  # outside the lock, for which the player may wait
         with self._lock:
-            self.play.close()
             self.server.scene.reset()
             self.server.gui.reset()
             self._fill(model)
