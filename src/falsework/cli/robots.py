@@ -81,6 +81,7 @@ class CheckRobots(Command):
         from falsework.robots.cells.cell_file import load_cell
         from falsework.robots.checks.check import check_robot_plan
         from falsework.robots.plans.grip_loads import grip_loads, overloads
+        from falsework.robots.plans.robot_plan import acts
         from falsework.robots.plans.robot_plan_file import load_robot_plan
         from falsework.robots.schedule.simulation import simulate
         from falsework.search.plans.plan_check import validate_plan
@@ -126,7 +127,8 @@ class CheckRobots(Command):
         )
         if self.steps:
             for step in range(len(plan)):
-                output.say(f"{step + 1:4d}  {plan.describe(step)}")
+                own = "" if plan.number(step) == step + 1 else f"; step {plan.number(step)} of the plan"
+                output.say(f"{step + 1:4d}  {plan.describe(step)}{own * acts(plan.steps[step])}")
         for problem in report.problems:
             output.note(f"falsework: {problem}")
         if stable is not None and not stable.good:
