@@ -50,13 +50,14 @@ SUBPACKAGES = {
         "cells",
         "grasping",
         "plans",
+        "exports",
         "checks",
         "schedule",
         "keyframes",
         "interleaving",
         "planning",
     ),
-    "viewer": ("pictures", "web", "page"),
+    "viewer": ("pictures", "web", "page", "cells"),
 }
 MOST_MODULES = 16
 """In one folder; `cli` has a module for each command."""

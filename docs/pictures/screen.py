@@ -79,3 +79,11 @@ def notebook(path: Path) -> None:
             if tab is not None:
                 tab.locator("summary").click()
                 tab.wait_for_timeout(2_000)
+
+
+def shoot(address: str, text: str, path: Path) -> None:
+    """Write a screenshot of a page that has a text; without Chromium the picture stays as it was."""
+    with opened(path, address, 1200, 780) as tab:
+        if tab is not None:
+            tab.get_by_text(text, exact=True).wait_for()
+            tab.wait_for_timeout(12_000)

@@ -106,6 +106,7 @@ def test_answers_of_all_commands(falsework: Run, tmp_path: Path, monkeypatch: py
         "picture": (("plan.json", "--width", 200), ("plan.png",)),
         "view": (("plan.json", "--port", 8231), ()),
         "serve": (("stack:blocks=2",), ()),
+        "cell new": (("ur10e", "--structure", "arch:radius=0.3", "--density", 100), ("new.toml",)),
         "robots plan": ((stack, "--cell", "cell.toml"), ("robot_plan.json",)),
         "robots check": (("robot_plan.json", "--motions-only"), ()),
         "robots export": (("robot_plan.json",), ("ros2",)),
@@ -113,7 +114,7 @@ def test_answers_of_all_commands(falsework: Run, tmp_path: Path, monkeypatch: py
         "evaluate": (("run", "--device", "cpu", "--states", 2), ()),
     }
     assert set(calls) == set(COMMANDS)
-    places = {"export": "folder", "picture": "plan.png", "robots export": "ros2"}
+    places = {"cell new": "new.toml", "export": "folder", "picture": "plan.png", "robots export": "ros2"}
     needs = {"picture": "PIL", "view": "viser", "serve": "fastapi", "train": "torch", "evaluate": "torch"}
     for command, (words, files) in calls.items():
         if command in needs and not importable(needs[command]):

@@ -240,6 +240,36 @@ def test_criterion_robots_and_reserve_are_those_of_the_plan(falsework: Run, tmp_
     assert load_plan(out).claim.criterion == "equilibrium"
 
 
+@pytest.mark.parametrize(
+    ("structure", "options"),
+    [
+        ("arch:blocks=7", ("--support",)),
+        ("arch:blocks=5", ("--criterion", "equilibrium")),
+        ("stack:blocks=4", ("--removable-only-if-clear",)),
+    ],
+)
+def test_plans_of_all_kinds_go_on(structure: str, options: tuple[str, ...], falsework: Run, tmp_path: Path) -> None:
+    first, out = tmp_path / "first.json", tmp_path / "new.json"
+    assert falsework("plan", structure, *options, "--out", first).code == 0
+    old = load_plan(first)
+    for step in (1, len(old) // 2, len(old) - 1):
+        done = falsework("replan", first, "--step", step, "--out", out)
+        assert done.code == 0, done.error
+        new = load_plan(out)
+        assert new.removable_only_if_clear == old.removable_only_if_clear
+        assert new.claim.criterion == old.claim.criterion
+        np.testing.assert_array_equal(new.states[: step + 1], old.states[: step + 1])
+        checked = falsework("check", out, *(options if "--criterion" in options else ()))
+        assert checked.code == 0, checked.error
+
+
+def test_margins_are_not_asked_again(falsework: Run, tmp_path: Path) -> None:
+    first = tmp_path / "first.json"
+    assert falsework("plan", "arch:blocks=5", "--margin", "tilt=1deg", "--out", first).code == 0
+    done = falsework("replan", first, "--step", 2, "--out", tmp_path / "new.json")
+    assert "the margins that the old plan keeps (tilt=1deg) are not asked of this one" in done.error
+
+
 def test_a_robot_that_has_failed(falsework: Run, tmp_path: Path) -> None:
     """The rest is built by those that are left; the whole has the steps of all."""
     first, out = tmp_path / "first.json", tmp_path / "new.json"

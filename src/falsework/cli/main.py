@@ -45,11 +45,20 @@ COMMANDS = {
     "replan": "MakeReplan",
     "view": "View",
     "picture": "MakePicture",
+    "cell new": "new_cell.NewCell",
     "robots plan": "robots_plan.PlanRobots",
     "robots check": "CheckRobots",
-    "robots export": "ExportRobots",
+    "robots export": "robots_export.ExportRobots",
 }
 """Class of each subcommand, in the module of this package that is named like its first word unless another is given."""
+_GROUPS = {
+    "cell": """Write cells: the robots, their bases and grippers, and the obstacles around them.
+
+Built-in cells: bottle-12, dome-37, dome-72, vault-62-a, vault-62-b.
+Built-in arms: crb15000-5/0.95, irb2600-12/1.65, ur10e.""",
+    "robots": "Plan motions of robot arms, check them, and export them to controllers.",
+}
+"""Descriptions of commands of two words."""
 
 _ABOUT = """Plan assembly sequences for rigid-block structures, with robots as temporary supports.
 
@@ -160,7 +169,8 @@ def _parse(arguments: list[str]) -> Command | None:
             for name, kind in ((name, _command_class(name)) for name in group or COMMANDS)
         ]
         program, rest = ("falsework", arguments) if not group else (f"falsework {arguments[0]}", arguments[1:])
-        kind, about = Union[tuple(classes)], _ABOUT  # noqa: UP007  # type: ignore[valid-type]
+        about = _GROUPS.get(arguments[0], _ABOUT)
+        kind = Union[tuple(classes)]  # noqa: UP007  # type: ignore[valid-type]
     complaint = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaint):

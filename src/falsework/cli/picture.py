@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from tyro.conf import arg
 
@@ -30,7 +30,7 @@ _VIDEO_WIDTH = 800
 
 @dataclass(frozen=True, kw_only=True)
 class MakePicture(JudgingCommand):
-    """Draw a contact sheet or a video of a plan, one step of it, a structure, or a state graph.
+    """Draw a contact sheet or a video of a plan, one step of it, a structure, a state graph, or a cell.
 
     The name of the file says what is drawn: PNG, a line drawing of a two-dimensional structure or a state graph as SVG,
     a video as MP4 or GIF. Needs no display and no graphics driver. --forces draws the certificate of a state: contact
@@ -84,6 +84,7 @@ class MakePicture(JudgingCommand):
 
     def run(self, output: Output) -> Exit:
         """Open, draw, write."""
+        from falsework.viewer.cells.cell_sight import is_cell
         from falsework.viewer.pictures.contact_sheet import check_suffix
         from falsework.viewer.pictures.video import KINDS
         from falsework.viewer.show import check_sizes
@@ -98,6 +99,8 @@ class MakePicture(JudgingCommand):
             check_sizes(self.width, self.frames, self.columns)
         if self.gantt:
             return self._gantt(output)
+        if is_cell(self.subject.spec):
+            return self._cell(output)
         return self._animate(output) if video else self._draw(output)
 
     def _refuse(self, options: tuple[str, ...], what: str) -> None:
@@ -163,6 +166,22 @@ class MakePicture(JudgingCommand):
         if drawn.unstable is not None:
             output.record({"criterion": self.criterion, "not_standing": list(drawn.unstable)})
         output.say(f"{self.out}: {drawn.shows}")
+        return Exit.DONE
+
+    def _cell(self, output: Output) -> Exit:
+        from falsework.viewer.cells.cell_picture import picture_cell
+
+        others = ("step", *_STATE)
+        if wrong := [f"--{name}" for name in others if getattr(self, name) != getattr(type(self), name)]:
+            raise InputError(f"a cell has no states; leave out {' and '.join(wrong)}")
+        look: dict[str, Any] = {"width": self.width, "azimuth": self.azimuth, "elevation": self.elevation}
+        spec, structure = self.subject.spec, self.subject.structure
+        drawn = picture_cell(spec, self.out, structure, title=self.title, **look, **self.subject.given())
+        output.file(self.out)
+        output.record({"kind": "cell", "shows": drawn.shows, "faults": drawn.faults, "too_near": drawn.pairs})
+        output.say(f"{self.out}: {drawn.shows}")
+        for fault in drawn.faults:
+            output.note(f"falsework: {fault}")
         return Exit.DONE
 
     def _gantt(self, output: Output) -> Exit:

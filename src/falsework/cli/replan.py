@@ -140,6 +140,10 @@ class MakeReplan(Command):
         self._tell(answer, paths, output)
         if changes is not None:
             output.say(f"compared with {self.compare or self.structure.spec}: {changes.text}")
+        if plan is not None and plan.margins is not None and plan.margins.demands:
+            output.note(
+                f"falsework: the margins that the old plan keeps ({plan.margins.demands}) are not asked of this one"
+            )
         remarks = [_replay_remark(answer), lacks_reserve(answer.plans[0], stability.reserve)]
         for remark in filter(None, remarks):
             output.note(f"falsework: {remark}")

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from tyro.conf import Positional, arg
 
 from falsework.cli.command import UNSET, Command, LoadOptions
 from falsework.cli.exit_code import Exit
-from falsework.cli.output import counted
 from falsework.cli.overrides import exit_of_good, say_overrides
 from falsework.cli.robot_reports import (
     check_record,
@@ -81,6 +80,7 @@ class CheckRobots(Command):
         from falsework.robots.cells.cell_file import load_cell
         from falsework.robots.checks.check import check_robot_plan
         from falsework.robots.plans.grip_loads import grip_loads, overloads
+        from falsework.robots.plans.robot_plan import acts
         from falsework.robots.plans.robot_plan_file import load_robot_plan
         from falsework.robots.schedule.simulation import simulate
         from falsework.search.plans.plan_check import validate_plan
@@ -126,7 +126,8 @@ class CheckRobots(Command):
         )
         if self.steps:
             for step in range(len(plan)):
-                output.say(f"{step + 1:4d}  {plan.describe(step)}")
+                own = "" if plan.number(step) == step + 1 else f"; step {plan.number(step)} of the plan"
+                output.say(f"{step + 1:4d}  {plan.describe(step)}{own * acts(plan.steps[step])}")
         for problem in report.problems:
             output.note(f"falsework: {problem}")
         if stable is not None and not stable.good:
@@ -146,58 +147,3 @@ class CheckRobots(Command):
         for claim in open_claims:
             output.say(f"not verified: {claim}")
         return exit_of_good(self.plan, overrides, output, accepted=self.accept_overrides)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ExportRobots(Command):
-    """Write the motions of a robot plan for robot controllers.
-
-    ROS 2 joint trajectories as JSON or YAML and tables as CSV, each one file per step and one for the plan; ABB RAPID
-    and URScript as one program per robot, which wait for each other; an MCAP bag of ROS 2 messages with the times of
-    the schedule, and with the shapes of the parts if the structure is found. The robots must be those of the cell, and
-    the motions within its limits; `falsework robots check` checks everything else.
-    """
-
-    rare: ClassVar[tuple[str, ...]] = ("rate",)
-
-    examples: ClassVar[tuple[str, ...]] = (
-        "falsework robots export robot_plan.json --format ros2-json --out motions",
-        "falsework robots export robot_plan.json --format rapid --out rapid",
-    )
-
-    plan: Annotated[Positional[Path], arg(metavar="ROBOT_PLAN")]
-    """Plan to export, as `falsework robots plan` wrote it."""
-    format: Literal["ros2-json", "ros2-yaml", "csv", "rapid", "urscript", "mcap"] = "ros2-json"
-    """Output format."""
-    out: Annotated[Path, arg(metavar="FOLDER")]
-    """Folder to write into."""
-    structure: Annotated[str | None, arg(metavar="STRUCTURE", help_behavior_hint=UNSET)] = None
-    """Structure whose shapes a bag has, and whose parts robots press, instead of the one that the plan names."""
-    cell: Annotated[str | None, arg(metavar="CELL", help_behavior_hint=UNSET)] = None
-    """Cell that the programs are for, instead of the one that the plan names."""
-    rate: float = 50.0
-    """Rows per second, for csv and urscript."""
-
-    def run(self, output: Output) -> Exit:
-        """Load and write."""
-        from falsework.robots.cells.cell_file import load_cell
-        from falsework.robots.plans.export import export_plan
-        from falsework.robots.plans.presses import has_presses
-        from falsework.robots.plans.robot_plan_file import load_robot_plan
-        from falsework.search.plans.plan_source import structure_of_plan
-
-        plan = load_robot_plan(self.plan)
-        cell, shapes = load_cell(self.cell or plan.cell_place(self.plan)), None
-        pressed = has_presses(plan)
-        if self.format == "mcap" or pressed:
-            try:
-                shapes = structure_of_plan(plan.plan, self.plan, self.structure)
-            except InputError as error:
-                if self.structure is not None or pressed:
-                    raise
-                output.note(f"falsework: the bag has no shapes of parts: {error}")
-        paths = export_plan(plan, self.out, self.format, rate=self.rate, structure=shapes, cell=cell)
-        for path in paths:
-            output.file(path)
-        output.say(f"{counted(len(paths), 'file')} in {self.out}")
-        return Exit.DONE

@@ -56,12 +56,12 @@ class PlanRobots(Command):
     reach, obstacles, and the progress of the search. A partial plan is saved, except where an assembly is continued.
     """
 
-    rare: ClassVar[tuple[str, ...]] = ("robots_seed", "target", "grips", "proofs", "criterion", "sequential")
+    rare: ClassVar[tuple[str, ...]] = ("seed", "target", "grips", "proofs", "criterion", "sequential")
     outcomes: ClassVar[tuple[str, str]] = ("found", "not_found")
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework robots plan my-folder --cell cell.toml --out robot_plan.json",
-        "falsework robots plan my-folder --cell cell.toml --policy my-run --robots-seed 3 --deadline 60",
+        "falsework robots plan my-folder --cell cell.toml --policy my-run --seed 3 --deadline 60",
         "falsework robots plan my-folder --cell cell.toml --order disassembly --state 2210 --joints now.json "
         "--holding left=3 --support",
         "falsework robots plan my-folder --cell cell.toml --state 2110 --joints now.json "
@@ -81,7 +81,7 @@ class PlanRobots(Command):
     """File to write."""
     policy: Annotated[Path | None, arg(metavar="RUN", help_behavior_hint=UNSET)] = None
     """Trained run whose policy proposes the actions."""
-    robots_seed: int = 0
+    seed: int = 0
     """Random seed; results are reproducible on one machine."""
     deadline: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint=UNSET)] = None
     """Time limit."""
@@ -106,7 +106,7 @@ class PlanRobots(Command):
     """Let arms release parts that stand without them and hold them again with another grasp, hand other parts to
     another arm, and put parts down on the way to grip them in another way, where there is no other way."""
     sequential: bool = False
-    """One robot moves at a time."""
+    """One robot moves at a time; without this, robots move together wherever that is proven safe."""
     proofs: bool = False
     """Write the contact forces that prove each state into the plan."""
     holds: HoldOptions
@@ -133,7 +133,7 @@ class PlanRobots(Command):
             assembly, cell = self._load()
         together = not self.sequential and cell.robot_count > 1 and can_schedule(output)
         order = Direction(self.order)
-        settings = HybridSettings(order, seed=self.robots_seed, deadline=self.deadline, forces=self.proofs)
+        settings = HybridSettings(order, seed=self.seed, deadline=self.deadline, forces=self.proofs)
         building = order is Direction.ASSEMBLY
         if begun is not None:
             held, joints, grips = begun.arms

@@ -17,7 +17,7 @@ from falsework.interop.gltf import write_gltf
 from falsework.interop.instruction_table import assembly_instructions, instructions_csv, write_sheet
 from falsework.interop.usd import write_usd
 from falsework.robots.cells.cell_file import AnyCell
-from falsework.robots.plans.export import export_plan
+from falsework.robots.exports.export import export_plan
 from falsework.robots.plans.presses import has_presses
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import load_robot_plan
@@ -117,7 +117,8 @@ def export(
         structure: structure of a plan that does not name it; of a robot plan only where robots press.
         format: `folder` (one mesh a part), `glb`, `gltf`, `usd`, `html` (a page that opens without a server),
             `compas`, `compas-assembly` or `compas-dem`; for a sheet `pdf` or `csv`; for a robot plan `html`,
-            `ros2-json`, `ros2-yaml`, `csv`, `rapid`, `urscript` or `mcap`. By the name of the file if not given.
+            `ros2-json`, `ros2-yaml`, `ros2-goals`, `csv`, `rapid`, `urscript` or `mcap`. By the name of the file if
+            not given.
         step_seconds: length of a step of a plan in motion; 1 s if not given.
         azimuth: of the pictures of a sheet, degrees; 0 looks along +y.
         elevation: of the pictures of a sheet, degrees.

@@ -101,15 +101,18 @@ def open_file(
         InputError: nothing that can be shown.
         DependencyError: a run without torch.
     """
-    file, known = Path(path), load_own(path)
+    file = Path(path)
+    if file.suffix.lower() == ".toml":
+        raise InputError(
+            f"{path} is a cell, which has no steps; falsework view and picture show it (view_cell in Python)"
+        )
+    known = load_own(path)
     if isinstance(known, Plan):
         return _plan(known, file, structure, direction, options)
     if isinstance(known, RobotPlan):
         return _robot_plan(known, file, structure, cell, direction, options)
     if isinstance(known, StateGraph):
         return _graph(known, str(file), structure, direction, options)
-    if isinstance(known, Cell):
-        raise InputError(f"{path} is a cell, which cannot be shown; give a plan, structure or state graph")
     if known is not None:
         return _run(known if structure is None else _load_run(file, as_assembly(structure, **options)))
     if structure is not None:
