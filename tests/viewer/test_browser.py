@@ -337,6 +337,7 @@ def test_files_come_and_go(opened: Callable[..., Open], arch: Any, tmp_path: Pat
     assert pixels.std() > 5
     tab.get_by_role("tab", name="Files").click()
     kept = fw.load(download("Download the plan", ".json"))
+    assert isinstance(kept, fw.Plan)
     np.testing.assert_array_equal(kept.states, plan.states)
     assert "__VISER_EMBED_DATA__" in download("Download as a page", ".html").read_text(encoding="utf-8")
 
