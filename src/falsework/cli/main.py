@@ -52,7 +52,9 @@ COMMANDS = {
 }
 """Class of each subcommand, in the module of this package that is named like its first word unless another is given."""
 _GROUPS = {
-    "cell": """Write cells, which `falsework doctor --cell` checks: the robots, their bases and grippers, and the obstacles around them.
+    "cell": """Write cells, which `falsework doctor --cell` checks.
+
+A cell has the robots, their bases and grippers, and the obstacles around them.
 
 Built-in cells: bottle-12, dome-37, dome-72, vault-62-a, vault-62-b.
 Built-in arms: crb15000-5/0.95, irb2600-12/1.65, ur10e.""",
