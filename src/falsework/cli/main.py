@@ -52,7 +52,9 @@ COMMANDS = {
 }
 """Class of each subcommand, in the module of this package that is named like its first word unless another is given."""
 _GROUPS = {
-    "cell": """Write cells: the robots, their bases and grippers, and the obstacles around them.
+    "cell": """Write cells, which `falsework doctor --cell` checks.
+
+A cell has the robots, their bases and grippers, and the obstacles around them.
 
 Built-in cells: bottle-12, dome-37, dome-72, vault-62-a, vault-62-b.
 Built-in arms: crb15000-5/0.95, irb2600-12/1.65, ur10e.""",
@@ -164,11 +166,14 @@ def _parse(arguments: list[str]) -> Command | None:
         raise _UsageError(_no_subcommand(arguments))
     else:
         group = [name for name in COMMANDS if " " in name and name.split()[:1] == arguments[:1]]
+        if len(group) == 1 and not {*_HELP, _HELP_ALL}.intersection(arguments[1:2]):
+            raise _UsageError(_no_subcommand(arguments))
         classes = [
             Annotated[kind, tyro.conf.subcommand(name.split()[-1] if group else name, description=_first_line(name))]
             for name, kind in ((name, _command_class(name)) for name in group or COMMANDS)
         ]
         program, rest = ("falsework", arguments) if not group else (f"falsework {arguments[0]}", arguments[1:])
+        program = f"falsework {group[0]}" if len(group) == 1 else program
         about = _GROUPS.get(arguments[0], _ABOUT)
         kind = Union[tuple(classes)]  # noqa: UP007  # type: ignore[valid-type]
     complaint = io.StringIO()

@@ -99,7 +99,7 @@ class MakePicture(JudgingCommand):
             check_sizes(self.width, self.frames, self.columns)
         if self.gantt:
             return self._gantt(output)
-        if is_cell(self.subject.spec):
+        if is_cell(self.subject.spec) and not video:
             return self._cell(output)
         return self._animate(output) if video else self._draw(output)
 
