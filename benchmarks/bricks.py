@@ -68,7 +68,7 @@ def cost(back: int, repeats: int) -> None:
         seconds.append(time.process_time() - begun)
     assert found is not None
     assert found.found
-    states = found.plans[0].assembly_states
+    states = found.plans[0].states
     late = np.flatnonzero((states == INSTALLED).sum(axis=1) > 0.7 * len(bricks))
     chosen, alone, beside, together = late[:: max(len(late) // STATES, 1)], [], [], []
     for row in chosen:

@@ -139,7 +139,7 @@ def replay(name: str, options: Options) -> Iterator[dict[str, Any]]:
     seconds = []
     for _ in range(options.repeat):
         begun = time.perf_counter()
-        result = oracle.replayer.replay(plan.assembly_states)
+        result = oracle.replayer.replay(plan.states)
         seconds.append(time.perf_counter() - begun)
     moved = round(result.largest * 1e3, 4)
     yield {
@@ -169,9 +169,7 @@ def plan(name: str, options: Options) -> Iterator[dict[str, Any]]:
         for found in planning.plans:
             assert oracle.replayer is not None
             states += len(found.states)
-            fail += int(
-                (oracle.replayer.replay(found.assembly_states, presses=found.assembly_presses).stands != 1).sum()
-            )
+            fail += int((oracle.replayer.replay(found.states, presses=found.presses_before).stands != 1).sum())
     yield {
         "seeds": tuple(range(options.seeds)),
         "robots": options.robots,

@@ -23,7 +23,7 @@ import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import tyro
@@ -36,7 +36,6 @@ from falsework.robots.cells.cell_file import load_cell
 from falsework.robots.cells.warm_up import compile_kernels
 from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.model.cell import Cell
-from falsework.robots.planning.end_motions import Continuation
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridSettings
 from falsework.robots.planning.plan_together import plan_together
@@ -74,8 +73,6 @@ def _command(name: str, plan: RobotPlan, now: Interruption, seed: int, folder: P
     out.unlink(missing_ok=True)
     command = [sys.executable, "-m", "falsework", "robots", "plan", str(find(STRUCTURES[name])), "--cell", name]
     command += [
-        "--direction",
-        "assembly",
         "--state",
         "".join(map(str, now.state)),
         "--joints",
@@ -111,7 +108,7 @@ def main(arguments: Arguments) -> None:
     tried = found = good = holding = carrying = 0
     for seed in seeds:
         settings = HybridSettings(seed=seed, deadline=arguments.deadline)
-        plan = plan_together(assembly, cell, settings=settings, assembly_order=True).plan
+        plan = plan_together(assembly, cell, settings=settings).plan
         if plan is None:
             continue
         for share in np.random.default_rng(seed).random(arguments.interruptions):
@@ -121,17 +118,15 @@ def main(arguments: Arguments) -> None:
                 continue
             holding += any(part is not None and now.state[part] for part in now.held)
             carrying += any(grip is not None for grip in now.gripped)
-            continued = Continuation(now.configurations, now.held, now.gripped)
+            given: dict[str, Any] = {"configurations": now.configurations, "held": now.held, "gripped": now.gripped}
             settings = HybridSettings(seed=seed + _OTHER_SEED, deadline=arguments.deadline)
             rest: list[RobotPlan | None] = []
             begun = time.process_time()
-            one = plan_robots(assembly, cell, task=task, continued=continued, settings=settings).plan
+            one = plan_robots(assembly, cell, task=task, settings=settings, **given).plan
             cpu["sequential"].append(time.process_time() - begun)
-            rest.append(None if one is None else one.reverse())
+            rest.append(one)
             begun = time.process_time()
-            both = plan_together(
-                assembly, cell, task=task, continued=continued, settings=settings, assembly_order=True
-            ).plan
+            both = plan_together(assembly, cell, task=task, settings=settings, **given).plan
             cpu["together"].append(time.process_time() - begun)
             rest.append(both)
             with tempfile.TemporaryDirectory() as folder:

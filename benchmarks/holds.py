@@ -80,9 +80,7 @@ def modes(options: Options) -> Iterator[dict[str, Any]]:
                     assert replay is not None
                     row |= {"moved_mm": 1e3 * replay.moved, "varied": replay.varied, "weak_under": replay.weak_under}
                     if options.judge:
-                        judged = BuildJudge(assembly, plan.claim.holds).judge(
-                            plan.assembly_states, plan.assembly_presses
-                        )
+                        judged = BuildJudge(assembly, plan.claim.holds).judge(plan.states, plan.presses_before)
                         row |= {"states": judged.of, "built": judged.built}
                 yield row
 
@@ -101,7 +99,7 @@ def settings(options: Options) -> Iterator[dict[str, Any]]:
             found = find_plans(assembly, settings=PlannerSettings(seed=seed), deadline=options.deadline)
             begun = timed("plan", begun)
             plan = found.plans[0]
-            states, presses = plan.assembly_states, plan.assembly_presses
+            states, presses = plan.states, plan.presses_before
             replayer = Replayer(assembly, replace(PLANS, reserve=plan.claim.reserve, holds=plan.claim.holds))
             begun = time.process_time()
             replayer.replay(states, presses=presses)

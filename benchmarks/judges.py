@@ -116,7 +116,7 @@ def plans(options: Options) -> Iterator[dict[str, Any]]:
         if not found:
             yield {**row, "states": 0}
             continue
-        states, presses, replayer = found[0].assembly_states, found[0].assembly_presses, oracle.replayer
+        states, presses, replayer = found[0].states, found[0].presses_before, oracle.replayer
         assert replayer is not None
         varied = replay_varied(replayer, states, presses, draws=options.draws)
         row |= {
@@ -225,16 +225,16 @@ def _built(assembly: Assembly, plan: Plan, sink: float, options: Options) -> dic
     begun = time.process_time()
     settings = DiscreteElementSettings(sinks=(sink,), steps=options.steps)
     found = replay_by_discrete_elements(
-        assembly, plan.assembly_states, settings, presses=plan.assembly_presses, holds=plan.claim.holds
+        assembly, plan.states, settings, presses=plan.presses_before, holds=plan.claim.holds
     )
     row = {**_count(found.stands), "open_at": np.flatnonzero(found.stands == 0).tolist()}
     if found.stands[-1] < 0:
         last = len(found.stands) - 1
-        before, after = plan.assembly_states[last - 1], plan.assembly_states[last]
+        before, after = plan.states[last - 1], plan.states[last]
         released = np.flatnonzero((before == HELD) & (after != HELD)).tolist()
         row |= {"falls_at": last, "part": assembly.names[found.part[last]]}
         row |= {"released": [assembly.names[part] for part in released]}
-        row |= {"presses": len(plan.assembly_presses[last])}
+        row |= {"presses": len(plan.presses_before[last])}
     return {"sink": sink, **row, "judge_seconds": time.process_time() - begun}
 
 

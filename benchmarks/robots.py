@@ -70,7 +70,7 @@ from falsework.robots.plans.robot_plan_file import save_robot_plan
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph
 from falsework.robots.schedule.simulation import simulate
 from falsework.search.problem.guide import Guide
-from falsework.search.problem.task import Task
+from falsework.search.problem.task import Direction, Task
 from falsework.stability import Stability
 
 STRUCTURES = {
@@ -300,7 +300,7 @@ def midway(name: str, arguments: Arguments) -> None:
     cpu: dict[str, list[float]] = {"fresh": [], "kept": []}
     tried = found = good = 0
     for seed in seeds:
-        settings = HybridSettings(seed=seed, deadline=arguments.deadline)
+        settings = HybridSettings(Direction.DISASSEMBLY, seed=seed, deadline=arguments.deadline)
         graph, oracle = KeyframeGraph(assembly, cell, seed=seed), Stability(assembly)
         first = plan_robots(assembly, cell, settings=settings, graph=graph, oracle=oracle).plan
         if first is None:
@@ -366,13 +366,13 @@ def delays(name: str, arguments: Arguments) -> None:
         if plan is None or plan.schedule is None:
             report("robots delays", cell=name, robots=cell.robot_count, found=False, seeds=(seed,))
             continue
-        for direction, schedule in (("disassembly", plan), ("assembly", plan.reverse())):
+        for schedule in (plan, plan.reverse()):
             fields = _under_delays(schedule, assembly, cell, arguments)
             report(
                 "robots delays",
                 cell=name,
                 robots=cell.robot_count,
-                direction=direction,
+                direction=schedule.direction.value,
                 found=True,
                 makespan=round(schedule.makespan, 2),
                 motions=len(plan.schedule.nodes),

@@ -101,7 +101,7 @@ def _write_help_texts() -> None:
     for name in ["", *COMMANDS]:
         text = io.StringIO()
         with contextlib.redirect_stdout(text):
-            code = main([*name.split(), "--help"])
+            code = main([*name.split(), "--help-all" if name else "--help"])
         if code != 0:
             raise RuntimeError(f"falsework {name} --help failed")
         lines = [line if line[:1] in ("", " ") else textwrap.fill(line, 84) for line in text.getvalue().splitlines()]

@@ -1,4 +1,4 @@
-"""Plan a thin vault with two robots, print the plan in order of assembly, and let the exact solver check it.
+"""Plan a thin vault with two robots, print the steps, and let the exact solver check them.
 
 Run: python examples/01_plan_a_vault.py
 """
@@ -16,14 +16,13 @@ def main() -> None:
     planning = fw.find_plans(vault, robots=2)
     print(f"found in {planning.result.seconds:.1f} s, {planning.result.counters.asked} verdicts")
 
-    # A plan takes a structure apart; reversed, it builds it.
-    plan = planning.plans[0].reverse()
-    for step in range(len(plan)):
-        print(f"{step + 1:4d}  {plan.describe(step)}")
+    plan = planning.plans[0]
+    for step in plan:
+        print(f"{step.number:4d}  {step}")  # such as `1  insert voussoir-3 (R1)`
 
     report = fw.validate_plan(plan, vault)
     print(f"{report.checked} of {report.states} states proven stable by the exact solver")
-    fw.save_plan(plan, "vault-plan.json")
+    fw.save(plan, "vault-plan.json")
 
 
 if __name__ == "__main__":

@@ -7,18 +7,18 @@ from __future__ import annotations
 
 from falsework.assembly import load_structure
 from falsework.replanning import Replanner, difference
-from falsework.search import Direction, find_plans, validate_plan
+from falsework.search import Action, Direction, find_plans, validate_plan
 
 
 def main() -> None:
     """A dome that three robots build."""
     dome = load_structure("dome:rings=3,blocks=6")
-    old = find_plans(dome, robots=3).plans[0].reverse()
+    old = find_plans(dome, robots=3).plans[0]
     replanner = Replanner(dome)  # hand in policy=falsework.load_policy("my-run") once you have trained one
 
     # Some steps are done when word comes that the next part to go in is late.
-    done = next(step for step in range(len(old) // 3, len(old)) if old.actions[step] >= dome.part_count)
-    state, late = old.states[done], int(old.actions[done]) - dome.part_count
+    next_one = next(step for step in old[len(old) // 3 :] if step.action is Action.INSERT)
+    state, late = old.states[next_one.number - 1], next_one.part
     answer = replanner.replan(state, missing=[late], robots=3)
     new = answer.plans[0]
     print(f"{dome.names[late]} is late; {answer.decided_by.value} has another plan after {answer.seconds:.2f} s:")
@@ -32,7 +32,7 @@ def main() -> None:
     if not answer.found:
         print(f"with two robots: {answer.outcome.value}, {answer.reason}")
     for plan in answer.plans:
-        print(f"with two robots: {len(plan)} steps, first {plan.describe(0)}, then {plan.describe(1)}")
+        print(f"with two robots: {len(plan)} steps, first {plan[0]}, then {plan[1]}")
         assert validate_plan(plan, dome).good
 
 

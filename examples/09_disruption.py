@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+import falsework as fw
 from falsework.assembly import Assembly, load_structure
 from falsework.replanning import difference
 from falsework.robots import (
@@ -25,7 +26,6 @@ from falsework.robots import (
     export_plan,
     load_cell,
     plan_robots,
-    save_robot_plan,
 )
 from falsework.search import task_of
 from falsework.stability import Stability
@@ -44,7 +44,7 @@ def bottle_and_cell() -> tuple[Assembly, Cell]:
 def report(name: str, plan: RobotPlan, bottle: Assembly, cell: Cell) -> None:
     """Print the order, and check every motion by other libraries."""
     checked = check_robot_plan(plan, bottle, cell)
-    order = " ".join(bottle.names[part] for part in plan.plan.removed_parts)
+    order = " ".join(bottle.names[part] for part in plan.plan.inserted_parts)
     print(f"{name}: {plan.seconds:.0f} s of motion, found in {plan.statistics['seconds']:.1f} s; parts in: {order}")
     print(f"  checked in {checked.samples} configurations: {'good' if checked.good else checked.problems[0]}")
     assert checked.good
@@ -57,7 +57,7 @@ def main() -> None:
 
     first = plan_robots(bottle, cell, oracle=oracle, graph=graph)
     assert first.plan is not None, first.explanation
-    building = first.plan.reverse()
+    building = first.plan
     report("as planned", building, bottle, cell)
 
     free = np.flatnonzero(~bottle.boundary)
@@ -66,7 +66,7 @@ def main() -> None:
     task = task_of(bottle, cell.robot_count, missing=late)
     second = plan_robots(bottle, cell, task=task, oracle=oracle, graph=graph)
     assert second.plan is not None, second.explanation
-    other = second.plan.reverse()
+    other = second.plan
     report("without them for as long as possible", other, bottle, cell)
     for need in other.plan.needs:
         print(f"  {bottle.names[need.part]} is needed after {need.after_parts} other parts are placed")
@@ -76,7 +76,7 @@ def main() -> None:
     again = second.statistics["free_motions_used_again"]
     print(f"{again} free motions were known from the first plan")
 
-    save_robot_plan(other, "robot_plan.json")
+    fw.save(other, "robot_plan.json")
     files = export_plan(other, "motions", "ros2-json", cell=cell)
     print(f"robot_plan.json, and {len(files)} files for ROS 2 in motions")
 

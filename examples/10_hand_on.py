@@ -15,7 +15,7 @@ from falsework.interop import assembly_instructions, instructions_csv, way_in_wo
 def main() -> None:
     """An arch, built by two robots or by a crew with two props."""
     arch = fw.load_structure("arch:blocks=7")
-    plan = fw.find_plans(arch).plans[0].reverse()
+    plan = fw.find_plans(arch).plans[0]
 
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)

@@ -249,7 +249,7 @@ def main() -> None:
         (folder / "cell.toml").write_text(CELL)
         cell = load_cell(folder / "cell.toml")
         structure = load_structure("stack:blocks=2,length=0.2,height=0.15,depth=0.2")
-        plan = plan_together(structure, cell, assembly_order=True).plan
+        plan = plan_together(structure, cell).plan
         assert plan is not None
         (file,) = export_plan(plan, folder, "ros2-goals", joint_prefix=PREFIX, cell=cell)
         content = json.loads(file.read_text())

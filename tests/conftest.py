@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import json
 import os
 import signal
 import subprocess
@@ -24,7 +25,6 @@ from falsework.assembly.model import Assembly, ContactWarning
 from falsework.assembly.state import HELD, INSTALLED
 from falsework.geometry import TriangleMesh
 from falsework.search import Plan
-from falsework.search.problem.task import Direction
 from falsework.stability.holds import Press
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -57,6 +57,24 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> Iterat
     skipped = [report.longrepr[2] for report in terminalreporter.stats.get("skipped", [])]
     for reason, count in sorted(Counter(reason.removeprefix("Skipped: ") for reason in skipped).items()):
         terminalreporter.write_line(f"not run: {count} {'test' if count == 1 else 'tests'} ({reason})")
+
+
+@pytest.fixture(scope="session")
+def read_answer() -> Callable[[str], dict[str, Any]]:
+    """Read what a command prints with `--json`: one line, which the published schema describes."""
+    import jsonschema
+
+    from falsework.cli.output import answer_schema
+
+    validator = jsonschema.Draft202012Validator(answer_schema())
+
+    def read(text: str) -> dict[str, Any]:
+        (line,) = text.splitlines()
+        answer = json.loads(line)
+        validator.validate(answer)
+        return answer
+
+    return read
 
 
 @pytest.fixture(scope="session")
@@ -192,11 +210,10 @@ def press_once() -> Callable[..., tuple[Plan, int, int]]:
     """Add a press to the first step of a plan in which a part is released while a robot holds another one.
 
     Returns:
-        The plan in the order of assembly, the number of the step from 1, and the part that is pressed.
+        The plan, the number of the step, and the part that is pressed.
     """
 
     def change(plan: Plan, wrench: tuple[float, ...]) -> tuple[Plan, int, int]:
-        plan = plan if plan.direction is Direction.ASSEMBLY else plan.reverse()
         for step, (before, after) in enumerate(pairwise(plan.states)):
             held = (before == HELD) & (after == HELD) & ~plan.boundary
             if held.any() and ((before == HELD) & (after == INSTALLED)).any():

@@ -26,6 +26,7 @@ ROOMS = (
     "replanning",
     "learn",
     "robots",
+    "files",
     "viewer",
     "service",
     "interop",
@@ -35,7 +36,7 @@ CORE = ("errors", "utils", "geometry", "assembly", "stability", "search", "repla
 
 # Sub-packages of each room, likewise. Modules at the root of a room may use them, and be used by them.
 SUBPACKAGES = {
-    "utils": ("files", "cache"),
+    "utils": ("files", "cache", "display"),
     "geometry": ("mesh", "contact", "clearance"),
     "assembly": ("library",),
     "stability": ("second_order", "cpu", "contact", "gpu", "reference", "margins", "judges"),
@@ -56,7 +57,7 @@ SUBPACKAGES = {
         "interleaving",
         "planning",
     ),
-    "viewer": ("pictures", "page", "cells"),
+    "viewer": ("pictures", "web", "page", "cells"),
 }
 MOST_MODULES = 16
 """In one folder; `cli` has a module for each command."""

@@ -22,7 +22,7 @@ import falsework as fw
 from falsework.assembly import Assembly, complete_state, register_reader
 from falsework.assembly import load as loading
 from falsework.errors import InputError, PlanError
-from falsework.search import Outcome, plan_to_dict, save_state_graph, structure_of_plan, task_of
+from falsework.search import Outcome, plan_to_dict, structure_of_plan, task_of
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 ROOMS = ("assembly", "geometry", "interop", "learn", "replanning", "robots", "search", "service", "stability", "viewer")
@@ -200,7 +200,7 @@ def test_plans_are_found_without_making_a_task(arch: Assembly) -> None:
 
 def test_every_function_takes_a_structure_by_name_or_path(arch: Assembly, plan: fw.Plan, tmp_path: Path) -> None:
     """What works with an `Assembly` works with what `load_structure` reads, and says so of anything else."""
-    fw.save_assembly(arch, tmp_path / "mine")
+    fw.save(arch, tmp_path / "mine")
     start = plan.states[4]
     calls: list[Callable[[Any], Any]] = [
         lambda given: fw.find_plans(given, robots=2).plans[0].actions.tolist(),
@@ -213,7 +213,7 @@ def test_every_function_takes_a_structure_by_name_or_path(arch: Assembly, plan: 
         lambda given: fw.export(given, tmp_path / "copy.glb"),
         lambda given: fw.open_file(tmp_path / "plan.json", given).kind,
     ]
-    fw.save_plan(plan, tmp_path / "plan.json")
+    fw.save(plan, tmp_path / "plan.json")
     for call in calls:
         wanted = call(arch)
         for given in ("arch:blocks=5", tmp_path / "mine", str(tmp_path / "mine")):
@@ -223,8 +223,8 @@ def test_every_function_takes_a_structure_by_name_or_path(arch: Assembly, plan: 
             call("nowhere")
         with pytest.raises(InputError, match="a structure is an Assembly, a name or a path, not list"):
             call([arch])
-    with pytest.raises(InputError, match="load_structure makes one"):
-        fw.save_assembly("arch:blocks=5", tmp_path / "copy")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="str has no file; save an assembly, a plan, a robot plan or a state graph"):
+        fw.save("arch:blocks=5", tmp_path / "copy")  # type: ignore[arg-type]
 
 
 def test_robots_take_structure_and_cell_by_name() -> None:
@@ -241,7 +241,7 @@ def test_robots_take_structure_and_cell_by_name() -> None:
 
 def test_replan_takes_the_fields_of_a_request(arch: Assembly, plan: fw.Plan) -> None:
     answer = fw.replan(arch, plan.states[4], robots=3)
-    np.testing.assert_array_equal(answer.plans[0].states[0], plan.states[4])
+    np.testing.assert_array_equal(answer.plans[0].states[-1], plan.states[4])
     assert answer.plans[0].robots == 3
     with pytest.raises(TypeError, match="robot"):
         fw.replan(arch, plan.states[4], robot=3)
@@ -285,7 +285,7 @@ def test_the_structure_of_a_plan_is_found(arch: Assembly, plan: fw.Plan, tmp_pat
     assert structure_of_plan(built_in).identity == arch.identity
     assert structure_of_plan(plan, structure=arch) is arch
     assert structure_of_plan(plan, structure="arch:blocks=5").identity == arch.identity
-    fw.save_assembly(arch, tmp_path / "mine")
+    fw.save(arch, tmp_path / "mine")
     beside = replace(plan, source={"path": "mine"})
     assert structure_of_plan(beside, tmp_path / "plan.json").identity == arch.identity
     with pytest.raises(PlanError, match="gone"):
@@ -298,8 +298,8 @@ def test_the_structure_of_a_plan_is_found(arch: Assembly, plan: fw.Plan, tmp_pat
 
 def test_files_and_objects_are_opened_alike(arch: Assembly, plan: fw.Plan, tmp_path: Path) -> None:
     graph = fw.StateGraph.build(task_of(arch), plan.states, name="arch:blocks=5")
-    fw.save_plan(plan, tmp_path / "plan.json")
-    save_state_graph(graph, tmp_path / "graph.npz")
+    fw.save(plan, tmp_path / "plan.json")
+    fw.save(graph, tmp_path / "graph.npz")
     kinds = [
         fw.open_file(tmp_path / "plan.json", arch),
         fw.open_file(tmp_path / "graph.npz"),
@@ -307,7 +307,8 @@ def test_files_and_objects_are_opened_alike(arch: Assembly, plan: fw.Plan, tmp_p
     ]
     assert [shown.kind for shown in kinds] == ["plan", "graph", "structure"]
     assert all(shown.assembly.identity == arch.identity for shown in kinds)
-    opened = fw.load_plan(tmp_path / "plan.json")
+    opened = fw.load(tmp_path / "plan.json")
+    assert isinstance(opened, fw.Plan)
     assert kinds[0].plan is not None
     assert plan_to_dict(kinds[0].plan) == plan_to_dict(opened)
     (tmp_path / "no.json").write_text('{"format": "falsework.census/1"}')
@@ -354,7 +355,7 @@ def test_results_print_as_one_line(arch: Assembly, plan: fw.Plan) -> None:
         repr(arch): "7 parts, 2 of them boundary, 6 contacts",
         repr(arch.meshes[0]): "voussoir-0: 8 vertices",
         repr(arch.contacts): "6 with 24 points",
-        repr(plan): "disassembly in 10 steps with 2 robots, criterion contact",
+        repr(plan): "10 steps with 2 robots, criterion contact",
         repr(planning): "proved_impossible",
         repr(fw.find_plans(arch, robots=2)): "found, (<Plan",
         repr(oracle.check(plan.states)): "11 states: 11 stable",
@@ -378,7 +379,7 @@ def test_results_print_as_one_line(arch: Assembly, plan: fw.Plan) -> None:
         (lambda arch, plan: UNTYPED.replan(arch, plan.states[4], missing=[2.5]), "give a list of part numbers"),
         (lambda arch, plan: arch.replace(loads=fw.assembly.Loads.of(3)), "loads are of 3 parts, but there are"),
         (lambda arch, plan: UNTYPED.Assembly.from_meshes([5], boundary=[0]), "a part is a int; make it a TriangleMesh"),
-        (lambda arch, plan: UNTYPED.save_plan([plan], "plan.json"), "writes a Plan, not list"),
+        (lambda arch, plan: UNTYPED.save([plan], "plan.json"), "list has no file; save an assembly, a plan"),
         (lambda arch, plan: UNTYPED.validate_plan([plan], arch), "checks a Plan, not list"),
         (lambda arch, plan: UNTYPED.picture(fw.Stability(arch), "arch.png"), "Stability cannot be shown"),
     ],

@@ -8,8 +8,7 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 from typing import Any
 
 PLAN = {
-    "format": "falsework.plan/2",
-    "direction": "assembly",
+    "format": "falsework.plan/4",
     "start": {"state": [0, 2]},
     "steps": [{"do": "insert", "part": 0}, {"do": "release", "part": 0}],
     "end": [1, 2],
@@ -26,7 +25,7 @@ ANSWERS = {
         ],
     },
     "/stability": {"criterion": "contact", "verdicts": [{"verdict": "unstable", "proof": "velocity", "moving": [0]}]},
-    "/replan": {"outcome": "found", "reason": "", "moving": [], "plans": [PLAN]},
+    "/replan": {"outcome": "found", "reason": "", "direction": "assembly", "moving": [], "plans": [PLAN]},
     "/picture": PNG,
 }
 

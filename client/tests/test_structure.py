@@ -63,13 +63,28 @@ class Asked(unittest.TestCase):
             PLAN["steps"][0],
             {**PLAN["steps"][1], "presses": [{"part": 1, "wrench": [3.0, 0.0, -4.0, 0, 0, 9.0]}]},
         ]
-        answer = {"outcome": "found", "reason": "", "moving": [], "plans": [{**PLAN, "steps": steps}]}
+        answer = {
+            "outcome": "found",
+            "reason": "",
+            "direction": "assembly",
+            "moving": [],
+            "plans": [{**PLAN, "steps": steps}],
+        }
         self.service.answers["/replan"] = answer
         plan = Structure(pair(), unit="m", url=self.service.url).plan(holds={"force": 5000.0}, reserve=1.1)
         (question,) = self.service.questions("/replan")
         self.assertEqual((question["holds"], question["reserve"]), ({"force": 5000.0}, 1.1))
         words = ["insert top", "release top; robot presses base with 5 N"]
         self.assertEqual([step.words for step in plan.steps], words)
+
+    def test_taking_apart_undoes_the_last_step_first(self) -> None:
+        self.service.answers["/replan"] = {**self.service.answers["/replan"], "direction": "disassembly"}
+        plan = Structure(pair(), unit="m", url=self.service.url).plan("complete", "empty")
+        self.assertEqual(plan.start, (1, 2))
+        self.assertEqual(
+            [(step.number, step.words, step.state) for step in plan.steps],
+            [(2, "hold top", (2, 2)), (1, "remove top", (0, 2))],
+        )
 
     def test_no_plan(self) -> None:
         self.service.answers["/replan"] = {"outcome": "not_found", "reason": "no", "moving": [0], "plans": []}

@@ -54,7 +54,7 @@ def press(path: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "plan.json"
         run("plan", "vault:parts=125", "--robots", "2", "--out", str(file))
-        step = next(step for step, presses in enumerate(load_plan(file).assembly_presses) if presses)
+        step = next(step for step, presses in enumerate(load_plan(file).presses_before) if presses)
         options = ("--step", str(step), "--forces", "--azimuth", "-40", "--elevation", "35")
         run("picture", str(file), *options, "--out", str(path))
 
@@ -71,18 +71,18 @@ def state_graph(path: Path) -> None:
     """All states of a small arch that stand and can be reached, and one plan."""
     with tempfile.TemporaryDirectory() as folder:
         graph = str(Path(folder) / "graph.npz")
-        run("graph", "arch:blocks=4,thickness=0.3", "--width", "1000", "--direction", "disassembly", "--out", graph)
+        run("graph", "arch:blocks=4,thickness=0.3", "--width", "1000", "--search-from", "end", "--out", graph)
         run("picture", graph, "--out", str(path))
 
 
 def arch_that_stands(path: Path) -> None:
     """A thick arch with the forces that prove it stable."""
-    run("picture", "arch:blocks=15,thickness=0.2", "--svg", "--forces", "--width", "420", "--out", str(path))
+    run("picture", "arch:blocks=15,thickness=0.2", "--forces", "--width", "420", "--out", str(path))
 
 
 def arch_that_falls(path: Path) -> None:
     """A thin arch with the motion that proves it unstable."""
-    run("picture", "arch:blocks=15,thickness=0.08", "--svg", "--forces", "--width", "420", "--out", str(path))
+    run("picture", "arch:blocks=15,thickness=0.08", "--forces", "--width", "420", "--out", str(path))
 
 
 def gallery(path: Path) -> None:
@@ -114,5 +114,5 @@ def film(path: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:
         plan, draft = str(Path(folder) / "plan.json"), str(Path(folder) / path.name)
         run("plan", "arch:blocks=7", "--out", plan)
-        run("animate", plan, "--width", "360", "--rate", "6", "--out", draft)
+        run("picture", plan, "--width", "360", "--rate", "6", "--out", draft)
         shutil.copyfile(draft, path)

@@ -94,7 +94,7 @@ def test_all_faults_at_once(column: Path, tmp_path: Path, capsys: pytest.Capture
     assert not doubts["1"]
     assert not record["loads"]
     assert not record["loads_with_it"]
-    assert record["parts"][3]["volume"] is None
+    assert record["parts"][3]["volume_m3"] is None
     assert (tmp_path / "column.png").stat().st_size > 1000
 
 

@@ -56,20 +56,24 @@ class Finished:
     out: str
     error: str
 
+    read: Callable[[str], dict[str, Any]]
+
     @property
-    def records(self) -> list[dict[str, Any]]:
-        """JSON objects of standard output, one a line."""
-        return [json.loads(line) for line in self.out.splitlines()]
+    def answer(self) -> dict[str, Any]:
+        """JSON answer on standard output, which the schema describes."""
+        return self.read(self.out)
 
 
 @pytest.fixture
-def falsework(capsys: pytest.CaptureFixture[str]) -> Callable[..., Finished]:
+def falsework(
+    capsys: pytest.CaptureFixture[str], read_answer: Callable[[str], dict[str, Any]]
+) -> Callable[..., Finished]:
     """Run the command in this process."""
 
     def run(*arguments: str | Path | int | float) -> Finished:
         capsys.readouterr()
         code = main([str(argument) for argument in arguments])
         captured = capsys.readouterr()
-        return Finished(int(code), captured.out, captured.err)
+        return Finished(int(code), captured.out, captured.err, read_answer)
 
     return run

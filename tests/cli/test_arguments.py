@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -9,10 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.cli.arguments import parse_parts, parse_state, read_states
+from falsework.assembly import load_structure
+from falsework.cli.arguments import parse_parts, parse_state, parse_states, read_states
 from falsework.errors import InputError, StateError
+from falsework.search import find_plans, save_plan
 
-FOUR_PARTS: Any = SimpleNamespace(boundary=np.array([True, False, False, False]))
+_BOUNDARY = np.array([True, False, False, False])
+FOUR_PARTS: Any = SimpleNamespace(
+    boundary=_BOUNDARY, immovable=_BOUNDARY, part_count=4, names=("ground", "left", "key", "held:up")
+)
 
 
 @pytest.mark.parametrize(
@@ -36,18 +42,60 @@ def test_what_is_no_part_is_refused(text: str) -> None:
         ("empty", [2, 0, 0, 0]),
         ("2102", [2, 1, 0, 2]),
         ("[2, 1, 0, 2]", [2, 1, 0, 2]),
+        ("left,held:key", [2, 1, 2, 0]),
+        ("1-2", [2, 1, 1, 0]),
+        ("held:1-2,ground", [2, 2, 2, 0]),
+        ("held:up", [2, 0, 0, 1]),  # a name comes first
+        ("held:held:up", [2, 0, 0, 2]),
     ],
 )
 def test_states(text: str, state: list[int]) -> None:
-    assert parse_state(text, "--start", FOUR_PARTS).tolist() == state
+    assert parse_state(text, "--end", FOUR_PARTS).tolist() == state
 
 
 @pytest.mark.parametrize(
-    "text", ["", "full", "210", "1111", "2103", "[2, 1", "[[2, 1, 1, 1], [2, 1, 1, 0]]", "no.json"]
+    "text", ["", "full", "210", "1111", "2103", "[2, 1", "[[2, 1, 1, 1], [2, 1, 1, 0]]", "no.json", "no.json:3"]
 )
 def test_what_is_no_state_is_refused(text: str) -> None:
     with pytest.raises(StateError):
-        parse_state(text, "--start", FOUR_PARTS)
+        parse_state(text, "--end", FOUR_PARTS)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("left,top", "'top' is neither a part nor a file; give complete, empty, a plan and its step"),
+        ("left,held:left", "part left both stands by itself and is held"),
+        ("left,9", "is part 9, which does not exist"),
+        ("left,,key", "an item is empty"),
+        ("no.json:3", "there is no file no.json"),
+    ],
+)
+def test_messages_on_parts_of_a_state(text: str, message: str) -> None:
+    with pytest.raises(InputError, match=re.escape(message)) as refused:
+        parse_state(text, "--state", FOUR_PARTS)
+    assert str(refused.value).startswith("--state left" if "left" in text else "--state no.json")
+
+
+def test_states_of_a_plan(tmp_path: Path) -> None:
+    arch = load_structure("arch:blocks=3")
+    plan = find_plans(arch, robots=2).plans[0]
+    file = tmp_path / "plan.json"
+    save_plan(plan, file)
+    np.testing.assert_array_equal(parse_states(str(file), "--states", arch), plan.states)
+    for step in range(len(plan) + 1):
+        np.testing.assert_array_equal(parse_state(f"{file}:{step}", "--state", arch), plan.states[step])
+    for step in ("99", "-1", "", "two"):
+        with pytest.raises(
+            StateError, match=f"the plan has no step '{step}'; its steps are 1 to {len(plan)}, and 0 is"
+        ):
+            parse_state(f"{file}:{step}", "--state", arch)
+    with pytest.raises(StateError, match="the plan is for arch:blocks=3 with 5 parts, but arch:blocks=5 has 7"):
+        parse_state(f"{file}:1", "--state", load_structure("arch:blocks=5"))
+    with pytest.raises(StateError, match="the plan is for another structure"):
+        parse_state(f"{file}:1", "--state", load_structure("arch:blocks=3", friction=0.9))
+    with pytest.raises(StateError, match=f"holds {len(plan) + 1} states; give one"):
+        parse_state(str(file), "--state", arch)
 
 
 def test_states_from_files(tmp_path: Path) -> None:
@@ -58,7 +106,7 @@ def test_states_from_files(tmp_path: Path) -> None:
     assert read_states(text) == states
     assert read_states(array).tolist() == states
     text.write_text(str(states[:1]))
-    assert parse_state(str(text), "--start", FOUR_PARTS).tolist() == states[0]
+    assert parse_state(str(text), "--end", FOUR_PARTS).tolist() == states[0]
 
 
 @pytest.mark.parametrize(

@@ -130,7 +130,7 @@ def test_no_boundary_offers_the_ground(
     refused("--ground", folder)
     finished = falsework("export", folder, "--out", tmp_path / "grounded", "--ground", "--json")
     assert finished.code == 0
-    assert finished.records[0]["parts"] == 4
+    assert finished.answer["parts"] == 4
 
 
 def test_part_that_touches_nothing(refused: Callable[..., None], write_structure: Write, tmp_path: Path) -> None:
@@ -221,8 +221,8 @@ def test_no_plan(name: str, hint: str, falsework: Run, tmp_path: Path) -> None:
         ("--missing", "9", "9"),
         ("--missing", "lid", "lid"),
         ("--fixed", "1,1", "twice"),
-        ("--start", "211111", "3"),
-        ("--target", "somewhere", "--target"),
+        ("--end", "211111", "3"),
+        ("--begin", "somewhere", "--begin"),
         ("--alternatives", "0", "1"),
     ],
 )
@@ -241,11 +241,15 @@ def test_place_that_cannot_be_written(falsework: Run, stack: Path, tmp_path: Pat
     expect(finished, 2, "plan.json")
 
 
-@pytest.mark.parametrize("command", ["graph", "dataset"])
-def test_archives_are_not_written_under_names_of_other_files(command: str, falsework: Run, tmp_path: Path) -> None:
+@pytest.mark.parametrize("options", [(), ("--sets", "64,128")])
+def test_archives_are_not_written_under_names_of_other_files(
+    options: tuple[str, ...], falsework: Run, tmp_path: Path
+) -> None:
     """They could not be read again by that name."""
     name = tmp_path / "out.json"
-    expect(falsework(command, "arch:blocks=3", "--out", name), 2, "out.json is written as .npz; name such a file")
+    expect(
+        falsework("graph", "arch:blocks=3", *options, "--out", name), 2, "out.json is written as .npz; name such a file"
+    )
 
 
 def test_export_does_not_replace_what_is_there(falsework: Run, stack: Path) -> None:

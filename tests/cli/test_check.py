@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from falsework.cli.arguments import spell_options
+from falsework.cli.exit_code import Exit
 from falsework.cli.output import Output
 from falsework.search import load_plan
 from falsework.utils.files.printable import printable
@@ -44,7 +45,7 @@ def test_options_of_the_plan_are_printed_and_the_exit_code_says_so(falsework: Ru
     )
     machine = falsework("check", out, "--json")
     assert machine.code == 3
-    (record,) = machine.records
+    record = machine.answer
     loads = [{"part": "2", "force": [0.0, 0.0, -10.0]}]
     assert record["overrides"] == {"friction": 0.5, "ground": True, "loads": loads}
     for more in (options, shown.split(), ("--accept-overrides",)):
@@ -80,21 +81,20 @@ def test_a_bad_plan_is_bad_whatever_its_options(falsework: Run, tmp_path: Path) 
 
 
 def test_the_answer_says_what_was_checked(falsework: Run, planned: Path) -> None:
-    (record,) = falsework("check", planned, "--json").records
+    record = falsework("check", planned, "--json").answer
     plan = load_plan(planned)
     assert record["about"] == {
         "structure": "arch:blocks=3",
         "identity": plan.identity,
         "boundary": [3, 4],
-        "direction": "disassembly",
         "steps": 6,
         "robots": 2,
         "props": 0,
         "prop_limit": 0,
-        "start": [1, 1, 1, 2, 2],
-        "end": [0, 0, 0, 2, 2],
+        "start": [0, 0, 0, 2, 2],
+        "end": [1, 1, 1, 2, 2],
     }
-    assert record["criterion"] == "contact"
+    assert record["claim"]["criterion"] == "contact"
     assert record["overrides"] == {}
     assert record["unverified"] == ["its replay"]
     assert record["certified"] == 0
@@ -102,27 +102,27 @@ def test_the_answer_says_what_was_checked(falsework: Run, planned: Path) -> None
 
 def test_start_and_end_in_words(falsework: Run, tmp_path: Path) -> None:
     out = tmp_path / "plan.json"
-    options = ("--start", "1102", "--target", "2002", "--criterion", "equilibrium")
+    options = ("--end", "1102", "--begin", "2002", "--criterion", "equilibrium")
     assert falsework("plan", "stack:blocks=3", *options, "--out", out).code == 0
     text = falsework("check", out, "--criterion", "equilibrium").out
-    assert "from 2 of 3 parts to 1 of 3 parts, 1 held" in text
+    assert "from 1 of 3 parts, 1 held to 2 of 3 parts" in text
 
 
 def test_certificates_are_evaluated(falsework: Run, tmp_path: Path) -> None:
     out = tmp_path / "plan.json"
     assert falsework("plan", "arch:blocks=3", "--proofs", "--out", out).code == 0
     assert "certificates in the plan prove 7 states" in falsework("check", out).out
-    assert falsework("check", out, "--json").records[0]["certified"] == 7
+    assert falsework("check", out, "--json").answer["certified"] == 7
     other = falsework("check", out, "--criterion", "equilibrium", "--json")
     assert other.code == 0
-    assert other.records[0]["certified"] == 0
-    assert "its displacements" in other.records[0]["unverified"]
+    assert other.answer["certified"] == 0
+    assert "its displacements" in other.answer["unverified"]
 
 
 def test_a_replay_verifies_the_recorded_one(falsework: Run, planned: Path) -> None:
     verified = falsework("check", planned, "--replay", "--json")
     assert verified.code == 0
-    assert verified.records[0]["unverified"] == []
+    assert verified.answer["unverified"] == []
     replay = json.loads(planned.read_text())["replay"]
     rewrite(planned, replay=replay | {"moved": 0.5 * replay["moved"]})
     assert falsework("check", planned).code == 0  # named as not verified
@@ -165,7 +165,9 @@ def test_control_characters_are_escaped(capsys: pytest.CaptureFixture[str]) -> N
     assert len(table) >= 3
     assert "[red]1" in "".join(table)
     assert not set(text[1:-1]) - {"\n"} & set(shown.out)
-    Output(machine=True).record({"name": text})
+    output = Output(machine=True)
+    output.record({"name": text})
+    output.answer(Exit.DONE)
     record = capsys.readouterr().out
     assert json.loads(record)["name"] == text
     assert not set(text[1:-1]) - {"\n"} & set(record)

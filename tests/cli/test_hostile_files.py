@@ -67,7 +67,7 @@ def test_states(falsework: Run, stack: Path, tmp_path: Path, value: str) -> None
     for text in (value, f"[[2, 1, {value}]]"):
         file.write_text(text)
         refused(falsework("stability", stack, "--states", file))
-    refused(falsework("plan", stack, "--start", f"[2, 1, {value[:3000]}]", "--out", tmp_path / "plan.json"))
+    refused(falsework("plan", stack, "--end", f"[2, 1, {value[:3000]}]", "--out", tmp_path / "plan.json"))
 
 
 @pytest.mark.parametrize("shape", [(10**30,), (10**10, 10**10, 10**10), (2**62,), (10**15, 3)])
@@ -158,11 +158,13 @@ def test_robot_plans(falsework: Run, tmp_path: Path, plan_data: dict[str, Any]) 
     }  # fmt: skip
     steps = len(plan_data["steps"])
     data = {
-        "format": "falsework.robot-plan/1",
+        "format": "falsework.robot-plan/3",
+        "direction": "disassembly",
         "cell": {"name": "cell", "identity": "0", "robots": [robot]},
         "plan": plan_data,
         "keyframes": [frame] * (steps + 1),
         "steps": [{"do": "", "robot": 0, "trajectories": [motion]}] * steps,
+        "schedule": None,
         "statistics": {},
     }
     file = tmp_path / "robot_plan.json"

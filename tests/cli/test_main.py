@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
+import re
 import subprocess
 import sys
 import warnings
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, is_dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import pytest
 
@@ -74,7 +77,13 @@ def test_every_command_has_help_with_an_example(name: str, capsys: pytest.Captur
     text = capsys.readouterr().out
     assert f"  falsework {name}" in text.split("Example", 1)[1]
     assert "--json" in text
-    assert "--debug" in text
+    assert "--debug" not in text
+    assert entry.main([*name.split(), "--help-all"]) == 0
+    everything = capsys.readouterr().out
+    assert "--debug" in everything
+    brief, whole = (set(re.findall(r"^[│ ] +(--[\w-]+)", shown, re.MULTILINE)) for shown in (text, everything))
+    assert brief < whole
+    assert len(brief) <= 16, "options that are seldom needed belong in `rare`"
 
 
 @pytest.mark.parametrize(
@@ -105,16 +114,16 @@ def test_wrong_usage_is_one_line(arguments: list[str], hint: str, capsys: pytest
     ("arguments", "line"),
     [
         ("plan", "missing from falsework plan: STRUCTURE; for help, run: falsework plan --help"),
-        ("sheet plan.json", "missing from falsework sheet: --out FILE; for help, run: falsework sheet --help"),
+        ("export plan.json", "missing from falsework export: --out PATH; for help, run: falsework export --help"),
         (
             "plan arch --robot 2",
             "unrecognized options: --robot, 2; perhaps you meant: --robots NUMBER, --robust; "
             "for help, run falsework plan --help",
         ),
         ("plan arch --friction x", "--friction is 'x'; give a number; for help, see falsework plan --help"),
-        ("robots-needed arch --props 1.5", "--props is '1.5'; give a whole number"),
+        ("plan arch --props 1.5", "--props is '1.5'; give a whole number"),
         ("plan arch --robots", "--robots has no value; give one"),
-        ("cell check arch --cell dome-37", "an argument is missing, or an option does not exist; for help"),
+        ("replan --cell dome-37", "an argument is missing, or an option does not exist; for help"),
         ("train arch --policy cnn", "--policy is 'cnn'; choose gat, mlp, resmlp, transformer; for help"),
         ("plna arch", "there is no subcommand 'plna'; perhaps you meant: plan; for all, run falsework --help"),
         ("robot plan", "there is no subcommand 'robot'; perhaps you meant: robots plan; for all"),
@@ -199,6 +208,40 @@ def test_warnings_are_one_line_and_keep_the_exit_code(
     assert capsys.readouterr().err == "falsework: warning: part 2 had 3 holes\n"
 
 
+@pytest.mark.parametrize("name", entry.COMMANDS)
+def test_rare_options_exist(name: str) -> None:
+    kind = entry._command_class(name)
+    hints = get_type_hints(kind)
+    for one in (kind, *(hint for hint in hints.values() if is_dataclass(hint))):
+        fields = set(one.__dataclass_fields__)
+        assert {option for base in one.__mro__ for option in vars(base).get("rare", ())} <= fields
+
+
+def test_options_of_the_structure_are_described_once(capsys: pytest.CaptureFixture[str]) -> None:
+    assert entry.main(["structures", "--help"]) == 0
+    described = capsys.readouterr().out
+    for option in ("--unit", "--density", "--friction", "--boundary", "--ground", "--load", "--earthquake"):
+        assert re.search(rf"^ +{option}\b", described, re.MULTILINE), described
+    for command in ("plan", "check", "doctor", "picture"):
+        assert entry.main([command, "--help-all"]) == 0
+        text = capsys.readouterr().out
+        assert "--earthquake" not in text
+        assert "falsework structures --help" in text
+    # Help leaves options out; the command still takes them.
+    assert entry.main(["stability", "stack:blocks=2", "--friction", "0.4"]) == 0
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completions(shell: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert entry.main(["--tyro-write-completion", shell, str(tmp_path / "script")]) == 0
+    text = (tmp_path / "script").read_text()
+    assert "margins" in text
+    assert "friction" in text
+    for words in (["ksh", "file"], ["bash"]):
+        assert entry.main(["--tyro-write-completion", *words]) == 2
+        assert "takes a shell (bash, zsh, tcsh, fish) and the file" in capsys.readouterr().err
+
+
 def test_records_are_for_machines_only(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     def work(output: Any) -> Exit:
         output.record({"answer": 42})
@@ -209,7 +252,46 @@ def test_records_are_for_machines_only(monkeypatch: pytest.MonkeyPatch, capsys: 
     assert run_with(monkeypatch, work) == 0
     assert capsys.readouterr() == ("the answer is 42\n", "that took long\n")
     assert run_with(monkeypatch, work, "--json") == 0
-    assert capsys.readouterr() == ('{"answer": 42}\n', "that took long\n")
+    out, error = capsys.readouterr()
+    assert error == "that took long\n"
+    assert json.loads(out) == {
+        "format": "falsework.answer/1",
+        "command": "structures",
+        "ok": True,
+        "outcome": "done",
+        "files": [],
+        "notes": ["that took long"],
+        "answer": 42,
+    }
+
+
+@pytest.mark.parametrize(
+    ("arguments", "outcome"),
+    [
+        (("plan", "nowhere", "--json"), "wrong_input"),
+        (("plan", "arch", "--robot", "2", "--json"), "wrong_input"),
+        (("plna", "arch", "--json"), "wrong_input"),
+    ],
+)
+def test_errors_are_answers_too(
+    arguments: tuple[str, ...], outcome: str, capsys: pytest.CaptureFixture[str], read_answer: Callable[[str], Any]
+) -> None:
+    assert entry.main(arguments) == 2
+    out, error = capsys.readouterr()
+    answer = read_answer(out)
+    assert (answer["ok"], answer["outcome"], answer["files"]) == (False, outcome, [])
+    assert error == f"falsework: {answer['error']}\n"
+
+
+def test_warnings_are_notes_of_the_answer(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], read_answer: Callable[[str], Any]
+) -> None:
+    def warn(_: Any) -> Exit:
+        warnings.warn("part 2 had 3 holes", UserWarning, stacklevel=1)
+        return Exit.DONE
+
+    assert run_with(monkeypatch, warn, "--json") == 0
+    assert read_answer(capsys.readouterr().out)["notes"] == ["warning: part 2 had 3 holes"]
 
 
 def test_logs_get_a_line_of_progress_now_and_then(

@@ -106,4 +106,4 @@ def test_a_plan_on_standard_output_is_alone_there(write_structure: Callable[...,
     command = [sys.executable, "-m", "falsework", "plan", "blocks", "--out", "/dev/stdout", "--json"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, check=True)
     assert Path(json.loads(done.stdout)["structure"]["source"]["path"]) == (tmp_path / "blocks").resolve()
-    assert json.loads(done.stderr)["robots"] == 2
+    assert json.loads(done.stderr)["plans"][0]["robots"] == 2

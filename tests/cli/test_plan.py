@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import json
 import shutil
@@ -26,15 +27,15 @@ def test_plan_and_check(falsework: Run, tmp_path: Path) -> None:
     planned = falsework("plan", "arch:blocks=7", "--robots", 2, "--out", out, "--json")
     assert planned.code == 0, planned.error
     assert planned.error == ""
-    (record,) = planned.records
-    assert record["plan"] == str(out)
+    (record,) = planned.answer["plans"]
+    assert planned.answer["files"] == [record["file"]] == [str(out)]
     assert record["steps"] == 14  # each block is held and removed once
     plan = load_plan(out)
     assert validate_plan(plan, load_structure("arch:blocks=7")).good
     checked = falsework("check", out, "--json")
     assert checked.code == 0, checked.error
-    assert checked.records[0]["good"] is True
-    assert checked.records[0]["checked"] == checked.records[0]["states"] == 15
+    assert (checked.answer["ok"], checked.answer["outcome"]) == (True, "verified")
+    assert checked.answer["checked"] == checked.answer["states"] == 15
     people = falsework("check", out, "--steps")
     assert people.code == 0
     lines = people.out.splitlines()
@@ -42,7 +43,7 @@ def test_plan_and_check(falsework: Run, tmp_path: Path) -> None:
     assert "all 15 states are stable" in lines[14]
     assert lines[15].startswith("checked: arch:blocks=7, digest ")
     assert lines[15].endswith(
-        "9 parts, 2 boundary (abutment-7, abutment-8); disassembly in 14 steps with 2 robots, from complete to empty"
+        "9 parts, 2 boundary (abutment-7, abutment-8); 14 steps with 2 robots, from empty to complete"
     )
     assert lines[16] == "not verified: its replay"
 
@@ -55,20 +56,20 @@ def test_one_robot_is_not_plural(falsework: Run, tmp_path: Path) -> None:
 def test_the_replay_is_printed_step_by_step(falsework: Run, tmp_path: Path) -> None:
     out = tmp_path / "plan.json"
     planned = falsework("plan", "arch:blocks=7", "--out", out, "--json")
-    (record,) = planned.records
+    (record,) = planned.answer["plans"]
     assert record["criterion"] == "contact"
     assert record["replay"]["stands"] is True
-    assert 0 < record["replay"]["moved"] < 1e-3
+    assert 0 < record["replay"]["moved_mm"] < 1
     people = falsework("check", out, "--replay")
     assert people.code == 0, people.error
     lines = people.out.splitlines()
     assert len(lines) == 2 + 15 + 1
     assert all("stands" in line for line in lines[2:17])
-    records = falsework("check", out, "--replay", "--json").records
-    assert records[0]["criterion"] == "contact"
-    assert [entry["replay"] for entry in records[1:16]] == ["stands"] * 15
-    assert records[16]["replay"] == "stands"
-    assert len(records[16]["variations"]) == 10
+    answer = falsework("check", out, "--replay", "--json").answer
+    assert answer["claim"]["criterion"] == "contact"
+    assert [entry["replay"] for entry in answer["steps"]] == ["stands"] * 15
+    assert answer["replay"] == "stands"
+    assert len(answer["variations"]) == 10
 
 
 def test_a_plan_in_equilibrium_is_not_one_that_stands(falsework: Run, tmp_path: Path) -> None:
@@ -101,7 +102,7 @@ def test_a_robust_plan_stands_under_varied_settings(
         return dataclasses.replace(found, stands=stands)
 
     monkeypatch.setattr(RobustReplayer, "replay", fail)
-    result = falsework(*robust, "--reserve", 1, "--width", 1, "--direction", "assembly")
+    result = falsework(*robust, "--reserve", 1, "--width", 1, "--search-from", "beginning")
     assert result.code == 1
     assert "its replay succeeds under the default settings only" in result.error
     assert out.is_file()
@@ -117,8 +118,8 @@ def test_a_plan_that_discrete_elements_build(falsework: Run, tmp_path: Path) -> 
     assert "not verified: its replay, its build by discrete elements" in falsework("check", out).out
     checked = falsework("check", out, "--judge", "--json")
     assert checked.code == 0, checked.error
-    assert checked.records[0]["unverified"] == ["its replay"]
-    assert checked.records[1] == {"judgement": judgement}
+    assert checked.answer["unverified"] == ["its replay"]
+    assert checked.answer["judgement"] == judgement
 
 
 def test_a_plan_that_discrete_elements_do_not_build(
@@ -130,7 +131,7 @@ def test_a_plan_that_discrete_elements_do_not_build(
     planned = falsework("plan", "arch:blocks=7", "--judge", "--deadline", 20, "--out", out, "--json")
     assert planned.code == 1
     assert "no plan was found that discrete elements build; in this one " in planned.error
-    judgement = planned.records[0]["replay"]["judgement"]
+    judgement = planned.answer["plans"][0]["replay"]["judgement"]
     assert judgement["falls_at"] == judgement["built"] < judgement["of"]
     checked = falsework("check", out, "--judge")
     assert checked.code == 1
@@ -153,14 +154,14 @@ def test_what_a_judge_does_not_go_with(falsework: Run, tmp_path: Path, options: 
 def test_a_plan_does_not_choose_what_stable_means(
     falsework: Run, tmp_path: Path, key: str, value: float, hint: str
 ) -> None:
-    """The keystone first, by one robot, with a file that asks for less: refused, and bad if the claim is corrected."""
+    """The keystone last, by one robot, with a file that asks for less: refused, and bad if the claim is corrected."""
     out = tmp_path / "plan.json"
     assert falsework("plan", "arch:blocks=7", "--out", out).code == 0
     content = json.loads(out.read_text())
-    parts = [step["part"] for step in content["steps"] if step["do"] == "hold"]
+    parts = [step["part"] for step in content["steps"] if step["do"] == "insert"]
     middle = (min(parts) + max(parts)) / 2
-    parts = sorted(parts, key=lambda part: abs(part - middle))
-    steps = [{**content["steps"][0], "do": word, "part": part} for part in parts for word in ("hold", "remove")]
+    parts = sorted(parts, key=lambda part: -abs(part - middle))
+    steps = [{**content["steps"][0], "do": word, "part": part} for part in parts for word in ("insert", "release")]
     forged = content | {"steps": steps, "stability": content["stability"] | {key: value}}
     out.write_text(json.dumps(forged))
     finished = falsework("check", out)
@@ -172,12 +173,33 @@ def test_a_plan_does_not_choose_what_stable_means(
     assert "the structure is unstable" in corrected.error
 
 
-def test_order_of_assembly(falsework: Run, tmp_path: Path) -> None:
+def test_a_step_has_one_number_and_a_robot_in_every_output(falsework: Run, tmp_path: Path) -> None:
+    """Of lists in both orders, the replay, margins and the sheet."""
     out = tmp_path / "plan.json"
-    assert falsework("plan", "arch:blocks=5", "--out", out, "--assembly-order").code == 0
-    steps = [line.split()[1:] for line in falsework("check", out, "--steps").out.splitlines()[:10]]
-    assert steps[0][0] == "insert"
-    assert steps[-1][0] == "release"
+    planned = falsework("plan", "arch:blocks=5", "--out", out)
+    assert planned.code == 0
+    plan = load_plan(out)
+    lines = [plan.line(number) for number in range(11)]
+    assert lines[1].split()[:2] == ["1", "insert"]
+    assert all(line.endswith(("(R1)", "(R2)")) for line in lines[1:])
+    assert f"first steps: {', '.join(map(str, plan[:8]))}, and 2 steps more" in planned.out
+    checked = falsework("check", out, "--steps", "--replay")
+    assert checked.out.splitlines()[:10] == lines[1:]
+    assert [line.partition(":")[0] for line in checked.out.splitlines() if ": stands" in line] == lines
+    apart = falsework("check", out, "--steps", "--order", "disassembly").out.splitlines()[:10]
+    words = {"insert": "remove", "release": "hold"}
+    assert apart == [
+        line.replace(step.action, words[step.action]) for line, step in zip(lines[:0:-1], plan[::-1], strict=True)
+    ]
+    margins = falsework("margins", out, "--steps").out.splitlines()[1:12]
+    assert {line[: line.find("  ")].replace("*", "") for line in margins} == {
+        line.strip().replace("  ", " ") for line in lines
+    }
+    assert falsework("export", out, "--out", tmp_path / "sheet.csv").code == 0
+    table = list(csv.DictReader((tmp_path / "sheet.csv").open(encoding="utf-8-sig")))
+    assert [(int(row["step"]), row["name"], int(row["support"])) for row in table] == [
+        (step.number, step.name, (step.robot or 0) + 1) for step in plan
+    ]
 
 
 def test_an_arch_needs_two_robots(falsework: Run, tmp_path: Path) -> None:
@@ -190,9 +212,9 @@ def test_an_arch_needs_two_robots(falsework: Run, tmp_path: Path) -> None:
     assert "voussoir-" in finished.error
     assert list(tmp_path.iterdir()) == []
     machine = falsework("plan", "arch:blocks=5", "--robots", 1, "--out", tmp_path / "plan.json", "--json")
-    (record,) = machine.records
-    assert record["plan"] is None
-    assert record["outcome"] == "no plan exists"
+    record = machine.answer
+    assert record["files"] == []
+    assert record["outcome"] == "impossible"
     assert record["moving"]
 
 
@@ -208,16 +230,16 @@ def test_not_found_is_told_from_proven(falsework: Run, tmp_path: Path) -> None:
 
 
 def test_between_two_states(falsework: Run, tmp_path: Path) -> None:
-    """From a wall with its top course gone to one with its ends gone too; the files hold the states in between only."""
+    """Between walls of which more or less of the top course is gone; the files hold the states in between only."""
     out, wall = tmp_path / "plan.json", load_structure("wall:bricks=3,courses=3")
     top = [int(part) for part in wall.mass.center[:, 2].argsort()[::-1] if not wall.boundary[part]][:3]
-    start = "".join("2" if wall.boundary[part] else "0" if part == top[0] else "1" for part in range(wall.part_count))
-    target = "".join("2" if wall.boundary[part] else "0" if part in top else "1" for part in range(wall.part_count))
+    end = "".join("2" if wall.boundary[part] else "0" if part == top[0] else "1" for part in range(wall.part_count))
+    begin = "".join("2" if wall.boundary[part] else "0" if part in top else "1" for part in range(wall.part_count))
     spec = "wall:bricks=3,courses=3"
-    assert falsework("plan", spec, "--start", start, "--target", target, "--out", out).code == 0
+    assert falsework("plan", spec, "--end", end, "--begin", begin, "--out", out).code == 0
     plan = load_plan(out)
-    assert "".join(map(str, plan.states[0])) == start
-    assert "".join(map(str, plan.states[-1])) == target
+    assert "".join(map(str, plan.states[0])) == begin
+    assert "".join(map(str, plan.states[-1])) == end
     assert falsework("check", out).code == 0
 
 
@@ -226,7 +248,7 @@ def test_fixed_parts_are_not_touched(falsework: Run, stack: Path, tmp_path: Path
     assert falsework("plan", stack, "--fixed", 1, "--out", out).code == 0
     plan = load_plan(out)
     assert 1 not in plan.actions % 3
-    assert plan.states[-1].tolist() == [2, 1, 0]
+    assert plan.states[0].tolist() == [2, 1, 0]
 
 
 def test_missing_parts_come_last(falsework: Run, write_structure: Write, tmp_path: Path) -> None:
@@ -234,10 +256,13 @@ def test_missing_parts_come_last(falsework: Run, write_structure: Write, tmp_pat
     folder, out = write_structure(tmp_path / "row", boxes), tmp_path / "plan.json"
     finished = falsework("plan", folder, "--missing", "2,3", "--out", out, "--json")
     assert finished.code == 0
-    needs = {need["part"]: need["after_parts"] for need in finished.records[0]["needs"]}
+    needs = {need["part"]: need["after_parts"] for need in finished.answer["plans"][0]["needs"]}
     # Nothing stands on anything here, so both can wait for all the others.
     assert sorted(needs.values()) == [2, 3]
-    assert "is needed after 2 other parts" in falsework("plan", folder, "--missing", "2,3", "--out", out).out
+    assert (
+        "is needed at step 5, after 2 other parts are placed"
+        in falsework("plan", folder, "--missing", "2,3", "--out", out).out
+    )
 
 
 def test_clear_ways_out(falsework: Run, tmp_path: Path) -> None:
@@ -255,7 +280,7 @@ def test_clear_ways_out(falsework: Run, tmp_path: Path) -> None:
 def test_a_structure_that_locks_itself(falsework: Run, tmp_path: Path) -> None:
     """Both commands say that no plan exists where parts need a way out; the graph keeps what can be reached."""
     out = tmp_path / "out.npz"
-    for command, more in (("plan", ()), ("graph", ("--direction", "disassembly"))):
+    for command, more in (("plan", ()), ("graph", ("--search-from", "end"))):
         done = falsework(command, "shelf", "--removable-only-if-clear", *more, "--out", out)
         assert done.code == 1
         assert "no plan exists" in done.error
@@ -270,14 +295,15 @@ def test_alternatives_differ(falsework: Run, tmp_path: Path) -> None:
     out = tmp_path / "plan.json"
     finished = falsework("plan", "arch:blocks=7", "--alternatives", 3, "--out", out, "--json")
     assert finished.code == 0, finished.error
-    assert [Path(record["plan"]).name for record in finished.records] == ["plan.json", "plan-2.json", "plan-3.json"]
-    distances = [record["distances"] for record in finished.records]
+    plans = finished.answer["plans"]
+    assert [Path(record["file"]).name for record in plans] == ["plan.json", "plan-2.json", "plan-3.json"]
+    distances = [record["distances"] for record in plans]
     assert all(distances[i][i] == 0 for i in range(3))
     assert min(distances[i][j] for i in range(3) for j in range(i)) > 0
     sequences = set()
-    for record in finished.records:
-        assert falsework("check", record["plan"]).code == 0
-        sequences.add(load_plan(record["plan"]).actions.tobytes())
+    for record in plans:
+        assert falsework("check", record["file"]).code == 0
+        sequences.add(load_plan(record["file"]).actions.tobytes())
     assert len(sequences) == 3
 
 
@@ -299,8 +325,8 @@ def test_graph(falsework: Run, tmp_path: Path) -> None:
     finished = falsework("graph", "arch:blocks=5", "--width", 16, "--robots", 2, "--out", out, "--json")
     assert finished.code == 0, finished.error
     graph = load_state_graph(out)
-    assert finished.records[0]["states"] == len(graph)
-    assert finished.records[0]["actions"] == len(graph.source)
+    assert finished.answer["states"] == len(graph)
+    assert finished.answer["actions"] == len(graph.source)
     assert graph.count_routes() >= 1
     assert graph.solvable.all()  # found from the empty structure
 
@@ -371,7 +397,7 @@ def test_truncated_plan(falsework: Run, plan_of_stack: Path) -> None:
 
 def test_plan_of_another_version(falsework: Run, plan_of_stack: Path) -> None:
     plan_of_stack.write_text(plan_of_stack.read_text().replace("falsework.plan/4", "falsework.plan/5"))
-    refused(falsework("check", plan_of_stack), "falsework.plan/4")
+    refused(falsework("check", plan_of_stack), "falsework.plan/5")
 
 
 def test_no_plan_file(falsework: Run, tmp_path: Path) -> None:
@@ -379,7 +405,7 @@ def test_no_plan_file(falsework: Run, tmp_path: Path) -> None:
 
 
 def test_first_bad_step_is_named(falsework: Run, write_structure: Write, tmp_path: Path) -> None:
-    """The order of removal turned round: the block in the middle goes while the upper one still stands on it."""
+    """The order turned round: the upper block comes before the middle one, and is let go of."""
     folder, out = write_structure(tmp_path / "stack"), tmp_path / "plan.json"
     assert falsework("plan", folder, "--robots", 1, "--out", out).code == 0
     content = json.loads(out.read_text())
@@ -393,9 +419,9 @@ def test_first_bad_step_is_named(falsework: Run, write_structure: Write, tmp_pat
     assert "part 2 falls" in finished.error
     machine = falsework("check", out, "--json")
     assert machine.code == 1
-    (record,) = machine.records
-    assert record["good"] is False
-    assert record["bad_step"] == 1
+    record = machine.answer
+    assert record["outcome"] == "refuted"
+    assert record["bad_step"] == 2
     assert record["checked"] == 2
 
 

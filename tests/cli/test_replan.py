@@ -14,7 +14,6 @@ from falsework.assembly import Assembly, load_structure
 from falsework.assembly.library.blocks import box, gather
 from falsework.assembly.store import save_assembly
 from falsework.search import load_plan
-from falsework.search.problem.task import Direction
 
 Run = Callable[..., Any]
 ARCH = load_structure("arch:blocks=5")
@@ -27,7 +26,7 @@ def digits(state: Any) -> str:
 @pytest.fixture
 def old(falsework: Run, tmp_path: Path) -> Path:
     out = tmp_path / "old.json"
-    assert falsework("plan", "arch:blocks=5", "--assembly-order", "--out", out).code == 0
+    assert falsework("plan", "arch:blocks=5", "--out", out).code == 0
     return out
 
 
@@ -66,34 +65,34 @@ def test_take_down_what_is_there(falsework: Run, old: Path, tmp_path: Path) -> N
     out = tmp_path / "new.json"
     finished = falsework("replan", "arch:blocks=5", "--state", digits(state), "--out", out, "--json")
     assert finished.code == 0, finished.error
-    (record,) = finished.records
-    assert record["plan"] == str(out)
+    record = finished.answer
+    assert record["files"] == [str(out)]
     assert record["outcome"] == "found"
     assert record["decided_by"] == "search"
     assert record["direction"] == "disassembly"
     plan = load_plan(out)
     assert len(plan) == record["steps"] == 5
-    np.testing.assert_array_equal(plan.states[0], state)
+    np.testing.assert_array_equal(plan.states[-1], state)
     assert falsework("check", out).code == 0
 
 
 def test_build_on_without_a_part(falsework: Run, old: Path, tmp_path: Path) -> None:
     """From a state on the way up, with a part late: assembly, and what changes against the old plan."""
     plan = load_plan(old)
-    state, late = plan.states[2], int(plan.removed_parts[1])
+    state, late = plan.states[2], int(plan.inserted_parts[1])
     out = tmp_path / "new.json"
     words = ("replan", "arch:blocks=5", "--state", digits(state), "--missing", late, "--compare", old, "--out", out)
     finished = falsework(*words)
     assert finished.code == 0, finished.error
     assert "steps of assembly with 2 robots" in finished.out
     assert "from here on: " in finished.out
-    assert f"{ARCH.names[late]} is needed after" in finished.out
+    assert f"{ARCH.names[late]} is needed at step " in finished.out
     assert f"compared with {old}" in finished.out
     new = load_plan(out)
-    assert new.direction is Direction.ASSEMBLY
-    assert new.removed_parts[0] != late
+    np.testing.assert_array_equal(new.states[0], state)
+    assert new.inserted_parts[0] != late
     assert falsework("check", out).code == 0
-    (record,) = falsework(*words, "--json").records
+    record = falsework(*words, "--json").answer
     assert record["difference"]["begins_on_the_way"] is True
     assert record["needs"][0]["part"] == late
 
@@ -103,10 +102,10 @@ def test_with_a_run(falsework: Run, run: Path, tmp_path: Path) -> None:
     out = tmp_path / "new.json"
     finished = falsework("replan", run, "--confidences", "--alternatives", 2, "--out", out, "--json")
     assert finished.code == 0, finished.error
-    (record,) = finished.records
-    assert len(record["alternatives"]) == 1
+    record = finished.answer
+    assert len(record["files"]) == 2
     assert len(record["confidences"]) == record["steps"] + 1
-    assert sum(record["confidences"][0].values()) == pytest.approx(1, abs=1e-4)
+    assert sum(record["confidences"][-1].values()) == pytest.approx(1, abs=1e-4)
     assert falsework("check", out).code == 0
     assert falsework("check", out.with_stem("new-2")).code == 0
 
@@ -124,9 +123,9 @@ def test_unstable_state(falsework: Run, tmp_path: Path) -> None:
     finished = falsework(*words)
     assert finished.code == 1
     assert "the state is not stable; voussoir-" in finished.error
-    (record,) = falsework(*words, "--json").records
-    assert record["plan"] is None
-    assert record["outcome"] == "proved_impossible"
+    record = falsework(*words, "--json").answer
+    assert record["files"] == []
+    assert record["outcome"] == "impossible"
     assert record["moving"]
 
 
@@ -140,12 +139,12 @@ def test_deadline_that_is_too_short(falsework: Run, tmp_path: Path) -> None:
     ("words", "message"),
     [
         (("--state", "21"), "a state of 2 values does not fit 7 parts"),
-        (("--state", "nonsense"), "neither complete, empty"),
+        (("--state", "nonsense"), "is neither a part nor a file"),
         (("--state", "1111022", "--target", "0111122"), "the target is not reachable"),
         (("--state", "2200022", "--robots", 1), "2 parts held"),
         (("--state", "1121122", "--target", "0020022", "--robots", 1), "no action is legal in this state"),
         (("--missing", "nobody"), "is not a part"),
-        (("--missing", "2", "--direction", "assembly"), "said to be missing, yet the state has it"),
+        (("--missing", "2", "--order", "assembly"), "said to be missing, yet the state has it"),
         (("--deadline", -1), "leaves no time"),
         (("--alternatives", 0), "ask for at least 1"),
         (("--confidences",), "needs a policy"),
@@ -199,11 +198,138 @@ def test_a_state_that_slides_is_no_beginning_under_contact(falsework: Run, tmp_p
     out = tmp_path / "new.json"
     refused = falsework("replan", tmp_path / "clamp", "--out", out, "--json")
     assert refused.code == 1
-    (record,) = refused.records
+    record = refused.answer
     assert record["criterion"] == "contact"
     assert [(motion["part"], motion["words"]) for motion in record["moving"]] == [(0, "falls")]
     assert not out.exists()
     found = falsework("replan", tmp_path / "clamp", "--out", out, "--json", "--criterion", "equilibrium")
     assert found.code == 0, found.error
-    assert found.records[0]["criterion"] == "equilibrium"
+    assert found.answer["criterion"] == "equilibrium"
     assert load_plan(out).claim.criterion == "equilibrium"
+
+
+def test_go_on_from_a_step_of_the_plan(falsework: Run, old: Path, tmp_path: Path) -> None:
+    """Stone 17 is late, and we are at step 31: names, numbers that stay, and what changes, in one command."""
+    plan, out = load_plan(old), tmp_path / "new.json"
+    late = next(step for step in plan if step.action == "insert" and step.number > 5)
+    done = falsework("replan", old, "--step", 4, "--missing", late.name, "--out", out, "--json")
+    assert done.code == 0, done.error
+    new, answer = load_plan(out), done.answer
+    assert (answer["built"], answer["steps"], answer["files"]) == (4, len(new) - 4, [str(out)])
+    assert [str(step) for step in new.steps[:4]] == [str(step) for step in plan.steps[:4]]
+    assert [step.number for step in new] == list(range(1, len(new) + 1))
+    assert len(answer["actions"]) == len(new) - 4
+    need = answer["needs"][0]
+    assert need["part"] == late.part
+    assert new.steps[need["after_steps"]].name == late.name
+    assert falsework("check", out, "--replay").code == 0
+    people = falsework("replan", old, "--step", 4, "--missing", late.name, "--out", out).out
+    assert "from step 5 on: " in people
+    assert f"{late.name} is needed at step {need['after_steps'] + 1}, after " in people
+    assert f"compared with {old}: " in people
+
+
+def test_criterion_robots_and_reserve_are_those_of_the_plan(falsework: Run, tmp_path: Path) -> None:
+    first, out = tmp_path / "first.json", tmp_path / "new.json"
+    options = ("--robots", 3, "--reserve", 1.2, "--hold-force", 90000)
+    assert falsework("plan", "arch:blocks=5", *options, "--out", first).code == 0
+    assert falsework("replan", first, "--step", 2, "--out", out).code == 0
+    plan = load_plan(out)
+    assert (plan.robots, plan.claim.reserve, plan.claim.holds.force) == (3, 1.2, 90000)
+    assert falsework("replan", first, "--step", 2, "--reserve", 1, "--criterion", "equilibrium", "--out", out).code == 0
+    assert load_plan(out).claim.criterion == "equilibrium"
+
+
+@pytest.mark.parametrize(
+    ("structure", "options"),
+    [
+        ("arch:blocks=7", ("--support",)),
+        ("arch:blocks=5", ("--criterion", "equilibrium")),
+        ("stack:blocks=4", ("--removable-only-if-clear",)),
+    ],
+)
+def test_plans_of_all_kinds_go_on(structure: str, options: tuple[str, ...], falsework: Run, tmp_path: Path) -> None:
+    first, out = tmp_path / "first.json", tmp_path / "new.json"
+    assert falsework("plan", structure, *options, "--out", first).code == 0
+    old = load_plan(first)
+    for step in (1, len(old) // 2, len(old) - 1):
+        done = falsework("replan", first, "--step", step, "--out", out)
+        assert done.code == 0, done.error
+        new = load_plan(out)
+        assert new.removable_only_if_clear == old.removable_only_if_clear
+        assert new.claim.criterion == old.claim.criterion
+        np.testing.assert_array_equal(new.states[: step + 1], old.states[: step + 1])
+        checked = falsework("check", out, *(options if "--criterion" in options else ()))
+        assert checked.code == 0, checked.error
+
+
+def test_margins_are_not_asked_again(falsework: Run, tmp_path: Path) -> None:
+    first = tmp_path / "first.json"
+    assert falsework("plan", "arch:blocks=5", "--margin", "tilt=1deg", "--out", first).code == 0
+    done = falsework("replan", first, "--step", 2, "--out", tmp_path / "new.json")
+    assert "the margins that the old plan keeps (tilt=1deg) are not asked of this one" in done.error
+
+
+def test_a_robot_that_has_failed(falsework: Run, tmp_path: Path) -> None:
+    """The rest is built by those that are left; the whole has the steps of all."""
+    first, out = tmp_path / "first.json", tmp_path / "new.json"
+    assert falsework("plan", "stack:blocks=4", "--robots", 2, "--out", first).code == 0
+    done = falsework("replan", first, "--step", 2, "--robots", 1, "--out", out)
+    assert done.code == 0, done.error
+    assert "with 2 robots, 1 from step 3 on, every state" in done.out
+    plan = load_plan(out)
+    assert ((plan.states[2:] == 2) & ~plan.boundary).sum(axis=1).max() == 1
+    assert falsework("check", out).code == 0
+
+
+@pytest.mark.parametrize("step", [0, 3, -1])
+def test_every_step_can_be_the_last(step: int, falsework: Run, old: Path, tmp_path: Path) -> None:
+    plan, out = load_plan(old), tmp_path / "new.json"
+    step = len(plan) if step < 0 else step
+    assert falsework("replan", old, "--step", step, "--out", out).code == 0
+    np.testing.assert_array_equal(load_plan(out).states[: step + 1], plan.states[: step + 1])
+    assert falsework("check", out).code == 0
+
+
+def test_a_structure_is_taken_apart_from_a_step(falsework: Run, old: Path, tmp_path: Path) -> None:
+    """Then nothing is built any more: the plan leads from the empty structure to the state, and is undone."""
+    plan, out = load_plan(old), tmp_path / "down.json"
+    done = falsework("replan", old, "--step", 4, "--order", "disassembly", "--out", out, "--json")
+    assert (done.code, done.answer["built"]) == (0, 0)
+    np.testing.assert_array_equal(load_plan(out).states[-1], plan.states[4])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("PLAN", "--step", 99), "step 99 does not exist; the plan has the steps 1 to 10, and 0 is the start"),
+        (("PLAN", "--step", -1), "step -1 does not exist"),
+        (("PLAN",), "has 10 steps; name the last one that is done by --step, 0 for none"),
+        (("PLAN", "--step", 2, "--state", "empty"), "a plan with its step says what the state is"),
+        (("PLAN", "--step", 4, "--missing", "FIRST"), "yet step 1 has placed it; name parts that are not placed yet"),
+        (("PLAN", "--step", 4, "--missing", "stone17"), "'stone17' is not a part"),
+        (("PLAN", "--step", 4, "--structure", "arch:blocks=7"), "the plan is for arch:blocks=5 with 7 parts"),
+        (("PLAN", "--step", 4, "--structure", "OTHER"), "the plan is for another structure"),
+        (
+            ("arch:blocks=5", "--step", 4),
+            "--step 4 is of a plan, which arch:blocks=5 is not; give the plan, or --state",
+        ),
+        (("arch:blocks=5", "--state", "PLAN:99"), "the plan has no step '99'; its steps are 1 to 10"),
+        (("arch:blocks=7", "--state", "PLAN:4"), "the plan is for arch:blocks=5 with 7 parts"),
+    ],
+)
+def test_a_wrong_step_plan_or_part_gets_one_line(
+    options: tuple[Any, ...], message: str, falsework: Run, old: Path, tmp_path: Path
+) -> None:
+    first = load_plan(old).steps[0].name
+    other = tmp_path / "other"
+    save_assembly(load_structure("arch:blocks=5", friction=0.9), other)
+    words = [
+        str(word).replace("PLAN", str(old)).replace("FIRST", first).replace("OTHER", str(other)) for word in options
+    ]
+    out = tmp_path / "new.json"
+    refused = falsework("replan", *words, "--out", out)
+    assert refused.code == 2
+    assert message in refused.error, refused.error
+    assert refused.error.count("\n") == 1
+    assert not out.exists()

@@ -1,4 +1,4 @@
-"""`falsework robots-needed`, `falsework plan --robots auto` and `--deadline`."""
+"""`falsework plan --robots auto` and `--deadline`."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ Run = Callable[..., Any]
 
 def test_fewest_robots_of_an_arch(falsework: Run, tmp_path: Path) -> None:
     out = tmp_path / "plan.json"
-    finished = falsework("robots-needed", "arch:blocks=7", "--out", out, "--json")
+    finished = falsework("plan", "arch:blocks=7", "--robots", "auto", "--out", out, "--json")
     assert finished.code == 0, finished.error
-    (record,) = finished.records
+    record = finished.answer["fewest"]
     assert (record["robots"], record["least"], record["proven"]) == (2, 2, True)
     assert record["barrier"]["robots"] == 1
-    assert record["plan"] == str(out)
+    assert finished.answer["files"] == [str(out)]
     plan = load_plan(out)
     assert plan.robots == 2
     assert validate_plan(plan, load_structure("arch:blocks=7")).good
-    people = falsework("robots-needed", "arch:blocks=7")
+    people = falsework("plan", "arch:blocks=7", "--robots", "auto", "--out", out)
     assert people.code == 0
     assert people.out.startswith("2 robots: a plan was found; proven to be the fewest")
     assert "with 1: no plan exists" in people.out
@@ -39,7 +39,7 @@ def test_plan_with_the_fewest_robots(falsework: Run, tmp_path: Path) -> None:
     assert f"the plan is in {out}" in finished.out
 
 
-@pytest.mark.parametrize("command", [("robots-needed",), ("plan", "--robots", "auto"), ("plan",)])
+@pytest.mark.parametrize("command", [("plan", "--robots", "auto"), ("plan",)])
 @pytest.mark.parametrize("deadline", ["0", "-3"])
 def test_no_time(falsework: Run, command: tuple[str, ...], deadline: str, tmp_path: Path) -> None:
     out = tmp_path / "plan.json"
@@ -56,21 +56,23 @@ def test_auto_takes_neither_alternatives_nor_resume(falsework: Run, options: tup
     assert "--robots auto takes neither" in finished.error
 
 
-def test_no_number_of_robots(falsework: Run) -> None:
+def test_no_number_of_robots(falsework: Run, tmp_path: Path) -> None:
     """The last parts of the shelf interlock, so that no robot gets them out."""
-    finished = falsework("robots-needed", "shelf", "--removable-only-if-clear", "--json")
+    out = tmp_path / "plan.json"
+    words = ("plan", "shelf", "--robots", "auto", "--removable-only-if-clear", "--out", out, "--json")
+    finished = falsework(*words)
     assert finished.code == 1
-    (record,) = finished.records
+    record = finished.answer["fewest"]
     assert record["robots"] is None
     assert record["impossible"].endswith("cannot leave without a collision")
-    assert record["verdicts"] == 0
+    assert (finished.answer["outcome"], finished.answer["verdicts"]) == ("impossible", 0)
     assert finished.error.count("\n") == 1
     assert "no number of robots suffices" in finished.error
 
 
-def test_a_structure_that_slides_is_not_said_to_be_impossible(falsework: Run) -> None:
+def test_a_structure_that_slides_is_not_said_to_be_impossible(falsework: Run, tmp_path: Path) -> None:
     """That it slides is a numerical finding, not a proof."""
-    finished = falsework("robots-needed", "vault:parts=50,rise=1.5")
+    finished = falsework("plan", "vault:parts=50,rise=1.5", "--robots", "auto", "--out", tmp_path / "plan.json")
     assert finished.code == 1
     assert "no plan was found with any number of robots" in finished.error
     assert "suffices" not in finished.error
@@ -80,8 +82,8 @@ def test_the_deadline_leaves_a_search_to_resume(falsework: Run, tmp_path: Path) 
     out = tmp_path / "plan.json"
     finished = falsework("plan", "vault", "--deadline", "0.05", "--out", out, "--json")
     assert finished.code == 1
-    (record,) = finished.records
-    assert record["plan"] is None
+    record = finished.answer
+    assert (record["files"], record["outcome"]) == ([], "not_found")
     assert record["interrupted"] is True
     assert 0 <= record["reached"] < record["steps"]
     assert "the deadline ended the search" in finished.error
@@ -96,9 +98,9 @@ def test_the_deadline_of_a_graph_saves_what_was_found(
     out = tmp_path / "graph.npz"
     finished = falsework("graph", "vault", "--deadline", "0.05", "--device", "cpu", "--out", out, "--json")
     assert finished.code == 1
-    (record,) = finished.records
+    record = finished.answer
     assert record["interrupted"] is True
-    assert record["found"] is False
+    assert record["outcome"] == "incomplete"
     assert len(load_state_graph(out)) == record["states"]
     assert "the deadline ended the search at step" in finished.error
     assert falsework("graph", "vault", "--deadline", "0", "--out", out).code == 2
@@ -108,13 +110,16 @@ def test_the_deadline_of_a_graph_saves_what_was_found(
     assert "leave --deadline out" in refused.error
 
 
-def test_an_interruption_prints_the_best_so_far(falsework: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interruption_prints_the_best_so_far(
+    falsework: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def interrupted(search: BeamSearch) -> bool:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(BeamSearch, "step", interrupted)
-    finished = falsework("robots-needed", "arch:blocks=5", "--json")
+    finished = falsework("plan", "arch:blocks=5", "--robots", "auto", "--out", tmp_path / "plan.json", "--json")
     assert finished.code == 130
-    assert finished.records[0]["least"] == 2
+    assert finished.answer["outcome"] == "interrupted"
+    assert finished.answer["fewest"]["least"] == 2
     assert "at least 2 robots are needed" in finished.error
     assert "interrupted" in finished.error

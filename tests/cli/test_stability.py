@@ -61,13 +61,13 @@ def test_a_block_slips_past_the_angle_of_friction(falsework: Run, write_structur
     limit = math.tan(math.radians(20.0))
     stable = falsework("stability", folder, "--friction", limit * 1.02, "--json")
     assert stable.code == 0
-    assert stable.records[0]["verdict"] == "stable"
-    assert (stable.records[0]["proof"], stable.records[0]["criterion"]) == ("displacement", "contact")
-    assert stable.records[0]["residual"] <= 1e-4
-    assert stable.records[0]["moving"] == []
+    assert stable.answer["states"][0]["verdict"] == "stable"
+    assert (stable.answer["states"][0]["proof"], stable.answer["states"][0]["criterion"]) == ("displacement", "contact")
+    assert stable.answer["states"][0]["residual"] <= 1e-4
+    assert stable.answer["states"][0]["moving"] == []
     slips = falsework("stability", folder, "--friction", limit * 0.98, "--json")
     assert slips.code == 1
-    (record,) = slips.records
+    (record,) = slips.answer["states"]
     assert (record["verdict"], record["proof"]) == ("unstable", "velocity")
     assert [motion["part"] for motion in record["moving"]] == [1]
     # Down the slope: towards +x, and not turning.
@@ -92,10 +92,10 @@ def test_states_from_a_file_get_one_record_each(falsework: Run, stack: Path, tmp
     for name in ("states.json", "states.npy"):
         finished = falsework("stability", stack, "--states", tmp_path / name, "--json")
         assert finished.code == 1
-        assert [record["verdict"] for record in finished.records] == verdicts
-        assert [record["state"] for record in finished.records] == [0, 1, 2, 3, 4]
+        assert [record["verdict"] for record in finished.answer["states"]] == verdicts
+        assert [record["state"] for record in finished.answer["states"]] == [0, 1, 2, 3, 4]
         assert finished.error == ""
-    falling = finished.records[1]["moving"][0]
+    falling = finished.answer["states"][1]["moving"][0]
     assert (falling["part"], falling["words"]) == (2, "falls")
 
 
@@ -127,8 +127,8 @@ def test_units_do_not_change_the_answer(falsework: Run, stack: Path) -> None:
 def test_structures_lists_what_can_be_built(falsework: Run) -> None:
     machine, people = falsework("structures", "--json"), falsework("structures")
     assert machine.code == people.code == 0
-    assert {"arch", "vault", "dome", "bottle"} <= {record["name"] for record in machine.records}
-    for record in machine.records:
+    assert {"arch", "vault", "dome", "bottle"} <= {record["name"] for record in machine.answer["structures"]}
+    for record in machine.answer["structures"]:
         assert record["name"] in people.out
         defaults = ",".join(f"{parameter['name']}={parameter['default']}" for parameter in record["parameters"])
         assert load_structure(f"{record['name']}:{defaults}").part_count > 1
@@ -137,7 +137,7 @@ def test_structures_lists_what_can_be_built(falsework: Run) -> None:
 def test_export_writes_what_was_built(falsework: Run, tmp_path: Path) -> None:
     finished = falsework("export", "arch:blocks=5", "--out", tmp_path / "arch", "--json")
     assert finished.code == 0
-    assert finished.records[0]["identity"] == load_structure(tmp_path / "arch").identity
+    assert finished.answer["identity"] == load_structure(tmp_path / "arch").identity
     assert falsework("stability", tmp_path / "arch").code == 0
 
 
@@ -180,8 +180,25 @@ def test_a_block_between_two_walls_slides(falsework: Run, write_structure: Write
     (folder / "assembly.json").write_text('{"boundary": [0, 2]}')
     found = falsework("stability", folder, "--json")
     assert found.code == 1
-    (record,) = found.records
+    (record,) = found.answer["states"]
     assert (record["verdict"], record["proof"], record["criterion"]) == ("slides", "forces", "contact")
     paper = falsework("stability", folder, "--criterion", "equilibrium", "--json")
     assert paper.code == 0
-    assert paper.records[0]["verdict"] == "stable"
+    assert paper.answer["states"][0]["verdict"] == "stable"
+
+
+@pytest.mark.parametrize("command", ["stability", "plan"])
+@pytest.mark.parametrize(
+    ("options", "doubt"),
+    [
+        (("--density", 2.4), "the density is 2.4 kg/m3, which no building material has"),
+        (("--friction", 35), "a coefficient of friction is 35; it is the tangent of an angle"),
+    ],
+)
+def test_nonsense_is_not_certified_in_silence(
+    command: str, options: tuple[str, float], doubt: str, falsework: Run, tmp_path: Path
+) -> None:
+    out = ("--out", tmp_path / "plan.json") if command == "plan" else ()
+    done = falsework(command, "arch:blocks=3", *options, *out, "--json")
+    assert doubt in done.error
+    assert any(doubt in note for note in done.answer["notes"])

@@ -1,4 +1,4 @@
-"""`falsework plan` and `robots-needed` with `--support` and `--props`, and the commands that take such plans."""
+"""`falsework plan` with `--support` and `--props`, and the commands that take such plans."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ Run = Callable[..., Any]
 
 def test_props_and_what_shows_them(falsework: Run, tmp_path: Path) -> None:
     out = tmp_path / "plan.json"
-    options = ("--ground", "--robots", "1", "--props", "3", "--start", "complete", "--out", out)
+    options = ("--ground", "--robots", "1", "--props", "3", "--end", "complete", "--out", out)
     finished = falsework("plan", "arch:blocks=7", *options)
     assert finished.code == 0, finished.error
     plan = load_plan(out)
     assert plan.prop_limit == 3
     for prop in plan.props:  # where they stand
         assert f"a prop under {plan.part_names[prop.part]}: from the floor at {prop.floor:.3f} to" in finished.out
-    told = falsework("plan", "arch:blocks=7", *options, "--json").records[-1]["props"]
+    told = falsework("plan", "arch:blocks=7", *options, "--json").answer["plans"][0]["props"]
     assert told == [prop.to_dict() for prop in plan.props]
     checked = falsework("check", out, "--ground", "--replay", "--json")
     assert checked.code == 0, checked.error
-    assert checked.records[0]["good"]
+    assert checked.answer["ok"]
     assert falsework("export", out, "--out", tmp_path / "plan.glb").code == 0
-    sheet = falsework("sheet", out, "--out", tmp_path / "plan.csv")
+    sheet = falsework("export", out, "--out", tmp_path / "plan.csv")
     assert sheet.code == 2
     assert sheet.error.count("\n") == 1
     elsewhere = falsework("check", out, "--structure", "arch:blocks=7")
@@ -37,9 +37,11 @@ def test_props_and_what_shows_them(falsework: Run, tmp_path: Path) -> None:
 
 
 def test_support(falsework: Run, tmp_path: Path) -> None:
-    finished = falsework("robots-needed", "arch:blocks=7", "--support", "--json")
+    finished = falsework(
+        "plan", "arch:blocks=7", "--robots", "auto", "--support", "--json", "--out", tmp_path / "fewest.json"
+    )
     assert finished.code == 0, finished.error
-    assert (finished.records[0]["robots"], finished.records[0]["proven"]) == (2, True)
+    assert (finished.answer["fewest"]["robots"], finished.answer["fewest"]["proven"]) == (2, True)
     refused = falsework("plan", "arch:blocks=7", "--support", "--robots", "1", "--out", tmp_path / "plan.json")
     assert refused.code == 1
     assert refused.error.startswith("falsework: no plan exists")

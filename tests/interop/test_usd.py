@@ -71,22 +71,18 @@ def test_only_convex_parts_collide_as_their_hulls(tmp_path: Path) -> None:
         assert wanted in shapes
 
 
-@pytest.mark.parametrize("reverse", [False, True])
-def test_a_plan_moves_and_the_validators_have_nothing_to_say(
-    reverse: bool, arch: Assembly, plan: Plan, tmp_path: Path
-) -> None:
-    shown = plan.reverse() if reverse else plan
-    stage = opened(usd_of(arch, shown, step_seconds=2.0), tmp_path)
+def test_a_plan_moves_and_the_validators_have_nothing_to_say(arch: Assembly, plan: Plan, tmp_path: Path) -> None:
+    stage = opened(usd_of(arch, plan, step_seconds=2.0), tmp_path)
     validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
     assert [error.GetMessage() for error in UsdValidation.ValidationContext(validators).Validate(stage)] == []
     rate = stage.GetTimeCodesPerSecond()
-    assert stage.GetEndTimeCode() == 2.0 * len(shown) * rate
+    assert stage.GetEndTimeCode() == 2.0 * len(plan) * rate
     prims = parts_of(stage)
-    for step in range(1, len(shown) + 1):
+    for step in range(1, len(plan) + 1):
         time = (2.0 * step - 0.01) * rate
         for part, prim in enumerate(prims):
             seen = UsdGeom.Imageable(prim).ComputeVisibility(time) != "invisible"
-            assert seen == (shown.states[step, part] != 0)
+            assert seen == (plan.states[step, part] != 0)
             if seen:
                 place = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time).ExtractTranslation()
                 assert np.allclose(place, arch.mass.center[part], atol=1e-5)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -245,18 +247,19 @@ gripper = "cup"
 """
 
 
-def test_cell_check_prints_reach_and_proposes_bases(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_doctor_prints_reach_and_proposes_bases(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], read_answer: Callable[[str], dict[str, Any]]
+) -> None:
     """All parts near the robot are reached; from far away none, and better bases are found; a picture on demand."""
-    import json
-
     near, far, picture = tmp_path / "near.toml", tmp_path / "far.toml", tmp_path / "reach.png"
     near.write_text(CELL)
     far.write_text(CELL.replace("position = [1.0, 0.0, 0.0]", "position = [2.6, 0.0, 0.0]"))
-    assert main(["cell", "check", str(near), "arch", "--json", "--picture", str(picture)]) == 0
-    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert {row["reach"]["arm"] for row in rows} == {"reached"}
+    assert main(["doctor", "arch", "--cell", str(near), "--json", "--picture", str(picture)]) == 0
+    answer = read_answer(capsys.readouterr().out)
+    assert {row["reach"]["arm"] for row in answer["reach"]} == {"reached"}
+    assert answer["files"] == [str(picture)]
     assert picture.stat().st_size > 10_000
-    assert main(["cell", "check", str(far), "arch"]) == 1
+    assert main(["doctor", "arch", "--cell", str(far)]) == 1
     said = capsys.readouterr()
     assert "out of reach" in said.out
     assert "better bases" in said.out
@@ -267,13 +270,31 @@ def test_cell_check_prints_reach_and_proposes_bases(tmp_path: Path, capsys: pyte
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["nowhere.toml", "arch"], "cell file nowhere.toml cannot be read"),
-        (["dome-99", "arch"], "unknown cell dome-99"),
-        (["dome-37", "arch", "--picture", "reach.gif"], "give a file that ends in .png, .svg or .pdf"),
-        (["dome-37", "arch", "--picture", "no-folder/reach.png"], "there is no folder no-folder"),
+        (["arch", "--cell", "nowhere.toml"], "cell file nowhere.toml cannot be read"),
+        (["arch", "--cell", "dome-99"], "unknown cell dome-99"),
+        (["arch", "--cell", "dome-37", "--picture", "reach.gif"], "give a file that ends in .png, .svg or .pdf"),
+        (["arch", "--cell", "dome-37", "--picture", "no-folder/reach.png"], "there is no folder no-folder"),
+        (["arch", "--propose", "always"], "name it with --cell"),
+        (["cell.toml", "--cell", "dome-37"], "cell.toml is a cell; to test what it reaches"),
     ],
 )
-def test_cell_check_refuses_wrong_input(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_reach_of_a_cell_refuses_wrong_input(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Exit code 2 and one line."""
-    assert main(["cell", "check", *arguments]) == 2
+    assert main(["doctor", *arguments]) == 2
     assert message in capsys.readouterr().err
+
+
+def test_a_cell_is_examined_by_itself(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], read_answer: Callable[[str], dict[str, Any]]
+) -> None:
+    cell = tmp_path / "cell.toml"
+    cell.write_text(CELL)
+    assert main(["doctor", str(cell), "--json"]) == 0
+    assert read_answer(capsys.readouterr().out)["robots"] == ["arm"]
+    cell.write_text(CELL + "base = { position = [0.0, 0.0, -0.5] }\n")
+    assert main(["doctor", str(cell), "--json"]) == 1
+    answer = read_answer(capsys.readouterr().out)
+    assert (answer["outcome"], answer["loads"]) == ("does_not_load", False)
+    assert "below the floor" in answer["error"]

@@ -240,7 +240,7 @@ def test_plans_of_a_real_arch(small_arch: Assembly, arch_oracle: Stability) -> N
     assert len(planning.plans) == 3
     assert len({plan.states.tobytes() for plan in planning.plans}) == 3
     for plan, route in zip(planning.plans, planning.alternatives.routes, strict=True):
-        assert np.array_equal(plan.states, route.states)
+        assert np.array_equal(plan.route.states, route.states)
         assert validate_plan(plan, small_arch).good
         assert validate_proofs(plan, small_arch).good
     # A plan and its mirror image differ much; three plans cannot all be opposites.
@@ -261,16 +261,16 @@ def test_half_a_job(small_arch: Assembly, arch_oracle: Stability) -> None:
     """From the middle of a plan to near its end, and with a part that must stay."""
     plan = find_plans(small_arch, oracle=arch_oracle).plans[0]
     middle = Task.create(
-        small_arch.boundary, 2, start=plan.states[4], target=plan.states[10], identity=small_arch.identity
+        small_arch.boundary, 2, start=plan.states[10], target=plan.states[4], identity=small_arch.identity
     )
     found = find_plans(small_arch, middle, oracle=arch_oracle)
     assert len(found.plans[0]) == 6
     assert validate_plan(found.plans[0], small_arch).good
-    last = int(plan.removed_parts[-1])
+    last = int(plan.inserted_parts[0])
     stays = Task.create(small_arch.boundary, 2, fixed=[last], identity=small_arch.identity)
     kept = find_plans(small_arch, stays, oracle=arch_oracle)
     assert last not in kept.plans[0].actions % small_arch.part_count
-    assert ((kept.plans[0].states[-1] > 0) & ~small_arch.boundary).sum() == 1
+    assert ((kept.plans[0].states[0] > 0) & ~small_arch.boundary).sum() == 1
 
 
 def test_a_checkpoint_is_resumed_and_removed(small_arch: Assembly, arch_oracle: Stability, tmp_path: Path) -> None:

@@ -57,9 +57,10 @@ def test_a_plan_leads_where_it_shall_and_every_state_stands(
     (plan,) = plans_of(answer)
     words = {"complete": complete_state(live.assembly.boundary), "empty": empty_state(live.assembly.boundary)}
     assert answer["outcome"] == "found"
-    assert answer["direction"] == plan.direction == direction
-    assert np.array_equal(plan.states[0], words.get(first, first) if isinstance(first, str) else first)
-    assert np.array_equal(plan.states[-1], words[last])
+    assert answer["direction"] == direction
+    begun, ended = plan.states[[0, -1]] if direction == "assembly" else plan.states[[-1, 0]]
+    assert np.array_equal(begun, words.get(first, first) if isinstance(first, str) else first)
+    assert np.array_equal(ended, words[last])
     assert plan.source is None
     assert validate_plan(plan, live.assembly).good
 
@@ -170,3 +171,54 @@ def test_every_reference_in_the_description_leads_somewhere(live: Any) -> None:
     found = json.dumps(document).split('"#/components/schemas/')[1:]
     assert {text.partition('"')[0] for text in found} <= names
     assert "#/$defs" not in json.dumps(document)
+
+
+def test_a_plan_goes_on_from_its_step_without_a_late_part(live: Any) -> None:
+    """Parts by name; the new plan has the steps that are done, with their numbers."""
+    (old,) = plans_of(live.post("/replan", {"state": "empty", "direction": "assembly"}).json())
+    late = next(step for step in old.steps[3:] if step.action == "insert")
+    values = live.post("/replan", {"state": "empty", "direction": "assembly"}).json()["plans"][0]
+    reply = live.post("/replan", {"plan": values, "step": 2, "missing": [late.name]})
+    assert reply.status_code == 200, reply.json()
+    answer = reply.json()
+    (new,) = plans_of(answer)
+    assert (answer["outcome"], answer["built"], answer["direction"]) == ("found", 2, "assembly")
+    assert answer["steps"] == len(new) - 2
+    np.testing.assert_array_equal(new.states[:3], old.states[:3])
+    assert validate_plan(new, live.assembly).good
+    named = {"standing": [step.name for step in old.steps[:2] if old.states[2, step.part] == 1]}
+    named["held"] = [old.part_names[part] for part in np.flatnonzero(old.states[2] == 2) if not old.boundary[part]]
+    plain = live.post("/replan", {"state": named, "target": "complete", "missing": [late.part]}).json()
+    (rest,) = plans_of(plain)
+    np.testing.assert_array_equal(rest.states[0], old.states[2])
+    assert plain["built"] == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"step": 99}, "step 99 does not exist; the plan has the steps 1 to "),
+        ({"step": None}, "name the last one that is done"),
+        ({"state": "empty"}, "state: a plan with its step says what the state is"),
+        ({"missing": ["nobody"]}, "missing is part 'nobody', which does not exist"),
+        ({"missing": "FIRST"}, "is said to be missing, yet step 1 has placed it"),
+        ({"identity": "0" * 64}, "the plan is for another structure"),
+        ({"plan": {"format": "falsework.plan/4"}}, "plan: "),
+        ({"plan": None}, "step 2 is of no plan"),
+        ({"plan": None, "step": None, "state": {"standing": [0], "held": [0]}}, "both stands by itself and is held"),
+        ({"plan": None, "step": None, "state": {"lying": [0]}}, "an object with the parts standing and held"),
+        ({"missing": [2.5]}, "missing 0: give numbers from 0 to 6 or names of parts"),
+    ],
+)
+def test_a_wrong_step_gets_one_line(change: dict[str, Any], message: str, live: Any) -> None:
+    values = live.post("/replan", {"state": "empty", "direction": "assembly"}).json()["plans"][0]
+    if "identity" in change:
+        values["structure"]["identity"] = change.pop("identity")
+    if change.get("missing") == "FIRST":
+        change = {"missing": [plan_from_dict(values).steps[0].name]}
+    question = {"plan": values, "step": 2, **change}
+    reply = live.post("/replan", {key: value for key, value in question.items() if value is not None})
+    assert reply.status_code == 422
+    error = reply.json()["error"]
+    assert message in error, error
+    assert "\n" not in error

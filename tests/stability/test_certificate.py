@@ -125,7 +125,7 @@ def along_a_plan() -> tuple[Assembly, NDArray, NDArray]:
     vault = library.build("vault")
     oracle = Stability(vault, EQUILIBRIUM)
     plan = find_plans(vault, robots=2, oracle=oracle).plans[0]
-    states, assembly = plan.assembly_states[60:], vault
+    states, assembly = plan.states[60:], vault
     found = [oracle.check(states[0])]
     for before, state in pairwise(states):
         found.append(oracle.check_next(state[None], before[None], found[-1]))

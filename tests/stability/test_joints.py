@@ -253,7 +253,7 @@ def test_a_plan_waits_for_the_glue(scenes: Any) -> None:
     yard = setting_bracket(scenes, 2)
     found = find_plans(yard, robots=2)
     assert found.found
-    states = found.plans[0].assembly_states
+    states = found.plans[0].states
     placed, let_go = (int(np.argmax(states[:, 1] == value)) for value in (2, 1))
     assert let_go - placed >= 2
     assert Replayer(yard).replay(states).good

@@ -219,8 +219,8 @@ def test_plans_leave_out_states_that_tip() -> None:
     planning = find_plans(assembly, robots=2, settings=PlannerSettings(alternatives=3))
     assert len(planning.plans) == 3
     for plan in planning.plans:
-        replay = replayer.replay(plan.assembly_states, presses=plan.assembly_presses)
-        assert replayer.first_tipping(plan.assembly_states, replay.histories) is None
+        replay = replayer.replay(plan.states, presses=plan.presses_before)
+        assert replayer.first_tipping(plan.states, replay.histories) is None
         assert validate_plan(plan, assembly).good
 
 

@@ -18,28 +18,28 @@ from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Tr
 from falsework.robots.plans.robot_record import records_of
 from falsework.robots.plans.temporal_graph import Precedence, TemporalPlanGraph
 from falsework.robots.plans.timeline import nodes_of
-from falsework.search import Plan, find_plans, task_of
+from falsework.search import Direction, Plan, find_plans, task_of
 from falsework.viewer.timeline import Timeline
 
 
 @cache
 def planned(spec: str, robots: int = 2) -> tuple[Assembly, Plan]:
-    """A built-in structure and a plan to take it apart."""
+    """A built-in structure and a plan of it."""
     assembly = load_structure(spec)
     return assembly, find_plans(assembly, task_of(assembly, robots)).plans[0]
 
 
 @pytest.fixture(scope="session")
 def arch() -> tuple[Assembly, Plan]:
-    """An arch of five voussoirs and a plan for disassembly with two robots."""
+    """An arch of five voussoirs and a plan with two robots."""
     return planned("arch:blocks=5")
 
 
 @pytest.fixture
 def timeline(arch: tuple[Assembly, Plan]) -> Timeline:
-    """The plan of the arch in the order of assembly."""
+    """The plan of the arch."""
     assembly, plan = arch
-    return Timeline.of(plan.reverse(), assembly)
+    return Timeline.of(plan, assembly)
 
 
 def trajectory(start: np.ndarray, end: np.ndarray, part: int | None = None) -> Trajectory:
@@ -63,10 +63,10 @@ def cell() -> Cell:
 
 @pytest.fixture
 def robot_plan(arch: tuple[Assembly, Plan], cell: Cell) -> RobotPlan:
-    """Motions that join, with no claim to avoid anything."""
+    """Motions of a disassembly that join, with no claim to avoid anything."""
     _, plan = arch
     rng = np.random.default_rng(0)
-    who = Timeline.of(plan, arch[0]).holders
+    who, route = plan.holders[::-1], plan.route
     home = [robot.home for robot in cell.robots]
     frames, steps = [], []
     now = list(home)
@@ -75,7 +75,7 @@ def robot_plan(arch: tuple[Assembly, Plan], cell: Cell) -> RobotPlan:
         frames.append(Keyframe(tuple(now), held))
         if state == len(plan):
             break
-        action = int(plan.actions[state])
+        action = int(route.actions[state])
         part, removes = action % len(plan.boundary), action >= len(plan.boundary)
         robot = int(who[state if removes else state + 1, part])
         middle, end = (home[robot] + rng.normal(scale=0.3, size=len(home[robot])) for _ in range(2))
@@ -83,7 +83,8 @@ def robot_plan(arch: tuple[Assembly, Plan], cell: Cell) -> RobotPlan:
         motions = (trajectory(now[robot], middle, parts[0]), trajectory(middle, end, parts[1]))
         steps.append(RobotStep(robot, motions))
         now[robot] = end
-    return RobotPlan(plan, tuple(frames), tuple(steps), records_of(cell), cell.name, cell_identity(cell))
+    made = RobotPlan(plan, tuple(frames), tuple(steps), records_of(cell), cell.name, cell_identity(cell))
+    return replace(made, direction=Direction.DISASSEMBLY)
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from falsework.robots.kinematics.forward import link_poses, tool_pose
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.shapes import pose
 from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.search import Direction, Plan
+from falsework.search import Action, Direction, Plan
 from falsework.viewer.appearance import appearance_at, bounds_of
 from falsework.viewer.arms import ArmPoses, Arms, bounds_with_arms, look_with_arms, solids_of_arms, wxyz_of
 from falsework.viewer.page.viewer_state import ViewerState
@@ -32,7 +32,7 @@ def carried_parts(arm_poses: ArmPoses) -> list[int]:
 
 def test_links_are_where_forward_kinematics_puts_them(robot_plan: RobotPlan, cell: Cell) -> None:
     arms = Arms(robot_plan, cell, Direction.DISASSEMBLY)
-    arm_poses = arms.at(3.0)
+    arm_poses = arms.at(len(robot_plan) - 3.0)
     for link, found in zip(arms.links, arm_poses.poses, strict=True):
         robot = cell.robots[link.robot]
         frames = link_poses(robot.model, robot_plan.keyframes[3].configurations[link.robot], robot.base)
@@ -59,19 +59,24 @@ def test_a_carried_part_goes_with_the_gripper(
     arms = Arms(robot_plan, cell, Direction.DISASSEMBLY).turned(direction)
     plan = robot_plan if direction is Direction.DISASSEMBLY else robot_plan.reverse()
     parts = len(plan.plan.boundary)
-    for index, action in enumerate(plan.plan.actions.tolist()):
+
+    def poses(done: float) -> ArmPoses:
+        """Return the poses after so many actions have been executed."""
+        return arms.at(done if direction is Direction.ASSEMBLY else len(plan) - done)
+
+    for index, action in enumerate(plan.actions.tolist()):
         if action < parts:
-            assert not any(arms.at(index + share).carried for share in (0.2, 0.8))
+            assert not any(poses(index + share).carried for share in (0.2, 0.8))
             continue
         part, step = action % parts, plan.steps[index]
         robot = cell.robots[step.robot]
         point = arch[0].mass.center[part]
         in_tool = []
         shares = (0.1, 0.25, 0.4, 0.6, 0.75, 0.9)
-        carrying = [share for share in shares if carried_parts(arms.at(index + share)) == [part]]
+        carrying = [share for share in shares if carried_parts(poses(index + share)) == [part]]
         assert len(carrying) == 3
         for share in carrying:
-            (carried,) = arms.at(index + share).carried
+            (carried,) = poses(index + share).carried
             assert carried.robot == step.robot
             seen = carried.pose[:3, :3] @ point + carried.pose[:3, 3]
             world = cell.placement.pose[:3, :3] @ (seen * cell.placement.scale) + cell.placement.pose[:3, 3]
@@ -80,7 +85,7 @@ def test_a_carried_part_goes_with_the_gripper(
             in_tool.append(np.linalg.inv(tool_pose(robot, values)) @ [*world, 1.0])
         np.testing.assert_allclose(in_tool, np.broadcast_to(in_tool[0], (3, 4)), atol=1e-9)
         edge = index + 1e-9 if direction is Direction.DISASSEMBLY else index + 1 - 1e-9
-        np.testing.assert_allclose(arms.at(edge).carried[0].pose, np.eye(4), atol=1e-6)
+        np.testing.assert_allclose(poses(edge).carried[0].pose, np.eye(4), atol=1e-6)
 
 
 def test_the_part_is_seen_once(robot_plan: RobotPlan, cell: Cell, arch: tuple[Assembly, Plan]) -> None:
@@ -88,15 +93,14 @@ def test_the_part_is_seen_once(robot_plan: RobotPlan, cell: Cell, arch: tuple[As
     assembly, plan = arch
     arms = Arms(robot_plan, cell, Direction.DISASSEMBLY)
     timeline = Timeline.of(plan, assembly, Direction.DISASSEMBLY, arms.holders())
-    step = int(np.flatnonzero(plan.actions >= len(plan.boundary))[0])
-    part = int(plan.actions[step]) % len(plan.boundary)
-    for share, there, carried in ((0.0, True, False), (0.3, False, True), (0.7, False, False), (1.0, False, False)):
-        arm_poses = arms.at(step + share)
-        appearance = look_with_arms(appearance_at(timeline, step + share, travelling=False), arm_poses)
+    last = max((step for step in plan if step.action is Action.INSERT), key=lambda step: step.number)
+    place, part = last.number - 1, last.part
+    for share, there, carried in ((1.0, True, False), (0.7, False, True), (0.3, False, False), (0.0, False, False)):
+        arm_poses = arms.at(place + share)
+        appearance = look_with_arms(appearance_at(timeline, place + share, travelling=False), arm_poses)
         assert bool(appearance.opacity[part] > 0) is there, share
         assert carried_parts(arm_poses) == [part] * carried, share
     backwards, turned = timeline.turned(Direction.ASSEMBLY), arms.turned(Direction.ASSEMBLY)
-    place = len(plan) - step - 1
     for share, there, carried in ((0.0, False, False), (0.3, False, False), (0.7, False, True), (1.0, True, False)):
         arm_poses = turned.at(place + share)
         appearance = look_with_arms(appearance_at(backwards, place + share, travelling=False), arm_poses)
@@ -107,7 +111,7 @@ def test_the_part_is_seen_once(robot_plan: RobotPlan, cell: Cell, arch: tuple[As
 def test_holders_are_those_of_the_keyframes(robot_plan: RobotPlan, cell: Cell) -> None:
     for direction in Direction:
         who = Arms(robot_plan, cell, direction).holders()
-        for row, frame in enumerate(robot_plan.keyframes):
+        for row, frame in zip(robot_plan.rows, robot_plan.keyframes, strict=True):
             for robot, part in enumerate(frame.held):
                 if part is not None:
                     assert who[row, part] == robot
@@ -116,9 +120,9 @@ def test_holders_are_those_of_the_keyframes(robot_plan: RobotPlan, cell: Cell) -
 
 def test_meshes_and_bounds(robot_plan: RobotPlan, cell: Cell, arch: tuple[Assembly, Plan]) -> None:
     arms = Arms(robot_plan, cell, Direction.DISASSEMBLY)
-    removal = int(np.flatnonzero(robot_plan.plan.actions >= len(robot_plan.plan.boundary))[0])
-    assert len(solids_of_arms(arms, arms.at(removal), arch[0])) == len(arms.links)
-    assert len(solids_of_arms(arms, arms.at(removal + 0.2), arch[0])) == len(arms.links) + 1
+    insert = int(np.flatnonzero(robot_plan.plan.actions >= len(robot_plan.plan.boundary))[-1])
+    assert len(solids_of_arms(arms, arms.at(insert + 1), arch[0])) == len(arms.links)
+    assert len(solids_of_arms(arms, arms.at(insert + 0.8), arch[0])) == len(arms.links) + 1
     box = bounds_with_arms(arms, bounds_of(arch[0]))
     assert (box[0] <= bounds_of(arch[0])[0]).all()
     assert (box[1] - box[0]).max() > 1.5 / cell.placement.scale  # the arms stand 1.8 m apart
@@ -159,7 +163,7 @@ def test_from_a_file(
     pytest.importorskip("PIL", reason="pictures need Pillow")
     words = ["robot_plan.json", "--cell", "mine.toml"]
     assert main(["picture", *words, "--step", "2", "--width", "160"]) == 0
-    assert main(["animate", *words, "--width", "80", "--rate", "2", "--seconds", "0.5", "--out", "plan.gif"]) == 0
+    assert main(["picture", *words, "--width", "80", "--rate", "2", "--step-seconds", "0.5", "--out", "plan.gif"]) == 0
 
 
 def test_quaternions() -> None:

@@ -98,18 +98,17 @@ class Open:
             before = now
             self.tab.wait_for_timeout(120)
 
-    def point_of(self, part: int) -> tuple[float, float]:
+    def point_of(self, part: int, window: tuple[int, int] = (WINDOW["width"], WINDOW["height"])) -> tuple[float, float]:
         """Where in the tab the middle of a part is drawn."""
+        width, height = window
         camera = next(iter(self.page.server.get_clients().values())).camera
         position, target = np.asarray(camera.position), np.asarray(camera.look_at)
         ahead = (target - position) / np.linalg.norm(target - position)
         right = np.cross(ahead, np.asarray(camera.up_direction))
         right /= np.linalg.norm(right)
         way = self.page.scene.place(self.model.assembly.mass.center[part]) - position
-        scale = WINDOW["height"] / 2 / np.tan(camera.fov / 2) / (way @ ahead)
-        return WINDOW["width"] / 2 + scale * (way @ right), WINDOW["height"] / 2 - scale * (
-            way @ np.cross(right, ahead)
-        )
+        scale = height / 2 / np.tan(camera.fov / 2) / (way @ ahead)
+        return width / 2 + scale * (way @ right), height / 2 - scale * (way @ np.cross(right, ahead))
 
     def click(self, part: int) -> None:
         """Click the middle of a part as a person would."""
@@ -138,17 +137,18 @@ def opened(browser: Any, arch: Any) -> Iterator[Callable[..., Open]]:
     """Serve a model and open it in a tab; whatever the console says against it fails the test."""
     pages: list[Open] = []
 
-    def show(model: ViewerState, *, shadows: bool = False) -> Open:
+    def show(model: ViewerState, *, shadows: bool = False, window: dict[str, int] = WINDOW) -> Open:
         page = Page(model, port=8190)
         if not shadows:  # most of what it takes to draw a picture without a graphics card
             page.server.scene.configure_default_lights(enabled=True, cast_shadow=False)
         tab = browser.new_page()
+        tab.set_viewport_size(window)
         now = Open(page, tab, [])
         tab.on("console", lambda said: said.type == "error" and now.complaints.append(said.text))
         tab.on("pageerror", lambda error: now.complaints.append(str(error)))
         pages.append(now)
         tab.goto(page.address)
-        tab.get_by_text("Step", exact=True).wait_for(timeout=1000 * PATIENCE)
+        tab.get_by_role("tab", name="Look").wait_for(timeout=1000 * PATIENCE)
         now.until(lambda: bool(page.server.get_clients()), "the browser connects")
         tab.add_style_tag(content=".mantine-Notifications-root { display: none }")
         return now
@@ -176,17 +176,17 @@ def near(picture: np.ndarray, color: str, reach: int = 90) -> int:
 def test_a_day_on_site(opened: Callable[..., Open], arch: Any) -> None:
     """Load, slide, click a part, mark one as missing, plan anew, lose the server."""
     assembly, plan = arch
-    model = ViewerState(Timeline.of(plan.reverse(), assembly), plan=plan.reverse())
+    model = ViewerState(Timeline.of(plan, assembly), plan=plan)
     now = opened(model)
     tab = now.tab
     empty = now.picture()
-    tab.get_by_text("held by robot 1 (R1)").wait_for()
+    tab.get_by_text("held by R1").wait_for()
 
     held = next(
         place for place in range(len(plan) + 1) if (model.timeline.holders[model.timeline.row(place)] >= 0).any()
     )
     now.slide(held)
-    tab.get_by_text(model.timeline.words(held - 1)).wait_for()
+    tab.get_by_text(plan[held - 1].words).wait_for()
     holding = now.picture()
     assert near(holding, ROBOTS[0]) > near(empty, ROBOTS[0]) + 100
 
@@ -206,6 +206,7 @@ def test_a_day_on_site(opened: Callable[..., Open], arch: Any) -> None:
     for name in ("Contact forces", "Friction", "Gravity"):
         tab.get_by_label(name).check()
     tab.get_by_text("stable: contact forces balance").wait_for()
+    tab.get_by_text(re.compile(r"contact forces, up to [\d.]+ k?N")).wait_for()
     forces = now.picture()
     assert near(forces, "#f08c00") > near(selected, "#f08c00") + 20
     for name in ("Contact forces", "Friction", "Gravity"):
@@ -229,7 +230,8 @@ def test_a_day_on_site(opened: Callable[..., Open], arch: Any) -> None:
     assert model.plan is not None
     assert model.plan.missing == (top,)
     now.until(lambda: model.disruption.empty, "the marks are in the plan")
-    tab.get_by_text(f"step 0 of {len(model.timeline)}").wait_for()
+    tab.get_by_text(f"step 3 of {len(model.timeline)}").wait_for()  # what is built stays, and its numbers go on
+    tab.get_by_text(f"{assembly.names[top]} is needed at step").wait_for()
     now.slide(len(model.timeline))
     rebuilt = now.picture()
     assert (np.abs(rebuilt - marked).max(axis=2) > 40).sum() > 500
@@ -253,38 +255,207 @@ def test_an_unstable_state(opened: Callable[..., Open]) -> None:
     model = ViewerState(Timeline.from_state(thin, complete_state(thin.boundary)))
     now = opened(model, shadows=True)
     now.tab.get_by_text("would move").wait_for()
-    before = now.picture()
-    now.tab.get_by_label("Motion, where unstable").check()
-    moving = now.picture()
-    assert near(moving, "#00c08b", 40) > near(before, "#00c08b", 40) + 100
+    moving = now.picture()  # without being asked for
+    now.tab.get_by_role("checkbox", name="Motion").uncheck()
+    still = now.picture()
+    assert near(moving, "#00c08b", 40) > near(still, "#00c08b", 40) + 100
+    for label in ("Step", "Order", "Steps per second", "Arms", "Presses", "Contact forces", "Section at"):
+        assert now.tab.get_by_text(label, exact=True).count() == 0, label  # it would do nothing here
     now.tab.get_by_role("tab", name="Disrupt").click()
-    now.tab.get_by_role("button", name="Replan").click()
+    now.tab.get_by_role("button", name="Find a plan").click()
     now.tab.get_by_text("there is no plan").wait_for()
     assert complaints_of(now) == []
 
 
 def test_playing_probabilities_and_the_graph(opened: Callable[..., Open], arch: Any, policy: Any) -> None:
-    from falsework.search import StateGraph
+    from falsework.search import Direction, StateGraph
 
     assembly, plan = arch
     graph = StateGraph.build(task_of(assembly), plan.states, name=assembly.name)
-    model = ViewerState(Timeline.of(plan, assembly), plan=plan, policy=policy, graph=graph)
+    model = ViewerState(Timeline.of(plan, assembly, Direction.DISASSEMBLY), plan=plan, policy=policy, graph=graph)
     now = opened(model)
     now.tab.get_by_text("probability of the action on a part").wait_for()
     coloured = now.picture()
     now.tab.get_by_label("Probabilities of the policy").uncheck()
     now.until(lambda: not model.show_probabilities, "probabilities are off")
     assert (np.abs(now.picture() - coloured).max(axis=2) > 25).sum() > 100
-    now.page._speed.value = 8.0
+    now.page.play._speed.value = 8.0
     now.tab.get_by_role("button", name="Play").click()
-    now.until(lambda: model.position == len(model.timeline), "the plan is played to its end")
-    now.tab.get_by_text(f"step {len(plan)} of {len(plan)}").wait_for()
+    now.until(lambda: model.position == 0, "the plan is played to its end")
+    now.tab.get_by_text(f"step 1 of {len(plan)}").wait_for()
     now.tab.get_by_role("tab", name="Graph").click()
     now.tab.get_by_text(f"{len(graph)} states").wait_for()
     now.until(lambda: now.tab.locator("img").count() > 0, "the picture of the graph")
     now.tab.get_by_role("button", name="Coverage by the policy").click()
     now.tab.get_by_text(f"of {len(graph)} states (").wait_for()
     assert complaints_of(now) == []
+
+
+def test_steps_are_found_and_gone_to(opened: Callable[..., Open], arch: Any) -> None:
+    """Search in the list of steps, click a step, and use the arrow keys."""
+    assembly, plan = arch
+    now = opened(ViewerState(Timeline.of(plan, assembly), plan=plan))
+    tab = now.tab
+    tab.get_by_role("tab", name="Steps").click()
+    rows, search = tab.locator("tr[id^=falsework-step-]"), tab.locator("input.mantine-TextInput-input:visible")
+    now.until(lambda: rows.count() == len(plan), "all steps are listed")
+    step = plan.steps[5]
+    search.fill(step.words)
+    now.until(lambda: rows.count() == 1, "one step is found")
+    rows.first.locator("a").click()
+    now.until(lambda: now.model.position == 6, "the step that was clicked")
+    assert tab.url.rstrip("/") == now.page.address  # the page has not been left
+    search.fill("nothing of this kind")
+    tab.get_by_text("no step matches").wait_for()
+    tab.mouse.click(100, 450)
+    tab.keyboard.press("ArrowRight")
+    now.until(lambda: now.model.position == 7, "the arrow key goes on")
+    tab.keyboard.press("ArrowLeft")
+    tab.keyboard.press("ArrowLeft")
+    now.until(lambda: now.model.position == 5, "the arrow key goes back")
+    assert complaints_of(now) == []
+
+
+@pytest.mark.slow
+def test_files_come_and_go(opened: Callable[..., Open], arch: Any, tmp_path: Path) -> None:
+    """Download the plan, the page and a screenshot, and open a plan and a structure."""
+    import falsework as fw
+
+    assembly, plan = arch
+    now = opened(ViewerState(Timeline.of(plan, assembly), plan=plan))
+    tab = now.tab
+
+    def download(button: str, name: str) -> Path:
+        with tab.expect_download(timeout=1000 * PATIENCE) as loaded:
+            tab.get_by_role("button", name=button).click()
+        assert loaded.value.suggested_filename == f"arch-blocks-5{name}"
+        loaded.value.save_as(tmp_path / f"saved{name}")
+        return tmp_path / f"saved{name}"
+
+    pixels = np.asarray(pil.open(download("Screenshot", ".png")).convert("RGB"))
+    assert pixels.shape == (WINDOW["height"], WINDOW["width"], 3)
+    assert pixels.std() > 5
+    tab.get_by_role("tab", name="Files").click()
+    kept = fw.load(download("Download the plan", ".json"))
+    assert isinstance(kept, fw.Plan)
+    np.testing.assert_array_equal(kept.states, plan.states)
+    assert "__VISER_EMBED_DATA__" in download("Download as a page", ".html").read_text(encoding="utf-8")
+
+    def upload(path: Path) -> None:
+        with tab.expect_file_chooser() as chooser:
+            tab.get_by_role("button", name="Open a plan or structure").click()
+        chooser.value.set_files(path)
+
+    (tmp_path / "wrong.json").write_text("{}")
+    upload(tmp_path / "wrong.json")
+    tab.get_by_role("tab", name="Disrupt").click()
+    tab.locator("strong").filter(has_text="wrong").wait_for(timeout=1000 * PATIENCE)
+    assert len(now.model.timeline) == len(plan)  # nothing is lost
+    fw.export(fw.load_structure("stack:blocks=2"), tmp_path / "stack.glb")
+    tab.get_by_role("tab", name="Files").click()
+    upload(tmp_path / "stack.glb")
+    now.until(lambda: now.model.assembly.part_count == 3, "the structure is shown")
+    tab.get_by_text("falsework: stack").wait_for()
+    tab.get_by_role("tab", name="Steps").wait_for(state="detached")
+    tab.get_by_role("tab", name="Disrupt").click()
+    tab.get_by_role("button", name="Find a plan").click()
+    tab.get_by_role("tab", name="Steps").wait_for(timeout=1000 * PATIENCE)  # it has a plan now
+    tab.get_by_role("tab", name="Disrupt").click()
+    tab.get_by_text("decided by").wait_for()
+    assert complaints_of(now) == []
+
+
+def test_one_sees_into_a_structure(opened: Callable[..., Open], arch: Any) -> None:
+    assembly, plan = arch
+    now = opened(ViewerState(Timeline.of(plan, assembly), plan=plan))
+    now.slide(len(plan))
+    whole = now.picture()
+    now.choose("Section", "along z")
+    now.tab.get_by_text("Section at").wait_for()
+    cut = now.picture()
+    assert (np.abs(cut - whole).max(axis=2) > 40).sum() > 1000
+    now.choose("Section", "none")
+    now.tab.get_by_text("Apart", exact=True).wait_for()
+    now.page.look._explode.value = 1.0
+    now.until(lambda: now.model.view.explode == 1.0, "the parts are moved apart")
+    apart = now.picture()
+    assert (np.abs(apart - whole).max(axis=2) > 40).sum() > 1000
+    assert complaints_of(now) == []
+
+
+def test_bars_of_the_chart_are_clicked_and_arms_hidden(
+    opened: Callable[..., Open], scheduled: Any, cell: Any, arch: Any
+) -> None:
+    from falsework.viewer.viewable import viewable_of
+
+    shown = viewable_of(scheduled, arch[0], cell=cell)
+    now = opened(ViewerState(shown.timeline, plan=shown.plan, arms=shown.arms))
+    bars = now.tab.locator("svg.falsework-gantt a")
+    now.until(lambda: bars.count() > 5, "the bars are drawn")
+    assert "arm 0" in (now.tab.locator("svg.falsework-gantt").text_content() or "")
+    middle = bars.nth(4)
+    goal = float(re.findall(r"seconds=([\d.]+)", middle.get_attribute("href") or "")[0])
+    middle.click(force=True)
+    now.until(lambda: abs(now.model.seconds - goal) < 0.01, "the second of the bar")
+    with_arms = now.picture()
+    now.tab.get_by_role("checkbox", name="Arms").uncheck()
+    without = now.picture()
+    assert (np.abs(with_arms - without).max(axis=2) > 40).sum() > 1000
+    assert complaints_of(now) == []
+
+
+def test_a_phone_shows_the_structure_above_the_controls(opened: Callable[..., Open], arch: Any) -> None:
+    assembly, plan = arch
+    model = ViewerState(Timeline.of(plan, assembly), plan=plan)
+    model.go_to(len(plan))
+    now = opened(model, window={"width": 390, "height": 780})
+    now.tab.get_by_role("tab", name="Look").wait_for()
+    shape = "e => { const r = e.getBoundingClientRect(); return [r.left, r.top, r.right, r.bottom]; }"
+    left, top, right, bottom = now.tab.locator('div[style*="max-height: 60%"]').first.evaluate(shape)
+    assert (left, right, bottom) == (0, 390, 780)
+    assert 0.5 * 780 < top < 0.65 * 780
+    now.until(lambda: all(_inside(now.point_of(part, (390, 780)), top) for part in range(7)), "all parts are seen")
+    assert now.tab.evaluate("document.documentElement.scrollWidth") == 390
+    assert complaints_of(now) == []
+
+
+def _inside(point: tuple[float, float], bottom: float) -> bool:
+    return 0 < point[0] < 390 and 0 < point[1] < bottom
+
+
+def test_a_file_plays_without_a_server(browser: Any, arch: Any, tmp_path: Path) -> None:
+    from falsework.viewer.page.recording import save_page
+    from falsework.viewer.viewable import viewable_of
+
+    assembly, plan = arch
+    save_page(tmp_path / "plan.html", viewable_of(plan, assembly))
+    tab = browser.new_page()
+    wrong: list[str] = []
+    tab.on("pageerror", lambda error: wrong.append(str(error)))
+    tab.goto((tmp_path / "plan.html").as_uri())
+    tab.locator("canvas").first.wait_for(timeout=1000 * PATIENCE)
+    tab.add_style_tag(content=".mantine-Notifications-root { display: none }")
+    tab.locator("summary").click()
+    tab.get_by_text(plan.steps[0].words, exact=True).wait_for()
+    tab.locator("summary").click()
+    time_box = tab.locator("input.mantine-NumberInput-input").first
+    end, seen = time.monotonic() + PATIENCE, set()
+    while len(seen) < 3:  # it plays
+        assert time.monotonic() < end
+        seen.add(time_box.input_value())
+        tab.wait_for_timeout(300)
+
+    def at(step: int) -> np.ndarray:
+        time_box.fill(str(step))
+        time_box.press("Enter")
+        tab.wait_for_timeout(1500)
+        return np.asarray(pil.open(io.BytesIO(tab.screenshot())).convert("RGB")).astype(int)
+
+    first, last, again = at(1), at(len(plan)), at(1)
+    assert (np.abs(first - last).max(axis=2) > 60).sum() > 2000
+    assert (np.abs(first - again).max(axis=2) > 60).sum() < 500  # going back leaves nothing of what came later
+    assert [text for text in wrong if not any(word in text for word in HARMLESS)] == []
+    tab.close()
 
 
 def test_a_thousand_parts_are_few_draw_calls(opened: Callable[..., Open]) -> None:
@@ -304,11 +475,11 @@ def test_a_thousand_parts_are_few_draw_calls(opened: Callable[..., Open]) -> Non
             state[part] = value
             states.append(state)
             actions.append(int(action))
-    from falsework.viewer.timeline import holders
+    from falsework.search.plans.steps import holders
 
-    rows = np.array(states)
-    timeline = Timeline(vault, rows, np.array(actions), holders(rows, vault.boundary), Direction.DISASSEMBLY, 1)
-    np.testing.assert_array_equal(rows[-1], empty_state(vault.boundary))
+    rows = np.array(states[::-1])
+    timeline = Timeline(vault, rows, np.array(actions[::-1]), holders(rows, vault.boundary), Direction.ASSEMBLY, 1)
+    np.testing.assert_array_equal(rows[0], empty_state(vault.boundary))
     now = opened(ViewerState(timeline))
     sent, seconds = [], []
     for place in (0, 1, 2, 3, 500, 501, 1200, 40, 1):
@@ -341,7 +512,7 @@ def test_the_command_serves_until_interrupted(start_command: Callable[..., subpr
     assert process.stdout is not None
     about = json.loads(process.stdout.readline())
     assert about["kind"] == "structure"
-    with urllib.request.urlopen(about["address"], timeout=PATIENCE) as answer:
+    with urllib.request.urlopen(about["url"], timeout=PATIENCE) as answer:
         assert answer.status == 200
     time.sleep(0.5)  # until it waits
     process.send_signal(signal.SIGINT)

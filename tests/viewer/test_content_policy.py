@@ -13,10 +13,10 @@ pytest.importorskip("viser", reason="the page needs viser; pip install 'falsewor
 import zstandard
 
 from falsework.errors import DependencyError
-from falsework.viewer.page import content_policy as policies
 from falsework.viewer.page.page import Page
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.timeline import Timeline
+from falsework.viewer.web import content_policy as policies
 
 LOADER = "unpack(document.currentScript)"
 

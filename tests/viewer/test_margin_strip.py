@@ -16,14 +16,13 @@ from falsework.errors import InputError
 from falsework.interop.instruction_table import assembly_instructions, instructions_csv
 from falsework.search import Demands, PlanMargins, find_plans
 from falsework.search.plans.plan import Plan
-from falsework.search.problem.task import Direction
 from falsework.viewer.margin_strip import margin_strip, weakness
 from falsework.viewer.pictures.contact_sheet import legend_of_shares
 
 
 @pytest.fixture(scope="module")
 def plan() -> Plan:
-    """Taking a small arch apart, with margins of which the third state's are the weakest."""
+    """Plan of a small arch, with margins of which the third state's are the weakest."""
     found = find_plans(fw.load_structure("arch:blocks=3"), robots=2).plans[0]
     count = len(found.states)
     friction: list[float | None] = [0.1] * count
@@ -34,14 +33,12 @@ def plan() -> Plan:
 
 
 def test_the_strip_marks_the_weakest_step_and_the_one_that_is_shown(plan: Plan) -> None:
-    strip = margin_strip(plan, Direction.DISASSEMBLY, 1)
+    strip = margin_strip(plan, 1)
     assert strip.count("<title>") == 2 * len(plan.states)
     assert strip.count("<path") == 2
     assert "step 2: friction 0.4 (weakest)" in strip
     assert "step 2: tilt 2.86 deg (weakest)" in strip
     assert f"step {len(plan)}: tilt without bound" in strip
-    turned = margin_strip(plan, Direction.ASSEMBLY, 1)
-    assert f"step {len(plan) - 2}: friction 0.4 (weakest)" in turned
 
 
 def test_weak_steps_are_darker(plan: Plan) -> None:
@@ -50,19 +47,19 @@ def test_weak_steps_are_darker(plan: Plan) -> None:
         shares = weakness(kind, values, plan.friction)
         assert np.argmax(shares) == 2
         assert ((shares >= 0) & (shares <= 1)).all()
-    fills = re.findall(r'fill="(#\w{6})"><title>', margin_strip(plan, Direction.DISASSEMBLY, 0))
+    fills = re.findall(r'fill="(#\w{6})"><title>', margin_strip(plan, 0))
     assert len(set(fills)) > 1
 
 
 def test_there_is_no_strip_without_margins(plan: Plan) -> None:
-    assert margin_strip(None, Direction.ASSEMBLY, 0) == ""
-    assert margin_strip(replace(plan, margins=None), Direction.ASSEMBLY, 0) == ""
+    assert margin_strip(None, 0) == ""
+    assert margin_strip(replace(plan, margins=None), 0) == ""
 
 
 def test_the_site_sheet_says_the_margins_after_each_step(plan: Plan) -> None:
     sheet = instructions_csv(assembly_instructions(plan, fw.load_structure("arch:blocks=3")))
     rows = list(csv.DictReader(io.StringIO(sheet)))
-    assert rows[len(plan) - 3]["margins"] == "friction 0.4 (weakest), tilt 2.86 deg (weakest)"
+    assert rows[1]["margins"] == "friction 0.4 (weakest), tilt 2.86 deg (weakest)"
     assert sum("weakest" in row["margins"] for row in rows) == 1
 
 

@@ -8,7 +8,9 @@ import pytest
 from falsework.assembly.state import HELD, INSTALLED, REMOVED
 from falsework.errors import InputError, StateError
 from falsework.search import Direction, validate_plan
+from falsework.viewer.appearance import SceneView, bounds_of
 from falsework.viewer.page.disruption import ClickMode, Disruption, chance_of_parts
+from falsework.viewer.page.page_text import facts_of
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.palette import FIXED, SELECTED, ramp_in_steps, rgb
 from falsework.viewer.timeline import Timeline
@@ -18,7 +20,7 @@ ABOVE, DOWN = np.array([0.0, 0.0, 10.0]), np.array([0.0, 0.0, -1.0])
 
 @pytest.fixture
 def model(arch, timeline) -> ViewerState:
-    return ViewerState(timeline, plan=arch[1].reverse())
+    return ViewerState(timeline, plan=arch[1])
 
 
 def over(model: ViewerState, part: int) -> np.ndarray:
@@ -37,9 +39,23 @@ def test_turning_keeps_the_state(model: ViewerState) -> None:
     before = model.state.copy()
     model.turn(Direction.DISASSEMBLY)
     np.testing.assert_array_equal(model.state, before)
-    assert model.position == len(model.timeline) - 3
+    assert model.position == 3
     model.turn(Direction.DISASSEMBLY)  # nothing to do
-    assert model.position == len(model.timeline) - 3
+    assert model.position == 3
+
+
+def test_playing_goes_in_the_order_shown(model: ViewerState) -> None:
+    count = len(model.timeline)
+    assert (model.position, model.at_end) == (0, False)
+    model.advance(1.5)
+    assert (model.position, model.step) == (1.5, 2)
+    model.turn(Direction.DISASSEMBLY)
+    model.go_to(model.timeline.begin)
+    assert (model.position, model.at_end) == (count, False)
+    model.advance(1.5)
+    assert (model.position, model.step) == (count - 1.5, count - 2)
+    model.advance(1e9)
+    assert (model.position, model.at_end) == (0, True)
 
 
 def test_a_click_selects_and_a_click_beside_forgets(model: ViewerState) -> None:
@@ -49,9 +65,9 @@ def test_a_click_selects_and_a_click_beside_forgets(model: ViewerState) -> None:
     assert model.selected == top
     assert tuple(model.appearance().color[top]) == rgb(SELECTED)
     assert model.labels(model.appearance())[top] == model.assembly.names[top]
-    facts = dict(model.about(top))
+    facts = dict(facts_of(model, top))
     assert facts["mass"] == f"{model.assembly.mass.mass[top]:.4g} kg"
-    assert "robot" in facts["held by"]
+    assert facts["held by"].startswith("R")
     assert facts["now"] == "installed"
     assert model.click(np.array([99.0, 0, 9]), DOWN) is None
     assert model.selected is None
@@ -59,7 +75,7 @@ def test_a_click_selects_and_a_click_beside_forgets(model: ViewerState) -> None:
 
 def test_about_a_boundary_part(model: ViewerState) -> None:
     part = int(np.argmax(model.assembly.boundary))
-    facts = dict(model.about(part))
+    facts = dict(facts_of(model, part))
     assert facts["now"] == "boundary"
     assert facts["held by"] == "no robot"
 
@@ -149,6 +165,7 @@ def test_the_question_in_disassembly() -> None:
 def test_replanning_around_a_missing_part_and_back(model: ViewerState) -> None:
     old = model.timeline
     model.go_to(4)
+    done = [str(step) for step in old.steps[:4]]
     here = model.state.copy()
 
     absent = [part for part in range(5) if here[part] == REMOVED]
@@ -165,13 +182,70 @@ def test_replanning_around_a_missing_part_and_back(model: ViewerState) -> None:
     assert answer.plan.robots == 3
     assert validate_plan(answer.plan, model.assembly).good
     np.testing.assert_array_equal(model.state, site)
-    assert model.position == 0
+    assert model.position == 4
+    # What is built stays, and its numbers go on.
+    assert [str(step) for step in model.timeline.steps[:4]] == done
+    assert [step.number for step in model.timeline.steps] == list(range(1, len(model.timeline) + 1))
+    np.testing.assert_array_equal(model.timeline.states[:4], old.states[:4])
+    np.testing.assert_array_equal(model.timeline.states, answer.plan.states)  # what is saved has them too
+    (need,) = answer.plan.needs
+    name = model.assembly.names[absent[0]]
+    others = sum(step.action == "insert" for step in answer.plan.steps[4 : need.after_steps])
+    assert f"{name} is needed at step {need.after_steps + 1}, after {others} other part" in answer.words
+    assert model.timeline.steps[need.after_steps].words == f"insert {name}"
     assert model.disruption == Disruption(robots=3)
     assert model.can_go_back
     model.go_back()
     assert model.timeline is old
     assert model.position == 4
     assert not model.can_go_back
+
+
+@pytest.mark.parametrize("found", [True, False])
+def test_proofs_of_a_new_plan_are_those_of_its_own_states(model: ViewerState, found: bool) -> None:
+    """With another state on site than planned, the steps that are done belong to no plan that can be proved."""
+    model.go_to(4)
+    if found:
+        model.tool = ClickMode.HOLD
+        model.click_part(int(np.argmax(model.state == INSTALLED)))
+    count = len(model.timeline)
+    assert model.replan().found
+    assert (len(model.timeline) > count) == found  # what is held now is released
+    assert model.built == (4 if found else 0)
+    for place in range(len(model.timeline) + 1):
+        model.go_to(place)
+        proof = model.proof()
+        assert proof.stable
+        assert ("as reached in assembly" in proof.words) == (place >= model.built), place
+
+
+def test_a_robot_holds_a_part_by_a_click(model: ViewerState) -> None:
+    place = next(p for p in range(len(model.timeline) + 1) if (model.timeline.states[p] == INSTALLED).any())
+    model.go_to(place)
+    part = int(np.argmax(model.state == INSTALLED))
+    model.tool = ClickMode.HOLD
+    model.click_part(part)
+    assert model.site[part] == HELD
+    assert "held or released" in model.disruption.words(model.assembly)
+    assert model.replan().found
+    assert model.timeline.states[place, part] == HELD
+    model.click_part(part)
+    assert model.site[part] == INSTALLED
+
+
+def test_parts_move_apart_and_are_cut_away(model: ViewerState) -> None:
+    model.go_to(len(model.timeline))
+    top = int(np.argmax(model.assembly.mass.center[:, 2]))
+    low, high = bounds_of(model.assembly)
+    model.view = SceneView(explode=0.5)
+    look = model.appearance()
+    apart = model.assembly.mass.center - [*(low + high)[:2] / 2, low[2]]
+    np.testing.assert_allclose(look.shift, 0.5 * apart)
+    assert model.click(over(model, top) + look.shift[top], DOWN) == top  # where it is seen
+    model.view = SceneView(axis="z", keep=0.5)
+    cut = model.assembly.mass.center[:, 2] > low[2] + 0.5 * (high - low)[2]
+    np.testing.assert_array_equal(model.appearance().opacity == 0, cut)
+    assert model.click(over(model, top), DOWN) != top
 
 
 def test_a_question_without_an_answer_says_why(model: ViewerState) -> None:
@@ -196,27 +270,30 @@ def test_a_senseless_question_is_refused(model: ViewerState) -> None:
 
 def test_a_structure_without_a_plan_gets_one(arch) -> None:
     assembly, plan = arch
-    still = Timeline.from_state(assembly, plan.states[-1])
+    still = Timeline.from_state(assembly, plan.states[0])
     model = ViewerState(still)
     answer = model.replan()
     assert answer.found
     assert "no plan before" in answer.words
     assert len(model.timeline) == len(plan)
+    whole = ViewerState(Timeline.from_state(assembly, plan.states[-1]))  # as it is shown without a plan
+    assert whole.replan().found
+    np.testing.assert_array_equal(whole.timeline.states[[0, -1]], plan.states[[0, -1]])
 
 
 def test_probabilities_are_those_of_the_policy(arch, policy) -> None:
     assembly, plan = arch
-    model = ViewerState(Timeline.of(plan, assembly), plan=plan, policy=policy)
+    model = ViewerState(Timeline.of(plan, assembly, Direction.DISASSEMBLY), plan=plan, policy=policy)
     action_probabilities = model.action_probabilities()
     assert np.isfinite(action_probabilities).sum() == (model.state == INSTALLED).sum()
     assert np.nansum(action_probabilities) == pytest.approx(1.0)
     appearance = model.appearance()
     part = int(np.nanargmax(action_probabilities))
     assert tuple(appearance.color[part]) == tuple(ramp_in_steps(action_probabilities[part]))
-    assert dict(model.about(part))["policy"].startswith("hold it with")
+    assert dict(facts_of(model, part))["policy"].startswith("hold it with")
     visited = model.visited(4)
     assert (visited[:, assembly.boundary] == HELD).all()
-    assert (visited == plan.states[0]).all(axis=1).any()
+    assert (visited == plan.states[-1]).all(axis=1).any()
     from falsework.stability import Stability
 
     assert Stability(assembly).judge(visited).stable.all()

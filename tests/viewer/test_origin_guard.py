@@ -13,10 +13,10 @@ import viser
 
 from falsework.cli.main import main
 from falsework.errors import DependencyError, InputError
-from falsework.viewer.page.origin_guard import OriginGuard, start_server
 from falsework.viewer.page.page import Page
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.timeline import Timeline
+from falsework.viewer.web.origin_guard import OriginGuard, start_server
 
 PORT = 8230
 
@@ -33,7 +33,7 @@ def test_a_page_begins_at_the_step_of_its_model(timeline: Timeline) -> None:
     model.go_to(2)
     opened = Page(model, port=PORT + 1)
     try:
-        assert opened._slider.value == 2
+        assert opened.play._slider.value == 2
     finally:
         opened.close()
 

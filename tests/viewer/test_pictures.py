@@ -110,7 +110,7 @@ def test_a_line_drawing_covers_what_the_parts_do() -> None:
 
 def test_line_drawing_as_svg(plan_file: Path, run: Run, tmp_path: Path) -> None:
     out = tmp_path / "arch.svg"
-    assert run("picture", plan_file, "--svg", "--out", out) == (0, "")
+    assert run("picture", plan_file, "--out", out) == (0, "")
     tree = ElementTree.fromstring(out.read_text())
     titles = [node.text for node in tree.iter("{http://www.w3.org/2000/svg}title")]
     assert set(titles) == set(load_structure("arch:blocks=5").names)
@@ -123,9 +123,9 @@ def test_line_drawing_as_svg(plan_file: Path, run: Run, tmp_path: Path) -> None:
 def test_a_round_structure_has_no_line_drawing(run: Run, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="not two-dimensional"):
         flat_axis(load_structure("dome:rings=2,blocks=6"))
-    code, error = run("picture", "dome:rings=2,blocks=6", "--svg", "--out", tmp_path / "dome.svg")
+    code, error = run("picture", "dome:rings=2,blocks=6", "--out", tmp_path / "dome.svg")
     assert code == 2
-    assert "leave --svg out" in error
+    assert "write a .png" in error
     assert not (tmp_path / "dome.svg").exists()
 
 
@@ -147,14 +147,14 @@ def test_names_are_escaped(arch) -> None:
 
 def test_films(plan_file: Path, run: Run, tmp_path: Path) -> None:
     gif, mp4 = tmp_path / "plan.gif", tmp_path / "plan.mp4"
-    options = ("--width", 120, "--rate", 4, "--seconds", 0.25)
+    options = ("--width", 120, "--rate", 4, "--step-seconds", 0.25)
     steps = len(load_plan(plan_file))
-    assert run("animate", plan_file, "--out", gif, *options) == (0, "")
+    assert run("picture", plan_file, "--out", gif, *options) == (0, "")
     video = pil.open(gif)
     assert video.n_frames == steps + 1
     assert video.size[0] == 120
     imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="MP4 needs imageio-ffmpeg")
-    assert run("animate", plan_file, "--out", mp4, *options) == (0, "")
+    assert run("picture", plan_file, "--out", mp4, *options) == (0, "")
     frames = imageio_ffmpeg.read_frames(str(mp4))
     about = next(frames)
     assert about["size"][0] == 120
@@ -214,8 +214,7 @@ def test_coverage_counts_states_of_the_graph_alone(graph: StateGraph) -> None:
 def test_picture_of_a_graph(graph: StateGraph, run: Run, tmp_path: Path) -> None:
     save_state_graph(graph, tmp_path / "graph.npz")
     for name in ("graph.png", "graph.svg"):
-        options = ("--svg",) if name.endswith("svg") else ()
-        assert run("picture", tmp_path / "graph.npz", *options, "--out", tmp_path / name) == (0, "")
+        assert run("picture", tmp_path / "graph.npz", "--out", tmp_path / name) == (0, "")
         assert (tmp_path / name).stat().st_size > 1000
     assert graph_figure(graph, visited=graph.states[:5]).axes
 
@@ -253,19 +252,20 @@ def test_what_a_policy_thinks_and_covers(
         (("picture", "PLAN", "--columns", "0"), "at least 1"),
         (("picture", "PLAN", "--width", "5"), "80 to 8000"),
         (("picture", "PLAN", "--forces"), "--step"),
-        (("picture", "PLAN", "--svg", "--out", "x.png"), "do not fit"),
+        (("picture", "PLAN", "--rate", "5"), "a picture such as picture.png has no --rate; leave it out"),
+        (("picture", "PLAN", "--step", "1", "--title", "A", "--out", "x.mp4"), "video such as x.mp4 has no --step and"),
         (("picture", "nowhere.json"), "nowhere"),
         (("picture", "BROKEN"), "JSON"),
         (("picture", "OTHER"), "cannot be shown"),
         (("picture", "PLAN", "--structure", "arch:blocks=6"), "parts"),
         (("picture", "arch:blocks=5", "--structure", "arch"), "leave --structure out"),
         (("picture", "PLAN", "--out", "no/such/folder/x.png"), "folder"),
-        (("animate", "PLAN", "--out", "x.avi"), ".mp4 or .gif"),
-        (("animate", "PLAN", "--seconds", "0"), "above zero"),
-        (("animate", "PLAN", "--speed", "0"), "above zero"),
-        (("animate", "PLAN", "--rate", "0"), "pictures a second"),
-        (("animate", "PLAN", "--width", "9"), "80 to 4000"),
-        (("animate", "arch:blocks=5"), "no steps to animate"),
+        (("picture", "PLAN", "--out", "x.avi"), ".mp4 or .gif"),
+        (("picture", "PLAN", "--step-seconds", "0", "--out", "x.mp4"), "above zero"),
+        (("picture", "PLAN", "--speed", "0", "--out", "x.mp4"), "above zero"),
+        (("picture", "PLAN", "--rate", "0", "--out", "x.mp4"), "pictures a second"),
+        (("picture", "PLAN", "--width", "9", "--out", "x.mp4"), "80 to 4000"),
+        (("picture", "arch:blocks=5", "--out", "x.mp4"), "no steps to animate"),
         (("view", "PLAN", "--port", "70000"), "no port"),
         (("view", "PLAN", "--robots", "0"), "robots"),
         (("view", "PLAN", "--deadline", "0"), "deadline"),
@@ -304,7 +304,7 @@ def test_a_graph_of_another_structure_is_refused(graph: StateGraph, run: Run, tm
     [
         ("viser", ("view", "arch:blocks=5"), "falsework[viewer]"),
         ("PIL", ("picture", "arch:blocks=5"), "falsework[picture]"),
-        ("imageio_ffmpeg", ("animate", "PLAN", "--width", "80", "--rate", "1"), "falsework[picture]"),
+        ("imageio_ffmpeg", ("picture", "PLAN", "--width", "80", "--rate", "1", "--out", "x.mp4"), "falsework[picture]"),
     ],
 )
 def test_a_missing_package_names_its_extra(

@@ -38,7 +38,7 @@ def pressed(arch: tuple[Assembly, Plan], press_once: Callable[..., tuple[Plan, i
 
 def test_forces_in_words() -> None:
     values = (0.5, 49.96, 885.4, 999.4, 999.6, 3885.0, 99940.0, 120000.0)
-    words = ["0.5 N", "50 N", "885 N", "999 N", "1.0 kN", "3.9 kN", "99.9 kN", "120 kN"]
+    words = ["0.5 N", "50 N", "885 N", "999 N", "1 kN", "3.88 kN", "99.9 kN", "120 kN"]
     assert [describe_force(value) for value in values] == words
 
 
@@ -47,17 +47,16 @@ def test_the_step_names_the_press_in_assembly_alone(
 ) -> None:
     assembly, (plan, place, part) = arch[0], pressed
     timeline = Timeline.of(plan, assembly)
-    words = plan.describe(place - 1)
+    words = plan.words(place)
     assert words.startswith("release ")
     assert words.endswith(f"; robot presses {assembly.names[part]} with 50 N")
-    assert timeline.words(place - 1) == words
-    others = [step for step in range(len(plan)) if step != place - 1]
-    assert not any("presses" in plan.describe(step) for step in others)
-    back, apart = plan.reverse(), timeline.turned(Direction.DISASSEMBLY)
-    for step in range(len(plan)):
-        assert "presses" not in back.describe(step)
-        assert apart.words(step) == back.describe(step)
-    assert Timeline.of(back, assembly, Direction.ASSEMBLY).words(place - 1) == words
+    assert timeline.label(place) == f"step {place} of {len(plan)}: {plan[place - 1]}"
+    assert timeline.label(place).endswith(" with 50 N")
+    assert not any("presses" in step.words for step in plan if step.number != place)
+    apart = timeline.turned(Direction.DISASSEMBLY)
+    for at in range(len(plan) + 1):
+        assert "presses" not in apart.label(at)
+        assert apart.presses_at(at) == ()
 
 
 def test_the_arrow_ends_at_the_centre_and_has_the_way_of_the_force(
@@ -71,12 +70,12 @@ def test_the_arrow_ends_at_the_centre_and_has_the_way_of_the_force(
     assert [bool(arrows_of_step(timeline, at)) for at in range(len(plan) + 1)] == [
         at == place for at in range(len(plan) + 1)
     ]
-    assert arrows_of_step(timeline.turned(Direction.DISASSEMBLY), len(plan) - place) == {}
+    assert arrows_of_step(timeline.turned(Direction.DISASSEMBLY), place) == {}
 
 
 def test_with_other_forces_it_is_on_their_scale(arch: tuple[Assembly, Plan], pressed: tuple[Plan, int, int]) -> None:
     assembly, (plan, place, _) = arch[0], pressed
-    proof = BuildProofs(plan, Stability(assembly)).at(len(plan) - place)
+    proof = BuildProofs(plan, Stability(assembly)).at(place)
     assert proof.stable
 
     def longest(kind: str) -> float:
@@ -121,16 +120,16 @@ def test_a_contact_sheet_prefers_places_with_presses(
 def test_states_of_a_plan_are_judged_as_they_are_reached(
     arch: tuple[Assembly, Plan], pressed: tuple[Plan, int, int]
 ) -> None:
-    """In any order of questions, in either direction, and the forces are those of the build."""
+    """In any order of questions, and the forces are those of the build."""
     assembly, (plan, place, _) = arch[0], pressed
     oracle = Stability(assembly)
     shown = viewable_of(plan, assembly)
     proofs = shown.proofs(range(len(plan) + 1))
     assert all(proof.stable and proof.words.endswith("(as reached in assembly)") for proof in proofs.values())
     assert PRESSES in proofs[place].arrows
-    backwards = BuildProofs(plan.reverse(), oracle)
+    backwards = BuildProofs(plan, oracle)
     for at in (len(plan), place, 0):
-        again = backwards.at(len(plan) - at)
+        again = backwards.at(at)
         assert again.words == proofs[at].words
         assert again.forces is not None
         assert proofs[at].forces is not None
@@ -153,7 +152,7 @@ def test_a_build_that_ends_too_soon_is_not_called_stable(
     absent = next(other for other in range(assembly.part_count) if plan.states[place, other] == 0)
     wrong = replace(plan, presses=tuple((Press(absent, WRENCH),) if some else () for some in plan.presses))
     build = BuildProofs(wrong, Stability(assembly))
-    fails, later, before = (build.at(len(plan) - at) for at in (place, place + 1, place - 1))
+    fails, later, before = (build.at(at) for at in (place, place + 1, place - 1))
     assert before.stable
     assert not fails.stable
     assert f"a robot presses {assembly.names[absent]}, which it does not hold" in fails.words
@@ -190,10 +189,10 @@ def test_the_scene_of_the_page_has_the_arrow(arch: tuple[Assembly, Plan], presse
         page.model.go_to(place)
         page.refresh()
         assert "/arrows/presses" in page.scene._shown
-        page._toggles["presses"].value = False
+        page.look._presses.value = False
         page.refresh()
         assert "/arrows/presses" not in page.scene._shown
-        page._toggles["presses"].value = True
+        page.look._presses.value = True
         page.model.go_to(place - 1)
         page.refresh()
         assert "/arrows/presses" not in page.scene._shown
@@ -219,15 +218,14 @@ def test_the_command_says_it(
     assert main(["check", str(file), "--steps"]) == 0
     steps = [line for line in capsys.readouterr().out.splitlines() if "robot presses" in line]
     assert len(steps) == 1
-    assert steps[0].startswith(f"{place:4d}  {plan.describe(place - 1)}; robot bears ")
+    assert steps[0].startswith(f"{plan.line(place)}; robot bears ")
 
 
 def test_the_page_names_what_robots_bear(arch: tuple[Assembly, Plan]) -> None:
-    """At held parts, in both directions."""
+    """At held parts, in both orders."""
     assembly, plan = arch
     assert any(plan.loads)
     timeline = Timeline.of(plan, assembly)
     for direction in Direction:
         shown = timeline.turned(direction)
-        for place in range(len(plan) + 1):
-            assert shown.loads_at(place) == (plan if plan.direction is direction else plan.reverse()).loads[place]
+        assert [shown.loads_at(place) for place in range(len(plan) + 1)] == list(plan.loads)

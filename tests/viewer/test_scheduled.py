@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import time
 from dataclasses import replace
 
@@ -52,21 +51,26 @@ def test_events_show_states_and_keyframes(
     arms, clock = arms_of(model), clock_of(model)
     plan = arms.plan
     owner = np.array([link.robot for link in arms.links])
+
+    def place_of(done: int) -> int:
+        """Return the place in the plan after so many actions have been executed."""
+        return done if direction is Direction.ASSEMBLY else len(plan) - done
+
     for step, (seconds, event) in enumerate(zip(clock.events, nodes_of(plan)[1], strict=True)):
         model.go_to_reading(seconds)
         reached = int((clock.events <= seconds).sum())
-        np.testing.assert_array_equal(model.state, plan.plan.states[reached])
+        np.testing.assert_array_equal(model.state, plan.plan.states[place_of(reached)])
         # A part leaves as its arm sets off from a keyframe; it is at its place, or held, as its arm comes to one.
-        grips = int(plan.plan.actions[step]) < len(plan.plan.boundary)
+        grips = int(plan.actions[step]) < len(plan.plan.boundary)
         after = event.at_end or (grips and direction is Direction.DISASSEMBLY)
         mine = owner == plan.steps[step].robot
         shown = model.arm_poses()
         assert shown is not None
-        np.testing.assert_allclose(shown.poses[mine], arms.at(step + after).poses[mine], atol=1e-9)
+        np.testing.assert_allclose(shown.poses[mine], arms.at(place_of(step + after)).poses[mine], atol=1e-9)
         before = seconds - 1e-6
         model.go_to_reading(before)
-        np.testing.assert_array_equal(model.state, plan.plan.states[int((clock.events <= before).sum())])
-    for seconds, place in ((0.0, 0), (clock.makespan, len(plan))):
+        np.testing.assert_array_equal(model.state, plan.plan.states[place_of(int((clock.events <= before).sum()))])
+    for seconds, place in ((0.0, place_of(0)), (clock.makespan, place_of(len(plan)))):
         np.testing.assert_allclose(arms.at_time(seconds).poses, arms.at(place).poses, atol=1e-9)
 
 
@@ -85,7 +89,7 @@ def test_two_arms_move_at_the_same_time(scheduled: RobotPlan, cell: Cell, arch: 
         shown = model.arm_poses()
         assert shown is not None
         for robot in range(2):
-            for place in (model.step, min(model.step + 1, len(scheduled))):
+            for place in (model.step, max(model.step - 1, 0)):
                 still = arms.at(place).poses
                 assert np.abs((shown.poses - still)[owner == robot]).max() > 1e-3
         assert f"{seconds:.1f} s of {clock.makespan:.1f} s" in where_text(model, ask=False)
@@ -121,8 +125,8 @@ def test_positions_and_seconds(scheduled: RobotPlan, cell: Cell, arch: tuple[Ass
     model = opened(scheduled, cell, arch[0], Direction.DISASSEMBLY)
     clock = clock_of(model)
     positions = [clock.position(seconds) for seconds in np.linspace(0, clock.makespan, 500)]
-    assert (np.diff(positions) >= 0).all()
-    assert (positions[0], positions[-1]) == (0.0, len(scheduled))
+    assert (np.diff(positions) <= 0).all()
+    assert (positions[0], positions[-1]) == (len(scheduled), 0.0)
     for seconds in (0.3, 0.6 * clock.makespan):
         assert clock.seconds(clock.position(seconds)) == pytest.approx(seconds)
     model.go_to_reading(0.6 * clock.makespan)
@@ -169,9 +173,6 @@ def test_the_marker_is_where_the_bars_are(scheduled: RobotPlan) -> None:
         (changed,) = np.nonzero((marked != strip.pixels).any(axis=2)[row])
         assert np.abs(changed + 0.5 - strip.mark(middle) * columns).max() <= 1.5
         assert tuple(marked[row, changed[0]]) == rgb(INK)
-        found = re.search(r"left:([0-9.]+)%", strip.html(middle))
-        assert found is not None
-        assert float(found[1]) == pytest.approx(100 * strip.mark(middle), abs=0.26)
 
 
 def test_a_page_has_seconds_and_a_chart_as_long_as_there_is_a_schedule(
@@ -183,25 +184,26 @@ def test_a_page_has_seconds_and_a_chart_as_long_as_there_is_a_schedule(
     model = opened(scheduled, cell, arch[0], Direction.DISASSEMBLY)
     page = Page(model, port=8250)
     try:
-        slider, chart = page._slider, page._gantt._node
+        slider, chart, marker = page.play._slider, page.play._gantt, page.play._marker
         assert slider.label == "Seconds"
         assert scheduled.makespan <= slider.max < scheduled.makespan + 0.1
-        first = chart.content
+        first = marker.content
         slider.value = 5.0
         assert model.seconds == 5.0
         assert "<svg" in chart.content
-        assert chart.content != first
-        page._speed.value = 8.0
-        page._toggle_play()
+        assert chart.content.count("/go?seconds=") == len(bars_of(scheduled))
+        assert marker.content != first
+        page.play._speed.value = 8.0
+        page.play._toggle()
         end = time.monotonic() + 60
-        while page._playing.is_set():
+        while page.play._playing.is_set():
             assert time.monotonic() < end, "the plan is not played to its end"
             time.sleep(0.05)
         assert model.seconds == scheduled.makespan
         assert slider.value == slider.max
-        assert page._where.content.startswith(f"{scheduled.makespan:.1f} s of {scheduled.makespan:.1f} s")
+        assert page.play._where.content.startswith(f"{scheduled.makespan:.1f} s of {scheduled.makespan:.1f} s")
         model.arms = Arms(replace(scheduled, schedule=None), cell, Direction.DISASSEMBLY)
-        page._plan_changed()
+        page.plan_changed("other arms")
         assert (slider.label, slider.max, chart.content) == ("Step", len(scheduled), "")
     finally:
         page.close()

@@ -9,9 +9,10 @@ from falsework.assembly import load_structure
 from falsework.assembly.state import HELD, REMOVED
 from falsework.errors import PlanError
 from falsework.search import Direction
+from falsework.search.plans.steps import NO_ROBOT, holders
 from falsework.viewer.appearance import FADE, appearance_at, pick
 from falsework.viewer.palette import BOUNDARY, ramp, rgb, robot_color
-from falsework.viewer.timeline import NO_ROBOT, Timeline, holders, interesting, way_out
+from falsework.viewer.timeline import Timeline, interesting, way_out
 
 
 def test_a_robot_keeps_its_part() -> None:
@@ -31,16 +32,32 @@ def test_a_robot_keeps_its_part() -> None:
 
 def test_both_orders_show_the_same_states(arch) -> None:
     assembly, plan = arch
-    apart, together = Timeline.of(plan, assembly), Timeline.of(plan.reverse(), assembly)
-    assert apart.direction is Direction.DISASSEMBLY
-    assert together.direction is Direction.ASSEMBLY
-    for place in range(len(plan) + 1):
-        np.testing.assert_array_equal(apart.states[apart.row(place)], plan.states[place])
-        np.testing.assert_array_equal(together.states[together.row(place)], plan.reverse().states[place])
-    turned = apart.turned(Direction.ASSEMBLY)
-    assert [turned.words(step) for step in range(len(plan))] == [
-        plan.reverse().describe(step) for step in range(len(plan))
-    ]
+    together = Timeline.of(plan, assembly)
+    apart = together.turned(Direction.DISASSEMBLY)
+    count = len(plan)
+    for timeline in (together, apart):
+        for place in range(count + 1):
+            np.testing.assert_array_equal(timeline.states[timeline.row(place)], plan.states[place])
+    assert (together.begin, together.end, list(together.places)) == (0, count, list(range(count + 1)))
+    assert (apart.begin, apart.end, list(apart.places)) == (count, 0, list(range(count, -1, -1)))
+    # Halfway through a step the state is the one that was left; the step leads to the one ahead.
+    assert (together.row(3.5), together.next(3.5)) == (3, 4)
+    assert (apart.row(3.5), apart.next(3.5)) == (4, 3)
+
+
+def test_a_step_has_one_number_in_both_orders(arch) -> None:
+    assembly, plan = arch
+    together = Timeline.of(plan, assembly)
+    apart, count = together.turned(Direction.DISASSEMBLY), len(plan)
+    assert together.label(0) == f"step 0 of {count}"
+    assert apart.label(count) == f"all {count} steps done"
+    for step in plan:
+        assert together.label(step.number) == f"step {step.number} of {count}: {step}"
+        undone = apart.step_to(step.number - 1)
+        assert undone is not None
+        assert (undone.number, undone.part, undone.robot) == (step.number, step.part, step.robot)
+        assert apart.label(step.number - 1) == f"step {step.number} of {count}: {undone}"
+        assert undone.action is step.action.undone
 
 
 def test_who_holds_when_is_what_the_states_say(timeline) -> None:
@@ -55,9 +72,9 @@ def test_who_holds_when_is_what_the_states_say(timeline) -> None:
 
 
 def test_ways_out_are_those_of_the_clearance_table(timeline) -> None:
-    for part in np.flatnonzero(timeline.removal_step >= 0):
+    for part in np.flatnonzero(timeline.insertion > 0):
         assert np.linalg.norm(timeline.ways[part]) == pytest.approx(1.0)
-        state = timeline.states[timeline.removal_step[part]]
+        state = timeline.states[timeline.insertion[part]]
         np.testing.assert_array_equal(timeline.ways[part], timeline.assembly.clearance.exit_direction(state, part))
 
 
@@ -90,14 +107,13 @@ def test_colours_are_those_of_state_and_robots(timeline) -> None:
 
 def test_a_part_fades_out_along_its_way(arch) -> None:
     assembly, plan = arch
-    timeline = Timeline.of(plan, assembly)
-    step = int(timeline.removal_step.max())
-    part = int(np.argmax(timeline.removal_step))
-    first = int(
-        np.flatnonzero(timeline.removal_step >= 0)[np.argmin(timeline.removal_step[timeline.removal_step >= 0])]
-    )
-    begin = int(timeline.removal_step[first])
-    places = begin + np.linspace(0, FADE, 9)
+    timeline = Timeline.of(plan, assembly, Direction.DISASSEMBLY)
+    some = np.flatnonzero(timeline.insertion > 0)
+    step = int(timeline.insertion[some].min())
+    part = int(some[np.argmin(timeline.insertion[some])])
+    first = int(np.argmax(timeline.insertion))
+    begin = int(timeline.insertion[first])
+    places = begin - np.linspace(0, FADE, 9)
     looks = [appearance_at(timeline, place) for place in places]
     opacity = [appearance.opacity[first] for appearance in looks]
     assert opacity[0] == 1.0
@@ -106,7 +122,7 @@ def test_a_part_fades_out_along_its_way(arch) -> None:
     along = [appearance.shift[first] @ timeline.ways[first] for appearance in looks[:-1]]
     assert (np.diff(along) > 0).all()
     assert looks[4].ghosts.tolist() == [first] or first in looks[4].ghosts
-    assert appearance_at(timeline, step + 1).opacity[part] < 1.0
+    assert appearance_at(timeline, step - 1).opacity[part] < 1.0
 
 
 def test_probabilities_colour_only_what_can_be_acted_on(timeline) -> None:
@@ -135,7 +151,9 @@ def test_a_ray_hits_the_nearest_part_that_is_seen(timeline) -> None:
 
 
 def test_chosen_places_begin_at_the_beginning_and_end_at_the_end(timeline) -> None:
+    apart = list(interesting(timeline.turned(Direction.DISASSEMBLY), 5))
     chosen = list(interesting(timeline, 5))
+    assert apart == chosen[::-1]
     assert chosen[0] == 0
     assert chosen[-1] == len(timeline)
     assert chosen == sorted(set(chosen))

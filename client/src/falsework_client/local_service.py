@@ -110,13 +110,14 @@ class LocalService:
             raise ClientError(
                 f"the service was not ready within {START_SECONDS:g} s; try a smaller structure"
             ) from None
-        if not line:
-            code = process.wait()
-            listener.join(_STOP_SECONDS)
-            raise ClientError(_why(command, code, [text.strip() for text in self._lines if text.strip()]))
         try:
-            url = json.loads(line)["url"]
-        except (ValueError, TypeError, KeyError):
+            answer = json.loads(line) if line else {}
+            if not line or answer.get("ok") is False:
+                code = process.wait()
+                listener.join(_STOP_SECONDS)
+                raise ClientError(_why(command, code, [text.strip() for text in self._lines if text.strip()]))
+            url = answer["url"]
+        except (ValueError, TypeError, KeyError, AttributeError):
             raise ClientError(f"{' '.join(command)} runs something else than falsework; {_REMEDY}") from None
         while True:
             try:

@@ -21,6 +21,7 @@ State = Union[str, Sequence[int]]
 """`complete`, `empty`, or a value for each part; supports are always held."""
 
 _AFTER = {"hold": HELD, "insert": HELD, "remove": REMOVED, "release": INSTALLED}
+_UNDONE = {"insert": "remove", "remove": "insert", "release": "hold", "hold": "release"}
 _WITHIN = 1e-3
 """Share of the structure's size by which centres of mass here and in a running service may differ."""
 _KEPT = 2
@@ -74,6 +75,8 @@ class Step:
     """After the step, one value a part: 0 removed, 1 installed, 2 held."""
     presses: tuple[Press, ...] = ()
     """Parts that robots press meanwhile."""
+    number: int = 0
+    """In the order of assembly, from 1; a step that takes something away has the number of the one that it undoes."""
 
     @property
     def words(self) -> str:
@@ -218,16 +221,22 @@ class Structure:
         question.update({name: value for name, value in (("holds", holds), ("reserve", reserve)) if value is not None})
         answer = self._ask("/replan", question, seconds + _GRACE)
         record = answer["plans"][0] if answer["plans"] else None
-        start = () if record is None else tuple(record["start"]["state"])
+        if record is None:
+            return Plan(answer["outcome"], answer["reason"], None, (), (), tuple(answer["moving"]))
+        # The steps of a plan are in the order of assembly; to take the structure apart, the last one is undone first.
+        undone = answer["direction"] == "disassembly"
+        start = tuple(record["end"] if undone else record["start"]["state"])
         steps: list[Step] = []
         now: list[int] = list(start)
-        for step in [] if record is None else record["steps"]:
-            now[step["part"]] = _AFTER[step["do"]]
+        numbered = list(enumerate(record["steps"], 1))
+        for number, step in reversed(numbered) if undone else numbered:
+            do = _UNDONE[step["do"]] if undone else step["do"]
+            now[step["part"]] = _AFTER[do]
             presses = tuple(
                 Press(press["part"], self.names[press["part"]], tuple(press["wrench"]))
-                for press in (step.get("presses", []) if record["direction"] == "assembly" else [])
+                for press in ([] if undone else step.get("presses", []))
             )
-            steps.append(Step(step["do"], step["part"], self.names[step["part"]], tuple(now), presses))
+            steps.append(Step(do, step["part"], self.names[step["part"]], tuple(now), presses, number))
         return Plan(answer["outcome"], answer["reason"], record, tuple(steps), start, tuple(answer["moving"]))
 
     def picture(
@@ -244,7 +253,7 @@ class Structure:
         Args:
             state: drawn if there is no plan.
             plan: `Plan.plan`; drawn as a contact sheet.
-            step: draws the state after this step of the plan alone.
+            step: draws the state in which this many steps of the plan are done alone.
             proof: whether the forces of a single state are drawn, or its motion if it does not stand.
             **view: `width` in pixels, `azimuth` and `elevation` in degrees, `frames` of a contact sheet.
 

@@ -35,6 +35,7 @@ from falsework.geometry.mesh.collision import nearest
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.read import unit_length
 from falsework.geometry.mesh.repair import check_mesh, thicken_supports
+from falsework.utils.quantity import format_quantity
 
 _TINY = 1e-3
 """Volume below which a part is doubtful, as a share of the median."""
@@ -113,7 +114,7 @@ class Diagnosis:
             "stored_interfaces": self.stored.to_dict() if self.stored else None,
             "add": self.additions,
             "loads_with_it": self.cured,
-            "parts": [asdict(report) for report in self.parts],
+            "parts": [_part_record(report) for report in self.parts],
         }
 
 
@@ -185,7 +186,8 @@ def diagnose(path: str | Path, unit: str | None = None, **options: Any) -> Diagn
             remarks.append("which parts are fixed cannot be seen: name them (--boundary), or put a --ground under all")
     likely = [] if path.suffix.lower() in _HAVE_UNITS else likely_units(float(np.median(size)), draft.scale)
     if likely:
-        remarks.append(f"a typical part is {np.median(size):.3g} m long; the unit may be {' or '.join(likely)}")
+        typical = format_quantity(float(np.median(size)), "length")
+        remarks.append(f"a typical part is {typical} long; the unit may be {' or '.join(likely)}")
     if len(likely) == 1:
         additions = {"unit": likely[0], **additions}
     cured = False
@@ -217,6 +219,12 @@ def diagnose(path: str | Path, unit: str | None = None, **options: Any) -> Diagn
         cured=cured,
         draft=draft,
     )
+
+
+def _part_record(report: PartReport) -> dict[str, Any]:
+    """Return a report as plain JSON values, with units in names."""
+    names = {"size": "size_m", "volume": "volume_m3"}
+    return {names.get(name, name): value for name, value in asdict(report).items()}
 
 
 def _read(path: Path, unit: str | None) -> tuple[Draft, dict[str, Any]]:
@@ -280,7 +288,8 @@ def _compare_parts(solids: Sequence[TriangleMesh | None], doubts: list[list[str]
         return
     volume = np.array([mesh.volume for mesh in meshes])
     for row in np.flatnonzero(volume < _TINY * np.median(volume)).tolist():
-        doubts[there[row]].append(f"is tiny: {volume[row]:.3g} m3, where a typical part has {np.median(volume):.3g} m3")
+        tiny, typical = (format_quantity(float(value), "volume") for value in (volume[row], np.median(volume)))
+        doubts[there[row]].append(f"is tiny: {tiny}, where a typical part has {typical}")
     corners = np.array([mesh.bounds.ravel() for mesh in meshes])
     reach = _SAME * float(np.median(np.linalg.norm(corners[:, 3:] - corners[:, :3], axis=1)))
     for i, j in sorted(KDTree(corners).query_pairs(reach)):
@@ -320,7 +329,9 @@ def _contacts(
     for (i, j), deep in zip(overlaps.parts.tolist(), depths.tolist(), strict=True):
         if deep:
             for one, other in ((i, j), (j, i)):
-                doubts[there[one]].append(f"passes through part {meshes[other].name} by {1000 * deep:.3g} mm")
+                doubts[there[one]].append(
+                    f"passes through part {meshes[other].name} by {format_quantity(float(deep), 'length')}"
+                )
     touching = np.zeros(len(meshes), dtype=bool)
     touching[overlaps.parts] = True
     try:
@@ -330,7 +341,7 @@ def _contacts(
     touching[contacts.parts] = True
     for row in np.flatnonzero(~touching & ~fixed[there]).tolist():
         other, away = nearest(row, meshes)
-        where = f"; part {meshes[other].name} is nearest, {1000 * away:.3g} mm away" if other >= 0 else ""
+        where = f"; part {meshes[other].name} is nearest, {format_quantity(away, 'length')} away" if other >= 0 else ""
         doubts[there[row]].append(f"touches no other part{where}")
     return replace(contacts, parts=np.asarray(there, dtype=np.int32)[contacts.parts])
 

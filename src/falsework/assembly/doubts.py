@@ -32,19 +32,26 @@ _BEARING = 0.1
 
 def material_doubts(draft: Draft, options: dict[str, Any], assembly: Assembly | None) -> list[str]:
     """Return doubts about densities and friction."""
-    doubts = []
     if assembly is not None:
-        density = assembly.density[: len(draft.blocks)].tolist()
-        frictions = [assembly.friction]
-        if assembly.joints is not None:
-            frictions += [value for value in assembly.joints.friction.tolist() if np.isfinite(value)]
-    else:
-        density = np.ravel(options.get("density", [])).tolist()
-        density = density or [block.attributes.get("density") for block in draft.blocks]
-        frictions = [options.get("friction")]
+        return doubts_of_materials(assembly, len(draft.blocks))
+    density = np.ravel(options.get("density", [])).tolist()
+    density = density or [block.attributes.get("density") for block in draft.blocks]
+    return _doubts_of(density, [options.get("friction")], draft.names)
+
+
+def doubts_of_materials(assembly: Assembly, parts: int | None = None) -> list[str]:
+    """Return doubts about the densities and the friction of a structure, or of its first parts."""
+    frictions = [assembly.friction]
+    if assembly.joints is not None:
+        frictions += [value for value in assembly.joints.friction.tolist() if np.isfinite(value)]
+    return _doubts_of(assembly.density[:parts].tolist(), frictions, assembly.names)
+
+
+def _doubts_of(density: list[Any], frictions: list[Any], names: Sequence[str]) -> list[str]:
+    doubts = []
     for part, value in enumerate(density):
         if isinstance(value, (int, float)) and not _DENSITIES[0] <= value <= _DENSITIES[1]:
-            of = f" of part {draft.names[part]}" if len(set(density)) > 1 and part < len(draft.blocks) else ""
+            of = f" of part {names[part]}" if len(set(density)) > 1 and part < len(names) else ""
             doubts.append(f"the density{of} is {value:g} kg/m3, which no building material has; stone has about 2400")
             break
     high = max((value for value in frictions if isinstance(value, (int, float))), default=0.0)

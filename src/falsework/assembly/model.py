@@ -23,6 +23,7 @@ from falsework.geometry.clearance.table import ClearanceTable, clearance_table
 from falsework.geometry.contact.interfaces import Contacts, ContactSettings, find_contacts
 from falsework.geometry.contact.joints import JointReport
 from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh, mass_properties
+from falsework.utils.display.notebook import Displayed
 
 DENSITY = 2400.0
 """Default density, kg/m3: concrete."""
@@ -39,7 +40,7 @@ class ContactWarning(UserWarning):
 
 
 @dataclass(frozen=True, eq=False)
-class Assembly:
+class Assembly(Displayed):
     """Rigid parts and the contacts between them; everything that depends on the structure alone."""
 
     name: str

@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from falsework.assembly.part_numbers import part_id, part_range
-from falsework.errors import InputError, StateError
+from falsework.errors import InputError, PlanError, StateError
 from falsework.utils.json_text import parse_json
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.assembly.state import States
+    from falsework.search.plans.plan import Plan
 
 
 def split_parts(text: str, option: str) -> list[str]:
@@ -108,6 +109,14 @@ def _spell_load(load: Any) -> str:
     return f"{load['part']}={force}{'@' if at else ''}{at}"
 
 
+STATE_FORMS = (
+    "complete, empty, a plan and its step such as plan.json:31, parts such as 0-16,keystone,held:left, or a file"
+)
+"""How states are written, for messages."""
+_HELD = "held:"
+"""Before a part that is held."""
+
+
 def read_states(path: Path) -> Any:
     """Read states from a JSON list or a `.npy` file, without checking their length or values.
 
@@ -130,35 +139,90 @@ def read_states(path: Path) -> Any:
 
 
 def parse_state(text: str, option: str, assembly: Assembly) -> States:
-    """Read one state: `complete`, `empty`, digits such as `2110`, or a file with one state.
+    """Read one state, as `parse_states` does.
 
     Returns:
         Shape (parts,).
 
     Raises:
-        StateError: not a state of this structure.
+        InputError: not a state of this structure.
     """
-    from falsework.assembly.state import as_states, complete_state, empty_state
-
-    if text == "complete":
-        return complete_state(assembly.boundary)
-    if text == "empty":
-        return empty_state(assembly.boundary)
-    if text and set(text) <= set("012"):
-        content: Any = [int(digit) for digit in text]
-    elif text.startswith("["):
-        try:
-            content = parse_json(text)
-        except ValueError as error:
-            raise StateError(f"{option} {text}: {error}") from error
-    elif Path(text).is_file():
-        content = read_states(Path(text))
-    else:
-        raise StateError(f"{option} {text}: neither complete, empty, digits such as 2110 nor a file with a state")
-    try:
-        states = as_states(content, assembly.boundary)
-    except StateError as error:
-        raise StateError(f"{option} {text}: {error}") from None
+    states = parse_states(text, option, assembly)
     if len(states) != 1:
         raise StateError(f"{option} {text}: holds {len(states)} states; give one")
     return states[0]
+
+
+def parse_states(text: str, option: str, assembly: Assembly) -> States:
+    """Read states.
+
+    Args:
+        text: `complete`, `empty`, digits such as `2110`, a plan and its step such as `plan.json:31`, names of the parts
+            that stand and, after `held:`, of those that are held, such as `0-16,keystone,held:left`; or a file: a plan,
+            whose states all count, a JSON list or a `.npy` array.
+        option: option that the text belongs to, for the message.
+        assembly: the structure.
+
+    Returns:
+        Shape (states, parts).
+
+    Raises:
+        InputError: no states of this structure.
+    """
+    from falsework.assembly.state import as_states
+    from falsework.replanning.named_state import named_state
+    from falsework.search.plans.plan_file import is_plan_file
+
+    try:
+        if text in ("complete", "empty"):
+            return named_state(text, assembly)[None]
+        if text and set(text) <= set("012"):
+            return as_states([int(digit) for digit in text], assembly.boundary)
+        if text.startswith("["):
+            return as_states(parse_json(text), assembly.boundary)
+        file, colon, step = text.rpartition(":")
+        if colon and Path(file).is_file():
+            return _state_of_step(file, step, assembly)[None]
+        if Path(text).is_file():
+            plain = not is_plan_file(text)
+            return as_states(read_states(Path(text)), assembly.boundary) if plain else _plan(text, assembly).states
+        if ".json" in (Path(text).suffix.lower(), Path(file).suffix.lower()) or text.endswith(".npy"):
+            raise StateError(f"there is no file {file if colon else text}")
+        return _state_of_parts(text, option, assembly)[None]
+    except (StateError, PlanError, ValueError) as error:
+        raise StateError(f"{option} {text}: {error}") from None
+
+
+def _plan(file: str, assembly: Assembly) -> Plan:
+    """Read the plan of a structure.
+
+    Raises:
+        PlanError: no plan, or one for another structure.
+    """
+    from falsework.search.plans.plan_check import check_identity
+    from falsework.search.plans.plan_file import load_plan
+
+    plan = load_plan(file)
+    check_identity(plan, assembly)
+    return plan
+
+
+def _state_of_step(file: str, step: str, assembly: Assembly) -> States:
+    plan = _plan(file, assembly)
+    if not (step.isascii() and step.isdecimal() and int(step) <= len(plan)):
+        raise PlanError(f"the plan has no step {step!r}; its steps are 1 to {len(plan)}, and 0 is the start")
+    return plan.states[int(step)]
+
+
+def _state_of_parts(text: str, option: str, assembly: Assembly) -> States:
+    """Return the state in which some parts stand and others are held."""
+    from falsework.replanning.named_state import named_state
+
+    parts: dict[str, list[int]] = {"standing": [], "held": []}
+    for item in split_parts(text, option):
+        held = item.startswith(_HELD) and item not in assembly.names
+        name = item.removeprefix(_HELD) if held else item
+        if part_range(name, assembly.names) is None and name not in assembly.names and not name.isdecimal():
+            raise StateError(f"{name!r} is neither a part nor a file; give {STATE_FORMS}")
+        parts["held" if held else "standing"] += parse_parts(name, option, assembly.names)
+    return named_state(parts, assembly)

@@ -16,6 +16,7 @@ from falsework.cli.output import counted
 from falsework.cli.overrides import exit_of_good, say_overrides
 from falsework.cli.planning import judge_text, load_record, load_text
 from falsework.errors import InputError
+from falsework.utils.quantity import format_quantity
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -54,12 +55,25 @@ class CheckPlan(JudgingCommand):
     too. Exit code 1 at the first step that fails; 3 if all is well, but only with such options of the plan.
     """
 
+    rare: ClassVar[tuple[str, ...]] = (
+        "cone",
+        "tolerance",
+        "gravity",
+        "force_bound",
+        "reserve",
+        "hold_force",
+        "margin",
+        "by",
+    )
+
     examples: ClassVar[tuple[str, ...]] = (
         "falsework check plan.json",
         "falsework check plan.json --replay",
         "falsework check plan.json --structure my-folder --steps",
         "falsework check plan.json --accept-overrides",
     )
+
+    outcomes: ClassVar[tuple[str, str]] = ("verified", "refuted")
 
     plan: Annotated[Positional[Path], arg(metavar="PLAN")]
     """Plan to check, as `falsework plan` wrote it."""
@@ -85,7 +99,7 @@ class CheckPlan(JudgingCommand):
     margin: Annotated[str | None, arg(metavar="MARGINS", help_behavior_hint="(default: those of the plan)")] = None
     """Margins that every state must keep, such as friction=1.25,tilt=2deg,push=20N; see `falsework plan --help`."""
     replay: bool = False
-    """Also replay the plan in the order of assembly with contact history, and print one line per step. A plan that
+    """Also replay the plan with contact history, and print one line per step. A plan that
     fails with another stiffness ratio, release increment or initial friction is reported as marginal."""
     by: Literal["contact", "lmgc90"] = "contact"
     """Replay method: the contact law of the criterion, or LMGC90 on each state by itself."""
@@ -93,7 +107,9 @@ class CheckPlan(JudgingCommand):
     """Also build the plan by an independent method, with its presses, under the true friction: discrete elements on
     springs as stiff as the contacts of the criterion, as `falsework plan --judge` does. It takes seconds to minutes."""
     steps: bool = False
-    """Print the steps as text too."""
+    """Print the steps too."""
+    order: Literal["assembly", "disassembly"] = "assembly"
+    """Order in which the steps are printed; they keep their numbers."""
 
     def run(self, output: Output) -> Exit:
         """Load, compare, verify, replay."""
@@ -148,6 +164,7 @@ class CheckPlan(JudgingCommand):
     ) -> None:
         from falsework.cli.velocity_text import describe, motions
         from falsework.search.plans.plan_report import JUDGEMENT, REPLAY
+        from falsework.search.problem.task import Direction
         from falsework.stability.holds import describe_loads
         from falsework.stability.motion import motion_of
 
@@ -158,8 +175,6 @@ class CheckPlan(JudgingCommand):
         moving = [] if motion is None else motions(assembly, motion)
         output.record(
             {
-                "plan": str(self.plan),
-                "good": found.good,
                 "states": found.states,
                 "checked": found.checked,
                 "residual": found.residual,
@@ -167,7 +182,7 @@ class CheckPlan(JudgingCommand):
                 "reason": found.reason,
                 "moving": [motion.to_dict(assembly) for motion in moving],
                 "seconds": found.seconds,
-                **found.claim.to_dict(),
+                "claim": found.claim.to_dict(),
                 "about": None if found.about is None else asdict(found.about),
                 "overrides": overrides,
                 "certified": found.certified,
@@ -176,9 +191,9 @@ class CheckPlan(JudgingCommand):
             }
         )
         if self.steps:
-            for step in range(len(plan)):
-                borne = describe_loads(found.loads[step + 1], plan.part_names) if found.loads else ""
-                output.say("; ".join(filter(None, (f"{step + 1:4d}  {plan.describe(step)}", borne))))
+            for step in plan.in_order(Direction(self.order)):
+                borne = describe_loads(found.loads[step.number], plan.part_names) if found.loads else ""
+                output.say("; ".join(filter(None, (f"{step.number:4d}  {step}", borne))))
         if found.good:
             claim = found.claim
             output.say(
@@ -216,40 +231,40 @@ class CheckPlan(JudgingCommand):
         start, end = (_state_words(state, assembly) for state in (about.start, about.end))
         return (
             f"checked: {named}, digest {about.identity[:12]}, {assembly.part_count} parts, {len(about.boundary)} "
-            f"boundary ({', '.join([*fixed, *more])}); {about.direction} in {counted(about.steps, 'step')} with "
+            f"boundary ({', '.join([*fixed, *more])}); {counted(about.steps, 'step')} with "
             f"{counted(about.robots, 'robot')}{props}, from {start} to {end}"
         )
 
     def _replay(self, plan: Plan, assembly: Assembly, settings: StabilitySettings, output: Output) -> bool:
         """Replay under the settings, then under varied ones; return whether the plan succeeds."""
+        from falsework.search.plans.plan_report import place_in_words
         from falsework.stability.contact.replay import Replayer
         from falsework.stability.contact.varied_replay import replay_varied
 
-        forward = plan if plan.direction == "assembly" else plan.reverse()
         settings = replace(settings, reserve=plan.claim.reserve, holds=plan.claim.holds.within(settings.holds))
         replayer = Replayer(assembly, settings)
-        replay = replayer.replay(forward.states, presses=forward.assembly_presses)
-        for row in range(len(forward.states)):
-            self._line(row, forward, assembly, replay, output)
+        replay = replayer.replay(plan.states, presses=plan.presses_before)
+        for row in range(len(plan.states)):
+            self._line(row, plan, assembly, replay, output)
             if replay.falls_at == row:
                 break
         if not replay.good:
-            output.note(f"falsework: {self.plan}: the replay fails {self._place(forward, replay.falls_at or 0)}")
+            output.note(f"falsework: {self.plan}: the replay fails {place_in_words(plan, replay.falls_at or 0)}")
             return False
         denied = "" if plan.replay is None else plan.replay.denied_by(replay)
         if denied:
             output.note(f"falsework: {self.plan}: the plan says of its replay {denied}, which is not so; plan again")
             return False
-        varied = replay_varied(replayer, forward.states, forward.assembly_presses, draws=_DRAWS)
+        varied = replay_varied(replayer, plan.states, plan.presses_before, draws=_DRAWS)
         failed = [case for case in varied if not case.good]
         output.record(
             {
                 "replay": "stands" if not failed else "marginal",
-                "largest_mm": replay.largest * 1e3,
+                "moved_mm": replay.largest * 1e3,
                 "variations": [asdict(case) for case in varied],
             }
         )
-        output.say(f"the replay succeeds; parts move by at most {replay.largest * 1e3:.3g} mm")
+        output.say(f"the replay succeeds; parts move by at most {format_quantity(replay.largest, 'length')}")
         if failed:
             names = "; ".join(f"{case.name} (fails at state {case.falls_at})" for case in failed)
             output.note(f"falsework: warning: the plan is marginal: its replay fails under {names}")
@@ -264,26 +279,24 @@ class CheckPlan(JudgingCommand):
         word = {1: "stands", -1: "falls", -2: "a robot bears more than it can", 0: "open"}[int(replay.stands[row])]
         record: dict[str, Any] = {"step": row, "replay": word, "moved_mm": moved * 1e3}
         record |= {"part": assembly.names[part] if part >= 0 else None, "share_of_part": moved / size}
-        output.record(record)
-        action = plan.describe(row - 1) if row else "start"
+        output.row("steps", record)
         mover = (
-            f"{assembly.names[part]} moved {moved * 1e3:.3g} mm, {moved / size:.1e} of its size" if part >= 0 else ""
+            f"{assembly.names[part]} moved {format_quantity(moved, 'length')}, {moved / size:.1e} of its size"
+            if part >= 0
+            else ""
         )
-        output.say(f"{row:4d}  {action}: {word}{'; ' if mover else ''}{mover}")
-
-    def _place(self, plan: Plan, row: int) -> str:
-        return f"after step {row} of assembly ({plan.describe(row - 1)})" if row else "at the beginning"
+        output.say(f"{plan.line(row)}: {word}{'; ' if mover else ''}{mover}")
 
     def _build(self, plan: Plan, assembly: Assembly, output: Output) -> bool:
         """Build the plan by discrete elements; return whether no state collapses."""
+        from falsework.search.plans.plan_report import place_in_words
         from falsework.stability.judges import BuildJudge
 
         judge = BuildJudge(assembly, plan.claim.holds)
-        judgement = judge.judge(plan.assembly_states, plan.assembly_presses)
+        judgement = judge.judge(plan.states, plan.presses_before)
         output.record({"judgement": judgement.to_dict()})
         if judgement.falls_at is not None:
-            forward = plan if plan.direction == "assembly" else plan.reverse()
-            where = self._place(forward, judgement.falls_at)
+            where = place_in_words(plan, judgement.falls_at)
             name = assembly.names[judgement.part]
             output.note(f"falsework: {self.plan}: {name} falls when discrete elements build the plan, {where}")
             return False
@@ -292,21 +305,20 @@ class CheckPlan(JudgingCommand):
 
     def _judge_with_lmgc90(self, plan: Plan, assembly: Assembly, output: Output) -> bool:
         """Check states by LMGC90 up to the first unstable one; states that it cannot compute are only reported."""
+        from falsework.search.plans.plan_report import place_in_words
         from falsework.stability.judges.lmgc90 import judge_by_lmgc90
 
-        forward = plan if plan.direction == "assembly" else plan.reverse()
         stands = refused = 0
-        for row in range(len(forward.states)):
-            (answer,) = judge_by_lmgc90(assembly, forward.states[row : row + 1])
+        for row in range(len(plan.states)):
+            (answer,) = judge_by_lmgc90(assembly, plan.states[row : row + 1])
             moved = answer.moved * 1e3 if math.isfinite(answer.moved) else None
             record: dict[str, Any] = {"step": row, "lmgc90": answer.answer, "moved_mm": moved}
-            output.record(record | {"reason": answer.reason})
-            action = forward.describe(row - 1) if row else "start"
-            output.say(f"{row:4d}  {action}: {answer.answer}{f'; {answer.reason}' if answer.reason else ''}")
+            output.row("steps", record | {"reason": answer.reason})
+            output.say(f"{plan.line(row)}: {answer.answer}{f'; {answer.reason}' if answer.reason else ''}")
             stands += answer.answer == "stands"
             refused += answer.answer == "not judged"
             if answer.answer == "falls":
-                output.note(f"falsework: {self.plan}: a part falls under LMGC90 {self._place(forward, row)}")
+                output.note(f"falsework: {self.plan}: a part falls under LMGC90 {place_in_words(plan, row)}")
                 return False
         output.say(f"LMGC90: {stands} states are stable, {refused} could not be computed")
         return True

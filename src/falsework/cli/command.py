@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,9 +30,13 @@ class Command(ABC):
 
     examples: ClassVar[tuple[str, ...]] = ()
     """Command lines for the end of the help text."""
+    rare: ClassVar[tuple[str, ...]] = ("debug",)
+    """Options that only `--help-all` shows, of this class; groups of options have such a list, too."""
+    outcomes: ClassVar[tuple[str, str]] = ("done", "failed")
+    """Outcomes in JSON with the exit codes 0 and 1."""
 
     json: bool = False
-    """Print JSON, one object per line; notes go to standard error."""
+    """Print the answer as one JSON object; notes go to standard error too."""
     debug: bool = False
     """Show the traceback of an error."""
 
@@ -51,7 +56,7 @@ class JudgingCommand(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class LoadOptions:
-    """Options that override the files of a structure."""
+    """Options that override the files of a structure; `falsework structures --help` describes them for all commands."""
 
     unit: Annotated[str | None, arg(metavar="UNIT", help_behavior_hint=UNSET)] = None
     """Unit of the meshes, such as mm."""
@@ -97,14 +102,18 @@ class StructureOptions(LoadOptions):
     """Built-in such as `vault` or `arch:blocks=15,thickness=0.2`, or a folder or file of meshes or COMPAS data."""
 
     def load(self) -> Assembly:
-        """Build or read the structure.
+        """Build or read the structure, and warn of materials that none has.
 
         Raises:
             InputError: no such structure, or it cannot be used; the message says what to do.
         """
+        from falsework.assembly.doubts import doubts_of_materials
         from falsework.assembly.load import load_structure
 
-        return load_structure(self.spec, **self.given())
+        assembly = load_structure(self.spec, **self.given())
+        for doubt in doubts_of_materials(assembly):
+            warnings.warn(doubt, stacklevel=2)
+        return assembly
 
     def source(self, beside: Path) -> dict[str, Any]:
         """Return the source of the structure, to be recorded in a file.

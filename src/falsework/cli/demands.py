@@ -25,7 +25,7 @@ def refuse_weak_end(oracle: DemandingStability, task: Task, output: Output) -> b
         if broken:
             lacks = shortfall(oracle, state[None])
             text = f"no plan was found: the {name} state does not keep {broken}"
-            output.record({"plan": None, "outcome": text, "shortfall": lacks})
+            output.record({"reason": text, "shortfall": lacks})
             output.note(f"falsework: {text}{_words(lacks)}")
             return True
     return False
@@ -119,7 +119,7 @@ def margin_lines(plan: Plan) -> list[str]:
             lines.append(f"{kind}: no state has a bound")
             continue
         row, value = weakest
-        place = f"step {row}, {plan.describe(row - 1)}" if row else "the start"
+        place = f"step {row}, {plan.words(row)}" if row else "the start"
         lines.append(
             f"weakest {kind}: {quantity_text(kind, value)}{' needed' if kind == 'friction' else ''} at {place}"
         )

@@ -1,4 +1,4 @@
-"""`falsework doctor`: contents, repairs and doubtful parts of the files of a structure."""
+"""`falsework doctor`: contents, repairs and doubtful parts of the files of a structure, and reach of a cell."""
 
 from __future__ import annotations
 
@@ -9,9 +9,12 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from tyro.conf import Positional, arg
 
+from falsework.cli.cell_reach import Propose, examine_cell, report_reach
 from falsework.cli.command import UNSET, Command, LoadOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.output import counted
+from falsework.errors import InputError
+from falsework.utils.quantity import format_quantity
 
 if TYPE_CHECKING:
     from falsework.assembly.doctor import Diagnosis
@@ -28,23 +31,45 @@ class Doctor(Command, LoadOptions):
     """Report the contents of the files of a structure, repairs, and doubts about each part.
 
     Works on structures that do not load, too: open, tiny, overlapping, duplicate and isolated parts are listed. Ends
-    with the entries to add to assembly.json, and states whether the structure loads with them. Exit code 1 if it does
-    not load as it is.
+    with the entries to add to assembly.json, and states whether the structure loads with them. With --cell it also
+    reports which robot can hold which part, each alone on the boundary with the other robots at home, and proposes
+    better bases. The file of a cell is examined by itself. Exit code 1 if something does not load as it is, or if a
+    part is out of reach of all robots.
     """
+
+    rare: ClassVar[tuple[str, ...]] = ("propose",)
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework doctor my-folder",
         "falsework doctor model.3dm --picture model.png",
+        "falsework doctor my-folder --cell dome-37 --picture reach.png",
+        "falsework doctor cell.toml",
     )
+    outcomes: ClassVar[tuple[str, str]] = ("loads", "does_not_load")
 
     path: Annotated[Positional[Path], arg(metavar="PATH")]
-    """Folder or file of meshes, COMPAS data, a Rhino or a STEP file."""
+    """Folder or file of meshes, COMPAS data, a Rhino or a STEP file; a cell file; or, with --cell, a built-in."""
+    cell: Annotated[str | None, arg(metavar="CELL", help_behavior_hint=UNSET)] = None
+    """Cell file, or a built-in cell such as dome-37, whose robots are to reach the parts."""
     picture: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=UNSET)] = None
-    """Draw the parts as PNG: doubtful ones red, repaired ones orange."""
+    """Draw the parts as PNG: doubtful ones red, repaired ones orange; with --cell a plan view of parts and robots,
+    coloured by the number of robots that reach a part."""
+    propose: Annotated[Propose | None, arg(help_behavior_hint="(default: auto)")] = None
+    """Search for better bases; auto: if a robot cannot reach a part."""
 
     def run(self, output: Output) -> Exit:
         """Diagnose, draw and report."""
-        from falsework.assembly.doctor import diagnose
+        if self.cell is None and self.propose is not None:
+            raise InputError("--propose is about the robots of a cell; name it with --cell")
+        if self.path.suffix.lower() == ".toml":
+            if self.cell is not None or self.picture is not None:
+                raise InputError(
+                    f"{self.path} is a cell; to test what it reaches: falsework doctor STRUCTURE --cell CELL"
+                )
+            return examine_cell(self.path, output)
+        return self._examine_parts(output) if self.cell is None else self._examine_reach(self.cell, output)
+
+    def _examine_parts(self, output: Output) -> Exit:
         from falsework.cli.planning import writable
 
         if self.picture is not None:
@@ -52,17 +77,38 @@ class Doctor(Command, LoadOptions):
 
             writable(self.picture)
             check_suffix(self.picture, ".png")
-        found = diagnose(self.path, **self.given())
-        output.record(found.to_dict())
-        for line in _lines(found):
-            output.say(line)
+        found = self._diagnose(output)
         if self.picture is not None:
             if found.draft is None:
                 output.note(f"falsework: no picture: the parts of {self.path} cannot be read")
             else:
                 _draw(found, self.picture)
+                output.file(self.picture)
                 output.say(f"picture: {self.picture}")
         return Exit.DONE if found.loads else Exit.NO
+
+    def _diagnose(self, output: Output) -> Diagnosis:
+        from falsework.assembly.doctor import diagnose
+
+        found = diagnose(self.path, **self.given())
+        output.record(found.to_dict())
+        for line in _lines(found):
+            output.say(line)
+        return found
+
+    def _examine_reach(self, name: str, output: Output) -> Exit:
+        from falsework.assembly.load import load_structure
+        from falsework.robots.cells.cell_file import load_cell
+
+        if self.picture is not None:
+            from falsework.robots.grasping.reachability_plot import check_picture
+
+            check_picture(self.picture)
+        cell = load_cell(name)
+        if self.path.exists() and not self._diagnose(output).loads:
+            return Exit.NO
+        assembly = load_structure(str(self.path), **self.given())
+        return report_reach(assembly, cell, self.propose or "auto", self.picture, output)
 
 
 def _lines(found: Diagnosis) -> list[str]:
@@ -72,9 +118,9 @@ def _lines(found: Diagnosis) -> list[str]:
     if found.parts:
         fixed = sum(report.boundary for report in found.parts)
         sizes = [report.size for report in found.parts]
-        text = f"{counted(len(found.parts), 'part')} ({fixed} boundary), {min(sizes):.3g} to {max(sizes):.3g} m long"
+        text = f"{counted(len(found.parts), 'part')} ({fixed} boundary), {_range(sizes, 'length')} long"
         if volumes:
-            text += f", {min(volumes):.3g} to {max(volumes):.3g} m3, {sum(volumes):.3g} m3 in all"
+            text += f", {_range(volumes, 'volume')}, {format_quantity(sum(volumes), 'volume')} in all"
         lines += [text, counted(found.contacts, "contact")]
     if found.stored is not None:
         lines.append(f"stored interfaces: {found.stored}")
@@ -94,12 +140,17 @@ def _lines(found: Diagnosis) -> list[str]:
     return lines
 
 
+def _range(values: list[float], kind: str) -> str:
+    return f"{format_quantity(min(values), kind)} to {format_quantity(max(values), kind)}"
+
+
 def _draw(found: Diagnosis, path: Path) -> None:
     """Draw all parts, with repaired and doubtful ones in colours."""
     import numpy as np
 
     from falsework.viewer.palette import BOUNDARY, INSTALLED, unit_rgb
-    from falsework.viewer.pictures.contact_sheet import to_pixels, write_png
+    from falsework.viewer.pictures.contact_sheet import to_pixels
+    from falsework.viewer.pictures.picture import Picture, png_of
     from falsework.viewer.pictures.render import Camera, ColoredSolid, render
 
     assert found.draft is not None
@@ -116,4 +167,5 @@ def _draw(found: Diagnosis, path: Path) -> None:
         solids.append(ColoredSolid(vertices, both, unit_rgb(color)))
     corners = np.concatenate([solid.vertices[np.unique(solid.faces)] for solid in solids])
     bounds = np.stack([corners.min(axis=0), corners.max(axis=0)])
-    write_png(path, to_pixels(render(solids, Camera(width=1200, height=900, zoom=0.95), bounds)))
+    drawn = to_pixels(render(solids, Camera(width=1200, height=900, zoom=0.95), bounds))
+    Picture("parts", content=png_of(drawn)).save(path)

@@ -33,6 +33,8 @@ class Evaluate(Command):
     search; the test set has the states that a wider search finds beyond it, which training never uses.
     """
 
+    rare: ClassVar[tuple[str, ...]] = ("device", "seed")
+
     examples: ClassVar[tuple[str, ...]] = (
         "falsework evaluate run",
         "falsework evaluate run --search --states 100 --json",
@@ -104,7 +106,6 @@ class Evaluate(Command):
             if not shards.is_main_process:
                 return Exit.DONE
         record = {
-            "run": str(self.folder),
             "structure": assembly.name,
             "trained_on": trained.assembly.name,
             "robots": settings.robots,

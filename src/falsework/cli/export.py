@@ -1,4 +1,4 @@
-"""`falsework export`: structures and plans in the formats of other programs."""
+"""`falsework export`: structures and plans in the formats of other programs, and sheets for a crew."""
 
 from __future__ import annotations
 
@@ -15,22 +15,31 @@ from falsework.errors import InputError
 if TYPE_CHECKING:
     from falsework.cli.output import Output
 
-Format = Literal["folder", "glb", "gltf", "usd", "compas", "compas-assembly", "compas-dem"]
+Format = Literal[
+    "folder", "glb", "gltf", "usd", "html", "compas", "compas-assembly", "compas-dem", "pdf", "csv"
+]  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
 class Export(Command):
-    """Write a structure or an animated plan in the format of another program.
+    """Write a structure, an animated plan, a page, or assembly instructions.
 
-    STRUCTURE may be a plan, too. A folder has one mesh per part and assembly.json. glTF (.glb, .gltf) opens in Blender
-    and any viewer, USD (.usda) in robot simulators; both show a plan as an animation. COMPAS data (.json) are a list of
-    meshes; compas-assembly and compas-dem write block assemblies of the packages of that name.
+    STRUCTURE may be a plan, too. A folder has one mesh per part and assembly.json. A page (.html) is one file that
+    plays a plan or robot plan in any browser, without falsework. glTF (.glb, .gltf) opens in Blender and any viewer,
+    USD (.usda) in robot simulators; both show a plan as an animation. COMPAS data (.json) are a list of meshes;
+    compas-assembly and compas-dem write block assemblies of the packages of that name. A plan as .pdf is a sheet to
+    print, with a picture and a box to tick for every step in assembly order, as .csv a table; its robots appear as
+    supports, which may be robots, props or pairs of hands.
     """
+
+    rare: ClassVar[tuple[str, ...]] = ("of", "step_seconds", "azimuth", "elevation")
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework export arch:blocks=15 --out my-arch",
         "falsework export shell.glb --unit mm --boundary 0-3 --out my-shell",
+        "falsework export plan.json --out plan.html",
         "falsework export plan.json --out plan.glb",
+        "falsework export plan.json --out site.pdf",
         "falsework export arch --format compas-dem --out arch.json",
     )
 
@@ -39,13 +48,20 @@ class Export(Command):
     """File to write, or folder, which must be new or empty."""
     format: Annotated[Format | None, arg(help_behavior_hint="(default: by the name of the file, else a folder)")] = None
     """Output format."""
+    of: Annotated[str | None, arg(name="structure", metavar="STRUCTURE", help_behavior_hint=UNSET)] = None
+    """Structure of a plan, instead of the one that the plan names."""
     step_seconds: Annotated[float | None, arg(metavar="S", help_behavior_hint=UNSET)] = None
-    """Duration of a step of a plan; 1 s if not given."""
+    """Duration of a step of a plan in motion; 1 s if not given."""
+    azimuth: Annotated[float | None, arg(metavar="DEG", help_behavior_hint=UNSET)] = None
+    """Azimuth of the pictures of a PDF, degrees; 0 looks along +y."""
+    elevation: Annotated[float | None, arg(metavar="DEG", help_behavior_hint=UNSET)] = None
+    """Elevation of the pictures of a PDF, degrees."""
 
     def run(self, output: Output) -> Exit:
         """Load and export."""
         from falsework.cli.planning import writable
         from falsework.interop.formats import export, format_of, read_exportable
+        from falsework.robots.plans.robot_plan import RobotPlan
         from falsework.search.plans.plan import Plan
 
         chosen = self.format or format_of(self.out)
@@ -54,14 +70,34 @@ class Export(Command):
                 raise InputError(f"{self.out} exists and is not empty; choose a new folder")
         else:
             writable(self.out)
-        subject, assembly = read_exportable(self.structure.spec, **self.structure.given())
-        if assembly is None:
-            raise InputError(f"{self.structure.spec} is a robot plan; export it by falsework robots export")
-        export(subject, self.out, assembly, format=chosen, step_seconds=self.step_seconds)
-        plan = subject if isinstance(subject, Plan) else None
-        record = {"parts": assembly.part_count, "identity": assembly.identity, "format": chosen}
-        place = "folder" if chosen == "folder" else "file"
-        output.record({place: str(self.out), **record, "steps": None if plan is None else len(plan)})
-        what = f"{assembly.part_count} parts" if plan is None else f"{len(plan)} steps"
-        output.say(f"{what} of {assembly.name} are in {self.out}")
+        subject, assembly = read_exportable(self.structure.spec, self.of, **self.structure.given())
+        plan = subject.plan if isinstance(subject, RobotPlan) else subject if isinstance(subject, Plan) else None
+        if assembly is None and chosen != "html":
+            raise InputError(f"{self.structure.spec} is a robot plan; use falsework robots export, or write .html")
+        if self.of is not None and plan is None:
+            raise InputError(
+                f"--structure names the structure of a plan, which {self.structure.spec} is not; leave it out"
+            )
+        # The cell of a robot plan is looked for beside its file.
+        options = self.structure.given() if assembly is None else {}
+        with output.bar("drawing") as show:
+            export(
+                self.structure.spec if assembly is None else subject,
+                self.out,
+                self.of if assembly is None else assembly,
+                format=chosen,
+                step_seconds=self.step_seconds,
+                azimuth=self.azimuth,
+                elevation=self.elevation,
+                progress=lambda done, total: show(done, total, f"step {done} of {total}"),
+                **options,
+            )
+        made = plan or assembly
+        assert made is not None
+        parts = len(made.boundary)
+        output.file(self.out)
+        output.record({"parts": parts, "identity": made.identity, "kind": chosen})
+        output.record({"steps": None if plan is None else len(plan)})
+        what = f"{parts} parts" if plan is None else f"{len(plan)} steps"
+        output.say(f"{what} of {made.name} are in {self.out}")
         return Exit.DONE

@@ -30,8 +30,8 @@ class Failure:
     """Number of steps that the search completed."""
     steps: int
     """Steps of a whole plan."""
-    disassembly: bool
-    """Whether the search ran in the order of disassembly."""
+    backwards: bool
+    """Whether the search began at the end of the assembly."""
     moving: list[PartMotion]
     """Motions in the states where the search ended, the most frequent first."""
     reason: str
@@ -45,13 +45,18 @@ class Failure:
 
     @property
     def outcome(self) -> str:
+        """Outcome of the command."""
+        return "impossible" if self.proven else "not_found"
+
+    @property
+    def words(self) -> str:
         """What the search says about plans."""
         return "no plan exists" if self.proven else "no plan was found"
 
     @property
     def text(self) -> str:
         """Summary in one line."""
-        parts = [text for text in (self.outcome, self.progress, self.there, self.reason) if text]
+        parts = [text for text in (self.words, self.progress, self.there, self.reason) if text]
         if self.sliding:
             sliding = "1 state on the way slides" if self.sliding == 1 else f"{self.sliding} states on the way slide"
             parts.append(f"{sliding}; another robot or more friction may help")
@@ -59,23 +64,22 @@ class Failure:
 
     def in_which(self, condition: str) -> str:
         """Return a summary for a search that ended at states that are stable, but do not meet a condition."""
-        return f"{self.outcome} in which {condition}; {self.progress}"
+        return f"{self.words} in which {condition}; {self.progress}"
 
     @property
     def progress(self) -> str:
         """How far the search got."""
-        doing = "taking it apart" if self.disassembly else "putting it together"
-        return f"{doing}, the search reached step {self.reached} of {self.steps}"
+        from falsework.search.problem.result import progress_text
+
+        return progress_text(self.reached, self.steps, backwards=self.backwards)
 
     def to_dict(self, assembly: Assembly) -> dict[str, Any]:
         """Return the report as a JSON object."""
         return {
-            "plan": None,
-            "outcome": self.outcome,
             "interrupted": self.cut,
             "reached": self.reached,
             "steps": self.steps,
-            "direction": "disassembly" if self.disassembly else "assembly",
+            "search_from": "end" if self.backwards else "beginning",
             "reason": self.reason,
             "sliding": self.sliding,
             "moving": [motion.to_dict(assembly) for motion in self.moving],
@@ -94,7 +98,7 @@ def explain(assembly: Assembly, oracle: Stability, result: SearchResult) -> Fail
     from falsework.search.problem.task import Direction
 
     proven = result.outcome is Outcome.PROVED_IMPOSSIBLE
-    disassembly = result.direction is Direction.DISASSEMBLY
+    backwards = result.direction is Direction.DISASSEMBLY
     # Motions cost verdicts, for which a search that was stopped has no time left.
     moving = [] if result.interrupted else common_motions(assembly, oracle, result.rejected[:LOOKED_AT])
     reason = "; ".join(result.notes) if proven else result.limit
@@ -102,7 +106,7 @@ def explain(assembly: Assembly, oracle: Stability, result: SearchResult) -> Fail
     if not moving and not result.interrupted:
         there = "there the rules allow no further step"
     cut = result.interrupted
-    return Failure(proven, result.reached, result.steps, disassembly, moving, reason, result.sliding, cut, there)
+    return Failure(proven, result.reached, result.steps, backwards, moving, reason, result.sliding, cut, there)
 
 
 def common_motions(assembly: Assembly, oracle: Stability, states: States) -> list[PartMotion]:

@@ -1,4 +1,4 @@
-"""`falsework graph`: state graph with the stable states that a search finds and all actions between them."""
+"""`falsework graph`: stable states that searches find, as a graph or as data sets for a policy."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from tyro.conf import arg
 from falsework.cli.command import UNSET, JudgingCommand, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.planning import SearchOptions, TaskOptions, refuse_unstable, writable
+from falsework.cli.state_sets import save_sets
 from falsework.errors import InputError
 
 if TYPE_CHECKING:
@@ -23,24 +24,34 @@ class MakeGraph(JudgingCommand):
     """Search for stable states, and save them with all actions between them.
 
     States are judged from rest, each by itself, and robots press only with `--presses`. If the search begins at the
-    empty structure, the structure can be disassembled from every state of the graph. Exit code 1 if the search does not
-    reach the other end; the states found are saved in any case.
+    empty structure, the structure can be disassembled from every state of the graph. With --sets the states are saved
+    without actions, in disjoint sets for training, validation and test: the training set is that of a narrow search,
+    the test set has the states that a wider search finds beyond it, the validation set those of a second wide search.
+    Exit code 1 if a search does not reach the other end; the states found are saved in any case.
     """
 
-    examples: ClassVar[tuple[str, ...]] = ("falsework graph bottle --width 64 --robots 2 --out graph.npz",)
+    rare: ClassVar[tuple[str, ...]] = ("device", "deadline")
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "falsework graph bottle --width 64 --robots 2 --out graph.npz",
+        "falsework graph arch --sets 64,128 --robots 2 --out data.npz",
+    )
+    outcomes: ClassVar[tuple[str, str]] = ("complete", "incomplete")
 
     structure: StructureOptions
     out: Annotated[Path, arg(metavar="FILE")] = Path("graph.npz")
     """File to write, a NumPy archive."""
     task: TaskOptions
     search: SearchOptions
+    sets: Annotated[str | None, arg(metavar="WIDTHS", help_behavior_hint=UNSET)] = None
+    """Save data sets, from searches of these widths: for training, for the test, and others for more training states,
+    such as 64,128 or 64,128,256."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Device of the search; `auto` takes a GPU if there is one. Several processes under torchrun share the work."""
-
     presses: bool = False
     """Count a state as stable, too, if it stands while robots press parts that they hold; on the CPU, and slower."""
     deadline: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint=UNSET)] = None
-    """Seconds after which the search of one process ends; the states found so far are saved."""
+    """Seconds after which the searches of one process end; the states found so far are saved."""
 
     def run(self, output: Output) -> Exit:
         """Search, connect and save."""
@@ -54,16 +65,22 @@ class MakeGraph(JudgingCommand):
         clock = Deadline(self.deadline)
         if clock.limited and int(os.environ.get("WORLD_SIZE", "1")) > 1:
             raise InputError("processes that share a search cannot end it at a deadline; leave --deadline out")
+        widths = None if self.sets is None else self._widths(self.sets)
         if self.presses and self.device == "cuda":
             raise InputError("presses are chosen on the CPU; leave out --presses or --device cuda")
         if self.presses and int(os.environ.get("WORLD_SIZE", "1")) > 1:
             raise InputError("processes that share a search choose no presses; leave out --presses")
+        if self.presses and widths is not None:
+            raise InputError("data sets are judged from rest; leave out --presses or --sets")
         assembly = self.structure.load()
         oracle = Stability(assembly, StabilitySettings(criterion=self.criterion))
         judge, device = (PressingStability(oracle), "cpu") if self.presses else (oracle, self.device)
-        task = self.task.task(assembly).judged_by(oracle)
+        task = self.task.task(assembly)
         if refuse_unstable(assembly, oracle, task, output):
             return Exit.NO
+        if widths is not None:
+            return save_sets(assembly, task, oracle, widths, self.search.seed, self.device, clock, self.out, output)
+        task = task.judged_by(oracle)
         with beam_search(task, judge, self.search.settings(), device) as (search, first):
             if not first:
                 search.run()
@@ -74,17 +91,16 @@ class MakeGraph(JudgingCommand):
             output.note(note)
         graph = StateGraph.build(task, search.states(), name=assembly.name)
         save_state_graph(graph, self.out)
+        output.file(self.out)
         output.record(
             {
-                "out": str(self.out),
                 "criterion": graph.criterion,
                 "states": len(graph),
                 "actions": len(graph.source),
                 "solvable": int(graph.solvable.sum()),
                 "presses": self.presses,
-                "found": result.found,
                 "interrupted": result.interrupted,
-                "asked": result.counters.asked,
+                "verdicts": result.counters.asked,
                 "seconds": result.seconds,
             }
         )
@@ -97,3 +113,22 @@ class MakeGraph(JudgingCommand):
             output.note(f"falsework: {explain(assembly, oracle, result).text}")
             return Exit.NO
         return Exit.DONE
+
+    def _widths(self, text: str) -> tuple[int, ...]:
+        """Return the widths of `--sets`, and refuse options that searches for data sets do not have."""
+        others = {"begin": self.task.begin, "end": self.task.end, "missing": self.task.missing}
+        given = [name for name, value in others.items() if value is not None]
+        plain = SearchOptions()
+        given += [name for name in ("width", "search_from") if getattr(self.search, name) != getattr(plain, name)]
+        if given:
+            raise InputError(
+                "data sets come from whole searches that begin at the empty structure; "
+                f"leave out {' and '.join(f'--{name}'.replace('_', '-') for name in given)}, or --sets"
+            )
+        try:
+            widths = tuple(int(item) for item in text.split(","))
+        except ValueError:
+            widths = ()
+        if len(widths) < 2:
+            raise InputError(f"--sets {text}: give the widths of two searches or more, such as 64,128")
+        return widths

@@ -13,13 +13,13 @@ import sys
 import textwrap
 import traceback
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import is_dataclass
 from functools import cache
 from pathlib import Path
 from shutil import get_terminal_size
 from types import UnionType
-from typing import TYPE_CHECKING, Annotated, Any, Union, cast, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, cast, get_args, get_origin, get_type_hints
 
 from falsework import __version__
 from falsework.cli.exit_code import Exit
@@ -37,34 +37,30 @@ COMMANDS = {
     "stability": "CheckStability",
     "margins": "FindMargins",
     "plan": "MakePlan",
-    "robots-needed": "AskRobotsNeeded",
     "check": "CheckPlan",
     "graph": "MakeGraph",
     "serve": "Serve",
-    "sheet": "MakeSheet",
-    "dataset": "MakeDataset",
     "train": "Train",
     "evaluate": "Evaluate",
     "replan": "MakeReplan",
     "view": "View",
     "picture": "MakePicture",
-    "animate": "Animate",
-    "cell new": "NewCell",
-    "cell check": "CheckCell",
-    "robots plan": "PlanRobots",
+    "cell new": "new_cell.NewCell",
+    "robots plan": "robots_plan.PlanRobots",
     "robots check": "CheckRobots",
-    "robots export": "ExportRobots",
+    "robots export": "robots_export.ExportRobots",
 }
-"""Class of each subcommand; its module in this package is named like the first word, or listed in `_MODULES`."""
+"""Class of each subcommand, in the module of this package that is named like its first word unless another is given."""
 _GROUPS = {
-    "cell": """Write and check cells: the robots, their bases and grippers, and the obstacles around them.
+    "cell": """Write cells, which `falsework doctor --cell` checks.
+
+A cell has the robots, their bases and grippers, and the obstacles around them.
 
 Built-in cells: bottle-12, dome-37, dome-72, vault-62-a, vault-62-b.
 Built-in arms: crb15000-5/0.95, irb2600-12/1.65, ur10e.""",
     "robots": "Plan motions of robot arms, check them, and export them to controllers.",
 }
 """Descriptions of commands of two words."""
-_MODULES = {"robots export": "robots_export", "cell new": "new_cell"}
 
 _ABOUT = """Plan assembly sequences for rigid-block structures, with robots as temporary supports.
 
@@ -89,20 +85,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in arguments
+    output = Output(machine="--json" in arguments, command=_named(arguments))
     try:
         with warnings.catch_warnings():
-            _warn_in_one_line()
+            _warn_in_one_line(lambda text: output.note(text))
             command = _parse(arguments)
             if command is None:
                 return Exit.DONE
             aside = is_standard_output(getattr(command, "out", None) or "-")
-            code = command.run(Output(machine=command.json, aside=aside))
+            output = Output(machine=command.json, aside=aside, command=output.command, outcomes=command.outcomes)
+            code = command.run(output)
+            output.answer(code)
             sys.stdout.flush()
             return code
     except _UsageError as error:
-        return _fail(str(error), Exit.WRONG_INPUT)
+        return _fail(str(error), Exit.WRONG_INPUT, output)
     except KeyboardInterrupt:
-        return _fail("interrupted", Exit.INTERRUPTED)
+        return _fail("interrupted", Exit.INTERRUPTED, output)
     except BrokenPipeError:
         # The reader, such as `head`, has closed the pipe: Python must not write to it at exit.
         with contextlib.suppress(OSError):
@@ -112,9 +111,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if debug:
             for line in traceback.format_exc().splitlines():
                 write_line(line, sys.stderr)
-        return _fail(_explain(error), Exit.NO_MEMORY if _lacks_memory(error) else Exit.WRONG_INPUT)
+        return _fail(_explain(error), Exit.NO_MEMORY if _lacks_memory(error) else Exit.WRONG_INPUT, output)
 
 
+_HELP, _HELP_ALL = ("-h", "--help"), "--help-all"
+_Shown = Literal["everything", "without structure", "brief"]
+"""Options that are shown: all, for parsing; all but those of the structure; or those that are needed often."""
+_SHELLS = ("bash", "zsh", "tcsh", "fish")
+_COMPLETION = "--tyro-write-completion"
 _OPTION_INDENT, _HELP_INDENT = 5, 9
 """Columns by which tyro indents options and their help texts inside the box of a message."""
 _PLAIN_WORDS = (
@@ -133,6 +137,11 @@ class _UsageError(Exception):
     """Options that do not make a command."""
 
 
+def _named(arguments: list[str]) -> str | None:
+    """Return the subcommand that arguments begin with."""
+    return next((name for name in (" ".join(arguments[:2]), *arguments[:1]) if name in COMMANDS), None)
+
+
 def _parse(arguments: list[str]) -> Command | None:
     """Fill in the subcommand's fields, or print help or version and return None."""
     if arguments == ["--version"]:
@@ -141,33 +150,70 @@ def _parse(arguments: list[str]) -> Command | None:
     if arguments in (["--help"], ["-h"]):
         sys.stdout.write(_overview())
         return None
+    if arguments[:1] == [_COMPLETION] and (len(arguments) != 3 or arguments[1] not in _SHELLS):
+        raise _UsageError(f"{_COMPLETION} takes a shell ({', '.join(_SHELLS)}) and the file to write")
     import tyro
 
-    named = next((name for name in (" ".join(arguments[:2]), *arguments[:1]) if name in COMMANDS), None)
+    named = _named(arguments)
     if named is not None:
         kind: Any = _command_class(named)
-        _spell_unions_out(kind)
-        about, program, rest = _help_text(kind), f"falsework {named}", arguments[len(named.split()) :]
+        rest = arguments[len(named.split()) :]
+        shown: _Shown = "everything" if {*_HELP, _HELP_ALL}.isdisjoint(rest) else "brief"
+        _prepare(kind, "without structure" if _HELP_ALL in rest else shown)
+        rest = ["--help" if word == _HELP_ALL else word for word in rest]
+        about, program = _help_text(kind), f"falsework {named}"
     elif not arguments or not (arguments[0].startswith("-") or arguments[0] in {name.split()[0] for name in COMMANDS}):
         raise _UsageError(_no_subcommand(arguments))
     else:
         group = [name for name in COMMANDS if " " in name and name.split()[:1] == arguments[:1]]
+        if len(group) == 1 and not {*_HELP, _HELP_ALL}.intersection(arguments[1:2]):
+            raise _UsageError(_no_subcommand(arguments))
         classes = [
             Annotated[kind, tyro.conf.subcommand(name.split()[-1] if group else name, description=_first_line(name))]
             for name, kind in ((name, _command_class(name)) for name in group or COMMANDS)
         ]
         program, rest = ("falsework", arguments) if not group else (f"falsework {arguments[0]}", arguments[1:])
+        program = f"falsework {group[0]}" if len(group) == 1 else program
         about = _GROUPS.get(arguments[0], _ABOUT)
         kind = Union[tuple(classes)]  # noqa: UP007  # type: ignore[valid-type]
-    markers = (tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone, tyro.conf.OmitArgPrefixes)
     complaint = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaint):
-            return cast("Command", tyro.cli(kind, prog=program, description=about, args=rest, config=markers))
+            return cast("Command", tyro.cli(kind, prog=program, description=about, args=rest, config=_markers()))
     except SystemExit as exit_request:
         if exit_request.code in (None, 0):
+            if named is not None and not {*_HELP}.isdisjoint(rest):
+                sys.stdout.write(_more_help(kind, named, arguments))
             return None
         raise _UsageError(_one_line(complaint.getvalue()) or f"wrong options; see {program} --help") from None
+
+
+def _more_help(kind: Any, name: str, arguments: list[str]) -> str:
+    """Return the end of a help text: where the options are described that it leaves out."""
+    from falsework.cli.command import LoadOptions
+
+    if name == "structures":
+        return f"Options of all commands that take a structure:\n\n{_structure_options()}"
+    types = [kind, *get_type_hints(kind).values()]
+    taken = any(isinstance(one, type) and issubclass(one, LoadOptions) for one in types)
+    lines = ["Options of the structure, such as --unit and --friction: falsework structures --help"] * taken
+    lines += [f"Options that are needed seldom: falsework {name} {_HELP_ALL}"] * (_HELP_ALL not in arguments)
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _structure_options() -> str:
+    """Return the help text of the options of a structure."""
+    import tyro
+
+    from falsework.cli.command import LoadOptions
+
+    _prepare(LoadOptions, "everything")
+    text = io.StringIO()
+    with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):
+        tyro.cli(LoadOptions, prog="falsework", args=["--help"], config=_markers())
+    lines = [line.strip("│").rstrip() for line in text.getvalue().splitlines()]
+    first = next(number for number, line in enumerate(lines) if re.match(r" *--[a-z]", line))
+    return "\n".join(line for line in lines[first:] if line and not line.startswith("╰")) + "\n"
 
 
 def _no_subcommand(arguments: list[str]) -> str:
@@ -180,28 +226,53 @@ def _no_subcommand(arguments: list[str]) -> str:
     return f"there is no subcommand {arguments[0]!r}; {meant}for all, run falsework --help"
 
 
-def _spell_unions_out(kind: Any) -> None:
-    """Turn `X | None` into `Optional[X]` in the fields of a command, for Python before 3.14.
+def _markers() -> tuple[Any, ...]:
+    import tyro
 
-    To check a default against the former, tyro imports typeguard and with it asyncio, for a fifth of a second.
+    return tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone, tyro.conf.OmitArgPrefixes
+
+
+def _prepare(kind: Any, shown: _Shown) -> None:
+    """Prepare the fields of a command for tyro: what every command has comes last, and help texts leave options out.
+
+    For Python before 3.14 `X | None` becomes `Optional[X]`: to check a default against the former, tyro imports
+    typeguard and with it asyncio, for a fifth of a second.
     """
+    import tyro
+
+    from falsework.cli.command import LoadOptions
+
     hints = get_type_hints(kind, include_extras=True)
+    hidden: set[str] = set()
+    if shown == "brief":
+        hidden |= {name for base in kind.__mro__ for name in vars(base).get("rare", ())}
+    if shown != "everything" and issubclass(kind, LoadOptions):
+        hidden |= set(LoadOptions.__dataclass_fields__)
     for name, hint in hints.items():
         inner, notes = (hint.__origin__, hint.__metadata__) if get_origin(hint) is Annotated else (hint, ())
         if isinstance(inner, UnionType):
             inner = Union[get_args(inner)]  # noqa: UP007  # type: ignore[valid-type]
-            hints[name] = Annotated[(inner, *notes)] if notes else inner
         elif is_dataclass(inner):
-            _spell_unions_out(inner)
+            _prepare(inner, shown)
+        notes = [note for note in notes if note is not tyro.conf.Suppress]
+        notes += [tyro.conf.Suppress] * (name in hidden)
+        hints[name] = Annotated[(inner, *notes)] if notes else inner
     kind.__annotations__ = hints
+    shared = [name for base in kind.__mro__[1:] for name in vars(base).get("__annotations__", ())]
+    fields_by_name = kind.__dataclass_fields__
+    for name in dict.fromkeys(name for name in shared if name in fields_by_name):
+        fields_by_name[name] = fields_by_name.pop(name)
 
 
 def _command_class(name: str) -> type[Command]:
-    return getattr(importlib.import_module(f"falsework.cli.{_module(name)}"), COMMANDS[name])
+    module, kind = _place(name)
+    return getattr(importlib.import_module(f"falsework.cli.{module}"), kind)
 
 
-def _module(name: str) -> str:
-    return _MODULES.get(name, name.split()[0].replace("-", "_"))
+def _place(name: str) -> tuple[str, str]:
+    """Return the module and the class of a subcommand."""
+    module, _, kind = COMMANDS[name].rpartition(".")
+    return module or name.split()[0], kind
 
 
 @cache
@@ -213,7 +284,8 @@ def _first_lines(module: str) -> dict[str, str]:
 
 
 def _first_line(name: str) -> str:
-    return _first_lines(_module(name)).get(COMMANDS[name], "")
+    module, kind = _place(name)
+    return _first_lines(module).get(kind, "")
 
 
 def _overview() -> str:
@@ -224,7 +296,9 @@ def _overview() -> str:
         "",
         _ABOUT,
         "",
-        "Subcommands, each with its own --help:",
+        f"{_COMPLETION} SHELL FILE writes completions for {', '.join(_SHELLS)}.",
+        "",
+        "Subcommands, each with its own --help, and --help-all with rare options:",
     ]
     for name in COMMANDS:
         first = f"  {name}".ljust(indent)
@@ -287,18 +361,21 @@ def _lacks_memory(error: BaseException | None) -> bool:
     )
 
 
-def _fail(text: str, code: Exit) -> Exit:
+def _fail(text: str, code: Exit, output: Output) -> Exit:
     write_line(f"falsework: {text}", sys.stderr)
+    # A reader that has gone gets no answer.
+    with contextlib.suppress(OSError):
+        output.answer(code, text)
     return code
 
 
-def _warn_in_one_line() -> None:
+def _warn_in_one_line(note: Callable[[str], None]) -> None:
     """Show warnings like errors: one line, without the place in the code."""
 
     def show(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
         if not issubclass(category, UserWarning):  # warnings of packages for programmers are not for users
             return
-        write_line(f"falsework: warning: {' '.join(str(message).split())}", sys.stderr)
+        note(f"falsework: warning: {' '.join(str(message).split())}")
 
     warnings.simplefilter("default")
     warnings.showwarning = show

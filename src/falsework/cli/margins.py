@@ -10,8 +10,10 @@ from tyro.conf import arg
 
 from falsework.cli.command import CONE_HINT, UNSET, Command, StructureOptions
 from falsework.cli.exit_code import Exit
+from falsework.cli.margins_table import print_margins
 from falsework.cli.overrides import note_overrides
 from falsework.errors import InputError
+from falsework.utils.quantity import format_quantity
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -19,15 +21,6 @@ if TYPE_CHECKING:
     from falsework.cli.output import Output
     from falsework.search.plans.plan import Plan
     from falsework.stability import StabilitySettings, StateMargins
-
-_WORDS = (
-    ("friction", "friction at least {:.3g}"),
-    ("tilt_deg", "tilt {:.3g} deg"),
-    ("horizontal_g", "horizontal {:.3g} g"),
-    ("load_factor", "weight of a part {:.3g} times"),
-    ("total_load_factor", "all weights {:.3g} times"),
-    ("push_n", "push {:.3g} N"),
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +34,9 @@ class FindMargins(Command):
     stable, or if a robot would bear more than --bears.
     """
 
+    rare: ClassVar[tuple[str, ...]] = ("cone", "polygon", "settlement", "placement", "draws", "seed")
+
+    outcomes: ClassVar[tuple[str, str]] = ("stable", "not_stable")
     examples: ClassVar[tuple[str, ...]] = (
         "falsework margins arch:blocks=15",
         "falsework margins plan.json --json",
@@ -50,8 +46,11 @@ class FindMargins(Command):
     )
 
     structure: StructureOptions
-    states: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=UNSET)] = None
-    """JSON list of states, or a .npy array; the complete structure, or the states of the plan, if not given."""
+    states: Annotated[
+        str | None, arg(metavar="STATES", help_behavior_hint="(default: complete, or those of the plan)")
+    ] = None
+    """A state, as `complete`, digits, plan.json:31, or parts such as 0-16,keystone,held:left; or a file with states: a
+    JSON list, a .npy array, or a plan."""
     criterion: Annotated[
         Literal["contact", "equilibrium"] | None, arg(help_behavior_hint="(default: contact, or that of the plan)")
     ] = None
@@ -73,6 +72,8 @@ class FindMargins(Command):
     """Random draws for each placement error."""
     seed: int = 0
     """Random seed of the draws."""
+    steps: bool = False
+    """Print all steps of a plan, not the weakest alone."""
     out: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=UNSET)] = None
     """File to write the plan to with the margins of all its states, which instruction sheets and the page show and
     `falsework check` verifies."""
@@ -114,7 +115,7 @@ class FindMargins(Command):
         if interrupted:
             errors = []
         shares = self._shares(assembly, states, errors, settings, output)
-        overloaded = False
+        overloaded, records = False, []
         for row, margins in enumerate(found):
             record = {"state": row, **margins.to_dict(assembly.names)}
             if errors:
@@ -127,21 +128,24 @@ class FindMargins(Command):
             overloaded |= bool(beyond)
             if limits is not None:
                 record["overloaded"] = [load.part for load in beyond]
-            output.record(record)
-            output.say(f"{self._subject(row, plan, assembly)}: {_text(record)}")
+            output.row("states", record)
+            records.append(record)
             for load in beyond:
                 name = assembly.names[load.part]
                 output.note(
-                    f"falsework: state {row}: the robot that holds {name} bears {load.force_n:.4g} N and "
-                    f"{load.moment_nm:.4g} Nm, more than {self.bears}"
+                    f"falsework: state {row}: the robot that holds {name} bears "
+                    f"{format_quantity(load.force_n, 'force')} and {format_quantity(load.moment_nm, 'moment')}, more "
+                    f"than {self.bears}"
                 )
-        if len(found) > 1:
-            self._weakest(found, plan, assembly, output)
+        subjects = [self._subject(row, plan, assembly) for row in range(len(records))]
+        print_margins(records, subjects, output, everything=self.steps or plan is None)
         if interrupted:
             output.note(f"interrupted after {len(found)} of {len(states)} states")
             return Exit.INTERRUPTED
         if self.out is not None and plan is not None:
             self._save(plan, found, self.out, output)
+        if overloaded:
+            output.outcome("overloaded")
         return Exit.DONE if all(margins.stands for margins in found) and not overloaded else Exit.NO
 
     def _limits(self) -> tuple[float, float] | None:
@@ -185,15 +189,15 @@ class FindMargins(Command):
             margins = replace(margins, demands=known.demands, maximised=known.maximised, bound=known.bound)
         source = moved_source(plan, Path(self.structure.spec), path)
         save_plan(replace(plan, margins=margins, source=source), path, proofs=plan.proof_arrays() is not None)
+        output.file(path)
         output.note(f"the plan with its margins is in {path}")
 
     def _states(self, plan: Plan | None, assembly: Assembly) -> States:
-        from falsework.assembly.state import as_states, complete_state
-        from falsework.cli.arguments import read_states
+        from falsework.cli.arguments import parse_states
 
-        if self.states is not None:
-            return as_states(read_states(self.states), assembly.boundary)
-        return complete_state(assembly.boundary)[None] if plan is None else plan.states
+        if self.states is None and plan is not None:
+            return plan.states
+        return parse_states(self.states or "complete", "--states", assembly)
 
     def _shares(
         self, assembly: Assembly, states: States, errors: list[float], settings: Any, output: Output
@@ -218,48 +222,5 @@ class FindMargins(Command):
 
     def _subject(self, row: int, plan: Plan | None, assembly: Assembly) -> str:
         if plan is not None and self.states is None:
-            return f"{row:4d}  {plan.describe(row - 1) if row else 'start'}"
+            return f"{row} {plan.steps[row - 1] if row else 'start'}"
         return assembly.name if self.states is None else f"state {row}"
-
-    def _weakest(self, found: list[StateMargins], plan: Plan | None, assembly: Assembly, output: Output) -> None:
-        """Name the state with the least margin of each kind."""
-        import numpy as np
-
-        records = [margins.to_dict(assembly.names) for margins in found]
-        for key, words in _WORDS:
-            values = np.array([np.nan if record[key] is None else record[key] for record in records])
-            if np.isfinite(values).any():
-                row = int(np.nanargmax(values) if key == "friction" else np.nanargmin(values))
-                output.record({"weakest": key, "state": row, "value": float(values[row])})
-                output.say(f"weakest: {words.format(values[row])} ({self._subject(row, plan, assembly).strip()})")
-        holds = [(load.force_n, row, load.part) for row, margins in enumerate(found) for load in margins.held]
-        if holds:
-            force, row, part = max(holds)
-            place = self._subject(row, plan, assembly).strip()
-            output.say(f"heaviest hold: {force:.4g} N for {assembly.names[part]} ({place})")
-
-
-def _text(record: dict[str, Any]) -> str:
-    """Return the margins of a state on one line."""
-    words = [] if record["stands"] else ["does not stand"]
-    words += [text.format(record[key]) for key, text in _WORDS if record[key] is not None]
-    if record["push_name"] is not None:
-        words[-1] += f" on {record['push_name']}"
-    words += [
-        f"{load['name']} held with {load['force_n']:.4g} N, {load['moment_nm']:.3g} Nm" for load in record["held"]
-    ]
-    for name, depth in record.get("settlement_m", {}).items():
-        words.append(
-            f"{name} may sink {'as far as the criterion allows' if depth is None else f'{depth * 1e3:.3g} mm'}"
-        )
-    words += [
-        f"{entry['share']:.1%} stand placed within {entry['error_m'] * 1e3:g} mm"
-        for entry in record.get("placement", [])
-    ]
-    if record.get("unfinished"):
-        words.append(f"{', '.join(record['unfinished'])} cut short by the deadline")
-    elif not record["proven"]:
-        words.append("not proven on both sides")
-    if not record["monotone"]:
-        words.append("a condition further inside fails")
-    return ", ".join(words) or "no bounds"

@@ -27,6 +27,7 @@ class NewCell(Command):
     shows the file while it is edited. Exit code 1 if the cell is not valid yet.
     """
 
+    outcomes: ClassVar[tuple[str, str]] = ("done", "does_not_load")
     examples: ClassVar[tuple[str, ...]] = (
         "falsework cell new ur10e,ur10e --out cell.toml",
         "falsework cell new left=panda.urdf,right=panda.urdf --gripper jaw --structure my-folder --out cell.toml",
@@ -65,7 +66,8 @@ class NewCell(Command):
                 check_cell(cell, place_parts(assembly, cell.placement))
             except CellError as error:
                 faults = [str(error)]
-        output.record({"cell": str(self.out), "robots": [arm.name for arm in arms], "faults": faults})
+        output.file(self.out)
+        output.record({"robots": [arm.name for arm in arms], "faults": faults})
         output.say(f"{self.out}: {counted(len(arms), 'robot')}; falsework view {self.out} shows it while you edit it")
         for fault in faults:
             output.note(f"falsework: {fault}")

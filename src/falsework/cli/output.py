@@ -7,17 +7,40 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from importlib import resources
 from typing import TYPE_CHECKING, Any, TextIO
 
+from falsework.cli.exit_code import Exit
 from falsework.utils.files.printable import printable
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from rich.console import Console
 
     from falsework.search.problem.result import SearchProgress
 
+ANSWER_FORMAT = "falsework.answer/1"
+"""Format of JSON answers; `answer.schema.json` describes it."""
+_FILE_WIDTH = 200
+"""Columns of tables where the output is no terminal."""
+_PREFIX = "falsework: "
+"""Beginning of notes, which answers leave out."""
+_OUTCOMES = {
+    Exit.WRONG_INPUT: "wrong_input",
+    Exit.CONDITIONAL: "conditional",
+    Exit.NO_MEMORY: "no_memory",
+    Exit.INTERRUPTED: "interrupted",
+}
+"""Outcomes with the exit codes that mean the same in all commands."""
+
 LOG_EVERY = 30.0
 """Seconds between two lines of progress where the error stream is no terminal."""
+
+
+def answer_schema() -> dict[str, Any]:
+    """Return the JSON Schema (2020-12) of answers."""
+    return json.loads(resources.files("falsework.cli").joinpath("answer.schema.json").read_text(encoding="utf-8"))
 
 
 def counted(number: int, noun: str) -> str:
@@ -37,28 +60,78 @@ def _shown(text: str, stream: TextIO) -> str:
 
 
 class Output:
-    """Printer of text or, with `--json`, of JSON. Control characters in text, such as in names, are escaped."""
+    """Printer of text or, with `--json`, of one JSON answer. Control characters in text are escaped."""
 
-    def __init__(self, *, machine: bool, aside: bool = False) -> None:
+    def __init__(
+        self,
+        *,
+        machine: bool,
+        aside: bool = False,
+        command: str | None = None,
+        outcomes: tuple[str, str] = ("done", "failed"),
+    ) -> None:
         """Choose the format.
 
         Args:
             machine: print JSON.
             aside: print to the error stream, since a file is written to standard output.
+            command: name of the subcommand, for the answer.
+            outcomes: outcomes with the exit codes 0 and 1, unless the subcommand names another.
         """
         self.machine = machine
         self._aside = aside
+        self.command = command
+        self._outcomes = {Exit.DONE: outcomes[0], Exit.NO: outcomes[1], **_OUTCOMES}
+        self._fields: dict[str, Any] = {}
+        self._files: list[str] = []
+        self._notes: list[str] = []
+        self._answered = False
 
     @property
     def _stream(self) -> TextIO:
         return sys.stderr if self._aside else sys.stdout
 
     def record(self, fields: Mapping[str, Any]) -> None:
-        """Print one JSON object on a line of its own, for machines only."""
-        if self.machine:
-            text = json.dumps(fields, allow_nan=False, default=_plain)  # escapes all control characters but one
-            write_line(text.replace("\x7f", "\\u007f"), self._stream)
-            self._stream.flush()
+        """Add fields to the JSON answer."""
+        self._fields |= fields
+
+    def row(self, table: str, fields: Mapping[str, Any]) -> None:
+        """Add an object to a list of the JSON answer, such as one for each state."""
+        self._fields.setdefault(table, []).append(fields)
+
+    def file(self, path: Path | str) -> None:
+        """Name a file or folder that was written, for the JSON answer."""
+        self._files.append(str(path))
+
+    def outcome(self, name: str, code: Exit = Exit.NO) -> Exit:
+        """Name the outcome that an exit code stands for in this answer, and return the code."""
+        self._outcomes[code] = name
+        return code
+
+    def answer(self, code: Exit, error: str | None = None) -> None:
+        """Print the JSON answer on one line, for machines only; commands that go on for long call it when they begin.
+
+        Args:
+            code: exit code.
+            error: what was wrong, in one line.
+        """
+        if not self.machine or self._answered:
+            return
+        self._answered = True
+        answer = {
+            "format": ANSWER_FORMAT,
+            "command": self.command,
+            "ok": code == Exit.DONE,
+            "outcome": self._outcomes[code],
+            "files": self._files,
+            "notes": self._notes,
+        }
+        if error is not None:
+            answer["error"] = error
+        # All control characters but one are escaped.
+        text = json.dumps(answer | self._fields, allow_nan=False, default=_plain)
+        write_line(text.replace("\x7f", "\\u007f"), self._stream)
+        self._stream.flush()
 
     def say(self, text: str) -> None:
         """Print a line of a result as text, unless it is printed as a JSON record already."""
@@ -88,6 +161,7 @@ class Output:
 
     def note(self, text: str) -> None:
         """Print a remark beside the result, such as why there is none, on one line of the error stream."""
+        self._notes.append(printable(text.removeprefix(_PREFIX)))
         write_line(text, sys.stderr)
 
     @contextmanager
@@ -122,7 +196,7 @@ class Output:
             nonlocal last
             if time.monotonic() - last >= LOG_EVERY:
                 last = time.monotonic()
-                self.note(f"{title}: {now}")
+                write_line(f"{title}: {now}", sys.stderr)
 
         return report
 
@@ -130,18 +204,15 @@ class Output:
     def search_progress(self) -> Iterator[Callable[[SearchProgress], None]]:
         """Show the progress of a search."""
         with self.bar("searching") as show:
-
-            def report(now: SearchProgress) -> None:
-                doing = f"{now.direction}, width {now.width}: step {now.level} of {now.levels}"
-                show(now.level, now.levels, f"{doing}, {now.kept} states kept, {now.asked} verdicts")
-
-            yield report
+            yield lambda now: show(now.level, now.levels, now.words)
 
     @staticmethod
     def _console(*, error: bool) -> Console:
         from rich.console import Console
 
-        return Console(stderr=error)  # made anew, since tests and shells exchange the streams
+        # Made anew, since tests and shells exchange the streams; a file is no terminal, and has room for whole tables.
+        stream = sys.stderr if error else sys.stdout
+        return Console(stderr=error, width=None if stream.isatty() else _FILE_WIDTH)
 
 
 def _plain(value: Any) -> Any:

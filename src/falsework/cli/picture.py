@@ -1,4 +1,4 @@
-"""`falsework picture`: picture of a plan, a structure or a state graph without a display."""
+"""`falsework picture`: picture or video of a plan, a structure or a state graph without a display."""
 
 from __future__ import annotations
 
@@ -17,34 +17,44 @@ from falsework.errors import InputError
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output
+    from falsework.viewer.show import PictureReport
+
+_STATE = ("forces", "verdicts", "limits", "policy")
+"""Options that show something of states."""
+_STILLS = ("step", "gantt", "forces", "limits", "policy", "frames", "columns", "title")
+"""Options that videos do not have."""
+_MOVING = ("step_seconds", "rate", "speed")
+"""Options that only videos have."""
+_VIDEO_WIDTH = 800
 
 
 @dataclass(frozen=True, kw_only=True)
 class MakePicture(JudgingCommand):
-    """Draw a contact sheet of a plan, one step of it, a structure, a state graph, or a cell.
+    """Draw a contact sheet or a video of a plan, one step of it, a structure, a state graph, or a cell.
 
-    Needs no display and no graphics driver. A two-dimensional structure, such as an arch, can be drawn as lines
-    (--svg). --forces draws the certificate of a state: contact forces in blue, friction in red, gravity in orange and,
-    if the state is not stable, the motion of the parts. --verdicts computes the verdict of every state drawn, marks
-    parts that slide, and labels states that are not stable.
+    The name of the file says what is drawn: PNG, a line drawing of a two-dimensional structure or a state graph as SVG,
+    a video as MP4 or GIF. Needs no display and no graphics driver. --forces draws the certificate of a state: contact
+    forces in blue, friction in red, gravity in orange and, if the state is not stable, the motion of the parts.
+    --verdicts computes the verdict of every state drawn, marks parts that slide, and labels states that are not stable.
     """
+
+    rare: ClassVar[tuple[str, ...]] = ("policy", "frames", "columns", "rate", "speed", "azimuth", "elevation", "title")
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework picture plan.json --out sheet.png",
         "falsework picture plan.json --step 4 --out step.png",
-        "falsework picture arch:blocks=9 --svg --forces --out arch.svg",
+        "falsework picture plan.json --out plan.mp4",
+        "falsework picture arch:blocks=9 --forces --out arch.svg",
         "falsework picture plan.json --step 4 --limits --out limits.png",
     )
 
     subject: ViewableOptions
-    out: Annotated[Path, arg(metavar="FILE", help_behavior_hint=UNSET)] = Path("picture.png")
-    """File to write, PNG, or SVG with --svg."""
+    out: Annotated[Path, arg(metavar="FILE")] = Path("picture.png")
+    """File to write; it ends in .png, .svg, .mp4 or .gif."""
     step: Annotated[int | None, arg(metavar="N", help_behavior_hint=UNSET)] = None
     """Draw the state after this step alone; 0 is the beginning."""
-    svg: bool = False
-    """Line drawing of a two-dimensional structure, or the state graph, as SVG."""
     gantt: bool = False
-    """Draw when each arm of a robot plan moves, holds and waits."""
+    """Draw when each arm of a robot plan moves, holds and waits, as PNG or SVG."""
     forces: bool = False
     """Draw the certificate of a single state."""
     verdicts: bool = False
@@ -57,6 +67,12 @@ class MakePicture(JudgingCommand):
     """Number of pictures of a contact sheet."""
     columns: int = 4
     """Number of pictures in a row."""
+    step_seconds: Annotated[float, arg(metavar="S")] = 0.4
+    """Duration of a step in a video; a robot plan with a schedule is shown in its own time instead."""
+    rate: float = 10.0
+    """Frame rate of a video."""
+    speed: float = 1.0
+    """Seconds of a schedule that pass in a second of the video."""
     width: int = 0
     """Width of a picture, pixels; 0: automatic."""
     azimuth: float = -58.0
@@ -64,28 +80,44 @@ class MakePicture(JudgingCommand):
     elevation: float = 24.0
     """Elevation of the camera, degrees."""
     title: str = ""
-    """Title line."""
+    """Title line of a picture."""
 
     def run(self, output: Output) -> Exit:
         """Open, draw, write."""
         from falsework.viewer.cells.cell_sight import is_cell
         from falsework.viewer.pictures.contact_sheet import check_suffix
-        from falsework.viewer.show import check_sizes, picture
+        from falsework.viewer.pictures.video import KINDS
+        from falsework.viewer.show import check_sizes
 
         writable(self.out)
-        out = self.out.with_suffix(".svg") if self.svg and self.out == Path("picture.png") else self.out
-        if self.svg != (out.suffix.lower() == ".svg") and not (self.gantt and not self.svg):
-            raise InputError(f"{out} and {'--svg' if self.svg else 'no --svg'} do not fit; name a file that does")
-        check_sizes(self.width, self.frames, self.columns)
+        video = self.out.suffix.lower() in KINDS
+        if video:
+            self._refuse(_STILLS, "a video")
+        else:
+            self._refuse(_MOVING, "a picture")
+            check_suffix(self.out, ".png", ".svg", *KINDS)
+            check_sizes(self.width, self.frames, self.columns)
         if self.gantt:
-            return self._gantt(out, output)
-        if is_cell(self.subject.spec):
-            return self._cell(out, output)
-        check_suffix(out, ".png", ".svg")
+            return self._gantt(output)
+        if is_cell(self.subject.spec) and not video:
+            return self._cell(output)
+        return self._animate(output) if video else self._draw(output)
+
+    def _refuse(self, options: tuple[str, ...], what: str) -> None:
+        """Refuse options that this kind of file does not have."""
+        given = [f"--{name.replace('_', '-')}" for name in options if getattr(self, name) != getattr(type(self), name)]
+        if given:
+            raise InputError(
+                f"{what} such as {self.out} has no {' and '.join(given)}; leave it out, or name another file"
+            )
+
+    def _draw(self, output: Output) -> Exit:
+        from falsework.viewer.show import picture
+
         subject = self.subject.open().with_policy(self.policy)
         drawn = picture(
             subject,
-            out,
+            self.out,
             step=self.step,
             forces=self.forces,
             verdicts=self.verdicts,
@@ -98,48 +130,73 @@ class MakePicture(JudgingCommand):
             elevation=self.elevation,
             title=self.title,
         )
-        record: dict[str, Any] = {"out": str(out), "kind": subject.kind, "shows": drawn.shows}
+        output.record({"kind": subject.kind, "shows": drawn.shows})
         if subject.graph is None or self.step is not None:
-            record["steps"] = list(drawn.places)
-        if drawn.unstable is not None:
-            record |= {"criterion": self.criterion, "not_standing": list(drawn.unstable)}
+            output.record({"steps": list(drawn.places)})
         if drawn.visited is not None:
-            record["visited"] = drawn.visited
-        output.record(record)
-        output.say(f"{out}: {drawn.shows}")
+            output.record({"visited": drawn.visited})
+        return self._tell(drawn, output)
+
+    def _animate(self, output: Output) -> Exit:
+        from falsework.viewer.show import animate, check_film
+
+        width = self.width or _VIDEO_WIDTH
+        check_film(width, self.step_seconds, self.rate, self.speed)
+        subject = self.subject.open()
+        with output.bar("drawing") as show:
+            drawn = animate(
+                subject,
+                self.out,
+                seconds=self.step_seconds,
+                rate=self.rate,
+                speed=self.speed,
+                verdicts=self.verdicts,
+                criterion=self.criterion,
+                width=width,
+                azimuth=self.azimuth,
+                elevation=self.elevation,
+                progress=lambda done, total: show(done, total, f"picture {done} of {total}"),
+            )
+        output.record({"kind": subject.kind, "shows": drawn.shows})
+        output.record({"pictures": drawn.pictures, "steps": list(drawn.places)})
+        return self._tell(drawn, output)
+
+    def _tell(self, drawn: PictureReport, output: Output) -> Exit:
+        output.file(self.out)
+        if drawn.unstable is not None:
+            output.record({"criterion": self.criterion, "not_standing": list(drawn.unstable)})
+        output.say(f"{self.out}: {drawn.shows}")
         return Exit.DONE
 
-    def _cell(self, out: Path, output: Output) -> Exit:
+    def _cell(self, output: Output) -> Exit:
         from falsework.viewer.cells.cell_picture import picture_cell
 
-        others = {"step": self.step is not None, "svg": self.svg, "forces": self.forces, "verdicts": self.verdicts}
-        others |= {"limits": self.limits, "policy": self.policy is not None}
-        if wrong := [f"--{name}" for name, given in others.items() if given]:
+        others = ("step", *_STATE)
+        if wrong := [f"--{name}" for name in others if getattr(self, name) != getattr(type(self), name)]:
             raise InputError(f"a cell has no states; leave out {' and '.join(wrong)}")
         look: dict[str, Any] = {"width": self.width, "azimuth": self.azimuth, "elevation": self.elevation}
-        drawn = picture_cell(
-            self.subject.spec, out, self.subject.structure, title=self.title, **look, **self.subject.given()
-        )
-        output.record(
-            {"out": str(out), "kind": "cell", "shows": drawn.shows, "faults": drawn.faults, "too_near": drawn.pairs}
-        )
-        output.say(f"{out}: {drawn.shows}")
+        spec, structure = self.subject.spec, self.subject.structure
+        drawn = picture_cell(spec, self.out, structure, title=self.title, **look, **self.subject.given())
+        output.file(self.out)
+        output.record({"kind": "cell", "shows": drawn.shows, "faults": drawn.faults, "too_near": drawn.pairs})
+        output.say(f"{self.out}: {drawn.shows}")
         for fault in drawn.faults:
             output.note(f"falsework: {fault}")
         return Exit.DONE
 
-    def _gantt(self, out: Path, output: Output) -> Exit:
+    def _gantt(self, output: Output) -> Exit:
         from falsework.viewer.pictures.gantt import draw_gantt
 
-        others = {"step": self.step is not None, "forces": self.forces, "verdicts": self.verdicts}
-        others |= {"limits": self.limits, "policy": self.policy is not None}
-        if wrong := [f"--{name}" for name, given in others.items() if given]:
-            raise InputError(f"a Gantt chart shows no state; leave out {' and '.join(wrong)}, or --gantt")
+        if wrong := [name for name in ("step", *_STATE) if getattr(self, name) != getattr(type(self), name)]:
+            raise InputError(
+                f"a Gantt chart shows no state; leave out {' and '.join(f'--{n}' for n in wrong)}, or --gantt"
+            )
         subject = self.subject.open()
         if subject.arms is None:
             raise InputError(f"a {subject.kind} has no arms to draw a Gantt chart of; give a robot plan")
         plan = subject.arms.plan
-        bars = draw_gantt(plan, out, width=self.width, title=self.title)
-        output.record({"out": str(out), "kind": "gantt", "bars": bars, "makespan": round(plan.makespan, 3)})
-        output.say(f"{out}: {counted(len(plan.robots), 'arm')} over {plan.makespan:.1f} s")
+        bars = draw_gantt(plan, self.out, width=self.width, title=self.title)
+        output.file(self.out)
+        output.record({"kind": "gantt", "bars": bars, "makespan_s": round(plan.makespan, 3)})
+        output.say(f"{self.out}: {counted(len(plan.robots), 'arm')} over {plan.makespan:.1f} s")
         return Exit.DONE

@@ -15,11 +15,14 @@ from falsework.cli.output import counted
 from falsework.cli.planning import (
     HoldOptions,
     SupportOptions,
+    first_steps,
     lacks_judge,
     lacks_reserve,
     load_record,
+    need_text,
     promise_lines,
     refuse_unstable,
+    search_directions,
     writable,
 )
 from falsework.errors import InputError
@@ -33,14 +36,27 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class MakePlan(Command):
-    """Plan the disassembly of a structure by robots and, in reverse, its assembly.
+    """Plan the assembly of a structure by robots; undone from the last step on, a plan takes it apart.
 
     Quick narrow searches come first, wider ones if they fail. Every state of the plan is certified as stable, and the
-    whole plan is replayed in assembly order with contact history. Exit code 1 if there is no plan or none was found;
-    the report states which, the progress of the search, and the parts that would move there. An interrupted search is
-    saved beside the plan; the same command with --resume continues it.
+    whole plan is replayed with contact history. Exit code 1 if there is no plan or none was found; the report states
+    which, the progress of the search, and the parts that would move there. An interrupted search is saved beside the
+    plan; the same command with --resume continues it.
     """
 
+    rare: ClassVar[tuple[str, ...]] = (
+        "width",
+        "search_from",
+        "seed",
+        "cone",
+        "solver",
+        "maximise",
+        "robust",
+        "judge",
+        "proofs",
+    )
+
+    outcomes: ClassVar[tuple[str, str]] = ("found", "not_found")
     examples: ClassVar[tuple[str, ...]] = (
         "falsework plan vault --robots 2 --out plan.json",
         "falsework plan arch --robots auto --deadline 120 --out plan.json",
@@ -61,8 +77,9 @@ class MakePlan(Command):
     """Number of plans, as different from each other as possible."""
     width: int = 1024
     """Widest search that is tried, in states kept at each step."""
-    direction: Literal["both", "assembly", "disassembly"] = "both"
-    """Ends from which to search: the empty structure, the complete one, or both in turn."""
+    search_from: Literal["both", "beginning", "end"] = "both"
+    """Ends of the assembly from which to search: its beginning, the empty structure; its end, the complete one; or both
+    in turn."""
     seed: int = 0
     """Random seed; results are reproducible on one machine."""
     criterion: Literal["contact", "equilibrium"] = "contact"
@@ -84,8 +101,6 @@ class MakePlan(Command):
     """Accept only a plan that an independent method builds too, with its presses, under the true friction: discrete
     elements on springs as stiff as the contacts of the criterion. It takes seconds to minutes for each plan that the
     search finds. Where it accepts none, the one that it builds farthest is written, with exit code 1."""
-    assembly_order: bool = False
-    """Write the plan in the order of assembly: insert and release instead of hold and remove."""
     proofs: bool = False
     """Write the proof of each state into the plan: displacements, or contact forces under `equilibrium`."""
     deadline: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint=UNSET)] = None
@@ -177,10 +192,11 @@ class MakePlan(Command):
             for lack in filter(None, lacking):
                 output.note(f"falsework: {lack}")
             if any(lacking):
-                return Exit.NO
+                return output.outcome("weaker")
         else:
             failure = explain(assembly, oracle, result)
             lacks, words = ({}, "") if demanding is None else explain_shortfall(demanding, result)
+            output.outcome(failure.outcome)
             output.record(failure.to_dict(assembly) | ({"shortfall": lacks} if demanding is not None else {}))
             reason = f"{failure.in_which(f'every state keeps {demands}') if lacks else failure.text}{words}"
             output.note(f"{cut}: {reason}; {saved}" if result.interrupted else f"falsework: {reason}")
@@ -192,7 +208,7 @@ class MakePlan(Command):
 
     def _with_fewest_robots(self, output: Output) -> Exit:
         """Search for the fewest robots, and save the plan found with them."""
-        from falsework.cli.robots_needed import ask, report
+        from falsework.cli.fewest_robots import ask, report
 
         if self.alternatives > 1 or self.resume:
             raise InputError("--robots auto takes neither --alternatives nor --resume; give the number of robots")
@@ -209,11 +225,9 @@ class MakePlan(Command):
             raise InputError(f"--robots is {self.robots!r}; give a number, or auto") from None
 
     def _settings(self) -> PlannerSettings:
-        from falsework.search.problem.task import Direction
         from falsework.search.settings import PlannerSettings
 
-        both = (Direction.ASSEMBLY, Direction.DISASSEMBLY)
-        directions = both if self.direction == "both" else (Direction(self.direction),)
+        directions = search_directions(self.search_from)
         return PlannerSettings(self.width, directions, self.alternatives, self.seed, self.robust, self.judge)
 
     def _checkpoint(self) -> Path:
@@ -232,7 +246,6 @@ class MakePlan(Command):
         for number, found in enumerate(plans, 1):
             path = self.out if number == 1 else self.out.with_stem(f"{self.out.stem}-{number}")
             plan = replace(found, source=self.structure.source(path))
-            plan = plan.reverse() if self.assembly_order else plan
             # A plan whose replay fails, which is saved to be looked at, has no proofs of all states.
             save_plan(plan, path, proofs=self.proofs and (plan.replay is None or plan.replay.stands))
             saved.append((path, plan))
@@ -240,29 +253,34 @@ class MakePlan(Command):
 
     def _show_fallen(self, plan: Plan, output: Output) -> None:
         """Save the plan whose replay gets farthest, and report where it fails."""
+        from falsework.search.plans.plan_report import place_in_words
+
         (path, saved), *_ = self._save([plan])
         assert saved.replay is not None
         step = saved.replay.falls_at
         if step is None:
-            output.record({"plan": str(path), "replay": saved.replay.to_dict() | {"robust": False}})
+            output.file(path)
+            output.record({"best": {**(_replay_record(saved) or {}), "robust": False}})
             output.note(
                 f"falsework: the best plan is in {path}: its replay succeeds under the default settings only; "
                 f"falsework check {path} --replay names those under which it fails"
             )
             return
-        action = (saved if self.assembly_order else saved.reverse()).describe(max(step - 1, 0))
-        output.record({"plan": str(path), "replay": saved.replay.to_dict()})
-        output.note(f"falsework: the best plan is in {path}: its replay fails at step {step} of assembly ({action})")
+        output.file(path)
+        output.record({"best": _replay_record(saved)})
+        output.note(f"falsework: the best plan is in {path}: its replay fails {place_in_words(saved, step)}")
 
     def _report(self, plans: list[tuple[Path, Plan]], planning: Planning, output: Output) -> None:
         from falsework.cli.demands import margin_lines
+        from falsework.search.problem.task import Direction
 
         seconds, asked, found = planning.result.seconds, planning.result.counters.asked, planning.alternatives
         for number, (path, plan) in enumerate(plans):
-            record: dict[str, Any] = {"plan": str(path), "steps": len(plan), "robots": plan.robots}
+            output.file(path)
+            record: dict[str, Any] = {"file": str(path), "steps": len(plan), "robots": plan.robots}
             record["needs"] = [asdict(need) for need in plan.needs]
             record["criterion"] = plan.claim.criterion
-            record["replay"] = None if plan.replay is None else plan.replay.to_dict()
+            record["replay"] = _replay_record(plan)
             record["reserve"] = plan.claim.reserve
             record["presses"] = sum(map(bool, plan.presses))
             record |= load_record(plan.loads)
@@ -272,7 +290,8 @@ class MakePlan(Command):
                 record["margins"] = plan.margins.to_dict()
             if self.alternatives > 1:
                 record["distances"] = [round(float(distance), 4) for distance in found.distance[number]]
-            output.record({**record, "verdicts": asked, "seconds": seconds})
+            output.row("plans", record)
+        output.record({"verdicts": asked, "seconds": seconds})
         path, first = plans[0]
         output.say(
             f"{path}: {counted(len(first), 'step')} with {counted(first.robots, 'robot')}, every state proven stable "
@@ -280,6 +299,7 @@ class MakePlan(Command):
         )
         for line in promise_lines(first, robust=self.robust):
             output.say(line)
+        output.say(f"first steps: {first_steps(first, Direction.ASSEMBLY)}")
         for prop in first.props:
             place = ", ".join(f"{value:.3f}" for value in prop.at)
             name = first.part_names[prop.part]
@@ -287,9 +307,19 @@ class MakePlan(Command):
         for line in margin_lines(first):
             output.say(line)
         for need in first.needs:
-            output.say(f"{first.part_names[need.part]} is needed after {need.after_parts} other parts are placed")
+            output.say(need_text(first, need))
         if len(plans) > 1:
             others = ", ".join(str(path) for path, _ in plans[1:])
             output.say(f"alternatives in {others}; the two plans most alike differ by {found.least_distance:.2f} of 1")
         if len(plans) < self.alternatives:
             output.note(f"only {len(plans)} of the {self.alternatives} requested plans were found")
+
+
+def _replay_record(plan: Plan) -> dict[str, Any] | None:
+    """Return the result of the replay of a plan; None if it has none."""
+    if plan.replay is None:
+        return None
+    judgement = plan.replay.judgement
+    record: dict[str, Any] = {"stands": plan.replay.stands, "falls_at": plan.replay.falls_at}
+    record["moved_mm"] = plan.replay.moved * 1e3
+    return record | ({} if judgement is None else {"judgement": judgement.to_dict()})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import arg
 
@@ -13,14 +13,15 @@ from falsework.cli.command import UNSET
 from falsework.cli.output import counted
 from falsework.errors import InputError
 from falsework.utils.files.output_file import check_writable
+from falsework.utils.quantity import format_quantity
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
     from falsework.search.beam.settings import BeamSettings
     from falsework.search.find import TaskRules
-    from falsework.search.plans.plan import Plan
-    from falsework.search.problem.task import Task
+    from falsework.search.plans.plan import PartDeadline, Plan
+    from falsework.search.problem.task import Direction, Task
     from falsework.stability import Stability, StabilitySettings
     from falsework.stability.contact.hold_loads import Loads
     from falsework.stability.judges.judgement import Judgement
@@ -28,17 +29,22 @@ if TYPE_CHECKING:
     from falsework.stability.settings import SolverName
     from falsework.stability.verdict import Criterion
 
+SHOWN = 8
+"""First steps of a plan that are printed."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class RuleOptions:
     """Rules that a plan must obey in addition to the number of robots."""
 
-    start: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: complete)")] = None
-    """State from which disassembly starts, where assembly ends: `complete`, digits such as 2110, or a file."""
-    target: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: empty)")] = None
-    """State in which disassembly ends, where assembly starts: `empty`, digits such as 2000, or a file."""
+    rare: ClassVar[tuple[str, ...]] = ("begin", "end", "fixed", "removable_only_if_clear")
+
+    begin: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: empty)")] = None
+    """State in which the assembly begins, such as `empty`, plan.json:31, or parts as in 0-16,keystone,held:left."""
+    end: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: complete)")] = None
+    """State in which the assembly ends, such as `complete`, plan.json:31, or parts."""
     missing: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
-    """Parts not delivered yet, such as 3,4; assembly does without them as long as possible."""
+    """Parts not delivered yet, such as 3,keystone; assembly does without them as long as possible."""
     fixed: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
     """Parts that are neither held nor removed, such as 7."""
     removable_only_if_clear: bool = False
@@ -51,8 +57,9 @@ class RuleOptions:
             InputError: parts or states that the structure does not have; the message says what to do.
         """
         return {
-            "start": None if self.start is None else parse_state(self.start, "--start", assembly),
-            "target": None if self.target is None else parse_state(self.target, "--target", assembly),
+            # A task starts with the state that has more parts.
+            "start": None if self.end is None else parse_state(self.end, "--end", assembly),
+            "target": None if self.begin is None else parse_state(self.begin, "--begin", assembly),
             "fixed": () if self.fixed is None else parse_parts(self.fixed, "--fixed", assembly.names),
             "missing": () if self.missing is None else parse_parts(self.missing, "--missing", assembly.names),
             "removable_only_if_clear": self.removable_only_if_clear,
@@ -103,6 +110,8 @@ class SupportOptions(RuleOptions):
 @dataclass(frozen=True, kw_only=True)
 class HoldOptions:
     """What robots that hold parts can do, and the reserve that a plan keeps; under the criterion `contact`."""
+
+    rare: ClassVar[tuple[str, ...]] = ("hold_force", "hold_stiffness", "no_press", "reserve")
 
     hold_force: Annotated[float | None, arg(metavar="N", help_behavior_hint="(default: 50 weights)")] = None
     """Largest force of a robot on a part that it holds, N; by default fifty weights of the heaviest part."""
@@ -169,8 +178,7 @@ def marginal_text(plan: Plan) -> str:
     replay = plan.replay
     if replay is None or not replay.weak_under or replay.weak_at is None:
         return ""
-    forward = plan if plan.direction == "assembly" else plan.reverse()
-    action = f" ({forward.describe(replay.weak_at - 1)})" if replay.weak_at else ""
+    action = f" ({plan.words(replay.weak_at)})" if replay.weak_at else ""
     where = f"after step {replay.weak_at} of assembly{action}"
     return f"the plan is marginal: its replay fails {where} under {replay.weak_under}"
 
@@ -183,6 +191,8 @@ def judge_text(judgement: Judgement) -> str:
 
 def lacks_judge(plan: Plan, *, asked: bool) -> str:
     """Return the remark on a plan that the judge does not accept; empty if it does, or was not asked."""
+    from falsework.search.plans.plan_report import place_in_words
+
     judgement = None if plan.replay is None else plan.replay.judgement
     if not asked or (judgement is not None and judgement.stands):
         return ""
@@ -190,12 +200,32 @@ def lacks_judge(plan: Plan, *, asked: bool) -> str:
         return (
             f"the time was up when discrete elements had built {judgement.built if judgement else 0} states of the plan"
         )
-    forward = plan if plan.direction == "assembly" else plan.reverse()
-    row, part = judgement.falls_at, plan.part_names[judgement.part]
-    action = f" ({forward.describe(row - 1)})" if row else ""
-    return (
-        f"no plan was found that discrete elements build; in this one {part} falls after step {row} of assembly{action}"
-    )
+    where, part = place_in_words(plan, judgement.falls_at), plan.part_names[judgement.part]
+    return f"no plan was found that discrete elements build; in this one {part} falls {where}"
+
+
+def first_steps(plan: Plan, direction: Direction, built: int = 0) -> str:
+    """Describe the steps of a plan that come first in an order, after those that are done."""
+    steps = plan.in_order(direction)[built:]
+    if not steps:
+        return "nothing is left to do"
+    rest = len(steps) - SHOWN
+    return f"{', '.join(map(str, steps[:SHOWN]))}{f', and {rest} steps more' if rest > 0 else ''}"
+
+
+def need_text(plan: Plan, need: PartDeadline, built: int = 0) -> str:
+    """Return when a missing part is needed, in one sentence.
+
+    Args:
+        plan: the plan.
+        need: of its part.
+        built: steps of the plan that are done.
+    """
+    placed = int((plan.actions[:built] >= len(plan.boundary)).sum())
+    after, when = need.after_parts - placed, f"{plan.part_names[need.part]} is needed at step {need.after_steps + 1}"
+    if not after:
+        return f"{when}, before any other part"
+    return f"{when}, after {after} {'more' if built else 'other'} {'part is' if after == 1 else 'parts are'} placed"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -220,10 +250,12 @@ class TaskOptions(RuleOptions):
 class SearchOptions:
     """Options of the search."""
 
+    rare: ClassVar[tuple[str, ...]] = ("search_from", "seed")
+
     width: int = 64
     """States kept at each step; a wider search finds more and takes longer."""
-    direction: Literal["assembly", "disassembly"] = "assembly"
-    """End to begin at: the empty structure, or the complete one."""
+    search_from: Literal["beginning", "end"] = "beginning"
+    """End of the assembly from which to search: its beginning, the empty structure, or its end, the complete one."""
     seed: int = 0
     """Random seed; results are reproducible on one machine."""
 
@@ -234,9 +266,16 @@ class SearchOptions:
             InputError: a width below one.
         """
         from falsework.search.beam.settings import BeamSettings
-        from falsework.search.problem.task import Direction
 
-        return BeamSettings(self.width, Direction(self.direction), seed=self.seed)
+        return BeamSettings(self.width, search_directions(self.search_from)[0], seed=self.seed)
+
+
+def search_directions(search_from: str) -> tuple[Direction, ...]:
+    """Return the directions in which searches from the beginning, the end or both ends of an assembly go."""
+    from falsework.search.problem.task import Direction
+
+    known = {"beginning": (Direction.ASSEMBLY,), "end": (Direction.DISASSEMBLY,)}
+    return known.get(search_from, (Direction.ASSEMBLY, Direction.DISASSEMBLY))
 
 
 def replay_text(plan: Plan, also: str = "") -> str:
@@ -245,7 +284,7 @@ def replay_text(plan: Plan, also: str = "") -> str:
     assert replay is not None
     reserve = f" with the true friction and with friction / {kept:g}" if kept > 1 else ""
     also = also or ", and under small changes of settings" * replay.varied
-    return f"the replay succeeds{reserve}{also}; parts move by at most {replay.moved * 1e3:.3g} mm"
+    return f"the replay succeeds{reserve}{also}; parts move by at most {format_quantity(replay.moved, 'length')}"
 
 
 def press_text(plan: Plan, scale: float = 1.0) -> str:
@@ -257,7 +296,7 @@ def press_text(plan: Plan, scale: float = 1.0) -> str:
     """
     forces = [scale * press.force for presses in plan.presses for press in presses]
     steps = counted(sum(map(bool, plan.presses)), "step")
-    return f"robots press in {steps}, with at most {max(forces):.4g} N" if forces else ""
+    return f"robots press in {steps}, with at most {format_quantity(max(forces), 'force')}" if forces else ""
 
 
 def load_record(loads: Loads) -> dict[str, float | None]:
@@ -282,9 +321,7 @@ def load_text(plan: Plan, loads: Loads) -> str:
     if not every:
         return ""
     load, row = max(every, key=lambda pair: pair[0].force)
-    last = len(loads) - 1
-    step = row if plan.direction == "assembly" else last - row
-    where = f"for {plan.part_names[load.part]}, after step {step} of assembly"
+    where = f"for {plan.part_names[load.part]}, after step {row}"
     return f"robots bear at most {describe_force(load.force)} ({where}) and {largest_load(loads)[1]:.3g} N m"
 
 
@@ -336,7 +373,8 @@ def refuse_unstable(
         text = f"{outcome}: the {subject} {Verdict(verdicts.verdict[0]).words}"
         if verdicts.on_tolerance[0]:
             text += ", which depends on the tolerance"
-        output.record({"plan": None, "outcome": text, "moving": [motion.to_dict(assembly) for motion in moving]})
+        output.outcome("impossible" if verdicts.unstable[0] else "not_found")
+        output.record({"reason": text, "moving": [motion.to_dict(assembly) for motion in moving]})
         output.note(f"falsework: {text}{'; ' if moving else ''}{describe(assembly, moving, limit=3)}")
         return True
     return False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -11,10 +12,10 @@ import numpy as np
 from tyro.conf import arg
 
 from falsework.cli.arguments import parse_parts, parse_state
-from falsework.cli.command import UNSET, JudgingCommand, StructureOptions
+from falsework.cli.command import UNSET, Command, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.output import counted
-from falsework.cli.planning import HoldOptions, lacks_reserve, promise_lines, writable
+from falsework.cli.planning import HoldOptions, first_steps, lacks_reserve, need_text, promise_lines, writable
 from falsework.errors import InputError
 
 if TYPE_CHECKING:
@@ -25,40 +26,65 @@ if TYPE_CHECKING:
     from falsework.search.plans.plan import Plan
     from falsework.stability import StabilitySettings
 
-SHOWN = 8
-"""Number of steps that are printed; `falsework check --steps` shows all."""
-
 
 @dataclass(frozen=True, kw_only=True)
-class MakeReplan(JudgingCommand):
+class MakeReplan(Command):
     """Plan again from the current state, for instance when a part is late or a robot has failed.
 
-    STRUCTURE may also be a run, the folder that `falsework train` wrote: its policy then proposes the steps, and
-    searches take over where it fails. Every state of the new plan is certified as stable. With --direction assembly the
-    plan adds parts to the state, with disassembly it removes them. How the state was reached is not known: it is loaded
-    from rest. Exit code 1 if there is no plan, none was found, or none that keeps the reserve.
+    STRUCTURE is the plan that is being carried out, with its last step that is done: the new plan begins with the steps
+    that are done, so that steps keep their numbers, and keeps the criterion, reserve and robots of the old one unless
+    others are given. Or it is a structure, in a state that is given by --state. It may also be a run, the folder that
+    `falsework train` wrote: its policy then proposes the steps, and searches take over where it fails. Every state of
+    the new plan is certified as stable. With --order assembly the plan adds parts to the state, with disassembly it
+    removes them. How a state that is given by itself was reached is not known: it is loaded from rest. Exit code 1 if
+    there is no plan, none was found, or none that keeps the reserve.
     """
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "falsework replan arch:blocks=5 --state complete --out replan.json",
-        "falsework replan arch:blocks=5 --state 1000022 --missing 2 --out replan.json",
+    rare: ClassVar[tuple[str, ...]] = (
+        "of",
+        "fixed",
+        "removable_only_if_clear",
+        "alternatives",
+        "seed",
+        "confidences",
+        "device",
+        "solver",
     )
 
+    examples: ClassVar[tuple[str, ...]] = (
+        "falsework replan plan.json --step 4 --missing 3 --out replan.json",
+        "falsework replan arch:blocks=5 --state voussoir-0,voussoir-4 --missing 2 --order assembly --out replan.json",
+    )
+
+    outcomes: ClassVar[tuple[str, str]] = ("found", "not_found")
+
     structure: StructureOptions
-    state: Annotated[str, arg(metavar="STATE")] = "complete"
-    """Current state: `complete`, `empty`, digits such as 2110 (0 removed, 1 installed, 2 held), or a file."""
+    step: Annotated[int | None, arg(metavar="N", help_behavior_hint=UNSET)] = None
+    """Last step of the plan that is done; 0 for none."""
+    state: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: complete)")] = None
+    """Current state: `complete`, `empty`, a plan and its step such as plan.json:31, parts that stand and that are held
+    such as 0-16,keystone,held:left, digits such as 2110 (0 removed, 1 installed, 2 held), or a file."""
     target: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: complete or empty)")] = None
     """Target state; if not given, the complete structure in assembly, the empty one in disassembly."""
-    direction: Literal["auto", "assembly", "disassembly"] = "auto"
-    """`assembly` adds parts, `disassembly` removes them; `auto` follows the target, else assembles if the state lacks
-    the missing parts, else disassembles."""
+    of: Annotated[str | None, arg(name="structure", metavar="STRUCTURE", help_behavior_hint=UNSET)] = None
+    """Structure of the plan, instead of the one that the plan names."""
+    order: Literal["auto", "assembly", "disassembly"] = "auto"
+    """Order of the plan: `assembly` adds parts, `disassembly` removes them; `auto` follows the target, else assembles
+    if the state lacks the missing parts, else disassembles."""
     missing: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
-    """Parts not delivered yet, such as 3,4; assembly does without them as long as possible."""
+    """Parts not delivered yet, such as 3,keystone; assembly does without them as long as possible."""
     fixed: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
     """Parts that must not be held or removed, such as 7."""
-    robots: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 2, or those of the run)")] = None
+    robots: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 2, or those of the plan or run)")] = (
+        None
+    )
     """Number of robots: parts that can be held at a time."""
     holds: HoldOptions
+    criterion: Annotated[
+        Literal["contact", "equilibrium"] | None, arg(help_behavior_hint="(default: contact, or that of the plan)")
+    ] = None
+    """Stability criterion: compliant contacts without prestress bring every part to rest, or (paper) contact forces
+    in balance exist."""
     removable_only_if_clear: bool = False
     """Move a part only if it has a collision-free straight exit; always on for a run trained with this rule."""
     alternatives: int = 1
@@ -85,38 +111,84 @@ class MakeReplan(JudgingCommand):
         from falsework.search.plans.plan_file import load_plan
 
         writable(self.out)
-        old = None if self.compare is None else load_plan(self.compare)
-        assembly, policy, source, robots, clear = self._load()
+        plan, assembly, policy, source, robots, clear = self._load()
+        old = plan if self.compare is None else load_plan(self.compare)
         if old is not None and old.identity != assembly.identity:
             raise InputError(f"{self.compare} is a plan for another structure, {old.name}; compare plans of one")
         if self.confidences and policy is None:
             raise InputError("--confidences needs a policy: give a run, the folder that falsework train wrote")
-        request = self._request(assembly, robots, clear)
+        request = self._request(plan, assembly, robots, clear)
         request.task(assembly)  # refuse bad input before anything is loaded
-        stability = self.holds.settings(self.criterion, solver=self.solver)
-        answer = replan(assembly, policy=policy, stability=stability, **vars(request))
+        stability = self._stability(plan)
+        options = {name: value for name, value in vars(request).items() if name != "plan"}
+        subject, structure = (assembly, None) if plan is None or self.step is None else (plan, assembly)
+        answer = replan(subject, structure=structure, policy=policy, stability=stability, **options)
         if not answer.found:
             self._refuse(assembly, stability, request, answer, output)
             return Exit.NO
         paths = self._save(answer, source)
-        record = {"plan": str(paths[0]), "alternatives": [str(path) for path in paths[1:]], **answer.to_dict()}
+        for path in paths:
+            output.file(path)
+        record = _record(answer)
         first = answer.plans[0]
         record["criterion"], record["reserve"] = first.claim.criterion, first.claim.reserve
         record["presses"] = sum(map(bool, first.presses))
         if self.confidences:
             record["confidences"] = [_probabilities(row, assembly) for row in answer.confidences[0]]
-        changes = None if old is None else difference(old, answer.plans[0])
+        changes = None if old is None else difference(old, answer.plans[0], answer.direction)
         output.record(record if changes is None else {**record, "difference": changes.to_dict()})
         self._tell(answer, paths, output)
         if changes is not None:
-            output.say(f"compared with {self.compare}: {changes.text}")
+            output.say(f"compared with {self.compare or self.structure.spec}: {changes.text}")
+        if plan is not None and plan.margins is not None and plan.margins.demands:
+            output.note(
+                f"falsework: the margins that the old plan keeps ({plan.margins.demands}) are not asked of this one"
+            )
         remarks = [_replay_remark(answer), lacks_reserve(answer.plans[0], stability.reserve)]
         for remark in filter(None, remarks):
             output.note(f"falsework: {remark}")
-        return Exit.NO if any(remarks) else Exit.DONE
+        return output.outcome("weaker") if any(remarks) else Exit.DONE
 
-    def _load(self) -> tuple[Assembly, Any, dict[str, Any], int, bool]:
-        """Load the structure, its source, the policy if any, the number of robots, and the exit rule."""
+    def _load(self) -> tuple[Plan | None, Assembly, Any, Mapping[str, Any] | None, int, bool]:
+        """Load the plan if any, the structure, policy and source, the number of robots, and the exit rule."""
+        from falsework.search.plans.plan_file import is_plan_file
+
+        if is_plan_file(self.structure.spec):
+            return self._load_plan(Path(self.structure.spec))
+        for name, given in (("--step", self.step), ("--structure", self.of)):
+            if given is not None:
+                raise InputError(
+                    f"{name} {given} is of a plan, which {self.structure.spec} is not; give the plan, or --state"
+                )
+        return (None, *self._load_structure())
+
+    def _load_plan(self, file: Path) -> tuple[Plan, Assembly, None, Mapping[str, Any] | None, int, bool]:
+        from falsework.search.plans.plan_check import check_identity
+        from falsework.search.plans.plan_file import load_plan
+        from falsework.search.plans.plan_source import moved_source, structure_of_plan
+
+        plan = load_plan(file)
+        assembly = structure_of_plan(plan, file, self.of, **self.structure.given())
+        check_identity(plan, assembly)
+        if self.step is None and self.state is None:
+            raise InputError(f"{file} has {len(plan)} steps; name the last one that is done by --step, 0 for none")
+        source = moved_source(plan, file, self.out)
+        if self.of is not None:
+            source = replace(self.structure, spec=self.of).source(self.out)
+        robots = plan.robots if self.robots is None else self.robots
+        return plan, assembly, None, source, robots, self.removable_only_if_clear or plan.removable_only_if_clear
+
+    def _stability(self, plan: Plan | None) -> StabilitySettings:
+        """Return the settings that are given, else those of the plan."""
+        from falsework.replanning.replanner import settings_of
+
+        own = None if plan is None else settings_of(plan)
+        if own is None or self.holds != HoldOptions() or self.criterion not in (None, own.criterion):
+            criterion = self.criterion or ("contact" if own is None else own.criterion)
+            return self.holds.settings(criterion, solver=self.solver)
+        return replace(own, solver=self.solver)
+
+    def _load_structure(self) -> tuple[Assembly, Any, Mapping[str, Any], int, bool]:
         folder = Path(self.structure.spec)
         if not (folder / "run.json").is_file():
             robots = 2 if self.robots is None else self.robots
@@ -142,14 +214,16 @@ class MakeReplan(JudgingCommand):
         clear = self.removable_only_if_clear or run.settings.removable_only_if_clear
         return run.assembly, run.policy, source, robots, clear
 
-    def _request(self, assembly: Assembly, robots: int, clear: bool) -> Request:
+    def _request(self, plan: Plan | None, assembly: Assembly, robots: int, clear: bool) -> Request:
         from falsework.replanning.request import Request
         from falsework.search.problem.task import Direction
 
         return Request(
-            parse_state(self.state, "--state", assembly),
+            None if self.state is None else parse_state(self.state, "--state", assembly),
+            plan=None if self.step is None else plan,
+            step=self.step,
             target=None if self.target is None else parse_state(self.target, "--target", assembly),
-            direction=None if self.direction == "auto" else Direction(self.direction),
+            direction=None if self.order == "auto" else Direction(self.order),
             robots=robots,
             missing=() if self.missing is None else parse_parts(self.missing, "--missing", assembly.names),
             fixed=() if self.fixed is None else parse_parts(self.fixed, "--fixed", assembly.names),
@@ -160,7 +234,7 @@ class MakeReplan(JudgingCommand):
             confidences=self.confidences,
         )
 
-    def _save(self, answer: ReplanResult, source: dict[str, Any]) -> list[Path]:
+    def _save(self, answer: ReplanResult, source: Mapping[str, Any] | None) -> list[Path]:
         from falsework.search.plans.plan_file import save_plan
 
         paths = []
@@ -171,17 +245,20 @@ class MakeReplan(JudgingCommand):
         return paths
 
     def _tell(self, answer: ReplanResult, paths: list[Path], output: Output) -> None:
-        plan = answer.plans[0]
+        plan, fewer = answer.plans[0], ""
+        if answer.built and self.robots is not None and self.robots < plan.robots:
+            fewer = f", {self.robots} from step {answer.built + 1} on"
         output.say(
             f"{paths[0]}: {counted(len(plan), 'step')} of {answer.direction.value} with "
-            f"{counted(plan.robots, 'robot')}, every state proven stable (criterion {plan.claim.criterion}, decided by "
-            f"{answer.decided_by.value}, {answer.seconds:.2f} s, {answer.verdicts} verdicts)"
+            f"{counted(plan.robots, 'robot')}{fewer}, every state proven stable (criterion {plan.claim.criterion}, "
+            f"decided by {answer.decided_by.value}, {answer.seconds:.2f} s, {answer.verdicts} verdicts)"
         )
         for line in promise_lines(plan):
             output.say(line)
-        output.say(_first_steps(plan))
+        since = f"from step {answer.built + 1} on" if answer.built else "from here on"
+        output.say(f"{since}: {first_steps(plan, answer.direction, answer.built)}")
         for need in plan.needs:
-            output.say(f"{plan.part_names[need.part]} is needed after {need.after_parts} other parts are placed")
+            output.say(need_text(plan, need, answer.built))
         if len(paths) > 1:
             least = answer.distance[~np.eye(len(paths), dtype=bool)].min()
             others = ", ".join(str(path) for path in paths[1:])
@@ -213,12 +290,18 @@ class MakeReplan(JudgingCommand):
         elif not answer.deadline_passed:
             failure = explain(assembly, oracle, answer.search)
             moving, text = failure.moving, failure.text
-        record = {**answer.to_dict(), "plan": None, "criterion": self.criterion}
+        output.outcome("impossible" if answer.outcome is Outcome.PROVED_IMPOSSIBLE else "not_found")
+        record = {**_record(answer), "criterion": stability.criterion}
         record["moving"] = [motion.to_dict(assembly) for motion in moving]
         output.record(record)
         if moving and answer.search is None:
             text = f"{text}; {describe(assembly, moving, limit=3)}"
         output.note(f"falsework: {text}")
+
+
+def _record(answer: ReplanResult) -> dict[str, Any]:
+    """Return the result as fields of the JSON answer, which has the outcome itself."""
+    return {name: value for name, value in answer.to_dict().items() if name != "outcome"}
 
 
 def _replay_remark(answer: ReplanResult) -> str:
@@ -229,15 +312,6 @@ def _replay_remark(answer: ReplanResult) -> str:
     if replayed.stands is None:
         return f"the deadline left time to replay {replayed.steps} of the {counted(replayed.of, 'step')} of assembly"
     return f"the deadline left no time for another plan; the replay of this one fails at step {replayed.steps + 1}"
-
-
-def _first_steps(plan: Plan) -> str:
-    """Describe the first steps of a plan."""
-    if len(plan) == 0:
-        return "nothing is left to do"
-    words = [plan.describe(step) for step in range(min(len(plan), SHOWN))]
-    rest = len(plan) - len(words)
-    return f"from here on: {', '.join(words)}{f', and {rest} steps more' if rest else ''}"
 
 
 def _probabilities(row: Any, assembly: Assembly) -> dict[str, float]:

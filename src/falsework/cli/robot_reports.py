@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from falsework.cli.output import counted
 from falsework.cli.planning import replay_text
+from falsework.utils.quantity import format_quantity
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -38,15 +41,21 @@ def can_schedule(output: Output) -> bool:
     return True
 
 
+def statistics_record(statistics: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the statistics of a search, with units in names."""
+    names = {"replanning_saves": "replanning_saves_s"}
+    return {names.get(name, name): value for name, value in statistics.items()}
+
+
 def times_record(plan: RobotPlan) -> dict[str, Any]:
     """Return the duration of a plan, and how each arm spends it."""
     from falsework.robots.plans.timeline import arm_shares, schedule_of
 
     graph, proven = schedule_of(plan), plan.schedule is not None
     return {
-        "makespan": round(graph.makespan, 3),
-        "sequential": round(graph.sequential, 3),
-        "lower_bound": round(graph.lower_bound, 3) if proven else None,
+        "makespan_s": round(graph.makespan, 3),
+        "sequential_s": round(graph.sequential, 3),
+        "lower_bound_s": round(graph.lower_bound, 3) if proven else None,
         "gap": round(graph.gap, 4) if proven else None,
         "arms": [
             {
@@ -115,27 +124,22 @@ def check_record(report: CheckReport) -> dict[str, Any]:
             "seconds": delays.seconds,
         },
         "trajectories": report.trajectories,
-        "largest_step": report.largest_step,
-        "largest_join": report.largest_join,
+        "largest_step_rad": report.largest_step,
+        "largest_join_rad": report.largest_join,
         "velocity_share": _finite(report.velocity_share),
         "acceleration_share": _finite(report.acceleration_share),
-        "tolerance": report.tolerance,
+        "tolerance_m": report.tolerance,
         "links": report.links,
-        "lower_bound": report.lower_bound,
-        "problems": [
-            {
-                "step": problem.step,
-                "robot": problem.robot,
-                "what": problem.what,
-                "pair": problem.pair,
-                "seconds": problem.seconds,
-                "configuration": problem.configuration,
-                "distance": problem.distance,
-            }
-            for problem in report.problems
-        ],
+        "lower_bound_s": report.lower_bound,
+        "problems": [problem_record(problem) for problem in report.problems],
         "seconds": report.seconds,
     }
+
+
+def problem_record(problem: PlanProblem) -> dict[str, Any]:
+    """Return the record of a problem that a check found."""
+    names = {"distance": "distance_m"}
+    return {names.get(name, name): value for name, value in asdict(problem).items()}
 
 
 def check_texts(name: str, report: CheckReport, states: int | None) -> list[str]:
@@ -170,7 +174,7 @@ def runs_record(runs: SimulationReport, longest_delay: float) -> dict[str, Any]:
         "out_of_order": runs.out_of_order,
         "stuck": runs.stuck,
         "outside": runs.outside,
-        "makespan": {"least": round(least, 3), "median": round(median, 3), "most": round(most, 3)},
+        "makespan_s": {"least": round(least, 3), "median": round(median, 3), "most": round(most, 3)},
     }
 
 
@@ -188,7 +192,7 @@ def runs_text(runs: SimulationReport, longest_delay: float) -> str:
 
 def scope_record(plan: RobotPlan, assembly: Assembly, cell: Cell, place: str) -> dict[str, Any]:
     """Return what a robot plan was checked against."""
-    states, first = plan.plan.states, plan.keyframes[0].configurations
+    states, first = plan.states, plan.keyframes[0].configurations
     pairs = zip(cell.robots, first, strict=True)
     elsewhere = [robot.name for robot, values in pairs if np.abs(robot.home - values).max() > _AT_HOME]
     return {
@@ -210,7 +214,7 @@ def scope_record(plan: RobotPlan, assembly: Assembly, cell: Cell, place: str) ->
 def scope_text(plan: RobotPlan, assembly: Assembly, cell: Cell, place: str) -> str:
     """Return what a robot plan was checked against, in one sentence."""
     record = scope_record(plan, assembly, cell, place)
-    first, last = (int((state != 0).sum()) for state in plan.plan.states[[0, -1]])
+    first, last = (int((state != 0).sum()) for state in plan.states[[0, -1]])
     starts = f"; {' and '.join(record['not_at_home'])} not at home at the start" if record["not_at_home"] else ""
     return (
         f"{plan.direction.value} of {assembly.name} ({assembly.identity[:12]}) in {len(plan)} steps from "
@@ -232,7 +236,11 @@ def unverified(plan: RobotPlan, report: CheckReport, *, states: bool) -> list[st
         found.append("the stability of the states, and the forces that robots bear where grippers have no limits")
     holds = plan.plan.claim.holds
     if plan.plan.claim.criterion == "contact":
-        stiff = "rigidly" if holds.stiffness in (None, np.inf) else f"with a stiffness of {holds.stiffness:.3g} N/m"
+        stiff = (
+            "rigidly"
+            if holds.stiffness in (None, np.inf)
+            else f"with a stiffness of {format_quantity(holds.stiffness, 'stiffness')}"
+        )
         found.append(f"that robots hold parts {stiff}, in units of the structure")
     if plan.plan.proof_arrays() is not None:
         found.append("the certificates in the file; those of the check are computed anew")
@@ -269,7 +277,7 @@ def holds_record(loads: list[GripLoad], plan: RobotPlan, cell: Cell) -> list[dic
         if found is None:
             continue
         force, moment = found
-        limits = {"force": robot.gripper.force, "moment": robot.gripper.moment, "payload_kg": robot.payload}
+        limits = {"force_n": robot.gripper.force, "moment_nm": robot.gripper.moment, "payload_kg": robot.payload}
         records.append(
             {
                 "robot": robot.name,
@@ -286,12 +294,11 @@ def holds_record(loads: list[GripLoad], plan: RobotPlan, cell: Cell) -> list[dic
 def holds_text(record: dict[str, Any]) -> str:
     """Return what `holds_record` has of one robot as a sentence."""
     limits = record["limits"]
-    said = [
-        f"{value:.4g} {unit}" for key, unit in (("force", "N"), ("moment", "Nm")) if (value := limits[key]) is not None
-    ]
-    payload = "" if limits["payload_kg"] is None else f", payload {limits['payload_kg']:.3g} kg"
+    kinds = (("force_n", "force"), ("moment_nm", "moment"))
+    said = [format_quantity(limits[key], kind) for key, kind in kinds if limits[key] is not None]
+    payload = "" if limits["payload_kg"] is None else f", payload {format_quantity(limits['payload_kg'], 'mass')}"
     return (
-        f"{record['robot']} bears up to {record['force_n']:.4g} N (holding {record['force_part']}) and "
-        f"{record['moment_nm']:.3g} Nm at its tool (holding {record['moment_part']}); limits of its gripper: "
-        f"{' and '.join(said) or 'not given'}{payload}"
+        f"{record['robot']} bears up to {format_quantity(record['force_n'], 'force')} (holding "
+        f"{record['force_part']}) and {format_quantity(record['moment_nm'], 'moment')} at its tool (holding "
+        f"{record['moment_part']}); limits of its gripper: {' and '.join(said) or 'not given'}{payload}"
     )

@@ -28,9 +28,10 @@ class ExportRobots(Command):
     be those of the cell, and the motions within its limits; `falsework robots check` checks everything else.
     """
 
+    rare: ClassVar[tuple[str, ...]] = ("rate", "joint_prefix")
     examples: ClassVar[tuple[str, ...]] = (
         "falsework robots export robot_plan.json --format ros2-goals --out motions",
-        "falsework robots export robot_plan.json --format rapid --assembly-order --out rapid",
+        "falsework robots export robot_plan.json --format rapid --out rapid",
     )
 
     plan: Annotated[Positional[Path], arg(metavar="ROBOT_PLAN")]
@@ -50,8 +51,6 @@ class ExportRobots(Command):
     """Prefix of the names of joints in ros2-json, ros2-yaml and ros2-goals; {robot} in it is the name of the robot."""
     force: bool = False
     """Write RAPID for arms of other makers than ABB, and URScript for others than Universal Robots."""
-    assembly_order: bool = False
-    """Write the motions in assembly order, even if the plan is a disassembly."""
 
     def run(self, output: Output) -> Exit:
         """Load and write."""
@@ -60,11 +59,8 @@ class ExportRobots(Command):
         from falsework.robots.plans.presses import has_presses
         from falsework.robots.plans.robot_plan_file import load_robot_plan
         from falsework.search.plans.plan_source import structure_of_plan
-        from falsework.search.problem.task import Direction
 
         plan = load_robot_plan(self.plan)
-        if self.assembly_order and plan.direction is Direction.DISASSEMBLY:
-            plan = plan.reverse()
         cell, shapes = load_cell(self.cell or plan.cell_place(self.plan)), None
         pressed, lacking = has_presses(plan), []
         if self.format in ("mcap", "rapid", "urscript") or pressed:
@@ -86,7 +82,8 @@ class ExportRobots(Command):
             force=self.force,
         )
         notes = lacking + export_notes(plan, self.format, cell)
-        output.record({"folder": str(self.out), "files": [path.name for path in paths], "notes": notes})
+        for path in paths:
+            output.file(path)
         output.say(f"{counted(len(paths), 'file')} in {self.out}")
         for note in notes:
             output.note(f"falsework: {note}")

@@ -28,10 +28,14 @@ class Serve(JudgingCommand):
     token.
     """
 
+    rare: ClassVar[tuple[str, ...]] = ("policy", "token", "workers")
+
     examples: ClassVar[tuple[str, ...]] = (
         "falsework serve vault --port 8080",
         "FALSEWORK_TOKEN=$(openssl rand -hex 24) falsework serve my-run --host 0.0.0.0",
     )
+
+    outcomes: ClassVar[tuple[str, str]] = ("serving", "failed")
 
     structure: StructureOptions
     policy: Annotated[Path | None, arg(metavar="RUN", help_behavior_hint=UNSET)] = None
@@ -57,6 +61,7 @@ class Serve(JudgingCommand):
         def started(address: str) -> None:
             policy = None if run is None else str(run)
             output.record({"url": address, "structure": assembly.name, "policy": policy, "criterion": self.criterion})
+            output.answer(Exit.DONE)
             output.say(f"{assembly.name} is served at {address}, described at {address}/docs; Ctrl-C ends it")
 
         run_service(assembly, settings, run=run, started=started)

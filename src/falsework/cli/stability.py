@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import arg
 
-from falsework.cli.command import CONE_HINT, UNSET, JudgingCommand, StructureOptions
+from falsework.cli.command import CONE_HINT, JudgingCommand, StructureOptions
 from falsework.cli.exit_code import Exit
 
 if TYPE_CHECKING:
@@ -25,14 +24,19 @@ class CheckStability(JudgingCommand):
     stable.
     """
 
+    rare: ClassVar[tuple[str, ...]] = ("cone", "solver")
+
     examples: ClassVar[tuple[str, ...]] = (
         "falsework stability arch:blocks=15 --friction 0.84",
         "falsework stability my-folder --states states.json --json",
     )
 
+    outcomes: ClassVar[tuple[str, str]] = ("stable", "not_stable")
+
     structure: StructureOptions
-    states: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=UNSET)] = None
-    """JSON list of states, or a .npy array; the complete structure if not given."""
+    states: Annotated[str | None, arg(metavar="STATES", help_behavior_hint="(default: complete)")] = None
+    """A state, as `complete`, digits, plan.json:31, or parts such as 0-16,keystone,held:left; or a file with states: a
+    JSON list, a .npy array, or a plan."""
     cone: Annotated[Literal["octagon", "quadratic"] | None, arg(help_behavior_hint=CONE_HINT)] = None
     """Friction cone: round, or eight-sided as in the paper."""
     solver: Literal["auto", "cpu", "gpu", "exact", "gurobi"] = "cpu"
@@ -42,22 +46,21 @@ class CheckStability(JudgingCommand):
         """Compute the verdicts and describe how unstable states fail."""
         import numpy as np
 
-        from falsework.assembly.state import as_states, complete_state
-        from falsework.cli.arguments import read_states
+        from falsework.cli.arguments import parse_states
         from falsework.cli.velocity_text import describe, motions, part_name
         from falsework.stability import Proof, Stability, Verdict
         from falsework.stability.motion import motion_of
 
         assembly = self.structure.load()
-        wanted = complete_state(assembly.boundary) if self.states is None else read_states(self.states)
-        states = as_states(wanted, assembly.boundary)
+        states = parse_states(self.states or "complete", "--states", assembly)
         verdicts = Stability(assembly, self._settings()).check(states)
         for index in range(len(states)):
             verdict, proof = Verdict(verdicts.verdict[index]), Proof(verdicts.proof[index])
             residual = float(verdicts.residual[index])
             motion = motion_of(assembly, verdicts, index)
             moving = [] if motion is None else motions(assembly, motion)
-            output.record(
+            output.row(
+                "states",
                 {
                     "state": index,
                     "verdict": verdict.name.lower(),
@@ -66,7 +69,7 @@ class CheckStability(JudgingCommand):
                     "residual": residual if np.isfinite(residual) else None,
                     "on_tolerance": bool(verdicts.on_tolerance[index]),
                     "moving": [motion.to_dict(assembly) for motion in moving],
-                }
+                },
             )
             subject = assembly.name if self.states is None else f"state {index}"
             held = [part for part in np.flatnonzero(states[index] == 2) if not assembly.boundary[part]]

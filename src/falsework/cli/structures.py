@@ -25,7 +25,7 @@ class Structures(Command):
         rows: list[tuple[str, str]] = []
         for entry in structures():
             parameters = [{**asdict(detail), "kind": detail.kind.__name__} for detail in entry.details]
-            output.record({"name": entry.name, "description": entry.description, "parameters": parameters})
+            output.row("structures", {"name": entry.name, "description": entry.description, "parameters": parameters})
             rows.append((entry.name, entry.description))
             for detail in entry.details:
                 about = f"{detail.meaning}, {detail.minimum:g} to {detail.maximum:g} {detail.unit}".rstrip()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import Positional, arg
 
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, kw_only=True)
 class ViewableOptions(LoadOptions):
     """Options that name the file or structure to show."""
+
+    rare: ClassVar[tuple[str, ...]] = ("structure", "cell")
 
     spec: Annotated[Positional[str], arg(metavar="WHAT")]
     """Plan, run, robot plan, state graph, a cell, or a structure: built-in, folder or file of meshes."""

@@ -30,6 +30,8 @@ class Train(JudgingCommand):
     Under torchrun several processes share the work.
     """
 
+    rare: ClassVar[tuple[str, ...]] = ("goal_conditioned", "removable_only_if_clear", "data", "seed", "device", "log")
+
     examples: ClassVar[tuple[str, ...]] = (
         "falsework train arch:blocks=7 --robots 2 --out run --minutes 0.05",
         "falsework train arch:blocks=7 --out run --resume --minutes 0.08",
@@ -112,7 +114,8 @@ class Train(JudgingCommand):
             return Exit.DONE
         for note in result.notes:
             output.note(note)
-        output.record({"run": str(self.out), **result.to_dict()})
+        output.file(self.out)
+        output.record(result.to_dict())
         train, test = result.train, result.test
         tested = f"{100 * test.share:.1f} % of {test.states} test states and "
         output.say(

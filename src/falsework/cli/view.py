@@ -29,11 +29,15 @@ class View(JudgingCommand):
     its file again when that changes. It is served to this machine only, unless --host is given, until Ctrl-C.
     """
 
+    rare: ClassVar[tuple[str, ...]] = ("host", "allow_host", "deadline")
+
     examples: ClassVar[tuple[str, ...]] = (
         "falsework view plan.json",
         "falsework view vault --robots 3 --browser",
         "falsework view cell.toml --structure my-folder",
     )
+
+    outcomes: ClassVar[tuple[str, str]] = ("serving", "failed")
 
     subject: ViewableOptions
     policy: Annotated[str | None, arg(metavar="RUN", help_behavior_hint=UNSET)] = None
@@ -80,7 +84,8 @@ class View(JudgingCommand):
             kind, name, record = subject.kind, subject.assembly.name, {"parts": subject.assembly.part_count}
         if warning is not None:
             output.note(f"falsework: warning: {warning}")
-        output.record({"address": page.address, "kind": kind, **record})
+        output.record({"url": page.address, "kind": kind, **record})
+        output.answer(Exit.DONE)
         # A shell makes commands ignore Ctrl-C that it starts in the background of a script.
         ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
         end = f"kill {os.getpid()}" if ignored else "Ctrl-C"

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -12,6 +14,7 @@ from falsework.assembly.store import save_assembly
 from falsework.errors import InputError
 from falsework.interop.compas_write import CompasKind, write_compas
 from falsework.interop.gltf import write_gltf
+from falsework.interop.instruction_table import assembly_instructions, instructions_csv, write_sheet
 from falsework.interop.usd import write_usd
 from falsework.robots.cells.cell_file import AnyCell
 from falsework.robots.exports.export import export_plan
@@ -22,18 +25,27 @@ from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_file import load_plan
 from falsework.search.plans.plan_source import structure_of_plan
 from falsework.utils.json_file import read_format
+from falsework.viewer.page.recording import save_page
+from falsework.viewer.viewable import viewable_of
 
-Format = Literal["folder", "glb", "gltf", "usd", "compas", "compas-assembly", "compas-dem"]
+Format = Literal[
+    "folder", "glb", "gltf", "usd", "html", "compas", "compas-assembly", "compas-dem", "pdf", "csv"
+]  # fmt: skip
 
 _BY_SUFFIX: dict[str, Format] = {
     ".glb": "glb",
     ".gltf": "gltf",
     ".usd": "usd",
     ".usda": "usd",
+    ".html": "html",
     ".json": "compas",
+    ".pdf": "pdf",
+    ".csv": "csv",
 }
-_MOVING = ("glb", "gltf", "usd")
-"""Formats that can show a plan."""
+_MOVING = ("glb", "gltf", "usd", "html")
+"""Formats that can show a plan in motion."""
+_SHEETS = ("pdf", "csv")
+"""Formats of the assembly instructions of a plan."""
 
 
 class ExportWarning(UserWarning):
@@ -88,27 +100,42 @@ def export(
     *,
     format: str | None = None,
     step_seconds: float | None = None,
+    azimuth: float | None = None,
+    elevation: float | None = None,
+    progress: Callable[[int, int], None] | None = None,
     cell: AnyCell | None = None,
     **options: Any,
 ) -> None:
-    """Write a structure, a plan in motion, or the motions of a robot plan for other programs.
+    """Write a structure, a plan in motion or as a sheet, or the motions of a robot plan for other programs.
 
-    Files of other programs hold no joints and loads; what is left out is an `ExportWarning`.
+    A sheet has the assembly instructions of a plan for a crew: which part to place, to hold and to release. Files of
+    other programs hold no joints and loads; what is left out is an `ExportWarning`.
 
     Args:
         subject: a structure, plan or robot plan, or what `load_structure`, `load_plan` or `load_robot_plan` read.
         path: file to write, or folder, which must be new or empty.
         structure: structure of a plan that does not name it; of a robot plan only where robots press.
-        format: `folder` (one mesh a part), `glb`, `gltf`, `usd`, `compas`, `compas-assembly` or `compas-dem`; for a
-            robot plan `ros2-json`, `ros2-yaml`, `ros2-goals`, `csv`, `rapid`, `urscript` or `mcap`. By the name of
-            the file if not given.
-        step_seconds: length of a step of a plan; 1 s if not given.
+        format: `folder` (one mesh a part), `glb`, `gltf`, `usd`, `html` (a page that opens without a server),
+            `compas`, `compas-assembly` or `compas-dem`; for a sheet `pdf` or `csv`; for a robot plan `html`,
+            `ros2-json`, `ros2-yaml`, `ros2-goals`, `csv`, `rapid`, `urscript` or `mcap`. By the name of the file if
+            not given.
+        step_seconds: length of a step of a plan in motion; 1 s if not given.
+        azimuth: of the pictures of a sheet, degrees; 0 looks along +y.
+        elevation: of the pictures of a sheet, degrees.
+        progress: called with the number of pictures of a sheet drawn and of all.
         cell: cell of a robot plan, as for `export_plan`; that of a file is the one that the file names, if not given.
         options: as for `load_structure`.
 
     Raises:
         InputError: no such format, one that cannot show the subject, or a place that cannot be written.
     """
+    if format == "html" or (format is None and Path(path).suffix.lower() == ".html"):
+        if step_seconds is not None:
+            raise InputError("--step-seconds: a page plays a step in a second; leave it out")
+        of_itself = isinstance(subject, Assembly)
+        shown = viewable_of(subject, None if of_itself else structure, cell=cell, **options)
+        save_page(path, shown)
+        return
     file, given = subject if isinstance(subject, (str, Path)) else None, structure
     if isinstance(subject, (str, Path)):
         subject, structure = read_exportable(subject, structure, **options)
@@ -121,13 +148,20 @@ def export(
     chosen = format_of(path) if format is None else format
     if chosen not in get_args(Format):
         raise InputError(f"no export format {chosen!r}; choose {', '.join(get_args(Format))}")
+    _refuse_options(chosen, step_seconds, azimuth, elevation)
     plan = None
     if isinstance(subject, Plan):
         plan, assembly = subject, structure_of_plan(subject, None, structure, **options)
+        if chosen in _SHEETS:
+            _write_sheet(path, chosen, plan, assembly, azimuth, elevation, progress)
+            return
         if chosen not in _MOVING:
-            raise InputError(f"{chosen} cannot show a plan; write {', '.join(_MOVING)}, or name the structure instead")
+            shows = ", ".join((*_MOVING, *_SHEETS))
+            raise InputError(f"{chosen} cannot show a plan; write {shows}, or name the structure instead")
     else:
         assembly = as_assembly(subject)
+        if chosen in _SHEETS:
+            raise InputError(f"{chosen} has the steps of a plan; give a plan, as `falsework plan` writes it")
         if step_seconds is not None:
             raise InputError("--step-seconds is for plans; leave it out")
     seconds = 1.0 if step_seconds is None else step_seconds
@@ -150,3 +184,38 @@ def export(
     else:
         kinds: dict[str, CompasKind] = {"compas": "meshes", "compas-assembly": "assembly", "compas-dem": "dem"}
         write_compas(path, assembly, kinds[chosen])
+
+
+def _refuse_options(chosen: str, step_seconds: float | None, azimuth: float | None, elevation: float | None) -> None:
+    """Refuse options that a format does not have."""
+    if chosen in _SHEETS and step_seconds is not None:
+        raise InputError(f"--step-seconds is for plans in motion, which {chosen} is not; leave it out")
+    for name, value in (("azimuth", azimuth), ("elevation", elevation)):
+        if value is not None and chosen != "pdf":
+            raise InputError(f"--{name} is for the pictures of a PDF sheet; leave it out")
+    if elevation is not None and (not -90 < elevation < 90 or elevation == 0):
+        raise InputError(f"an elevation of {elevation:g} degrees sees nothing; give one such as 24")
+
+
+def _write_sheet(
+    path: Path | str,
+    kind: str,
+    plan: Plan,
+    assembly: Assembly,
+    azimuth: float | None,
+    elevation: float | None,
+    progress: Callable[[int, int], None] | None,
+) -> None:
+    sheet = assembly_instructions(plan, assembly)
+    if kind == "csv":
+        # The byte order mark is how spreadsheets detect the encoding.
+        write_sheet(path, instructions_csv(sheet).encode("utf-8-sig"))
+        return
+    from falsework.interop.instruction_pdf import CAMERA, instructions_pdf
+
+    camera = replace(
+        CAMERA,
+        azimuth=CAMERA.azimuth if azimuth is None else azimuth,
+        elevation=CAMERA.elevation if elevation is None else elevation,
+    )
+    write_sheet(path, instructions_pdf(sheet, camera=camera, progress=progress))

@@ -21,9 +21,9 @@ from numpy.typing import ArrayLike, NDArray
 from falsework import __version__
 from falsework.errors import InputError
 from falsework.interop.tracks import Track, Tracks, tracks_of
+from falsework.search.plans.steps import NO_ROBOT
 from falsework.utils.files.output_file import write_whole
 from falsework.viewer.palette import BOUNDARY, INSTALLED, robot_color, unit_rgb
-from falsework.viewer.timeline import NO_ROBOT
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -118,7 +118,7 @@ class _Document:
 
     def animate(self, plan: Plan, times: Tracks) -> None:
         """Add all parts and their animation."""
-        about: dict[str, Any] = {"direction": plan.direction.value, "steps": len(plan), "robots": plan.robots}
+        about: dict[str, Any] = {"steps": len(plan), "robots": plan.robots}
         presses = [(step, press) for step, some in enumerate(plan.presses, 1) for press in some]
         if presses:
             about["presses"] = [
@@ -126,7 +126,7 @@ class _Document:
                 for step, press in presses
             ]
         self._json["extras"] = {"plan": about}
-        animation: dict[str, Any] = {"name": plan.direction.value, "channels": [], "samplers": []}
+        animation: dict[str, Any] = {"name": "assembly", "channels": [], "samplers": []}
         for part, track in enumerate(times.tracks):
             if track.path or track.is_held or (track.appears and track.at_first):
                 self._moving(part, track, times.seconds, animation)

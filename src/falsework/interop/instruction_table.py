@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED
 from falsework.errors import PlanError
-from falsework.search.problem.task import Direction
+from falsework.search.plans.steps import NO_ROBOT, Action
 from falsework.stability.holds import Press, describe_force
 from falsework.utils.files.output_file import write_whole
-from falsework.viewer.timeline import NO_ROBOT, Timeline
+from falsework.viewer.timeline import Timeline
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -102,7 +102,7 @@ class AssemblyInstructions:
     @property
     def start(self) -> tuple[int, ...]:
         """Parts that are there before the first step, boundary not counted."""
-        state = self.timeline.states[self.timeline.row(0)]
+        state = self.timeline.states[0]
         return tuple(np.flatnonzero((state != REMOVED) & ~self.assembly.boundary).tolist())
 
     def name(self, part: int) -> str:
@@ -126,10 +126,10 @@ class AssemblyInstructions:
 
 
 def assembly_instructions(plan: Plan, assembly: Assembly) -> AssemblyInstructions:
-    """Return the sheet of a plan, in the order of assembly.
+    """Return the sheet of a plan.
 
     Args:
-        plan: in either direction.
+        plan: the plan.
         assembly: its structure.
 
     Raises:
@@ -137,25 +137,22 @@ def assembly_instructions(plan: Plan, assembly: Assembly) -> AssemblyInstruction
     """
     if plan.support:
         raise PlanError("a sheet says when to place and when to release, not what is held again or propped; export it")
-    build = plan if plan.direction is Direction.ASSEMBLY else plan.reverse()
-    timeline = Timeline.of(build, assembly)
-    parts, missing = assembly.part_count, set(plan.missing)
-    steps = []
-    for number, action in enumerate(build.actions.tolist(), 1):
-        part, place = action % parts, action >= parts
-        before, after = timeline.row(number - 1), timeline.row(number)
+    timeline, missing, steps = Timeline.of(plan, assembly), set(plan.missing), []
+    for step in plan.steps:
+        place, number = step.action is Action.INSERT, step.number
+        assert step.robot is not None  # a sheet has no props
         steps.append(
             AssemblyInstruction(
                 number=number,
-                part=part,
+                part=step.part,
                 place=place,
-                support=int(timeline.holders[after if place else before, part]),
+                support=step.robot,
                 hold=_holding(timeline, number),
-                presses=timeline.presses_at(number),
-                way=-timeline.ways[part] if place else None,
-                placed=int(((timeline.states[after] != REMOVED) & ~assembly.boundary).sum()),
-                needed=place and part in missing,
-                margins="" if build.margins is None else build.margins.words(number),
+                presses=step.presses,
+                way=-timeline.ways[step.part] if place else None,
+                placed=int(((step.state != REMOVED) & ~assembly.boundary).sum()),
+                needed=place and step.part in missing,
+                margins="" if plan.margins is None else plan.margins.words(number),
             )
         )
     return AssemblyInstructions(timeline, tuple(steps), int(timeline.holders.max(initial=NO_ROBOT)) + 1)
@@ -218,6 +215,6 @@ def _harmless(text: str) -> str:
 
 def _holding(timeline: Timeline, place: int) -> tuple[tuple[int, int], ...]:
     """Return the part and support of everything that is held after so many steps, by support."""
-    robots = timeline.holders[timeline.row(place)]
+    robots = timeline.holders[place]
     held = np.flatnonzero(robots != NO_ROBOT)
     return tuple(sorted(((int(part), int(robots[part])) for part in held), key=lambda pair: pair[1]))

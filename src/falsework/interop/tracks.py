@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from falsework.assembly.state import REMOVED
 from falsework.errors import InputError
 from falsework.search.plans.plan_check import check_identity
+from falsework.search.plans.steps import NO_ROBOT
 from falsework.viewer.appearance import diagonal
-from falsework.viewer.timeline import NO_ROBOT, holders, way_out
+from falsework.viewer.timeline import way_out
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -70,7 +71,7 @@ class Tracks:
 
 
 def tracks_of(plan: Plan, assembly: Assembly, step_seconds: float = 1.0) -> Tracks:
-    """Put a plan on a time axis, in its own direction.
+    """Put a plan on a time axis.
 
     A part that is removed leaves along a collision-free straight path, if there is one, and then disappears; one that
     is inserted does the opposite.
@@ -88,7 +89,7 @@ def tracks_of(plan: Plan, assembly: Assembly, step_seconds: float = 1.0) -> Trac
     if not (np.isfinite(step_seconds) and step_seconds > 0):
         raise InputError(f"a step of {step_seconds:g} seconds cannot be seen; give a number above zero")
     parts = assembly.part_count
-    present, robots = plan.states != REMOVED, holders(plan.states, plan.immovable)
+    present, robots = plan.states != REMOVED, plan.holders
     shown = [[(0.0, bool(present[0, part]))] for part in range(parts)]
     holder = [[(0.0, int(robots[0, part]))] for part in range(parts)]
     path: list[list[tuple[float, tuple[float, float, float]]]] = [[] for _ in range(parts)]

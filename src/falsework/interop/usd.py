@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from falsework import __version__
 from falsework.interop.tracks import Track, Tracks, tracks_of
+from falsework.search.plans.steps import NO_ROBOT
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.files.output_file import write_whole
 from falsework.viewer.palette import BOUNDARY, INSTALLED, robot_color, unit_rgb
-from falsework.viewer.timeline import NO_ROBOT
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly

@@ -1,3 +1,4 @@
+from falsework.replanning.named_state import named_state as named_state
 from falsework.replanning.plan_diff import Difference as Difference
 from falsework.replanning.plan_diff import difference as difference
 from falsework.replanning.policy_guide import PolicyGuide as PolicyGuide

@@ -38,7 +38,7 @@ class Difference:
     """Changes between an old plan and a new one."""
 
     direction: Direction
-    """In which both plans are compared: that of the new one."""
+    """In which both plans are compared."""
     same: bool
     """Whether the new plan is the rest of the old one, step by step."""
     common_steps: int
@@ -84,7 +84,8 @@ class Difference:
             far, places = abs(move.places), "place" if abs(move.places) == 1 else "places"
             pieces.append(f"{move.name} comes {far} {places} {'later' if move.places > 0 else 'earlier'}")
         if len(self.moved) > _NAMED:
-            pieces.append(f"{len(self.moved) - _NAMED} more parts change their place")
+            rest = len(self.moved) - _NAMED
+            pieces.append(f"{rest} more {'part changes its place' if rest == 1 else 'parts change their places'}")
         if self.added:
             pieces.append(f"new: {', '.join(self.added)}")
         if self.dropped:
@@ -118,26 +119,25 @@ class Difference:
         }
 
 
-def difference(old: Plan, new: Plan) -> Difference:
+def difference(old: Plan, new: Plan, direction: Direction = Direction.ASSEMBLY) -> Difference:
     """Compare a new plan with the plan that it replaces.
 
-    The old plan is read in the direction of the new one, from the state on in which the new one begins, if it passes
-    through that.
+    The old plan is read from the state on in which the new one begins, if it passes through that.
 
     Args:
         old: the plan so far.
         new: the plan from now on.
+        direction: in which both are carried out.
 
     Raises:
         PlanError: the plans are of different structures.
     """
     if old.identity != new.identity:
         raise PlanError(f"the plans are of different structures, {old.name} and {new.name}; compare plans of one")
-    if old.direction is not new.direction:
-        old = old.reverse()
-    here = np.flatnonzero((old.states == new.states[0]).all(axis=1))
+    way = 1 if direction is Direction.ASSEMBLY else -1
+    here = np.flatnonzero((old.states[::way] == new.states[::way][0]).all(axis=1))
     begin = int(here[0]) if len(here) else 0
-    left, now = old.actions[begin:], new.actions
+    left, now = old.actions[::way][begin:], new.actions[::way]
     shared = min(len(left), len(now))
     differs = np.flatnonzero(left[:shared] != now[:shared])
     common = int(differs[0]) if len(differs) else shared
@@ -150,11 +150,11 @@ def difference(old: Plan, new: Plan) -> Difference:
         if place[part] != number
     ]
     return Difference(
-        direction=new.direction,
+        direction=direction,
         same=len(here) > 0 and len(left) == len(now) == common,
         common_steps=common if len(here) else 0,
-        first_old=old.describe(begin + common) if common < len(left) else "",
-        first_new=new.describe(common) if common < len(now) else "",
+        first_old=old.in_order(direction)[begin + common].words if common < len(left) else "",
+        first_new=new.in_order(direction)[common].words if common < len(now) else "",
         old_steps=len(left),
         new_steps=len(now),
         begins_on_the_way=len(here) > 0,

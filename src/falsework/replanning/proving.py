@@ -51,6 +51,7 @@ class Prover:
         task: Task,
         replayer: DeadlineReplayer | None = None,
         *,
+        built: int = 0,
         forces: bool = False,
         seconds: float = np.inf,
     ) -> Plan:
@@ -60,6 +61,7 @@ class Prover:
             route: states and actions.
             task: task of the route.
             replayer: has replayed the route as far as time allowed; None without contact history.
+            built: steps of the route, in assembly order, that `replayer` takes as built.
             forces: keep the certificates in the plan.
             seconds: time that is left. Where it is too short to replay all states or to verify them, the plan rests on
                 the replay as far as it came, and after that on verdicts from rest.
@@ -67,7 +69,7 @@ class Prover:
         Raises:
             PlanError: a state that cannot be proved stable.
         """
-        replayed = None if replayer is None else replayer.as_time_allows(route.states[::-1])
+        replayed = None if replayer is None else replayer.as_time_allows(route.states[::-1][built:])
         whole = replayed is None or replayed.stands is True
         if forces or (whole and self.seconds_for(len(route.states)) <= seconds):
             known, begun = None if replayed is None or not whole else _summary(replayed), time.perf_counter()
@@ -79,17 +81,17 @@ class Prover:
 
     def _as_found(self, route: Route, task: Task, replayed: Replayed | None) -> Plan:
         """Return a plan that rests on its replay as far as that came, and else on verdicts from rest."""
-        claim, states = self.oracle.settings.claim, route.states
+        claim, states = self.oracle.settings.claim, route.states[::-1]
         if replayed is None:
             return Plan.of(route, self.assembly, task, self.oracle.judge(states), claim)
         claim = replace(claim, holds=claim.holds.resolved(self.assembly, claim.gravity))
-        rest, verdicts = len(states) - len(replayed.residuals), Verdicts.blank(len(states))
-        if rest:
-            verdicts.put(np.arange(rest), self.oracle.judge(states[:rest]))
-        verdicts.verdict[rest:], verdicts.proof[rest:] = Verdict.STABLE, Proof.HISTORY
-        verdicts.residual[rest:], verdicts.decided_by[rest:] = replayed.residuals[::-1], Solver.CPU
+        done, verdicts = len(replayed.residuals), Verdicts.blank(len(states))
+        if done < len(states):
+            verdicts.put(np.arange(done, len(states)), self.oracle.judge(states[done:]))
+        verdicts.verdict[:done], verdicts.proof[:done] = Verdict.STABLE, Proof.HISTORY
+        verdicts.residual[:done], verdicts.decided_by[:done] = replayed.residuals, Solver.CPU
         known = None if replayed.stands is None else _summary(replayed)
-        presses = (*replayed.presses, *[()] * rest)[:0:-1]
+        presses = (*replayed.presses, *[()] * (len(states) - done))[1:]
         return replace(Plan.of(route, self.assembly, task, verdicts, claim), presses=presses, replay=known)
 
 

@@ -10,14 +10,16 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from falsework.assembly.load import AnyStructure, as_assembly
+from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.errors import InputError
+from falsework.replanning.named_state import StateLike
 from falsework.replanning.policy_guide import PolicyGuide
 from falsework.replanning.policy_stages import follow_greedily, follow_samples, with_time
 from falsework.replanning.proving import Prover
@@ -28,6 +30,9 @@ from falsework.replanning.search_stages import search_on
 from falsework.replanning.session import ReplanContext, ReplanSession
 from falsework.replanning.session import ReplanSettings as ReplanSettings
 from falsework.search.find import FIRST_SHARE, PLANS
+from falsework.search.plans.plan import Plan
+from falsework.search.plans.plan_file import is_plan_file, load_plan
+from falsework.search.plans.plan_source import structure_of_plan
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.guide import Guide, SupportGuide
 from falsework.stability.oracle import Stability
@@ -77,8 +82,8 @@ class Replanner:
         self._lock = threading.Lock()
         self._warm()
 
-    def replan(self, state: ArrayLike, **options: Any) -> ReplanResult:
-        """Answer one request; the options are the fields of `Request`.
+    def replan(self, state: StateLike | None = None, **options: Any) -> ReplanResult:
+        """Answer one request; the options are the other fields of `Request`, such as plan and step instead of a state.
 
         Raises:
             InputError: the request makes no sense for this structure; the message says what to do.
@@ -186,27 +191,34 @@ class _Round:
 
 
 def replan(
-    assembly: AnyStructure,
-    state: ArrayLike,
+    subject: AnyStructure | Plan,
+    state: StateLike | None = None,
     *,
+    step: int | None = None,
+    structure: AnyStructure | None = None,
     policy: Any = None,
     oracle: Stability | None = None,
-    stability: StabilitySettings = PLANS,
+    stability: StabilitySettings | None = None,
     settings: ReplanSettings = ReplanSettings(),
     **options: Any,
 ) -> ReplanResult:
-    """Plan anew from a state; a `Replanner` answers many requests about one structure.
+    """Plan anew from a state, or from a step of a plan; a `Replanner` answers many requests about one structure.
 
     Args:
-        assembly: the structure, or its name or path.
-        state: current state of the structure, shape (parts,).
+        subject: the structure, or its name or path; or a plan that is being carried out, or its file.
+        state: current state of the structure, shape (parts,), or as `named_state` reads it.
+        step: last step of the plan that is done, 0 for none. The new plan then begins with the steps that are done, so
+            that steps keep their numbers, and its replay with their history.
+        structure: structure of the plan, instead of the one that the plan names.
         policy: proposes actions, a `torch.nn.Module` as of `load_policy`; None searches alone.
         oracle: decides stability; pass an existing one to reuse its cache.
-        stability: criterion, reserve and robots, where no oracle is given. Where no plan keeps the reserve, half of the
-            deadline is left to look for one without; `Plan.claim` of the answer has its reserve.
+        stability: criterion, reserve and robots, where no oracle is given; by default those of the plan, else `PLANS`.
+            Where no plan keeps the reserve, half of the deadline is left to look for one without; `Plan.claim` of the
+            answer has its reserve.
         settings: how hard to try.
-        options: the other fields of `Request`, such as target, robots, missing and deadline. Loading the structure into
-            the solver comes on top of a deadline; a `Replanner` has done that already.
+        options: the other fields of `Request`, such as target, robots, missing and deadline; robots are those of the
+            plan if not given. Loading the structure into the solver comes on top of a deadline; a `Replanner` has done
+            that already.
 
     Returns:
         Proven plans, or the reason for none.
@@ -215,7 +227,11 @@ def replan(
         InputError: the request makes no sense for this structure; the message says what to do.
         DependencyError: a policy without torch.
     """
-    request, assembly = Request(state, **options), as_assembly(assembly)
+    plan, assembly = _subject(subject, structure)
+    if plan is not None:
+        options = {"robots": plan.robots, **options, "plan": plan}
+    request = Request(state, step=step, **options)
+    stability = stability or (PLANS if plan is None else settings_of(plan))
     request.task(assembly)  # bad input is refused before anything is loaded
 
     def ask(oracle: Stability, deadline: float | None) -> ReplanResult:
@@ -233,3 +249,20 @@ def replan(
     again = ask(Stability(assembly, replace(stability, reserve=1.0)), left)
     best = again if again.found or not answer.found else answer
     return replace(best, seconds=answer.seconds + again.seconds)
+
+
+def settings_of(plan: Plan) -> StabilitySettings:
+    """Return the settings of stability under which a plan was made."""
+    return StabilitySettings(**vars(plan.claim))
+
+
+def _subject(subject: AnyStructure | Plan, structure: AnyStructure | None) -> tuple[Plan | None, Assembly]:
+    """Return the plan, if there is one, and the structure."""
+    file = subject if isinstance(subject, (str, Path)) and is_plan_file(subject) else None
+    if file is not None:
+        subject = load_plan(file)
+    if isinstance(subject, Plan):
+        return subject, structure_of_plan(subject, file, structure)
+    if structure is not None:
+        raise InputError("structure names that of a plan; give a plan, or the structure alone")
+    return None, as_assembly(subject)

@@ -6,12 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.part_numbers import part_ids
-from falsework.assembly.state import HELD, REMOVED, States, as_states, complete_state, held_count
+from falsework.assembly.state import HELD, REMOVED, States, complete_state, held_count
 from falsework.errors import InputError, StateError
+from falsework.replanning.built import BuiltSteps
+from falsework.replanning.named_state import StateLike, named_state
+from falsework.search.plans.plan import Plan
+from falsework.search.plans.plan_check import check_identity
 from falsework.search.problem.deadline import check_deadline
 from falsework.search.problem.task import STAGE, Direction, Task
 from falsework.utils.quantity import check_seed
@@ -29,10 +32,15 @@ class Request:
     removed, and the target is the empty structure unless another is given.
     """
 
-    state: ArrayLike
-    """Current state: 0 removed, 1 installed, 2 held, shape (parts,)."""
-    target: ArrayLike | None = None
-    """Target state, shape (parts,)."""
+    state: StateLike | None = None
+    """Current state: 0 removed, 1 installed, 2 held, shape (parts,); or as `named_state` reads it. With `plan` it is
+    the state after `step`."""
+    plan: Plan | None = None
+    """Plan that is being carried out; the new one has its first steps, and goes on after them."""
+    step: int | None = None
+    """Last of its steps that is done; 0 is the start."""
+    target: StateLike | None = None
+    """Target state, as the current one."""
     direction: Direction | None = None
     """Direction; by default the one that leads to the target, assembly if the state lacks the missing parts, else
     disassembly."""
@@ -53,6 +61,34 @@ class Request:
     confidences: bool = False
     """Return the action probabilities of the policy in every state of the plan."""
 
+    def current(self, assembly: Assembly) -> States:
+        """Return the current state, shape (parts,).
+
+        Raises:
+            InputError: no state, a step that the plan does not have, or a plan for another structure.
+        """
+        built = self.done(assembly)
+        if built is not None:
+            return built.state
+        return _state("complete" if self.state is None else self.state, assembly, "state")
+
+    def done(self, assembly: Assembly) -> BuiltSteps | None:
+        """Return the steps that are done; None if no plan is being carried out.
+
+        Raises:
+            InputError: a step that the plan does not have, or a plan for another structure.
+        """
+        if self.plan is None:
+            if self.step is not None:
+                raise InputError(f"step {self.step} is of no plan; give the plan too, or the state")
+            return None
+        if self.state is not None:
+            raise InputError("a plan with its step says what the state is; leave one of the two out")
+        if self.step is None:
+            raise InputError(f"the plan has {len(self.plan)} steps; name the last one that is done, 0 for none")
+        check_identity(self.plan, assembly)
+        return BuiltSteps(self.plan, self.step)
+
     def way(self, assembly: Assembly) -> Direction:
         """Return whether parts are added or removed.
 
@@ -61,7 +97,7 @@ class Request:
         """
         if self.direction is not None:
             return Direction(self.direction)
-        state = _state(self.state, assembly, "state")
+        state = self.current(assembly)
         if self.target is not None:
             target = _state(self.target, assembly, "target")
             stage, wanted = STAGE[state], STAGE[target]
@@ -73,6 +109,8 @@ class Request:
                 )
             return Direction.ASSEMBLY if (stage > wanted).any() else Direction.DISASSEMBLY
         missing = part_ids(self.missing, assembly.names, "missing")
+        if self.plan is not None:
+            return Direction.ASSEMBLY
         absent = any(0 <= part < len(state) and state[part] == REMOVED for part in missing)
         return Direction.ASSEMBLY if absent else Direction.DISASSEMBLY
 
@@ -87,7 +125,7 @@ class Request:
             raise InputError(f"{self.alternatives} alternatives is not a number of plans; ask for {limits}")
         check_deadline(self.deadline)
         check_seed(self.seed)
-        state = _state(self.state, assembly, "state")
+        built, state = self.done(assembly), self.current(assembly)
         target = None if self.target is None else _state(self.target, assembly, "target")
         missing = part_ids(self.missing, assembly.names, "missing")
         fixed = part_ids(self.fixed, assembly.names, "fixed")
@@ -96,10 +134,11 @@ class Request:
         if way is Direction.ASSEMBLY:
             for part in missing:
                 if 0 <= part < len(state) and state[part] != REMOVED and not assembly.boundary[part]:
-                    raise StateError(
-                        f"part {assembly.names[part]} is said to be missing, yet the state has it; "
-                        f"take it out of one of the two"
-                    )
+                    step = None if built is None else built.placed_at(part)
+                    since = "the state has it; take it out of one of the two"
+                    if step is not None:
+                        since = f"step {step} has placed it; name parts that are not placed yet"
+                    raise StateError(f"part {assembly.names[part]} is said to be missing, yet {since}")
             if start is None:
                 start = complete_state(assembly.boundary)
                 for part in fixed:
@@ -120,11 +159,8 @@ class Request:
         return task
 
 
-def _state(given: ArrayLike, assembly: Assembly, name: str) -> States:
-    states = as_states(given, assembly.boundary)
-    if len(states) != 1:
-        raise StateError(f"the {name} holds {len(states)} states; give one, of shape ({assembly.part_count},)")
-    return states[0]
+def _state(given: StateLike, assembly: Assembly, name: str) -> States:
+    return named_state(given, assembly, f"the {name}")
 
 
 def _check_first_step(task: Task, way: Direction, assembly: Assembly) -> None:

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import describe_step
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.result import Outcome, SearchResult
 from falsework.search.problem.task import Direction
 from falsework.search.problem.timed_replayer import Replayed
 from falsework.stability.verdict import Criterion
+from falsework.utils.display.notebook import Displayed
 
 
 class Stage(StrEnum):
@@ -38,16 +38,16 @@ class Stage(StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class ReplanResult:
+class ReplanResult(Displayed):
     """Result of one request."""
 
     plans: tuple[Plan, ...]
-    """Proven plans from the state to the target, in the requested direction; the first is the best."""
+    """Proven plans between the state and the target, in the order of assembly; the first is the best."""
     outcome: Outcome
     """Found; proved impossible; or not found, which proves nothing."""
     decided_by: Stage
     direction: Direction
-    """Of the plans: assembly adds parts, disassembly removes them."""
+    """How they are carried out: assembly adds parts, disassembly removes them and undoes the last step first."""
     steps: int
     """Actions between the state and the target."""
     reached: int
@@ -75,6 +75,8 @@ class ReplanResult:
     history."""
     search: SearchResult | None = None
     """How the last search ended, if there was one."""
+    built: int = 0
+    """Steps that are done, with which the plans begin; those from now on have the numbers after it."""
 
     @property
     def found(self) -> bool:
@@ -93,10 +95,11 @@ class ReplanResult:
             "decided_by": self.decided_by.value,
             "direction": self.direction.value,
             "plans": len(self.plans),
+            "built": self.built,
             "steps": self.steps,
             "reached": self.reached,
             "seconds": round(self.seconds, 6),
-            "spent": {name: round(seconds, 6) for name, seconds in self.spent.items()},
+            "spent_seconds": {name: round(seconds, 6) for name, seconds in self.spent.items()},
             "verdicts": self.verdicts,
             "deadline_passed": self.deadline_passed,
             "criterion": self.criterion,
@@ -106,9 +109,9 @@ class ReplanResult:
             if len(self.replays) > 1:
                 record["replays"] = [replayed.to_dict() for replayed in self.replays]
         if self.plans:
-            plan = self.plans[0]
-            pairs = zip(plan.states[:-1], plan.states[1:], strict=True)
-            record["actions"] = [describe_step(before, after, plan.part_names) for before, after in pairs]
+            record["actions"] = [
+                f"{step.action} {step.name}" for step in self.plans[0].in_order(self.direction)[self.built :]
+            ]
             record["needs"] = [asdict(need) for need in self.plans[0].needs]
             if len(self.plans) > 1:
                 record["distances"] = np.round(self.distance, 4).tolist()

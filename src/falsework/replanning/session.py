@@ -90,9 +90,12 @@ class ReplanSession:
         self.context = context
         self.task = request.task(context.assembly).judged_by(context.prover.oracle)
         self.way = request.way(context.assembly)
-        replayer = context.prover.oracle.replayer
+        done = request.done(context.assembly)
+        self.built = done if self.way is Direction.ASSEMBLY else None
+        """Steps that are done, with which the plans begin; plans that take the structure apart begin anew."""
+        replayer, history = context.prover.oracle.replayer, None if self.built is None else self.built.history
         self.replayer = (
-            None if replayer is None else DeadlineReplayer(replayer, self.clock, lambda: self.yield_control())
+            None if replayer is None else DeadlineReplayer(replayer, self.clock, lambda: self.yield_control(), history)
         )
         self.oracle = TimedOracle(context.prover.oracle, self.clock, lambda: self.yield_control(), self.replayer)
         needed = _SAFETY * context.prover.seconds_for(self.task.steps + 1)
@@ -211,6 +214,11 @@ class ReplanSession:
             if proved:
                 self.outcome, self.decided_by = Outcome.PROVED_IMPOSSIBLE, Stage.RULES
             self.infeasible = True
+            return
+        falls_at = None if self.replayer is None else self.replayer.built_falls_at()
+        if falls_at is not None:
+            self._why = f"the steps that are done do not come to rest in a replay, after step {falls_at}"
+            self.infeasible = True
         elif self.task.steps == 0:
             self.found([Route(self.task.start[None].copy(), np.zeros(0, dtype=np.int64))], Stage.RULES)
 
@@ -230,21 +238,22 @@ class ReplanSession:
                 try:
                     prover, forces = self.context.prover, self.context.settings.forces
                     for route in chosen.routes:
-                        plan = prover.plan(route, self.task, self.replayer, forces=forces, seconds=self.clock.left)
+                        whole, task = (route, self.task) if self.built is None else self._with_built(route)
+                        left = self.clock.left
+                        plan = prover.plan(whole, task, self.replayer, built=self._done, forces=forces, seconds=left)
                         plans = (*plans, plan)
                 except PlanError as error:
                     self._why = str(error) if fallen is None else ""
                     self.outcome, self.decided_by = Outcome.NOT_FOUND, Stage.NONE
-        if self.way is Direction.ASSEMBLY:
-            plans = tuple(plan.reverse() for plan in plans)
         moving = () if plans else self._moving()
         replayer = self.replayer
-        replays = [] if replayer is None else [replayer.as_time_allows(plan.route.states[::-1]) for plan in plans]
+        replays = [] if replayer is None else [replayer.as_time_allows(plan.states[self._done :]) for plan in plans]
         return ReplanResult(
             plans=plans,
             outcome=self.outcome,
             decided_by=self.decided_by,
             direction=self.way,
+            built=self._done,
             steps=self.task.steps,
             reached=self.task.steps if plans else self._reached(),
             seconds=self.clock.seconds,
@@ -254,11 +263,21 @@ class ReplanSession:
             reason="" if plans else self._reason(),
             moving=moving,
             distance=chosen.distance,
-            confidences=tuple(self._confidence(plan.states) for plan in plans) if self.request.confidences else (),
+            confidences=tuple(self._confidence(plan.states[self._done :]) for plan in plans)
+            if self.request.confidences
+            else (),
             criterion=self.context.prover.oracle.settings.criterion,
             replays=tuple(replays),
             search=self.result,
         )
+
+    @property
+    def _done(self) -> int:
+        return 0 if self.built is None else self.built.steps
+
+    def _with_built(self, route: Route) -> tuple[Route, Task]:
+        assert self.built is not None
+        return self.built.extended(route), self.built.whole_task(self.task)
 
     def _choose(self) -> Alternatives:
         """Choose the requested number of the plans found."""
@@ -280,8 +299,9 @@ class ReplanSession:
             return "every reachable state was examined"
         if self.replayer is not None and self.replayer.fallen is not None:
             return (
-                f"no plan was found whose replay in the order of assembly succeeds: in the best of {self.task.steps} "
-                f"steps the structure collapses after step {self.replayer.fell_after}"
+                "no plan was found whose replay in the order of assembly succeeds: in the best of "
+                f"{self._done + self.task.steps} steps the structure collapses after step "
+                f"{self._done + self.replayer.fell_after}"
             )
         if self.clock.passed:
             return "the deadline passed; more time may find a plan"

@@ -27,7 +27,6 @@ from falsework.robots.model.cell import Placement as Placement
 from falsework.robots.model.cell import Signals as Signals
 from falsework.robots.model.cell import cell_identity as cell_identity
 from falsework.robots.model.robot_model import RobotModel as RobotModel
-from falsework.robots.planning.end_motions import Continuation as Continuation
 from falsework.robots.planning.hybrid_planner import plan_robots as plan_robots
 from falsework.robots.planning.hybrid_result import HybridProgress as HybridProgress
 from falsework.robots.planning.hybrid_result import HybridResult as HybridResult

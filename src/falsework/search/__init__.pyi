@@ -31,6 +31,8 @@ from falsework.search.plans.plan_replay import PlanReplay as PlanReplay
 from falsework.search.plans.plan_report import PlanReport as PlanReport
 from falsework.search.plans.plan_source import structure_of_plan as structure_of_plan
 from falsework.search.plans.plan_source import structure_to_check as structure_to_check
+from falsework.search.plans.steps import Action as Action
+from falsework.search.plans.steps import PlanStep as PlanStep
 from falsework.search.problem.guide import Guide as Guide
 from falsework.search.problem.guide import SupportGuide as SupportGuide
 from falsework.search.problem.oracle import Oracle as Oracle

@@ -18,12 +18,13 @@ from falsework.search.plans.plan import Plan
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.guide import SupportGuide
 from falsework.search.problem.hold_bound import Barrier, HoldBound
-from falsework.search.problem.result import Outcome, Progress, SearchResult, unstable_end
+from falsework.search.problem.result import Outcome, Progress, SearchResult, progress_text, unstable_end
 from falsework.search.problem.task import Direction, Task
 from falsework.search.problem.timed_oracle import timed
 from falsework.search.settings import PlannerSettings
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
+from falsework.utils.display.notebook import or_notebook
 
 DEADLINE = 60.0
 """Seconds for the whole question unless another deadline is given."""
@@ -109,7 +110,7 @@ def robots_needed(
             number of robots, half of the deadline is left to ask for plans without; `Plan.claim` has its reserve.
         settings: effort of the search for each plan.
         deadline: seconds for all searches together; None for as long as they take.
-        progress: called after every level of every search.
+        progress: called after every level of every search; notebooks show it if not given.
         forces: keep the contact forces that prove each state in the plan.
         rules: start, target, fixed, missing, removable_only_if_clear, support and props; see `TaskRules`.
 
@@ -120,6 +121,7 @@ def robots_needed(
         InputError: a deadline of zero or less, or rules that the structure cannot keep.
     """
     clock, assembly = Deadline(deadline), as_assembly(assembly)
+    progress = or_notebook(progress, "searching")
     first = oracle or Stability(assembly, stability)
     again = oracle is None and stability.reserve > 1.0 and first.replayer is not None
     share = Deadline(None if deadline is None else FIRST_SHARE * deadline) if again else clock
@@ -282,8 +284,8 @@ class _Inquiry:
         elif result.outcome is Outcome.PROVED_IMPOSSIBLE:
             self._refute(robots, "every state that can be reached was examined")
         else:
-            doing = "taking it apart" if result.direction is Direction.DISASSEMBLY else "putting it together"
-            self._reasons[robots] = f"none found: {doing}, the search reached step {result.reached} of {result.steps}"
+            backwards = result.direction is Direction.DISASSEMBLY
+            self._reasons[robots] = f"none found: {progress_text(result.reached, result.steps, backwards=backwards)}"
 
 
 def stuck_parts(task: Task) -> NDArray[np.intp]:

@@ -29,15 +29,7 @@ from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.guide import Guide, SupportGuide
 from falsework.search.problem.hold_bound import HoldBound
 from falsework.search.problem.oracle import Oracle
-from falsework.search.problem.result import (
-    Outcome,
-    Progress,
-    Route,
-    SearchCounters,
-    SearchProgress,
-    SearchResult,
-    Stop,
-)
+from falsework.search.problem.result import Outcome, Progress, Route, SearchCounters, SearchProgress, SearchResult, Stop
 from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.support_route import SupportRoute
 from falsework.search.problem.task import Task
@@ -45,6 +37,7 @@ from falsework.search.problem.timed_oracle import timed
 from falsework.search.settings import PlannerSettings
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
+from falsework.utils.display.notebook import Displayed, or_notebook
 
 _SAVE_EVERY = 30.0
 """Seconds between two checkpoints."""
@@ -80,7 +73,7 @@ class TaskRules(TypedDict, total=False):
 
 
 @dataclass(frozen=True, eq=False)
-class Planning:
+class Planning(Displayed):
     """Result of `find_plans`."""
 
     result: SearchResult
@@ -138,7 +131,7 @@ def find_plans(
         settings: effort of the search, and number of plans.
         guide: scores actions; by default parts with much support are inserted first, and where three robots or more
             build a shell, or under `equilibrium` one of 700 to 3,000 parts is built, its free edges.
-        progress: called after every level of every attempt.
+        progress: called after every level of every attempt; notebooks show it if not given.
         stop: called before every level; true ends the search with the plans found so far.
         deadline: seconds after which the search ends with the best that it has; the plans are proved after that.
         checkpoint: file to which the search is saved regularly, and from which it resumes if it exists; removed at the
@@ -158,6 +151,7 @@ def find_plans(
     if task is not None and named:
         raise InputError(f"a task and {', '.join(named)} were given; put them into the task, or leave the task out")
     assembly = as_assembly(assembly)
+    progress = or_notebook(progress, "searching")
     if oracle is None:
         task = task or task_of(assembly, 2 if robots is None else robots, **rules)
         more = {"settings": settings, "guide": guide, "progress": progress, "stop": stop, "forces": forces}
@@ -288,7 +282,8 @@ def plan_of(
             route, oracle, replay = SupportRoute.through(states), Stability(assembly, oracle.settings), None
     if oracle.replayer is None:
         verdicts, arrays = prove(route.states, oracle, forces=forces)
-        plan = replace(Plan.of(route, assembly, task, verdicts, oracle.settings.claim), forces=arrays)
+        plan = Plan.of(route, assembly, task, verdicts[::-1], oracle.settings.claim)
+        plan = replace(plan, forces=arrays and arrays[::-1])
     else:
         plan = plan_of_build(route, assembly, task, oracle.replayer, replay, forces=forces)
     if isinstance(oracle, DemandingStability):
@@ -330,8 +325,7 @@ def _weak_states(route: States, oracle: Stability) -> States:
     """Return the states of a route, shape (steps + 1, parts), that cannot be proved or at which its replay fails."""
     if oracle.replayer is None:
         return route[~prove(route, oracle, forces=False)[0].stable]
-    states = route[::-1]
-    row = Acceptance(oracle.replayer).falls_at(states)
+    row = Acceptance(oracle.replayer).falls_at(states := route[::-1])
     return states[:0] if row is None else states[min(max(row, 1), max(len(states) - 2, 0))][None]
 
 

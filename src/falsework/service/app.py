@@ -93,9 +93,16 @@ def _add_questions(
         wanted = await _read(request, models.replan, assembly)
         if isinstance(wanted, Response):
             return wanted
-        payload = wanted.model_dump(exclude={"deadline"})
+        payload, given = wanted.model_dump(exclude={"deadline"}), wanted.model_fields_set
         try:
-            payload["holds"] = description.read_holds(wanted, assembly, pool.settings.criterion)
+            if payload["plan"] is not None:
+                if "state" in given:
+                    raise InputError("state: a plan with its step says what the state is; leave one of the two out")
+                payload["state"] = None
+                for name in {"robots", "holds"} - given:  # those of the plan
+                    del payload[name]
+            if "holds" in payload:
+                payload["holds"] = description.read_holds(wanted, assembly, pool.settings.criterion)
             for name in ("state", "target"):
                 if payload[name] is not None:
                     payload[name] = description.read_state(payload[name], assembly)

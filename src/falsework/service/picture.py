@@ -38,7 +38,7 @@ class PictureOrder:
 
 
 _UNSEEN = frozenset({"forces", "displacements"})
-"""Entries of a plan that no picture shows; packed in a short text they may take any amount of memory."""
+"""Entries of a plan that the service does not use; packed in a short text they may take any amount of memory."""
 
 
 def draw_png(oracle: Stability, order: PictureOrder) -> bytes:
@@ -69,7 +69,7 @@ def draw_png(oracle: Stability, order: PictureOrder) -> bytes:
     from falsework.viewer.timeline import Timeline
 
     pillow = import_pillow()
-    plan = None if order.plan is None else _plan(order.plan, oracle.assembly)
+    plan = None if order.plan is None else read_plan(order.plan, oracle.assembly)
     if plan is None:
         timeline = Timeline.from_state(oracle.assembly, order.state)
     else:
@@ -106,7 +106,7 @@ def draw_png(oracle: Stability, order: PictureOrder) -> bytes:
     return file.getvalue()
 
 
-def _plan(values: Mapping[str, Any], assembly: Assembly) -> Plan:
+def read_plan(values: Mapping[str, Any], assembly: Assembly) -> Plan:
     """Return the plan of a request, whose states take as much memory as its number of parts says.
 
     Raises:

@@ -11,8 +11,9 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from pydantic.json_schema import models_json_schema
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import States, as_states, complete_state, empty_state
+from falsework.assembly.state import States
 from falsework.errors import InputError, StateError
+from falsework.replanning.named_state import named_state
 from falsework.search.plans.plan_file import plan_schema
 from falsework.service.settings import LONGEST_DEADLINE, ServiceSettings
 from falsework.service.worker import NOT_YET
@@ -25,6 +26,8 @@ MOST_ROBOTS, MOST_ALTERNATIVES = 64, 8
 MOST_RESERVE = 100.0
 MOST_FRAMES, NARROWEST, WIDEST = 24, 80, 1600
 """States of a contact sheet, and pixels across each."""
+_NAME = 1000
+"""Characters of the name of a part."""
 _SHOWN = 160
 """Characters of an error message that quote the input."""
 _REF = "#/components/schemas/{model}"
@@ -103,11 +106,31 @@ def models_of(assembly: Assembly, settings: ServiceSettings) -> Models:
         BeforeValidator(_whole_values),
         Field(min_length=parts, max_length=parts, description="one value a part: 0 removed, 1 installed, 2 held"),
     ]
-    state = values | Literal["complete", "empty"]
-    numbers = Annotated[list[whole(0, parts - 1)], Field(max_length=parts, json_schema_extra={"uniqueItems": True})]  # type: ignore[valid-type]
+    part: Any = whole(0, parts - 1) | Annotated[str, Field(max_length=_NAME)]
+    numbers = Annotated[list[part], Field(max_length=parts, json_schema_extra={"uniqueItems": True})]  # type: ignore[valid-type]
+    named: Any = create_model(
+        "NamedState",
+        __base__=Strict,
+        __doc__="A state by its parts, numbers or names; all others are removed, boundary parts apart.",
+        standing=(numbers, Field(default=[], description="parts that stand by themselves")),
+        held=(numbers, Field(default=[], description="parts that robots hold")),
+    )
+    state = values | Literal["complete", "empty"] | named
     longest = round(1000 * LONGEST_DEADLINE)
     replan: dict[str, Any] = {
         "state": (state, Field(default="complete", description="current state; boundary parts are always 2")),
+        "plan": (
+            dict[str, Any] | None,
+            Field(
+                default=None,
+                description="a plan as in an answer, which is being carried out, in place of a state; the new one "
+                "begins with the steps that are done",
+            ),
+        ),
+        "step": (
+            whole(0, 2**31 - 1) | None,
+            Field(default=None, description="last step of the plan that is done; 0 for none"),
+        ),
         "target": (
             state | None,
             Field(default=None, description="target state; by default complete in assembly, else empty"),
@@ -122,10 +145,15 @@ def models_of(assembly: Assembly, settings: ServiceSettings) -> Models:
         ),
         "missing": (
             numbers,
-            Field(default=[], description="parts not delivered yet; they are placed as late as possible"),
+            Field(
+                default=[], description="parts not delivered yet, numbers or names; they are placed as late as possible"
+            ),
         ),
         "fixed": (numbers, Field(default=[], description="parts that must not be held or removed")),
-        "robots": (whole(1, MOST_ROBOTS), Field(default=2, description="parts that can be held at a time")),
+        "robots": (
+            whole(1, MOST_ROBOTS),
+            Field(default=2, description="parts that can be held at a time; by default those of the plan, else 2"),
+        ),
         "alternatives": (whole(1, MOST_ALTERNATIVES), Field(default=1, description="number of plans")),
         "removable_only_if_clear": (
             bool,
@@ -157,7 +185,10 @@ def models_of(assembly: Assembly, settings: ServiceSettings) -> Models:
         ),
         "step": (
             whole(0, 2**31 - 1) | None,
-            Field(default=None, description="draws the state after this step of the plan alone; 0 is the beginning"),
+            Field(
+                default=None,
+                description="draws the state in which this many steps of the plan are done alone; 0 is the beginning",
+            ),
         ),
         "frames": (whole(1, MOST_FRAMES), Field(default=12, description="states of a contact sheet")),
         "proof": (
@@ -187,13 +218,9 @@ def read_state(value: Any, assembly: Assembly) -> States:
     """Return a state in a request as an array, shape (parts,).
 
     Raises:
-        StateError: a boundary part that is not 2.
+        InputError: a boundary part that is not 2, or a name that no part has.
     """
-    if value == "complete":
-        return complete_state(assembly.boundary)
-    if value == "empty":
-        return empty_state(assembly.boundary)
-    return as_states(value, assembly.boundary)[0]
+    return named_state(value, assembly)
 
 
 def read_states(values: list[Any], assembly: Assembly) -> States:
@@ -206,7 +233,7 @@ def read_states(values: list[Any], assembly: Assembly) -> States:
     for number, value in enumerate(values):
         try:
             rows.append(read_state(value, assembly))
-        except StateError as error:
+        except InputError as error:
             raise StateError(f"states {number}: {error}") from None
     return np.stack(rows)
 
@@ -244,7 +271,12 @@ def complaint(error: ValidationError, parts: int) -> str:
         return f"states: give a list of states ({first['msg'][:_SHOWN]})"
     if place[0] in ("state", "target", "states"):
         where = f"states {place[1]}" if place[0] == "states" and len(place) > 1 else place[0]
-        return f"{where}: give {parts} values 0 (removed), 1 (installed) or 2 (held), one a part, or complete or empty"
+        return (
+            f"{where}: give {parts} values 0 (removed), 1 (installed) or 2 (held), one a part, complete or empty, or "
+            "an object with the parts standing and held"
+        )
+    if place[0] in ("missing", "fixed") and len(place) > 1:
+        return f"{place[0]} {place[1][:_SHOWN]}: give numbers from 0 to {parts - 1} or names of parts"
     return f"{' '.join(place)[:_SHOWN]}: {first['msg'][:_SHOWN]}"
 
 
@@ -287,6 +319,7 @@ def components(models: Models) -> dict[str, Any]:
         },
         "decided_by": {"type": "string"},
         "direction": {"enum": ["assembly", "disassembly", None]},
+        "built": {"description": "steps that are done, with which the plans begin", **count},
         "steps": {"description": "actions to the target", "anyOf": [count, {"type": "null"}]},
         "reached": {"description": "actions of the longest stable path found", **count},
         "seconds": number,

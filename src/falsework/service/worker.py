@@ -12,7 +12,7 @@ import os
 import signal
 import time
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -24,7 +24,7 @@ from falsework.assembly.model import Assembly
 from falsework.errors import DependencyError, InputError
 from falsework.search.plans.plan_file import plan_to_dict
 from falsework.search.problem.result import Outcome
-from falsework.service.picture import PictureOrder, draw_png
+from falsework.service.picture import PictureOrder, draw_png, read_plan
 from falsework.stability.motion import motion_of
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import CpuSettings, StabilitySettings
@@ -202,7 +202,7 @@ class _Planner:
         """Answer the requests for the same robots and reserve together."""
         begun = time.monotonic()
         groups: dict[StabilitySettings, list[Item]] = {}
-        for item in items:
+        for item in _with_plans(items, self._assembly, pipe):
             stability = {name: item.payload[name] for name in ("holds", "reserve") if name in item.payload}
             groups.setdefault(replace(self._settings, **stability), []).append(item)
         for settings, some in groups.items():
@@ -269,6 +269,21 @@ class _Painter:
                 pipe.send(Done(item.number, 500, refusal(reason), "failed"))
 
 
+def _with_plans(items: Sequence[Item], assembly: Assembly, pipe: Connection) -> Iterator[Item]:
+    """Yield the requests with their plans read, and with the robots and holds of these where others are not given."""
+    for item in items:
+        if item.payload.get("plan") is None:
+            yield item
+            continue
+        try:
+            plan = read_plan(item.payload["plan"], assembly)
+        except InputError as error:
+            pipe.send(Done(item.number, 422, refusal(f"plan: {error}"), "refused"))
+        else:
+            defaults = {"robots": plan.robots, "holds": plan.claim.holds}
+            yield replace(item, payload={**defaults, **item.payload, "plan": plan})
+
+
 def replan_record(answer: ReplanResult, criterion: Criterion) -> dict[str, Any]:
     """Return an answer as JSON values, its plans as in plan files; `criterion` is the stability criterion."""
     cut = answer.outcome is Outcome.NOT_FOUND and answer.deadline_passed
@@ -277,6 +292,7 @@ def replan_record(answer: ReplanResult, criterion: Criterion) -> dict[str, Any]:
         "outcome": NOT_YET if cut else answer.outcome.value,
         "decided_by": answer.decided_by.value,
         "direction": answer.direction.value,
+        "built": answer.built,
         "steps": answer.steps,
         "reached": answer.reached,
         "seconds": round(answer.seconds, 6),

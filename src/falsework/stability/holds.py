@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
+from falsework.utils.quantity import format_quantity
 
 Array = NDArray[np.float64]
 
@@ -153,8 +154,8 @@ def limits_of(assembly: Assembly, settings: HoldSettings, gravity: float = 9.81)
     if settings.force and settings.force < heaviest:
         part = int(np.flatnonzero(movable)[np.argmax(weight[movable])])
         raise InputError(
-            f"robots that hold with at most {force:.4g} N cannot carry part {assembly.names[part]}, which weighs "
-            f"{heaviest:.4g} N; raise the largest force of holds"
+            f"robots that hold with at most {describe_force(force)} cannot carry part {assembly.names[part]}, "
+            f"which weighs {describe_force(heaviest)}; raise the largest force of holds"
         )
     reach = float(assembly.mass.gyration[movable].max(initial=0.0))
     moment = _LEVER * force * reach if settings.moment is None else settings.moment
@@ -163,10 +164,8 @@ def limits_of(assembly: Assembly, settings: HoldSettings, gravity: float = 9.81)
 
 
 def describe_force(force: float) -> str:
-    """Return a force in N as text, such as `885 N` or `3.9 kN`."""
-    if force < 999.5:
-        return f"{force:.3g} N"
-    return f"{force / 1e3:.1f} kN" if force < 99.95e3 else f"{force / 1e3:.0f} kN"
+    """Return a force in N as text, such as `885 N` or `3.89 kN`."""
+    return format_quantity(force, "force")
 
 
 def describe_presses(presses: Sequence[Press], names: Sequence[str]) -> str:

@@ -124,7 +124,7 @@ class Stability:
         self._count(verdicts)
         self._cache.store(unique, verdicts.verdict, verdicts.residual)
         self.counters.cached += len(batch) - len(unique)
-        return verdicts[back]
+        return replace(verdicts[back], assembly=self.assembly, states=batch)
 
     def check_beside(self, state: States, neighbours: States) -> Verdicts:
         """Check a state from the displacements of neighbouring states where none is found from rest.

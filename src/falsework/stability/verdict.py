@@ -5,10 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cache
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+from falsework.utils.display.notebook import Displayed
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+    from falsework.assembly.state import States
 
 Criterion = Literal["contact", "equilibrium"]
 """`equilibrium`: some admissible contact forces balance gravity (the paper's). `contact`: parts come to rest on
@@ -71,7 +77,7 @@ class Solver(IntEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class Verdicts:
+class Verdicts(Displayed):
     """Verdicts of a batch of states."""
 
     verdict: NDArray[np.int8]
@@ -99,6 +105,10 @@ class Verdicts:
     """Displacement `(translation, rotation)` of the parts about their centres of mass in m and rad, shape
     (batch, parts, 6); only under the criterion `contact`. Stable, or tips: rest position; sliding: position at which
     parts were seen to move away, which shows the moving parts and their directions; otherwise meaningless."""
+    assembly: Assembly | None = None
+    """Structure of the states, where `Stability.check` was asked; notebooks draw it."""
+    states: States | None = None
+    """The states, shape (batch, parts), where `Stability.check` was asked."""
 
     @classmethod
     def blank(
@@ -171,6 +181,8 @@ class Verdicts:
             None if self.forces is None else self.forces[index],
             None if self.velocity is None else self.velocity[index],
             None if self.displacement is None else self.displacement[index],
+            self.assembly,
+            None if self.states is None else self.states[index],
         )
 
     def put(self, rows: NDArray, other: Verdicts) -> None:

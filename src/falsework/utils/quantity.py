@@ -1,4 +1,4 @@
-"""Numbers that users give: quantities with units, and random seeds."""
+"""Numbers that users give and read: quantities with units, and random seeds."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ UNITS: dict[str, dict[str, float]] = {
     "force": {"N": 1.0, "kN": 1e3},
     "moment": {"Nm": 1.0, "kNm": 1e3},
     "length": {"mm": 1e-3, "cm": 1e-2, "m": 1.0},
+    "duration": {"s": 1.0, "min": 60.0},
     "share of gravity": {"g": 1.0},
     "factor": {"": 1.0},
 }
@@ -43,6 +44,50 @@ def parse_quantity(text: str, kind: str, option: str) -> float:
     if not (math.isfinite(number) and number > 0):
         raise InputError(f"{option}: {text!r} is not above zero; give {wanted}")
     return number * units[unit]
+
+
+_SCALES: dict[str, tuple[tuple[float, str], ...]] = {
+    "length": ((1e-3, "mm"), (1.0, "m")),
+    "mass": ((1.0, "kg"), (1e3, "t")),
+    "force": ((1.0, "N"), (1e3, "kN")),
+    "moment": ((1.0, "Nm"), (1e3, "kNm")),
+    "volume": ((1e-6, "cm3"), (1e-3, "dm3"), (1.0, "m3")),
+    "stiffness": ((1.0, "N/m"), (1e3, "kN/m"), (1e6, "MN/m")),
+    "angle": ((math.pi / 180, "deg"),),
+    "duration": ((1.0, "s"),),
+    "share of gravity": ((1.0, "g"),),
+    "factor": ((1.0, ""),),
+}
+"""Units in which each kind of quantity is written, and their size in SI units, the smallest first."""
+_DIGITS = 3
+"""Significant digits of a quantity that is written."""
+_LEAST = 1e-3
+"""Least share of the smallest unit that is written in digits."""
+
+
+def format_quantity(value: float, kind: str) -> str:
+    """Write a quantity as people do: in the unit that suits its size, with three digits and without an exponent.
+
+    Args:
+        value: in SI units.
+        kind: length, mass, force, moment, volume, stiffness, angle, duration, share of gravity or factor.
+    """
+    size = abs(value)
+    if not math.isfinite(value):
+        return "no number" if math.isnan(value) else f"{'-' * (value < 0)}unlimited"
+    scales = _SCALES[kind]
+    scale, unit = next((entry for entry in reversed(scales) if _rounded(size / entry[0]) >= 1.0), scales[0])
+    number = _rounded(size / scale)
+    if 0 < number < _LEAST:
+        return f"less than {_LEAST:g} {unit}".rstrip()
+    whole = number >= 10**_DIGITS
+    text = f"{number:,.0f}" if whole else f"{number:.{_DIGITS}g}"
+    return f"{'-' * (value < 0 and number > 0)}{text} {unit}".rstrip()
+
+
+def _rounded(value: float) -> float:
+    """Round to the digits that are written."""
+    return float(f"{value:.{_DIGITS}g}")
 
 
 def check_seed(seed: int) -> None:

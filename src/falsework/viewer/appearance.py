@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED, States
+from falsework.search.plans.steps import NO_ROBOT
 from falsework.viewer.palette import BOUNDARY, INSTALLED, ramp_in_steps, rgb, robot_color
-from falsework.viewer.timeline import NO_ROBOT, Timeline
+from falsework.viewer.timeline import Timeline
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
 
 Array = NDArray[np.float64]
+Axis = Literal["", "x", "y", "z"]
 
 FADE = 2.0
 """Steps that a part takes to leave the picture."""
@@ -63,7 +65,7 @@ def appearance_at(
 
     Args:
         timeline: states and holders.
-        position: step in the order shown; between whole numbers parts are in transit.
+        position: place in the timeline; between whole numbers parts are in transit.
         state: state shown instead of the one at this step, such as one with parts missing; shape (parts,).
         action_probabilities: probability of the action that concerns each part, NaN where none does; coloured on a
             scale, shape (parts,).
@@ -71,7 +73,7 @@ def appearance_at(
         travelling: whether to show parts in transit.
     """
     assembly = timeline.assembly
-    done, row = timeline.at(position), timeline.row(position)
+    row = timeline.row(position)
     shown = timeline.states[row] if state is None else state
     holder = np.where(shown == 2, timeline.holders[row], NO_ROBOT)
     color = np.broadcast_to(np.array(rgb(INSTALLED), dtype=np.uint8), (assembly.part_count, 3)).copy()
@@ -81,16 +83,17 @@ def appearance_at(
     opacity = (shown != REMOVED).astype(float)
     shift = np.zeros((assembly.part_count, 3))
     if travelling:
-        # A part leaves during the two steps after the action that removes it.
-        gone = done - timeline.removal_step
-        leaving = (timeline.removal_step >= 0) & (gone > 0) & (gone < FADE)
+        # A part comes during the two steps before its place is reached.
+        gone = timeline.insertion - position
+        leaving = (timeline.insertion > 0) & (gone > 0) & (gone < FADE)
         if state is not None:
             leaving &= timeline.states[row] == state
+        far = TRAVEL * diagonal(assembly) if leaving.any() else 0.0
         for part in np.flatnonzero(leaving):
             share = float(gone[part]) / FADE
             opacity[part] = 1 - share
-            shift[part] = TRAVEL * diagonal(assembly) * share * timeline.ways[part]
-            last = int(timeline.holders[timeline.removal_step[part], part])
+            shift[part] = far * share * timeline.ways[part]
+            last = int(timeline.holders[timeline.insertion[part], part])
             if last != NO_ROBOT:
                 color[part] = rgb(robot_color(last))
     if action_probabilities is not None:
@@ -99,6 +102,32 @@ def appearance_at(
     for part, mark in (marks or {}).items():
         color[part] = rgb(mark)
     return Appearance(shown, color, opacity, shift, holder)
+
+
+@dataclass(frozen=True)
+class SceneView:
+    """Changes of the appearance that let one see into a structure."""
+
+    explode: float = 0.0
+    """Distance of parts from their places, as a share of that from the middle of the floor."""
+    axis: Axis = ""
+    """Direction in which parts are cut away; empty for none."""
+    keep: float = 1.0
+    """Share of the length of the structure along the axis, from its low end, in which parts stay."""
+
+    def of(self, look: Appearance, assembly: Assembly) -> Appearance:
+        """Return the appearance with parts moved apart, and without those whose middle is cut away."""
+        if not (self.explode or self.axis):
+            return look
+        low, high = bounds_of(assembly)
+        middle = np.array([*(low + high)[:2] / 2, low[2]])
+        center = assembly.mass.center
+        opacity = look.opacity
+        if self.axis:
+            column = "xyz".index(self.axis)
+            beyond = center[:, column] > low[column] + self.keep * (high - low)[column]
+            opacity = np.where(beyond, 0.0, opacity)
+        return replace(look, opacity=opacity, shift=look.shift + self.explode * (center - middle))
 
 
 def bounds_of(assembly: Assembly) -> Array:

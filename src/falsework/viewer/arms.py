@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from falsework.robots.cells.visuals import VisualShape, link_visuals, shape_of_pieces
 from falsework.robots.plans.loads import Load, load_of, loads_at, loads_beside
 from falsework.robots.plans.timeline import activities_at
+from falsework.search.plans.steps import NO_ROBOT
 from falsework.search.problem.task import Direction
 from falsework.viewer.appearance import Appearance
 from falsework.viewer.clock import Clock
 from falsework.viewer.palette import robot_color, unit_rgb
 from falsework.viewer.pictures.render import ColoredSolid
-from falsework.viewer.timeline import NO_ROBOT
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -104,26 +104,25 @@ class Arms:
         return self if direction is self.direction else Arms(self._plan, self.cell, direction)
 
     def holders(self) -> NDArray[np.int64]:
-        """Return robot that holds each part in each state, in the order of disassembly; shape (steps + 1, parts)."""
-        apart = self.direction is Direction.DISASSEMBLY
-        plan = self._plan if apart else self._plan.reverse()
+        """Return robot that holds each part in each state of the plan; shape (steps + 1, parts)."""
+        plan, frames = self._plan, list(zip(self._plan.rows.tolist(), self._plan.keyframes, strict=True))
         who = np.full(plan.plan.states.shape, NO_ROBOT, dtype=np.int64)
-        for row, frame in zip(plan.rows.tolist(), plan.keyframes, strict=True):
-            who[row] = NO_ROBOT  # of the keyframes around a hand-over the last one counts
+        for row, frame in frames if self.direction is Direction.DISASSEMBLY else reversed(frames):
+            who[row] = NO_ROBOT  # of the keyframes around a hand-over the first in assembly counts
             for robot, part in enumerate(frame.held):
                 if part is not None:
                     who[row, part] = robot
         return who
 
     def seconds(self, step: int) -> float:
-        """Return the duration of a step and of the hand-overs before it, counted from 0 in the order shown."""
+        """Return the duration of an action and of the hand-overs before it, counted from 0 as they are executed."""
         return sum(self._plan.steps[index].seconds for index in self._steps(step))
 
     def _steps(self, step: int) -> range:
         """Return the steps of the robots from one action of the plan to the next; the last action has the rest."""
-        rows = self._plan.rows
-        first = int(np.searchsorted(rows, step))
-        last = len(self._plan) if step + 1 == len(self._plan.plan) else int(np.searchsorted(rows, step + 1))
+        done = self._plan.done
+        first = int(np.searchsorted(done, step))
+        last = len(self._plan) if step + 1 == len(self._plan.plan) else int(np.searchsorted(done, step + 1))
         return range(first, last)
 
     def at_time(self, seconds: float) -> ArmPoses:
@@ -138,8 +137,9 @@ class Arms:
         return ArmPoses(self._poses(configurations), tuple(carried))
 
     def at(self, position: float) -> ArmPoses:
-        """Return the poses at a position, in steps in the order shown, one motion after the other."""
+        """Return the poses at a place in the plan, in steps of assembly done, one motion after the other."""
         steps = len(self._plan.plan)
+        position = position if self.direction is Direction.ASSEMBLY else steps - position
         position = min(max(position, 0.0), float(steps))
         step = min(int(position), steps - 1) if steps else 0
         if steps == 0 or position == int(position):
@@ -174,7 +174,7 @@ class Arms:
             after.configurations[step.robot] if current is None else current.sample(np.array([left]))[0]
         )
         parts = len(self._plan.plan.boundary)
-        action = int(self._plan.plan.actions[number])
+        action = int(self._plan.actions[int(np.flatnonzero(np.diff(self._plan.done))[number])])
         part, moves = action % parts, action >= parts
         removing = moves and self.direction is Direction.DISASSEMBLY
         poses = self._poses(configurations)
@@ -184,7 +184,7 @@ class Arms:
             carried = (self._loaded(load, step.robot, configurations[step.robot]), *carried)
         if step.transit:
             return ArmPoses(poses, carried)
-        if not moves or self._plan.rows[index] > number:
+        if not moves or self._plan.done[index] > number:
             come = part if moves and not removing else None
             return ArmPoses(poses, carried, arrived=come, gone=part if removing else None)
         if step.hands_over is not None or load is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from falsework.assembly.state import INSTALLED, REMOVED, States
 from falsework.geometry.contact.grouping import segment_sum
 from falsework.stability.holds import Press
-from falsework.viewer.appearance import diagonal
-from falsework.viewer.palette import FORCE, FRICTION, GRAVITY, MOTION, PRESS, SLIDING
+from falsework.viewer.appearance import bounds_of, diagonal
+from falsework.viewer.palette import FORCE, FRICTION, GRAVITY, INK, MOTION, PRESS, SLIDING
 from falsework.viewer.pictures.render import ColoredSolid
 
 if TYPE_CHECKING:
@@ -56,9 +56,18 @@ class Arrows:
     """Thickness beside that of other arrows."""
     inside: bool = True
     """Whether they lie inside parts, which are then drawn pale."""
+    scale: float = 0.0
+    """Length of an arrow of 1 N, metres; 0 for motions."""
 
     def __len__(self) -> int:
         return len(self.ends)
+
+    @property
+    def longest(self) -> float:
+        """Force of the longest arrow, N; 0 for motions."""
+        if not self.scale or not len(self):
+            return 0.0
+        return float(np.linalg.norm(self.ends[:, 1] - self.ends[:, 0], axis=1).max()) / self.scale
 
     def solids(self, thickness: float) -> list[ColoredSolid]:
         """Return the arrows as meshes.
@@ -105,9 +114,9 @@ def arrows_of_forces(
     largest = max(float(np.linalg.norm(vectors, axis=1).max(initial=0.0)) for vectors in shown)
     scale = LONGEST * diagonal(assembly) / max(largest, 1e-300)
     return {
-        "contact forces": _arrows(center[acts], pushes[acts] * scale, "contact forces", assembly),
-        "friction": _arrows(center[acts], rubs[acts] * scale, "friction", assembly),
-        "gravity": _arrows(assembly.mass.center[free], weights * scale, "gravity", assembly),
+        "contact forces": _arrows(center[acts], pushes[acts], "contact forces", assembly, scale),
+        "friction": _arrows(center[acts], rubs[acts], "friction", assembly, scale),
+        "gravity": _arrows(assembly.mass.center[free], weights, "gravity", assembly, scale),
         **_press_arrows(assembly, presses, scale),
     }
 
@@ -135,7 +144,26 @@ def arrows_of_motion(assembly: Assembly, state: States, velocity: Array, kind: s
     vectors = velocity[free, :3]
     largest = float(np.linalg.norm(vectors, axis=1).max(initial=0.0))
     scale = LONGEST * diagonal(assembly) / max(largest, 1e-300)
-    return _arrows(assembly.mass.center[free], vectors * scale, kind, assembly)
+    return replace(_arrows(assembly.mass.center[free], vectors, kind, assembly, scale), scale=0.0)
+
+
+def scale_arrow(assembly: Assembly, arrows: Iterable[Arrows]) -> tuple[Arrows, float] | None:
+    """Return an arrow of a round force beside the structure, and the force in N; None where no arrow is a force.
+
+    Args:
+        assembly: the structure.
+        arrows: those that are drawn, all on one scale.
+    """
+    forces = [some for some in arrows if some.longest > 0]
+    if not forces:
+        return None
+    largest = max(some.longest for some in forces)
+    unit = 10.0 ** np.floor(np.log10(largest))
+    force = float(unit * max(share for share in (1.0, 2.0, 5.0) if share * unit <= largest * (1 + 1e-9)))
+    low = bounds_of(assembly)[0]
+    tail = np.array([low[0], low[1] - 0.08 * diagonal(assembly), low[2]])
+    ends = np.array([[tail, tail + [force * forces[0].scale, 0.0, 0.0]]])
+    return Arrows(ends, INK, 1.0, inside=False, scale=forces[0].scale), force
 
 
 def moved_parts(assembly: Assembly, state: States, velocity: Array) -> dict[int, Array]:
@@ -192,12 +220,13 @@ def arrow_mesh(tail: Array, tip: Array, thickness: float) -> tuple[Array, NDArra
 def _press_arrows(assembly: Assembly, presses: Sequence[Press], scale: float) -> dict[str, Arrows]:
     if not presses:
         return {}
-    vectors = scale * np.array([press.wrench[:3] for press in presses])
+    vectors = np.array([press.wrench[:3] for press in presses])
     tips = assembly.mass.center[[press.part for press in presses]]
-    return {PRESSES: replace(_arrows(tips - vectors, vectors, PRESSES, assembly), inside=False)}
+    return {PRESSES: replace(_arrows(tips - scale * vectors, vectors, PRESSES, assembly, scale), inside=False)}
 
 
-def _arrows(tails: Array, vectors: Array, kind: str, assembly: Assembly) -> Arrows:
-    least = SHORTEST * LONGEST * diagonal(assembly)
-    long = np.linalg.norm(vectors, axis=1) > least
-    return Arrows(np.stack([tails[long], tails[long] + vectors[long]], axis=1), KINDS[kind], _BREADTH.get(kind, 1.0))
+def _arrows(tails: Array, vectors: Array, kind: str, assembly: Assembly, scale: float) -> Arrows:
+    vectors = scale * vectors
+    long = np.linalg.norm(vectors, axis=1) > SHORTEST * LONGEST * diagonal(assembly)
+    ends = np.stack([tails[long], tails[long] + vectors[long]], axis=1)
+    return Arrows(ends, KINDS[kind], _BREADTH.get(kind, 1.0), scale=scale)

@@ -2,62 +2,67 @@
 
 from __future__ import annotations
 
-import html
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from falsework.search.problem.task import Direction
+from falsework.search.margins.plan_margins import quantity_text
 from falsework.viewer.palette import INK, MISSING, RAMP, hex_of, ramp_in_steps
+from falsework.viewer.web.links import link_to
+from falsework.viewer.web.markup import html_text
 
 if TYPE_CHECKING:
     from falsework.search.plans.plan import Plan
 
-_WIDTH, _HEIGHT, _LABEL = 300.0, 14.0, 62.0
-"""Sizes of a row and of its label, pixels."""
-_NAMES = {"friction": "friction", "tilt": "tilt", "horizontal": "horizontal", "push": "push"}
+_WIDTH, _HEIGHT = 360.0, 14.0
+"""Sizes of a row, pixels."""
 
 
-def margin_strip(plan: Plan | None, direction: Direction, step: int) -> str:
+def margin_strip(plan: Plan | None, place: int, built: int = 0) -> str:
     """Return rows of coloured columns, one row per margin that the plan records, in HTML; empty if it records none.
 
-    Dark columns are weak; a mark shows the weakest, and a frame the current step.
+    Dark columns are weak; a mark shows the weakest, and a frame the current step. A click on a column goes there.
 
     Args:
         plan: plan to show.
-        direction: order in which it is shown.
-        step: current step, from 0.
+        place: current place, steps done.
+        built: steps that were done before the plan.
     """
     if plan is None or plan.margins is None or not plan.margins.measured:
         return ""
-    shown = plan if plan.direction is direction else plan.reverse()
-    assert shown.margins is not None
-    rows, y = [], 2.0
-    column = _WIDTH / len(shown.states)
-    for kind, values in shown.margins.measured.items():
-        colors = ramp_in_steps(weakness(kind, values, plan.friction))
-        y += 9.0
-        rows.append(f'<text x="0" y="{y + 11:.1f}" font-size="11" fill="{INK}">{html.escape(_NAMES[kind])}</text>')
-        rows += [
-            f'<rect x="{_LABEL + k * column:.2f}" y="{y:.1f}" width="{column + 0.1:.2f}" height="{_HEIGHT}" '
-            f'fill="{hex_of(color)}"><title>step {k}: {html.escape(shown.margins.words(k, kind))}</title></rect>'
-            for k, color in enumerate(colors)
-        ]
-        weakest = shown.margins.weakest(kind)
+    texts, column = [], _WIDTH / len(plan.states)
+    now = place - built
+    for kind, values in plan.margins.measured.items():
+        weakest = plan.margins.weakest(kind)
+        words = [kind]
         if weakest is not None:
-            x = _LABEL + (weakest[0] + 0.5) * column
-            rows.append(f'<path d="M{x - 4:.1f},{y - 7:.1f} h8 l-4,6 z" fill="{MISSING}"/>')
-        x = _LABEL + step * column
-        rows.append(
-            f'<rect x="{x:.2f}" y="{y - 0.5:.1f}" width="{max(column, 2):.2f}" height="{_HEIGHT + 1}" fill="none" '
-            f'stroke="{INK}" stroke-width="1.5"/>'
+            words.append(f"weakest {quantity_text(kind, weakest[1])} at step {built + weakest[0]}")
+        if 0 <= now < len(values):
+            value = values[now]
+            words.append(f"now {'without bound' if value is None else quantity_text(kind, value)}")
+        texts.append(f'<div style="font-size:11px">{html_text(", ".join(words))}</div>')
+        rows = []
+        for row, color in enumerate(ramp_in_steps(weakness(kind, values, plan.friction))):
+            title = html_text(f"step {built + row}: {plan.margins.words(row, kind)}")
+            shape = (
+                f'<rect x="{row * column:.2f}" y="8" width="{column + 0.1:.2f}" height="{_HEIGHT}" '
+                f'fill="{hex_of(color)}"><title>{title}</title></rect>'
+            )
+            rows.append(link_to("step", built + row, shape))
+        if weakest is not None:
+            x = (weakest[0] + 0.5) * column
+            rows.append(f'<path d="M{x - 4:.1f},1 h8 l-4,6 z" fill="{MISSING}"/>')
+        if 0 <= now < len(values):
+            rows.append(
+                f'<rect x="{now * column:.2f}" y="7.5" width="{max(column, 2):.2f}" height="{_HEIGHT + 1}" '
+                f'fill="none" stroke="{INK}" stroke-width="1.5"/>'
+            )
+        texts.append(
+            f'<svg viewBox="-4 0 {_WIDTH + 8:.0f} {_HEIGHT + 10:.0f}" style="display:block;width:100%;height:auto" '
+            f'role="img" aria-label="{html_text(kind)} of every step">{"".join(rows)}</svg>'
         )
-        y += _HEIGHT
-    ends = f'<span style="color:{RAMP[-1]}">dark</span>: weak; the mark is over the weakest step'
-    return (
-        f'<div style="margin:0 1em"><svg width="{_LABEL + _WIDTH + 4:.0f}" height="{y + 4:.0f}" role="img" '
-        f'aria-label="margins of every step">{"".join(rows)}</svg><div style="font-size:11px">{ends}</div></div>'
-    )
+    ends = f'<span style="color:{RAMP[-1]}">dark</span>: weak; the mark is over the weakest step; a click goes there'
+    return f'<div style="margin:0 1em">{"".join(texts)}<div style="font-size:11px">{ends}</div></div>'
 
 
 def weakness(kind: str, values: tuple[float | None, ...], friction: float) -> np.ndarray:

@@ -113,22 +113,21 @@ class BuildProofs:
         """Begin before the first step.
 
         Args:
-            plan: in either direction.
+            plan: the plan.
             oracle: of its structure, under `contact`; judges from rest what the build does not reach.
         """
         settings = replace(oracle.settings, reserve=plan.claim.reserve, holds=plan.claim.holds)
         assembly = oracle.assembly
         self._assembly, self._oracle, self._tolerance = assembly, oracle, settings.tolerance
-        self._states, self._presses = plan.assembly_states, plan.assembly_presses
+        self._states, self._presses = plan.states, plan.presses_before
         self._verifier = BuildVerifier(assembly, settings.claim)
         self._certificates = Replayer(assembly, settings).certificates(self._states, self._presses)
         self._forces = StateArrays(len(self._states), len(assembly.contacts.points), 3)
         self._reached = 0
         self._ended = ""
 
-    def at(self, row: int) -> StateProof:
-        """Return the proof of a state, counted in the order of disassembly."""
-        place = len(self._states) - 1 - row
+    def at(self, place: int) -> StateProof:
+        """Return the proof of the state after so many steps."""
         self._build(place)
         state = self._states[place]
         if place < self._reached:
@@ -140,7 +139,7 @@ class BuildProofs:
         return replace(rest, stable=False, words=why, arrows={}, slides=True, forces=None)
 
     def _build(self, place: int) -> None:
-        """Go on to a state in the order of assembly, or to the first that does not come to rest."""
+        """Go on to a state, or to the first that does not come to rest."""
         while self._reached <= place and not self._ended:
             certificate = next(self._certificates, None)
             if certificate is None:

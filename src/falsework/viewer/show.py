@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 import webbrowser
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +18,7 @@ from falsework.search.problem.deadline import check_deadline
 from falsework.stability.holds import describe_loads, describe_presses
 from falsework.stability.margins.nearness import nearness_to_limit
 from falsework.stability.verdict import Criterion
+from falsework.utils.display.notebook import in_notebook
 from falsework.viewer.arrows import PRESSES, Arrows, arrows_of_step
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.pictures.contact_sheet import (
@@ -27,9 +28,9 @@ from falsework.viewer.pictures.contact_sheet import (
     contact_sheet,
     legend,
     one_state,
-    write_png,
 )
-from falsework.viewer.pictures.drawing import drawing, write_svg
+from falsework.viewer.pictures.drawing import drawing
+from falsework.viewer.pictures.picture import Kind, Picture, PictureReport, figure_of, png_of, svg_of
 from falsework.viewer.pictures.render import Camera
 from falsework.viewer.pictures.video import frame_places, frame_times, write_film
 from falsework.viewer.proof import StateProof
@@ -44,22 +45,6 @@ AZIMUTH, ELEVATION = -58.0, 24.0
 """Direction of view, degrees about the vertical and above the horizon."""
 
 
-@dataclass(frozen=True)
-class PictureReport:
-    """Contents of a picture or video."""
-
-    shows: str
-    """In words."""
-    places: tuple[int, ...] = ()
-    """Places of the timeline that are drawn."""
-    unstable: tuple[int, ...] | None = None
-    """Places whose states are not stable; None where no verdicts were asked for."""
-    visited: int | None = None
-    """States of a graph that the policy visits; None without a policy."""
-    pictures: int = 1
-    """Number of pictures of a video."""
-
-
 def view(
     subject: Showable,
     structure: Assembly | str | Path | None = None,
@@ -71,11 +56,13 @@ def view(
     host: str = "127.0.0.1",
     port: int = 8080,
     allowed_hosts: Sequence[str] = (),
-    browser: bool = True,
-    wait: bool = True,
+    browser: bool | None = None,
+    wait: bool | None = None,
     **options: Any,
 ) -> Page:
     """Show a plan, run, robot plan, state graph, structure or state on a page in the browser.
+
+    A notebook shows what is returned: the file that `Page.save` writes, and a link to the page.
 
     Args:
         subject: an object, a state of shape (parts,), or a file as `open_file` takes it.
@@ -87,8 +74,9 @@ def view(
         host: address to serve at. Beyond this machine, every client that can reach it can view and control the page.
         port: port to serve at; the next free one is taken if it is not free.
         allowed_hosts: names other than `host` under which browsers may open the page.
-        browser: open the page in the browser.
-        wait: serve until interrupted by the keyboard; else return at once and serve until `Page.close`.
+        browser: open the page in the browser; if not given, everywhere but in a notebook.
+        wait: serve until interrupted by the keyboard; else return at once and serve until `Page.close`. If not given,
+            scripts wait, notebooks and prompts do not.
         options: as for `viewable_of`.
 
     Raises:
@@ -102,9 +90,9 @@ def view(
     page = Page(
         _model(shown, criterion=criterion, deadline=deadline), host=host, port=port, allowed_hosts=allowed_hosts
     )
-    if browser:
+    if not in_notebook() if browser is None else browser:
         webbrowser.open(page.address)
-    if wait:
+    if not (in_notebook() or hasattr(sys, "ps1")) if wait is None else wait:
         serve(page)
     return page
 
@@ -116,7 +104,8 @@ def check_view(robots: int, host: str, port: int, deadline: float | None) -> Non
         InputError: a number out of range, or no host.
         DependencyError: viser is not installed.
     """
-    from falsework.viewer.page.page import check_host, import_viser
+    from falsework.viewer.page.page import check_host
+    from falsework.viewer.web.origin_guard import import_viser
 
     check_robots(robots)
     if not 0 <= port <= 65535:
@@ -128,7 +117,7 @@ def check_view(robots: int, host: str, port: int, deadline: float | None) -> Non
 
 def picture(
     subject: Showable,
-    path: Path | str,
+    path: Path | str | None = None,
     structure: Assembly | str | Path | None = None,
     *,
     step: int | None = None,
@@ -144,14 +133,17 @@ def picture(
     elevation: float = ELEVATION,
     title: str = "",
     **options: Any,
-) -> PictureReport:
+) -> Picture:
     """Draw a contact sheet of a plan, one state of it, a structure, or a state graph, without a screen.
+
+    Notebooks show what is returned.
 
     Args:
         subject: an object, a state of shape (parts,), or a file as `open_file` takes it.
-        path: file to write, PNG, or SVG for line drawings of two-dimensional structures and for state graphs.
+        path: file to write, PNG, or SVG for line drawings of two-dimensional structures and for state graphs; without
+            one the picture is only returned.
         structure: structure of a plan, graph or state that does not name it.
-        step: draw the state after this step alone; 0 is the beginning.
+        step: draw the state in which this many steps are done; 0 is the beginning.
         forces: draw the proof of a single state.
         verdicts: decide the stability of the states that are drawn, and mark those that are not stable.
         limits: colour the parts of a single state by how near they are to slipping or tipping.
@@ -171,12 +163,16 @@ def picture(
             cannot be written.
         DependencyError: Pillow or matplotlib is not installed, or torch for a policy.
     """
-    path = Path(path)
-    check_suffix(path, ".png", ".svg")
+    if path is not None:
+        check_suffix(path, ".png", ".svg")
+    kind: Kind = "svg" if path is not None and Path(path).suffix.lower() == ".svg" else "png"
     check_sizes(width, frames, columns)
     shown = viewable_of(subject, structure, **options).with_policy(policy)
     if shown.graph is not None and step is None:
-        return _picture_graph(shown, path, title)
+        drawn = _picture_graph(shown, kind, title)
+        if path is not None:
+            drawn.save(path)
+        return drawn
     timeline = shown.timeline
     single = step if step is not None else (0 if len(timeline) == 0 else None)
     if forces and single is None:
@@ -192,17 +188,18 @@ def picture(
     key = [(some.color, kind) for kind, some in arrows_by_kind.items() if len(some)] if forces else None
     shares = None if shown.policy is None or single is None else _model(shown, single).action_probabilities()
     if limits:
-        if single is None or path.suffix.lower() == ".svg":
+        if single is None or kind == "svg":
             raise InputError("limits colour the parts of one state in a PNG; name the state with --step")
         shares = _nearness(shown, single, criterion)
 
     def camera(across: int, share: float) -> Camera:
         return Camera(azimuth, elevation, width or across, round((width or across) * share), 0.96)
 
-    if path.suffix.lower() == ".svg":
+    if kind == "svg":
         across = float(width or (260 if single is None else 640))
         most = min(columns, len(places))
-        write_svg(path, drawing(timeline, places, columns=most, width=across, arrows=arrows, key=key, proofs=proofs))
+        lines = drawing(timeline, places, columns=most, width=across, arrows=arrows, key=key, proofs=proofs)
+        content = svg_of(lines)
     elif single is not None:
         proof = proofs.get(single)
         borne = describe_loads(timeline.loads_at(single), shown.assembly.names)
@@ -218,21 +215,23 @@ def picture(
             action_probabilities=shares,
             share_of="the limit" if limits else "",
         )
-        write_png(path, image)
+        content = png_of(image)
     else:
         view_of_all = camera(480, 5 / 8)
         sheet = contact_sheet(timeline, places=places, columns=columns, camera=view_of_all, title=title, proofs=proofs)
-        write_png(path, sheet)
+        content = png_of(sheet)
     shows = f"{len(places)} of {len(timeline) + 1} states" if len(timeline) else f"{shown.assembly.name}"
     if single is not None:
         names = shown.assembly.names
         said = describe_presses(timeline.presses_at(single), names), describe_loads(timeline.loads_at(single), names)
         shows = "; ".join(filter(None, (shows, *said)))
-    if not proofs:
-        return PictureReport(shows, tuple(places))
-    fallen = _unstable(proofs)
-    note = proofs[single].words if single is not None else f"{len(fallen)} of them are not stable"
-    return PictureReport(f"{shows}; {note}", tuple(places), fallen)
+    fallen = _unstable(proofs) if proofs else None
+    if fallen is not None:
+        shows += f"; {proofs[single].words if single is not None else f'{len(fallen)} of them are not stable'}"
+    drawn = Picture(shows, tuple(places), fallen, content=content, kind=kind)
+    if path is not None:
+        drawn.save(path)
+    return drawn
 
 
 def _nearness(shown: Viewable, place: int, criterion: Criterion) -> NDArray[np.float64]:
@@ -298,7 +297,7 @@ def animate(
     timeline = shown.timeline
     if len(timeline) == 0:
         raise InputError(f"{shown.assembly.name} has no steps to animate; give a plan, as `falsework plan` writes it")
-    places = tuple(range(len(timeline) + 1))
+    places = tuple(timeline.places)
     proofs = shown.proofs(places, criterion) if verdicts else {}
     camera = Camera(azimuth, elevation, width, 2 * round(0.35 * width), 0.95)
     count = write_film(
@@ -330,27 +329,28 @@ def check_film(width: int, seconds: float, rate: float, speed: float) -> None:
     frame_times(0.0, rate, speed)
 
 
-def _picture_graph(shown: Viewable, path: Path, title: str) -> PictureReport:
-    from falsework.viewer.pictures.graph_picture import covered, graph_figure, write_figure
+def _picture_graph(shown: Viewable, kind: Kind, title: str) -> Picture:
+    from falsework.viewer.pictures.graph_picture import covered, graph_figure
 
     assert shown.graph is not None
     route = shown.timeline.states if len(shown.timeline) else None
-    visited: States | None = None if shown.policy is None else _model(shown, 0).visited()
-    write_figure(path, graph_figure(shown.graph, shown.assembly, route=route, visited=visited, title=title))
+    visited: States | None = None if shown.policy is None else _model(shown).visited()
+    content = figure_of(graph_figure(shown.graph, shown.assembly, route=route, visited=visited, title=title), kind)
     shows = f"{len(shown.graph)} states and {len(shown.graph.source)} actions"
     if visited is None:
-        return PictureReport(shows)
+        return Picture(shows, content=content, kind=kind)
     seen = int(covered(shown.graph, visited).sum())
-    return PictureReport(f"{shows}, {seen} of the states visited by the policy", visited=seen)
+    return Picture(f"{shows}, {seen} of the states visited by the policy", visited=seen, content=content, kind=kind)
 
 
-def _model(shown: Viewable, place: int = 0, **options: Any) -> ViewerState:
+def _model(shown: Viewable, place: int | None = None, **options: Any) -> ViewerState:
     model = ViewerState(
         shown.timeline, plan=shown.plan, policy=shown.policy, graph=shown.graph, arms=shown.arms, **options
     )
-    model.go_to(place)
+    if place is not None:
+        model.go_to(place)
     return model
 
 
 def _unstable(proofs: dict[int, StateProof]) -> tuple[int, ...]:
-    return tuple(place for place, proof in proofs.items() if not proof.stable)
+    return tuple(sorted(place for place, proof in proofs.items() if not proof.stable))

@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from falsework.assembly.state import HELD, REMOVED, Mask, States, as_states, describe_step
+from falsework.assembly.state import REMOVED, States, as_states
 from falsework.search.plans.plan_check import check_identity
+from falsework.search.plans.steps import NO_ROBOT, PlanStep, holders, steps_of, undone
 from falsework.search.problem.task import Direction
 from falsework.stability.contact.hold_loads import Loads
-from falsework.stability.holds import HoldLoad, Press, describe_presses
+from falsework.stability.holds import HoldLoad, Press
+from falsework.stability.verdict import Verdict
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -22,7 +24,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-NO_ROBOT = -1
 EXACT_UP_TO = 150
 """Parts up to which exit directions are taken from the clearance table; above, computing it takes too long for a
 viewer."""
@@ -34,22 +35,25 @@ UPWARDS = 0.35
 class Timeline:
     """States one action apart, with the data that a picture of them needs.
 
-    Everything is kept in the order of disassembly; `at` turns a place in the order shown into one here.
+    Everything is in the order of assembly. A place is the number of steps that are done, in whichever order the steps
+    are shown; between whole numbers a step is under way.
     """
 
     assembly: Assembly
     states: States
-    """In the order of disassembly, shape (steps + 1, parts)."""
+    """In the order of assembly, shape (steps + 1, parts)."""
     actions: NDArray[np.int64]
-    """Of disassembly, shape (steps,)."""
+    """As in `Plan.actions`, shape (steps,)."""
     holders: NDArray[np.int64]
     """Robot that holds each part in each state, `NO_ROBOT` where none does, shape (steps + 1, parts)."""
     direction: Direction
-    """Order in which it is shown."""
+    """Order in which the steps are shown; in disassembly the last one is undone first."""
     robots: int
     """Robots that there are."""
     presses: tuple[tuple[Press, ...], ...] = ()
-    """Presses of robots in each step as it is done in assembly, one entry a step; empty where there are none."""
+    """Presses of robots in each step, one entry a step; empty where there are none."""
+    verdicts: tuple[Verdict, ...] = ()
+    """On the states, one each; empty where none are known."""
     loads: Loads = ()
     """What robots bear in each state; empty where it is not known."""
 
@@ -58,7 +62,7 @@ class Timeline:
         cls,
         plan: Plan,
         assembly: Assembly,
-        direction: Direction | None = None,
+        direction: Direction = Direction.ASSEMBLY,
         who: NDArray[np.int64] | None = None,
     ) -> Timeline:
         """Return the timeline of a plan.
@@ -66,20 +70,16 @@ class Timeline:
         Args:
             plan: the plan.
             assembly: its structure.
-            direction: order in which it is shown; that of the plan if not given.
-            who: robot that holds each part in each state, in the order of disassembly; given out if not given.
+            direction: order in which it is shown.
+            who: robot that holds each part in each state; as in `Plan.holders` if not given.
 
         Raises:
             PlanError: the plan is for another structure.
         """
         check_identity(plan, assembly)
-        apart = plan if plan.direction is Direction.DISASSEMBLY else plan.reverse()
-        # Robots are given out in the order of the plan, so that no held part changes robots on the way.
-        if who is None:
-            who = holders(plan.states, assembly.immovable)
-            who = who if plan.direction is Direction.DISASSEMBLY else who[::-1]
-        shown = plan.direction if direction is None else direction
-        return cls(assembly, apart.states, apart.actions, who, shown, plan.robots, apart.presses, apart.loads)
+        who = plan.holders if who is None else who
+        presses, loads = plan.presses, plan.loads
+        return cls(assembly, plan.states, plan.actions, who, direction, plan.robots, presses, plan.verdicts, loads)
 
     @classmethod
     def from_state(cls, assembly: Assembly, state: ArrayLike, robots: int = 2) -> Timeline:
@@ -91,60 +91,99 @@ class Timeline:
     def __len__(self) -> int:
         return len(self.actions)
 
+    def going_on(self, place: int, plan: Plan) -> Timeline:
+        """Return the steps up to a place and those of a plan from there on, numbered through.
+
+        The plan may begin in another state than that of the place: what was found on site.
+        """
+        states = np.concatenate([self.states[:place], plan.states])
+        presses = (*(self.presses or ((),) * len(self))[:place], *(plan.presses or ((),) * len(plan)))
+        known = self.verdicts or (Verdict.UNDECIDED,) * len(self.states)
+        return replace(
+            self,
+            states=states,
+            actions=np.concatenate([self.actions[:place], plan.actions]),
+            holders=holders(states, self.assembly.immovable),
+            robots=plan.robots,
+            presses=presses if any(presses) else (),
+            verdicts=(*known[:place], *plan.verdicts),
+        )
+
     def turned(self, direction: Direction) -> Timeline:
         """Return the same, shown in the order of assembly or disassembly."""
         return replace(self, direction=direction)
 
-    def at(self, position: float) -> float:
-        """Return steps of disassembly done at a place in the order shown; whole numbers are states."""
-        position = min(max(float(position), 0.0), float(len(self)))
-        return position if self.direction is Direction.DISASSEMBLY else len(self) - position
+    @property
+    def begin(self) -> int:
+        """Place that is shown first."""
+        return 0 if self.direction is Direction.ASSEMBLY else len(self)
+
+    @property
+    def end(self) -> int:
+        """Place that is shown last."""
+        return len(self) - self.begin
+
+    @property
+    def places(self) -> range:
+        """All places, in the order shown."""
+        return range(len(self) + 1) if self.direction is Direction.ASSEMBLY else range(len(self), -1, -1)
 
     def row(self, position: float) -> int:
         """Return the state shown at a place: the last one reached."""
-        if self.direction is Direction.DISASSEMBLY:
-            return int(np.floor(self.at(position)))
-        return int(np.ceil(self.at(position)))
+        return self._whole(position, np.floor if self.direction is Direction.ASSEMBLY else np.ceil)
 
-    def presses_at(self, place: int) -> tuple[Press, ...]:
-        """Return the presses of the step that leads to a place; robots press in the order of assembly alone."""
-        if not self.presses or self.direction is Direction.DISASSEMBLY or not 0 < place <= len(self):
-            return ()
-        return self.presses[self.row(place)]
+    def next(self, position: float) -> int:
+        """Return the place that the step under way leads to; a whole place itself."""
+        return self._whole(position, np.ceil if self.direction is Direction.ASSEMBLY else np.floor)
+
+    def _whole(self, position: float, rounded: np.ufunc) -> int:
+        return int(rounded(min(max(float(position), 0.0), float(len(self)))))
 
     def loads_at(self, place: int) -> tuple[HoldLoad, ...]:
         """Return what robots bear in the state at a place; empty where it is not known."""
         return self.loads[self.row(place)] if self.loads else ()
 
-    def words(self, step: int) -> str:
-        """Describe a step, counted from 0 in the order shown, such as `hold block-3`, with the presses of robots."""
-        before, after = self.states[self.row(step)], self.states[self.row(step + 1)]
-        names = self.assembly.names
-        presses = describe_presses(self.presses_at(step + 1), names)
-        return "; ".join(filter(None, (describe_step(before, after, names), presses)))
+    @cached_property
+    def steps(self) -> tuple[PlanStep, ...]:
+        """Steps in the order shown, with their robots."""
+        verdicts = self.verdicts or (Verdict.UNDECIDED,) * len(self.states)
+        names = tuple(self.assembly.names)
+        steps = steps_of(self.states, self.actions, self.holders, verdicts, names, self.presses)
+        return steps if self.direction is Direction.ASSEMBLY else undone(steps, self.states[0], verdicts[0])
+
+    def step_to(self, place: int) -> PlanStep | None:
+        """Return the step that leads to a place in the order shown; None for the place that is shown first."""
+        return None if place == self.begin else self.steps[abs(place - self.begin) - 1]
+
+    def label(self, place: int) -> str:
+        """Describe the step that leads to a place, such as `step 30 of 56: insert block-3 (R1)`."""
+        step = self.step_to(place)
+        if step is None:
+            return f"step 0 of {len(self)}" if self.direction is Direction.ASSEMBLY else f"all {len(self)} steps done"
+        return f"step {step.number} of {len(self)}: {step}"
+
+    def presses_at(self, place: int) -> tuple[Press, ...]:
+        """Return the presses of the step that leads to a place; robots press in assembly alone."""
+        step = self.step_to(place) if self.presses else None
+        return () if step is None else step.presses
 
     @cached_property
-    def removal_step(self) -> NDArray[np.int64]:
-        """Step of disassembly that removes each part; -1 if none does, -2 if it was never there. Shape (parts,)."""
-        parts = self.assembly.part_count
-        step = np.where(self.states[0] == REMOVED, -2, -1).astype(np.int64)
-        removals = np.flatnonzero(self.actions >= parts)
-        step[self.actions[removals] - parts] = removals
-        return step
+    def insertion(self) -> NDArray[np.int64]:
+        """Number of the step that inserts each part; 0 if it is there before, -1 if it never is. Shape (parts,)."""
+        there = self.states != REMOVED
+        return np.where(there.any(axis=0), there.argmax(axis=0), -1)
 
     @cached_property
     def ways(self) -> Array:
         """Unit vector along which each part leaves, zero for those that stay. Shape (parts, 3)."""
         ways = np.zeros((self.assembly.part_count, 3))
-        for part in np.flatnonzero(self.removal_step >= 0):
-            ways[part] = way_out(self.assembly, self.states[self.removal_step[part]], int(part))
+        for part in np.flatnonzero(self.insertion > 0):
+            ways[part] = way_out(self.assembly, self.states[self.insertion[part]], int(part))
         return ways
 
     def held_when(self, part: int) -> list[tuple[int, int, int]]:
-        """Return robot, first and last state, in the order shown, of every time that the part is held."""
+        """Return robot, first and last state of every time that the part is held."""
         column = self.holders[:, part]
-        if self.direction is Direction.ASSEMBLY:
-            column = column[::-1]
         spans: list[tuple[int, int, int]] = []
         for position, robot in enumerate(column.tolist()):
             if robot == NO_ROBOT:
@@ -154,27 +193,6 @@ class Timeline:
             else:
                 spans.append((robot, position, position))
         return spans
-
-
-def holders(states: States, boundary: Mask) -> NDArray[np.int64]:
-    """Return the robot that holds each part in each state, `NO_ROBOT` for none; it stays the same during a hold.
-
-    Args:
-        states: states one action apart, shape (steps + 1, parts).
-        boundary: shape (parts,).
-
-    Returns:
-        Shape (steps + 1, parts).
-    """
-    robots = np.full(states.shape, NO_ROBOT, dtype=np.int64)
-    for step, state in enumerate(states):
-        held = np.flatnonzero((state == HELD) & ~boundary)
-        before = robots[step - 1] if step else np.full(len(state), NO_ROBOT)
-        robots[step, held] = before[held]
-        free = [robot for robot in range(len(held)) if robot not in robots[step, held]]
-        for part, robot in zip([part for part in held if robots[step, part] == NO_ROBOT], free, strict=False):
-            robots[step, part] = robot
-    return robots
 
 
 def way_out(assembly: Assembly, state: States, part: int) -> Array:
@@ -209,7 +227,7 @@ def interesting(timeline: Timeline, frames: int) -> Sequence[int]:
             [p for p in (position, position - 1, position + 1) if 0 < p < steps] if 0 < position < steps else [position]
         )
         chosen.add(max(near, key=lambda p: (len(timeline.presses_at(p)), _held(timeline, p))))
-    return sorted(chosen)
+    return sorted(chosen, reverse=timeline.direction is Direction.DISASSEMBLY)
 
 
 def _held(timeline: Timeline, place: int) -> int:

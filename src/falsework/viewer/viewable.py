@@ -14,21 +14,20 @@ from falsework.assembly.load import as_assembly, load_structure
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.errors import InputError
+from falsework.files import load_own
 from falsework.robots.model.cell import Cell
 from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.robots.plans.robot_plan_file import load_robot_plan
 from falsework.search.plans.plan import Plan
-from falsework.search.plans.plan_file import load_plan
 from falsework.search.plans.plan_source import structure_of_plan
-from falsework.search.problem.state_graph import StateGraph, load_state_graph
+from falsework.search.plans.steps import holders
+from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.task import Direction
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Criterion
-from falsework.utils.json_file import read_format
 from falsework.viewer.arms import Arms
 from falsework.viewer.proof import BuildProofs, StateProof, proofs_of_states
-from falsework.viewer.timeline import Timeline, holders
+from falsework.viewer.timeline import Timeline
 
 if TYPE_CHECKING:
     from falsework.learn.networks.policy import Policy
@@ -84,7 +83,7 @@ def open_file(
     structure: Assembly | str | Path | None = None,
     *,
     cell: Cell | str | Path | None = None,
-    direction: Direction | None = None,
+    direction: Direction = Direction.ASSEMBLY,
     robots: int = 2,
     **options: Any,
 ) -> Viewable:
@@ -94,7 +93,7 @@ def open_file(
         path: file, folder of a run or of meshes, or the name of a built-in structure.
         structure: structure of a plan, graph or run, where the file does not name it or it has moved.
         cell: cell of a robot plan, where the file does not name it or it has moved.
-        direction: order in which the steps are shown; that of the plan if not given.
+        direction: order in which the steps are shown.
         robots: number of robots of a structure.
         options: as for `load_structure`.
 
@@ -103,22 +102,19 @@ def open_file(
         DependencyError: a run without torch.
     """
     file = Path(path)
-    if file.is_file() and file.suffix.lower() == ".json":
-        form = read_format(file)
-        if form.startswith("falsework.plan/"):
-            return _plan(load_plan(file), file, structure, direction, options)
-        if form.startswith("falsework.robot"):
-            return _robot_plan(load_robot_plan(file), file, structure, cell, direction, options)
-        if form and not form.startswith("falsework.assembly/"):
-            raise InputError(f"{file} has format {form!r}, which cannot be shown; give a plan or a structure")
-    elif file.is_file() and file.suffix.lower() == ".npz":
-        return _graph(load_state_graph(file), str(file), structure, direction, options)
-    elif file.is_dir() and (file / "run.json").is_file():
-        return _run(file, structure, options)
-    elif file.suffix.lower() == ".toml":
+    if file.suffix.lower() == ".toml":
         raise InputError(
             f"{path} is a cell, which has no steps; falsework view and picture show it (view_cell in Python)"
         )
+    known = load_own(path)
+    if isinstance(known, Plan):
+        return _plan(known, file, structure, direction, options)
+    if isinstance(known, RobotPlan):
+        return _robot_plan(known, file, structure, cell, direction, options)
+    if isinstance(known, StateGraph):
+        return _graph(known, str(file), structure, direction, options)
+    if known is not None:
+        return _run(known if structure is None else _load_run(file, as_assembly(structure, **options)))
     if structure is not None:
         raise InputError(f"{path} is a structure itself; leave --structure out")
     assembly = load_structure(path, **options)
@@ -130,7 +126,7 @@ def viewable_of(
     structure: Assembly | str | Path | None = None,
     *,
     cell: Cell | str | Path | None = None,
-    direction: Direction | None = None,
+    direction: Direction = Direction.ASSEMBLY,
     robots: int = 2,
     **options: Any,
 ) -> Viewable:
@@ -170,16 +166,15 @@ def viewable_of(
     return Viewable("structure", assembly, _still(assembly, subject, robots, direction))
 
 
-def _still(assembly: Assembly, state: ArrayLike, robots: int, direction: Direction | None) -> Timeline:
-    still = Timeline.from_state(assembly, state, robots)
-    return still if direction is None else still.turned(direction)
+def _still(assembly: Assembly, state: ArrayLike, robots: int, direction: Direction) -> Timeline:
+    return Timeline.from_state(assembly, state, robots).turned(direction)
 
 
 def _plan(
     plan: Plan,
     file: Path | None,
     structure: Assembly | str | Path | None,
-    direction: Direction | None,
+    direction: Direction,
     options: dict[str, Any],
 ) -> Viewable:
     assembly = structure_of_plan(plan, file, structure, **options)
@@ -191,7 +186,7 @@ def _robot_plan(
     file: Path | None,
     structure: Assembly | str | Path | None,
     cell: Cell | str | Path | None,
-    direction: Direction | None,
+    direction: Direction,
     options: dict[str, Any],
 ) -> Viewable:
     from falsework.robots.cells.cell_file import as_cell
@@ -204,9 +199,8 @@ def _robot_plan(
         cell = str(beside) if beside.is_file() else robot_plan.cell_source
     cell = as_cell(cell)
     robot_plan.check_identity(assembly, cell)
-    shown = robot_plan.direction if direction is None else direction
-    arms = Arms(robot_plan, cell, shown)
-    timeline = Timeline.of(robot_plan.plan, assembly, shown, arms.holders())
+    arms = Arms(robot_plan, cell, direction)
+    timeline = Timeline.of(robot_plan.plan, assembly, direction, arms.holders())
     return Viewable("robot plan", assembly, timeline, robot_plan.plan, arms=arms)
 
 
@@ -219,8 +213,7 @@ def _load_run(folder: Path | str, assembly: Assembly | None) -> Any:
     return load_run(folder, assembly=assembly)
 
 
-def _run(folder: Path, structure: Assembly | str | Path | None, options: dict[str, Any]) -> Viewable:
-    run = _load_run(folder, None if structure is None else as_assembly(structure, **options))
+def _run(run: Any) -> Viewable:
     robots = getattr(run.settings, "robots", 2)
     # A policy disassembles: its next actions are shown for the complete structure.
     still = _still(run.assembly, complete_state(run.assembly.boundary), robots, Direction.DISASSEMBLY)
@@ -231,7 +224,7 @@ def _graph(
     graph: StateGraph,
     name: str,
     structure: Assembly | str | Path | None,
-    direction: Direction | None,
+    direction: Direction,
     options: dict[str, Any],
 ) -> Viewable:
     from falsework.assembly.library import built_in, is_built_in
@@ -247,7 +240,7 @@ def _graph(
     if route is None:
         still = _still(assembly, graph.task.start, graph.task.robots, direction)
         return Viewable("graph", assembly, still, graph=graph)
-    who = holders(route.states, assembly.boundary)
-    shown = Direction.ASSEMBLY if direction is None else direction
-    timeline = Timeline(assembly, route.states, route.actions, who, shown, graph.task.robots)
+    states = route.states[::-1]
+    who = holders(states, assembly.boundary)
+    timeline = Timeline(assembly, states, route.actions[::-1], who, direction, graph.task.robots)
     return Viewable("graph", assembly, timeline, graph=graph)

@@ -39,7 +39,7 @@ def oracle() -> Stability:
 
 
 def test_probabilities(guide: PolicyGuide) -> None:
-    states = find_plans(ARCH, forces=False).plans[0].states
+    states = find_plans(ARCH, forces=False).plans[0].route.states
     legal = action_mask(states, ARCH.boundary, 2)
     logs = guide.log_probabilities(states, legal)
     assert np.isneginf(logs[~legal]).all()
@@ -51,12 +51,12 @@ def test_probabilities(guide: PolicyGuide) -> None:
 
 def test_both_ends_agree(guide: PolicyGuide) -> None:
     """Summed up along a way, the scores are those of a rollout that takes it, whichever end one begins at."""
-    plan = find_plans(ARCH, forces=False).plans[0]
+    route = find_plans(ARCH, forces=False).plans[0].route
     total = {Direction.DISASSEMBLY: 0.0, Direction.ASSEMBLY: 0.0}
-    for step, action in enumerate(plan.actions):
+    for step, action in enumerate(route.actions):
         for direction, state in (
-            (Direction.DISASSEMBLY, plan.states[step]),
-            (Direction.ASSEMBLY, plan.states[step + 1]),
+            (Direction.DISASSEMBLY, route.states[step]),
+            (Direction.ASSEMBLY, route.states[step + 1]),
         ):
             mask = TASK.moves(state[None], direction)
             assert mask[0, action]

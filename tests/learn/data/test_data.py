@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -138,44 +137,63 @@ def test_settings_that_make_no_sense_are_refused(wrong: dict[str, Any]) -> None:
         DataSettings(**wrong)
 
 
-def test_the_command_counts_states_by_level(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_counts_states_by_level(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], read_answer: Callable[[str], dict[str, Any]]
+) -> None:
     out = tmp_path / "data.npz"
-    words = ["dataset", "arch:blocks=6", "--train-width", "4", "--test-width", "8", "--device", "cpu"]
+    words = ["graph", "arch:blocks=6", "--sets", "4,8", "--device", "cpu"]
     assert main([*words, "--out", str(out), "--json"]) == 0
-    record = json.loads(capsys.readouterr().out)
-    assert record["train"] == sum(record["levels"]["train"]) > 10
-    assert record["test"] == sum(record["levels"]["test"])
+    record = read_answer(capsys.readouterr().out)
+    assert record["sets"]["train"] == sum(record["levels"]["train"]) > 10
+    assert record["sets"]["test"] == sum(record["levels"]["test"])
     assert len(record["levels"]["train"]) == 13  # six blocks, two steps each, both ends counted
     assert record["levels"]["train"][0] == record["levels"]["train"][-1] == 1
-    assert load_dataset(out, load_structure("arch:blocks=6")).test.shape == (record["test"], 8)
+    assert load_dataset(out, load_structure("arch:blocks=6")).test.shape == (record["sets"]["test"], 8)
 
 
-def test_the_deadline_saves_what_was_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_deadline_saves_what_was_found(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], read_answer: Callable[[str], dict[str, Any]]
+) -> None:
     out = str(tmp_path / "data.npz")
-    words = ["dataset", "arch:blocks=6", "--device", "cpu", "--out", out, "--widths", "4", "4"]
+    words = ["graph", "arch:blocks=6", "--device", "cpu", "--out", out, "--sets", "64,128,4,4"]
     assert main([*words, "--deadline", "1e-6", "--json"]) == 1
     captured = capsys.readouterr()
     assert "the deadline ended the search; what was found so far is saved" in captured.err
-    record = json.loads(captured.out)
-    assert not record["complete"]
-    assert record["train"] >= 1
-    assert len(load_dataset(out, load_structure("arch:blocks=6")).train) == record["train"]
+    record = read_answer(captured.out)
+    assert record["outcome"] == "incomplete"
+    assert record["sets"]["train"] >= 1
+    assert len(load_dataset(out, load_structure("arch:blocks=6")).train) == record["sets"]["train"]
     assert main([*words, "--deadline", "0"]) == 2
     assert "leaves no time" in capsys.readouterr().err
 
 
 def test_the_command_refuses_what_it_cannot_do(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = str(tmp_path / "data.npz")
-    assert main(["dataset", "arch:blocks=6", "--out", str(tmp_path / "nowhere" / "data.npz")]) == 2
+    assert main(["graph", "arch:blocks=6", "--sets", "64,128", "--out", str(tmp_path / "nowhere" / "data.npz")]) == 2
     assert "make it first" in capsys.readouterr().err
-    assert main(["dataset", "arch:blocks=6", "--robots", "0", "--out", out]) == 2
+    assert main(["graph", "arch:blocks=6", "--sets", "64,128", "--robots", "0", "--out", out]) == 2
     assert "give at least 1" in capsys.readouterr().err
     # One robot cannot build an arch: the search from the empty structure never reaches the complete one.
-    assert main(["dataset", "arch:blocks=6", "--robots", "1", "--out", out, "--device", "cpu"]) == 1
+    assert main(["graph", "arch:blocks=6", "--sets", "64,128", "--robots", "1", "--out", out, "--device", "cpu"]) == 1
     assert "not every search reached the complete structure" in capsys.readouterr().err
     if not torch.cuda.is_available():
-        assert main(["dataset", "arch:blocks=6", "--device", "cuda", "--out", out]) == 2
+        assert main(["graph", "arch:blocks=6", "--sets", "64,128", "--device", "cuda", "--out", out]) == 2
         assert "CUDA devices were found" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--sets", "64"), "--sets 64: give the widths of two searches or more, such as 64,128"),
+        (("--sets", "64,wide"), "--sets 64,wide: give the widths"),
+        (("--sets", "64,128", "--width", "32", "--missing", "2"), "leave out --missing and --width, or --sets"),
+    ],
+)
+def test_sets_come_from_whole_searches(
+    options: tuple[str, ...], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["graph", "arch:blocks=6", *options, "--out", str(tmp_path / "data.npz")]) == 2
+    assert message in capsys.readouterr().err
 
 
 def test_a_real_structure_has_as_many_states_as_in_the_paper(shared_assembly: Callable[[str], Path]) -> None:

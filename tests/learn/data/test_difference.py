@@ -21,9 +21,8 @@ ARCH = load_structure("arch:blocks=7")
 
 @pytest.fixture(scope="module")
 def plans() -> tuple[Plan, ...]:
-    """Plans of assembly that differ."""
-    found = find_plans(ARCH, settings=PlannerSettings(alternatives=4), forces=False).plans
-    return tuple(plan.reverse() for plan in found)
+    """Plans that differ."""
+    return find_plans(ARCH, settings=PlannerSettings(alternatives=4), forces=False).plans
 
 
 def test_a_plan_does_not_differ_from_itself(plans: tuple[Plan, ...]) -> None:
@@ -34,7 +33,7 @@ def test_a_plan_does_not_differ_from_itself(plans: tuple[Plan, ...]) -> None:
         assert same.order_kept == 1.0
         assert same.steps_saved == 0
         assert same.text == f"the plan stays as it was; steps left: {len(plan)}"
-        assert difference(plan.reverse(), plan).same  # the direction in which a plan is written does not matter
+        assert difference(plan, plan, Direction.DISASSEMBLY).same
 
 
 def test_both_ways(plans: tuple[Plan, ...]) -> None:
@@ -67,13 +66,28 @@ def test_from_the_middle(plans: tuple[Plan, ...]) -> None:
     assert change.added == change.dropped == ()
 
 
+def test_what_is_left_to_take_apart(plans: tuple[Plan, ...]) -> None:
+    """In disassembly a plan begins with its last state, and a step of it is undone."""
+    old = plans[0]
+    new = Replanner(ARCH).replan(old.states[6], direction=Direction.DISASSEMBLY).plans[0]
+    change = difference(old, new, Direction.DISASSEMBLY)
+    assert change.begins_on_the_way
+    assert change.old_steps == change.new_steps == 6
+    for other in plans[1:]:
+        apart = difference(old, other, Direction.DISASSEMBLY)
+        common = apart.common_steps
+        np.testing.assert_array_equal(old.actions[::-1][:common], other.actions[::-1][:common])
+        assert apart.first_old == old.in_order(Direction.DISASSEMBLY)[common].words
+        assert apart.first_old.split()[0] in ("hold", "remove")
+
+
 def test_parts_that_come_and_go(plans: tuple[Plan, ...]) -> None:
     """The old plan is not on the way any more: somebody has placed other parts already."""
     old, new = plans[0], plans[1]
     for step in range(2, len(new), 2):
         rest = Replanner(ARCH).replan(new.states[step], direction=Direction.ASSEMBLY).plans[0]
         change = difference(old, rest)
-        placed = set(old.removed_parts.tolist()) - set(rest.removed_parts.tolist())
+        placed = set(old.inserted_parts.tolist()) - set(rest.inserted_parts.tolist())
         if not change.begins_on_the_way:
             assert set(change.dropped) == {ARCH.names[part] for part in placed}
             assert change.steps_saved == len(old) - len(rest)

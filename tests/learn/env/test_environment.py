@@ -119,7 +119,7 @@ def test_random_rollouts_with_targets(bottle: Assembly) -> None:
 
 
 def test_a_plan_is_a_success_with_the_rewards_of_the_paper(arch: Assembly) -> None:
-    route = find_plans(arch, task_of(arch)).plans[0]
+    route = find_plans(arch, task_of(arch)).plans[0].route
     environment = Environment(arch, 2, device="cpu")
     rollouts = roll_out(environment, Scripted(arch, list(route.actions)), environment.rules.complete(3))
     assert rollouts.success.all()

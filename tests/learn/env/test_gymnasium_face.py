@@ -57,7 +57,7 @@ def test_it_is_made_by_name_without_an_import() -> None:
 
 
 def test_a_plan_is_a_success(arch: Assembly) -> None:
-    plan = find_plans(arch, task_of(arch)).plans[0]
+    plan = find_plans(arch, task_of(arch)).plans[0].route
     environment = DisassemblyEnv(arch)
     environment.reset(seed=0)
     rewards = []

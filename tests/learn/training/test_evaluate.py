@@ -111,10 +111,10 @@ def test_the_criterion_is_that_of_the_run_unless_given(tmp_path: Path, capsys: p
     for extra, expected in ((), "equilibrium"), (("--criterion", "contact"), "contact"):
         assert main(["evaluate", out, "--json", "--states", "3", "--device", "cpu", *extra]) == 0
         assert json.loads(capsys.readouterr().out)["criterion"] == expected
-    for command in ("dataset", "graph"):
+    for options in (("--sets", "64,128"), ()):
         for criterion in ("contact", "equilibrium"):
-            file = str(tmp_path / f"{command}.npz")
-            assert main([command, "arch:blocks=5", "--json", "--out", file, "--criterion", criterion]) == 0
+            file = str(tmp_path / f"{len(options)}.npz")
+            assert main(["graph", "arch:blocks=5", *options, "--json", "--out", file, "--criterion", criterion]) == 0
             assert json.loads(capsys.readouterr().out)["criterion"] == criterion
     assert load_state_graph(file).criterion == "equilibrium"
 
@@ -195,7 +195,7 @@ def test_the_command_trains_and_resumes(tmp_path: Path, capsys: pytest.CaptureFi
     assert main([*words, "--steps", "6", "--json", "--robots", "3"]) == 0
     record = json.loads(capsys.readouterr().out)
     assert record["steps"] == 6
-    assert record["run"] == str(tmp_path / "run")
+    assert record["files"] == [str(tmp_path / "run")]
     assert main([*words, "--steps", "12", "--json", "--resume"]) == 0
     assert json.loads(capsys.readouterr().out)["steps"] == 12
     assert json.loads((tmp_path / "run" / "run.json").read_text())["settings"]["robots"] == 3

@@ -100,8 +100,8 @@ def test_the_help_lists_the_built_in_arms(tmp_path: Path, capsys: pytest.Capture
     assert ", ".join(sorted(BUILTIN)) in " ".join((NewCell.__doc__ or "").split())
     assert main(["cell", "--help"]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "Write and check cells" in said
+    assert "Write cells, which" in said
     assert f"Built-in cells: {', '.join(builtin_cells())}. Built-in arms: {', '.join(sorted(BUILTIN))}." in said
     assert main(["cell", "new", "ur10e", "--out", str(tmp_path / "a.toml"), "--json"]) == 0
-    record = json.loads(capsys.readouterr().out)
-    assert record == {"cell": str(tmp_path / "a.toml"), "robots": ["arm 1"], "faults": []}
+    answer = json.loads(capsys.readouterr().out)
+    assert (answer["files"], answer["robots"], answer["faults"]) == ([str(tmp_path / "a.toml")], ["arm 1"], [])

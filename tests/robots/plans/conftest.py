@@ -16,7 +16,9 @@ from falsework.robots.model.shapes import cylinder, pose
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
 from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.search.problem.task import Direction
 from falsework.stability import Stability
+from tests.robots.plans.orders import APART
 from tests.robots.plans.sunk_cubes import under_a_bar
 
 SIZE = 0.2
@@ -86,7 +88,7 @@ def planned_in_turn() -> Callable[[Assembly, Cell], RobotPlan]:
     """`planned_in_turn(assembly, cell)`: a plan that lets all arms work, one after the other."""
 
     def plan(assembly: Assembly, cell: Cell) -> RobotPlan:
-        found = plan_robots(assembly, cell, settings=HybridSettings(together=True)).plan
+        found = plan_robots(assembly, cell, settings=HybridSettings(Direction.DISASSEMBLY, together=True)).plan
         assert found is not None
         return replace(found, schedule=None)
 
@@ -102,7 +104,7 @@ def oracle(column: Assembly) -> Stability:
 @pytest.fixture(scope="session")
 def result(column: Assembly, cell: Cell, oracle: Stability) -> HybridResult:
     """Search for a plan that takes the column apart."""
-    return plan_robots(column, cell, oracle=oracle)
+    return plan_robots(column, cell, oracle=oracle, settings=APART)
 
 
 @pytest.fixture(scope="session")
@@ -110,3 +112,15 @@ def robot_plan(result: HybridResult) -> RobotPlan:
     """That plan."""
     assert result.plan is not None
     return result.plan
+
+
+@pytest.fixture(scope="session")
+def row(make_boxes: Callable[..., Assembly]) -> Assembly:
+    """Four cubes, two on each side."""
+    return make_boxes((-0.45, -0.1, 0.0), (-0.2, -0.1, 0.0), (0.05, -0.1, 0.0), (0.3, -0.1, 0.0))
+
+
+@pytest.fixture(scope="session")
+def wide(cell_of: Callable[..., Cell]) -> Cell:
+    """Two arms at its ends."""
+    return cell_of(2, 1.3)

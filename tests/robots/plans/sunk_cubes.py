@@ -16,6 +16,7 @@ from falsework.robots.model.shapes import block
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
 from falsework.search import Task
+from falsework.search.problem.task import Direction
 from falsework.stability import Stability
 
 NEAR, FAR = 0, 1
@@ -66,4 +67,4 @@ def planned(assembly: Assembly, cell: Cell, begun: dict[str, Any], *, support: b
     """Search for a plan from there on."""
     given = {key: value for key, value in begun.items() if key != "start"}
     task = task_of(assembly, begun, support=support)
-    return plan_robots(assembly, cell, task=task, settings=HybridSettings(attempts=4), **given)
+    return plan_robots(assembly, cell, task=task, settings=HybridSettings(Direction.DISASSEMBLY, attempts=4), **given)

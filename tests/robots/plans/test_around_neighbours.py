@@ -29,6 +29,8 @@ from falsework.robots.schedule.itinerary import Itineraries
 from falsework.robots.schedule.kept_order import KeptOrder, Replacement
 from falsework.robots.schedule.occupancy import occupied
 from falsework.robots.schedule.simulation import simulate
+from falsework.search.problem.task import Direction
+from tests.robots.plans.orders import APART
 
 
 class Case:
@@ -39,7 +41,7 @@ class Case:
         self.assembly, self.cell = assembly, cell
         self.world = CollisionWorld(cell, place_parts(assembly, cell.placement))
         lines = KeyframeSettings(approaches=_APPROACHES, withdrawals=_WITHDRAWALS)
-        settings = HybridSettings(seed=seed, together=True, keyframes=lines)
+        settings = HybridSettings(Direction.DISASSEMBLY, seed=seed, together=True, keyframes=lines)
         found = plan_robots(assembly, cell, settings=settings).plan
         assert found is not None
         self.plan = found
@@ -123,7 +125,7 @@ def test_arms_that_can_never_pass_keep_their_motions(blocked: Case) -> None:
 
 
 def test_plans_for_arms_that_move_together_have_such_motions(crossing: Case, shortened: RobotPlan) -> None:
-    result = plan_together(crossing.assembly, crossing.cell)
+    result = plan_together(crossing.assembly, crossing.cell, settings=APART)
     assert result.plan is not None
     assert result.plan.makespan == pytest.approx(shortened.makespan)
     assert result.statistics["replanned_motions"] == shortened.statistics["replanned_motions"]

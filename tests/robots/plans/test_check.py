@@ -78,7 +78,7 @@ def test_an_obstacle_in_the_way_is_found(robot_plan: RobotPlan, column: Assembly
 def test_a_shortcut_through_the_structure_is_found(robot_plan: RobotPlan, column: Assembly, cell: Cell) -> None:
     """A part that is carried may touch its neighbours on its way out only: then turning on the spot is a collision."""
     parts = len(robot_plan.plan.boundary)
-    index = int(np.flatnonzero(robot_plan.plan.actions >= parts)[0])
+    index = int(np.flatnonzero(robot_plan.actions >= parts)[0])
     line = robot_plan.steps[index].trajectories[0]
     wrist = line.positions[0].copy()
     wrist[5] += 0.5
@@ -122,7 +122,7 @@ def test_joint_limits(robot_plan: RobotPlan, column: Assembly, cell: Cell) -> No
 
 def test_held_parts_that_are_not_held(robot_plan: RobotPlan, column: Assembly, cell: Cell) -> None:
     parts = len(robot_plan.plan.boundary)
-    index = int(np.flatnonzero(robot_plan.plan.actions < parts)[0]) + 1
+    index = int(np.flatnonzero(robot_plan.actions < parts)[0]) + 1
     robot = robot_plan.steps[index - 1].robot
     frames = list(robot_plan.keyframes)
     configurations = list(frames[index].configurations)
@@ -137,7 +137,7 @@ def test_held_parts_that_are_not_held(robot_plan: RobotPlan, column: Assembly, c
 
 def test_empty_hands_carry_nothing(robot_plan: RobotPlan, column: Assembly, cell: Cell) -> None:
     parts = len(robot_plan.plan.boundary)
-    index = int(np.flatnonzero(robot_plan.plan.actions >= parts)[0])
+    index = int(np.flatnonzero(robot_plan.actions >= parts)[0])
     report = check_robot_plan(with_trajectory(robot_plan, index, 1, lambda t: replace(t, part=None)), column, cell)
     assert any("carries part None" in problem.what for problem in report.problems)
     report = check_robot_plan(with_trajectory(robot_plan, index, 1, lambda t: replace(t, touches=0)), column, cell)

@@ -6,6 +6,7 @@ import json
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'fal
 from falsework.cli.main import main
 from falsework.cli.robot_reports import schedule_text
 from falsework.robots.plans.robot_plan_file import load_robot_plan
+from falsework.robots.plans.timeline import interruption
 
 CELL = """
 format = "falsework.cell/1"
@@ -45,12 +47,14 @@ STACK = "stack:blocks=2,length=0.3,height=0.15,depth=0.3"
 
 
 @pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, list[dict], str]]:
-    def call(*arguments: object) -> tuple[int, list[dict], str]:
+def run(
+    capsys: pytest.CaptureFixture[str], read_answer: Callable[[str], dict[str, Any]]
+) -> Callable[..., tuple[int, dict[str, Any], str]]:
+    def call(*arguments: object) -> tuple[int, dict[str, Any], str]:
         capsys.readouterr()
         code = main([str(argument) for argument in arguments])
         captured = capsys.readouterr()
-        return int(code), [json.loads(line) for line in captured.out.splitlines() if line.startswith("{")], captured.err
+        return int(code), read_answer(captured.out) if "--json" in arguments else {}, captured.err
 
     return call
 
@@ -65,33 +69,34 @@ def cell_file(tmp_path: Path) -> Path:
 def test_plan_check_export(run: Callable, cell_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "plans" / "robot_plan.json"
     out.parent.mkdir()
-    code, records, error = run("robots", "plan", STACK, "--cell", cell_file, "--out", out, "--json")
+    code, answer, error = run("robots", "plan", STACK, "--cell", cell_file, "--out", out, "--json")
     assert code == 0, error
-    assert records[0]["found"]
-    assert records[0]["steps"] == 4
+    assert answer["outcome"] == "found"
+    assert answer["steps"] == 4
     plan = load_robot_plan(out)
     assert plan.cell_source == "../cell.toml"
     assert plan.plan.source == {"built_in": STACK}
-    code, records, error = run("robots", "check", out, "--json")
+    code, answer, error = run("robots", "check", out, "--json")
     assert code == 0, error
-    assert records[0]["good"]
-    assert records[0]["stable"]
-    assert records[0]["problems"] == []
-    assert records[0]["links"] == {"arm": "convex pieces"}
-    assert records[0]["checked"]["structure_identity"] == plan.plan.identity
-    assert records[0]["checked"]["cell_identity"] == plan.cell_identity
-    assert records[0]["checked"]["robots"] == ["arm"]
-    assert [records[0]["checked"][key] for key in ("steps", "start", "end", "not_at_home")] == [4, "112", "002", []]
-    stiff, replayed = records[0]["unverified"]
+    assert answer["outcome"] in ("verified", "conditional")
+    assert answer["stable"]
+    assert answer["problems"] == []
+    assert answer["links"] == {"arm": "convex pieces"}
+    assert answer["checked"]["structure_identity"] == plan.plan.identity
+    assert answer["checked"]["cell_identity"] == plan.cell_identity
+    assert answer["checked"]["robots"] == ["arm"]
+    assert [answer["checked"][key] for key in ("steps", "start", "end")] == [4, "002", "112"]
+    assert answer["checked"]["not_at_home"] == ["arm"]
+    stiff, replayed = answer["unverified"]
     assert stiff == "that robots hold parts rigidly, in units of the structure"
     assert replayed == "that a replay of the plan succeeds"
-    code, records, error = run("robots", "check", out, "--json", "--motions-only")
+    code, answer, error = run("robots", "check", out, "--json", "--motions-only")
     assert code == 0
-    assert len(records[0]["unverified"]) == 3
-    assert "the stability of the states" in records[0]["unverified"][0]
+    assert len(answer["unverified"]) == 3
+    assert "the stability of the states" in answer["unverified"][0]
     for form, name in (("ros2-json", "plan.json"), ("csv", "plan.csv"), ("rapid", "arm.mod")):
         folder = tmp_path / form
-        code, _, error = run("robots", "export", out, "--format", form, "--assembly-order", "--out", folder)
+        code, _, error = run("robots", "export", out, "--format", form, "--out", folder)
         assert code == 0, error
         assert (folder / name).is_file()
 
@@ -128,9 +133,9 @@ def test_small_files_do_not_take_much_memory(run: Callable, cell_file: Path, tmp
     out.write_text(json.dumps(data))
     tracemalloc.start()
     try:
-        code, records, error = run("robots", "check", out, "--json", "--motions-only")
+        code, answer, error = run("robots", "check", out, "--json", "--motions-only")
         assert code == 1
-        assert records[0]["samples"] == 0
+        assert answer["samples"] == 0
         assert "a motion takes" in error if factor > 1 else "is outside its limits" in error
         code, _, error = run("robots", "export", out, "--format", "csv", "--out", tmp_path / "tables")
         assert code == 2
@@ -169,10 +174,10 @@ def test_a_bag_says_what_it_lacks(run: Callable, cell_file: Path, tmp_path: Path
 def test_arms_may_hold_again(run: Callable, cell_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "robot_plan.json"
     arguments = ("robots", "plan", STACK, "--cell", cell_file, "--out", out, "--support", "--json")
-    code, records, error = run(*arguments)
+    code, answer, error = run(*arguments)
     assert code == 0, error
-    assert records[0]["releases"] == 0  # not needed here
-    assert records[0]["steps"] == 4
+    assert answer["releases"] == 0  # not needed here
+    assert answer["steps"] == 4
     code, _, error = run(*arguments, "--missing", "1")
     assert code == 2
     assert error.strip() == ("falsework: plans with repeated holds take no missing parts; leave out one of the two")
@@ -180,15 +185,15 @@ def test_arms_may_hold_again(run: Callable, cell_file: Path, tmp_path: Path) -> 
 
 def test_a_bad_plan_is_exit_code_one(run: Callable, cell_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "robot_plan.json"
-    assert run("robots", "plan", STACK, "--cell", cell_file, "--out", out, "--assembly-order")[0] == 0
+    assert run("robots", "plan", STACK, "--cell", cell_file, "--out", out)[0] == 0
     data = json.loads(out.read_text())
     for trajectory in data["steps"][0]["trajectories"]:
         trajectory["times"] = [moment / 3 for moment in trajectory["times"]]
         trajectory["velocities"] = [[3 * value for value in row] for row in trajectory["velocities"]]
     out.write_text(json.dumps(data))
-    code, records, error = run("robots", "check", out, "--json", "--motions-only")
+    code, answer, error = run("robots", "check", out, "--json", "--motions-only")
     assert code == 1
-    assert not records[0]["good"]
+    assert answer["outcome"] == "refuted"
     assert "the acceleration of joint_" in error
 
 
@@ -199,10 +204,10 @@ def test_numbers_that_overflow_are_reported(run: Callable, cell_file: Path, tmp_
     data = json.loads(out.read_text())
     data["steps"][0]["trajectories"][0][entry][1] = [1e308] * 6
     out.write_text(json.dumps(data))
-    code, records, error = run("robots", "check", out, "--json", "--motions-only")
+    code, answer, error = run("robots", "check", out, "--json", "--motions-only")
     assert code == 1
-    assert not records[0]["good"]
-    assert records[0]["acceleration_share"] is None
+    assert answer["outcome"] == "refuted"
+    assert answer["acceleration_share"] is None
     assert "unexpected" not in error
 
 
@@ -212,10 +217,10 @@ def test_options_of_the_structure_count_only_with_the_callers_word(
     """As in `falsework check`: a robot plan must not say how rough, loaded or supported its structure is."""
     out, options = tmp_path / "robot_plan.json", ("--friction", 0.9, "--load", "block-1=0,0,5")
     assert run("robots", "plan", STACK, *options, "--cell", cell_file, "--out", out)[0] == 0
-    code, records, error = run("robots", "check", out, "--json")
+    code, answer, error = run("robots", "check", out, "--json")
     assert code == 3
-    assert records[0]["good"]
-    assert records[0]["overrides"] == {"friction": 0.9, "loads": [{"part": "block-1", "force": [0.0, 0.0, 5.0]}]}
+    assert answer["outcome"] in ("verified", "conditional")
+    assert answer["overrides"] == {"friction": 0.9, "loads": [{"part": "block-1", "force": [0.0, 0.0, 5.0]}]}
     shown = "--friction 0.9 --load block-1=0.0,0.0,5.0"
     assert f"good only with options of the structure that the plan sets itself: {shown}; give them too" in error
     for more in (options, ("--accept-overrides",)):
@@ -225,10 +230,10 @@ def test_options_of_the_structure_count_only_with_the_callers_word(
 def test_no_plan_says_why(run: Callable, tmp_path: Path) -> None:
     far = tmp_path / "far.toml"
     far.write_text(CELL.replace("-1.15", "-4.0"))
-    code, records, error = run("robots", "plan", STACK, "--cell", far, "--out", tmp_path / "plan.json", "--json")
+    code, answer, error = run("robots", "plan", STACK, "--cell", far, "--out", tmp_path / "plan.json", "--json")
     assert code == 1
-    assert not records[0]["found"]
-    assert records[0]["failure"]["unreachable"] == [0, 1]
+    assert answer["outcome"] == "not_found"
+    assert answer["failure"]["unreachable"] == [0, 1]
     assert error.startswith(
         "falsework: no robot plan was found; the search reached step 0 of 4; no robot can hold block-0"
     )
@@ -255,22 +260,22 @@ def test_motions_at_the_same_time(run: Callable, cell_file: Path, tmp_path: Path
     second = second.replace("[-1.15, 0.0, 0.0], yaw = 0.0", "[1.15, 0.0, 0.0], yaw = 180.0")
     cell_file.write_text(CELL + second)
     wanted = ("robots", "plan", STACK, "--cell", cell_file, "--criterion", "equilibrium")
-    code, records, _ = run(*wanted, "--out", tmp_path / "plan.json", "--json")
+    code, answer, _ = run(*wanted, "--out", tmp_path / "plan.json", "--json")
     assert code == 0
-    times = records[-1]
-    assert 0 < times["lower_bound"] <= times["makespan"] <= times["sequential"] + 1e-3
-    assert times["gap"] == pytest.approx(1 - times["lower_bound"] / times["makespan"], abs=1e-3)
+    times = answer
+    assert 0 < times["lower_bound_s"] <= times["makespan_s"] <= times["sequential_s"] + 1e-3
+    assert times["gap"] == pytest.approx(1 - times["lower_bound_s"] / times["makespan_s"], abs=1e-3)
     assert {entry["robot"] for entry in times["arms"]} == {"arm", "other"}
-    assert load_robot_plan(tmp_path / "plan.json").makespan == pytest.approx(times["makespan"], abs=1e-3)
+    assert load_robot_plan(tmp_path / "plan.json").makespan == pytest.approx(times["makespan_s"], abs=1e-3)
     check = ("robots", "check", tmp_path / "plan.json", "--motions-only")
-    code, records, _ = run(*check, "--delays", "20", "--longest-delay", "0.5", "--json")
+    code, answer, _ = run(*check, "--delays", "20", "--longest-delay", "0.5", "--json")
     assert code == 0
-    assert records[-1]["timed_samples"] > 0
-    assert records[-1]["delays"]["overlaps"] > 0
-    runs = records[-1]["delayed_runs"]
+    assert answer["timed_samples"] > 0
+    assert answer["delays"]["overlaps"] > 0
+    runs = answer["delayed_runs"]
     assert runs["runs"] == 20
     assert runs["out_of_order"] == runs["stuck"] == runs["outside"] == 0
-    assert times["makespan"] < runs["makespan"]["least"] <= runs["makespan"]["most"] < 1.5 * times["makespan"]
+    assert times["makespan_s"] < runs["makespan_s"]["least"] <= runs["makespan_s"]["most"] < 1.5 * times["makespan_s"]
     for given, message in (
         (("--delays", "0"), "cannot simulate 0 runs"),
         (("--delays", "-5"), "cannot simulate -5 runs"),
@@ -283,11 +288,11 @@ def test_motions_at_the_same_time(run: Callable, cell_file: Path, tmp_path: Path
         assert code == 2
         assert message in error
         assert error.count("\n") == 1
-    code, records, _ = run(*wanted, "--out", tmp_path / "one.json", "--sequential", "--json")
+    code, answer, _ = run(*wanted, "--out", tmp_path / "one.json", "--sequential", "--json")
     assert code == 0
-    assert records[-1]["makespan"] == records[-1]["sequential"]
-    assert records[-1]["lower_bound"] is records[-1]["gap"] is None
-    assert sum(entry["moves"] for entry in records[-1]["arms"]) == pytest.approx(1.0, abs=1e-3)  # one at a time
+    assert answer["makespan_s"] == answer["sequential_s"]
+    assert answer["lower_bound_s"] is answer["gap"] is None
+    assert sum(entry["moves"] for entry in answer["arms"]) == pytest.approx(1.0, abs=1e-3)  # one at a time
     code, _, error = run("robots", "check", tmp_path / "one.json", "--delays", "5")
     assert code == 2
     assert error == "falsework: the robot plan has no schedule to simulate; plan again, or schedule it\n"
@@ -301,11 +306,11 @@ def test_arms_that_can_never_pass_each_other_move_one_by_one(run: Callable, cell
     cell_file.write_text(first + second)
     out = tmp_path / "plan.json"
     wanted = ("robots", "plan", STACK, "--cell", cell_file, "--criterion", "equilibrium", "--out", out)
-    code, records, error = run(*wanted, "--json")
+    code, answer, error = run(*wanted, "--json")
     assert code == 0, error
-    times = records[-1]
-    assert times["makespan"] == pytest.approx(times["sequential"], abs=0.05)
-    assert times["lower_bound"] == pytest.approx(times["makespan"], abs=1e-3)
+    times = answer
+    assert times["makespan_s"] == pytest.approx(times["sequential_s"], abs=0.05)
+    assert times["lower_bound_s"] == pytest.approx(times["makespan_s"], abs=1e-3)
     plan = load_robot_plan(out)
     assert schedule_text(plan).startswith("no two motions can take place at the same time: the plan stays sequential")
     assert run("robots", "check", out, "--motions-only", "--delays", "20")[0] == 0
@@ -313,11 +318,18 @@ def test_arms_that_can_never_pass_each_other_move_one_by_one(run: Callable, cell
 
 def test_go_on_from_where_the_arms_are(run: Callable, cell_file: Path, tmp_path: Path) -> None:
     wanted = ("robots", "plan", STACK, "--cell", cell_file, "--criterion", "equilibrium", "--json")
-    assert run(*wanted, "--out", tmp_path / "all.json")[0] == 0
+    assert run(*wanted, "--out", tmp_path / "all.json", "--order", "disassembly")[0] == 0
     plan = load_robot_plan(tmp_path / "all.json")
     (row,) = [k for k, frame in enumerate(plan.keyframes) if frame.held[0] is not None][:1]
     (tmp_path / "now.json").write_text(json.dumps({"arm": plan.keyframes[row].configurations[0].tolist()}))
-    midway = ("--state", "".join(map(str, plan.plan.states[row])), "--joints", tmp_path / "now.json")
+    midway = (
+        "--order",
+        "disassembly",
+        "--state",
+        "".join(map(str, plan.states[row])),
+        "--joints",
+        tmp_path / "now.json",
+    )
     held = f"arm={plan.keyframes[row].held[0]}"
     code, _, _ = run(*wanted, "--out", tmp_path / "rest.json", *midway, "--holding", held)
     assert code == 0
@@ -329,7 +341,7 @@ def test_go_on_from_where_the_arms_are(run: Callable, cell_file: Path, tmp_path:
 def test_go_on_building(run: Callable, cell_file: Path, tmp_path: Path) -> None:
     """From where a plan was interrupted: while the arm holds a part in place, and while it carries the next one."""
     wanted = ("robots", "plan", STACK, "--cell", cell_file, "--criterion", "equilibrium", "--json")
-    assert run(*wanted, "--out", tmp_path / "all.json", "--assembly-order")[0] == 0
+    assert run(*wanted, "--out", tmp_path / "all.json")[0] == 0
     plan = load_robot_plan(tmp_path / "all.json")
     row = next(k for k, frame in enumerate(plan.keyframes[1:-1], 1) if frame.held[0] is not None)
     step = next(k for k in range(row, len(plan)) if plan.actions[k] >= len(plan.plan.boundary))
@@ -340,7 +352,7 @@ def test_go_on_building(run: Callable, cell_file: Path, tmp_path: Path) -> None:
     ):
         (tmp_path / "now.json").write_text(json.dumps({"arm": values.tolist()}))
         now = ("--state", "".join(map(str, plan.states[k])), "--joints", tmp_path / "now.json")
-        rest = ("--direction", "assembly", "--holding", f"arm={part}", *grips, "--out", tmp_path / "rest.json")
+        rest = ("--holding", f"arm={part}", *grips, "--out", tmp_path / "rest.json")
         assert run(*wanted, *now, *rest)[0] == 0
         made = load_robot_plan(tmp_path / "rest.json")
         assert len(made) == len(plan) - k
@@ -352,12 +364,12 @@ def test_go_on_building(run: Callable, cell_file: Path, tmp_path: Path) -> None:
 
 def test_a_start_that_is_not_stable_is_named_with_what_moves(run: Callable, cell_file: Path, tmp_path: Path) -> None:
     given = ("--cell", cell_file, "--state", "012", "--out", tmp_path / "plan.json", "--json")
-    code, records, error = run("robots", "plan", STACK, *given)
+    code, answer, error = run("robots", "plan", STACK, *given)
     assert code == 1
     assert error.startswith("falsework: no plan exists: the start state is unstable; block-1")
-    assert records[0]["moving"]
-    assert records[-1]["found"] is False
-    code, _, error = run("robots", "plan", STACK, *given, "--direction", "assembly")
+    assert answer["moving"]
+    assert answer["outcome"] == "impossible"
+    code, _, error = run("robots", "plan", STACK, *given, "--order", "disassembly")
     assert code == 1
     assert error.startswith("falsework: no plan exists: the start state is unstable; block-1")
 
@@ -366,12 +378,12 @@ def test_where_nothing_is_left_to_do_there_is_a_plan_without_steps(
     run: Callable, cell_file: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "plan.json"
-    wanted = ("robots", "plan", STACK, "--cell", cell_file, "--out", out, "--target", "complete", "--json")
-    code, records, error = run(*wanted)
+    wanted = ("robots", "plan", STACK, "--cell", cell_file, "--out", out, "--target", "empty", "--json")
+    code, answer, error = run(*wanted)
     assert code == 0, error
-    assert records[-1]["found"]
-    assert records[-1]["steps"] == 0
-    assert records[-1]["makespan"] == 0.0
+    assert answer["outcome"] == "found"
+    assert answer["steps"] == 0
+    assert answer["makespan_s"] == 0.0
     code, _, error = run("robots", "check", out)
     assert code == 1  # a check that has checked nothing does not say that all is well
     assert "the plan has no steps" in error
@@ -393,13 +405,13 @@ def test_joint_values_in_a_file_are_numbers(run: Callable, cell_file: Path, tmp_
         (("--holding", "arm"), "names no robot and value"),
         (("--holding", "arm=77"), "no part 77"),
         (("--holding", "arm=0-1"), "a robot holds one part; name one"),
-        (("--holding", "arm=1"), "m away from part block-1, which it should hold"),
+        (("--order", "disassembly", "--holding", "arm=1"), "m away from part block-1, which it should hold"),
         (("--state", "212"), "the robots hold nothing, the start state has part block-0 held"),
         (("--state", "21"), "--state 21: a state of 2 values does not fit 3 parts"),
         (("--state", "002", "--holding", "arm=0"), "carries part block-0, which is not in place"),
         (("--state", "002", "--holding", "arm=0", "--grips", "arm=0,0,0,0,0,0"), "m away from part block-0"),
         (("--state", "002", "--holding", "arm=0", "--grips", "arm=home"), "--grips: arm is 'home'; give joint values"),
-        (("--direction", "assembly", "--grips", "arm=0,0,0,0,0,0"), "carries no part, so it has no grip"),
+        (("--grips", "arm=0,0,0,0,0,0"), "carries no part, so it has no grip"),
         (("--joints", "arm=1,2,x"), "give joint values in rad"),
         (("--joints", "arm=home;arm=0,0,0,0,0,0"), "name each robot once"),
         (("--joints", "arm=9,0,0,0,0,0"), "outside its limits"),
@@ -421,22 +433,22 @@ def test_a_gripper_that_bears_too_little(run: Callable, cell_file: Path, tmp_pat
     out = tmp_path / "robot_plan.json"
     plan = ("robots", "plan", STACK, "--cell", cell_file, "--out", out, "--json")
     cell_file.write_text(CELL.replace('kind = "suction"', 'kind = "suction"\nmoment = 0.5'))
-    code, records, error = run(*plan)
+    code, answer, error = run(*plan)
     assert code == 1
     assert "takes a moment of" in error
     assert "its gripper bears 0.5 Nm" in error
-    assert records[-1]["overloads"]
-    code, records, error = run("robots", "check", out, "--json")
+    assert answer["overloads"]
+    code, answer, error = run("robots", "check", out, "--json")
     assert code == 1
-    assert not records[0]["good"]
+    assert answer["outcome"] == "refuted"
     assert "its gripper bears 0.5 Nm" in error
-    (borne,) = records[0]["holds"]
-    assert borne["limits"]["moment"] == 0.5 < borne["moment_nm"]
+    (borne,) = answer["holds"]
+    assert borne["limits"]["moment_nm"] == 0.5 < borne["moment_nm"]
     cell_file.write_text(CELL.replace('kind = "suction"', f'kind = "suction"\nmoment = {1.1 * borne["moment_nm"]}'))
     assert run(*plan)[0] == 0
-    code, records, error = run("robots", "check", out, "--json")
+    code, answer, error = run("robots", "check", out, "--json")
     assert code == 0, error
-    assert records[0]["overloads"] == []
+    assert answer["overloads"] == []
 
 
 def test_a_gripper_that_bears_less_than_a_part_weighs(run: Callable, cell_file: Path, tmp_path: Path) -> None:
@@ -459,3 +471,63 @@ def test_limits_that_are_none(run: Callable, cell_file: Path, tmp_path: Path, li
     code, _, error = run("robots", "plan", STACK, "--cell", cell_file, "--out", tmp_path / "robot_plan.json")
     assert code == 2
     assert f"grippers.cup.{limit.split()[0]} is" in error
+
+
+def test_go_on_from_an_interruption(run: Callable, cell_file: Path, tmp_path: Path) -> None:
+    """Structure, cell, state, arms and what they carry come from the plan, at any time of it."""
+    first = tmp_path / "first" / "all.json"
+    first.parent.mkdir()
+    wanted = ("robots", "plan", STACK, "--cell", cell_file, "--criterion", "equilibrium", "--out", first)
+    assert run(*wanted, "--sequential")[0] == 0
+    plan, rest = load_robot_plan(first), tmp_path / "rest.json"
+    for share in (0.1, 0.45, 0.8):
+        now = interruption(plan, share * plan.makespan)
+        words = ("robots", "plan", "--from", first, "--at", f"{share * plan.makespan:.3f}s", "--sequential", "--json")
+        code, answer, error = run(*words, "--out", rest)
+        assert code == 0, error
+        made = load_robot_plan(rest)
+        assert answer["files"] == [str(rest)]
+        assert made.plan.claim.criterion == "equilibrium"
+        np.testing.assert_array_equal(made.states[0], now.state)
+        np.testing.assert_array_equal(made.states[-1], plan.states[-1])
+        np.testing.assert_allclose(made.keyframes[0].configurations[0], now.configurations[0], atol=1e-9)
+        code, _, error = run("robots", "check", rest, "--motions-only")  # finds structure and cell from where it lies
+        assert code == 0, error
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ((), "name the time of the interruption by --at"),
+        (("--at", "7.2"), "--at: '7.2' has no unit; give 2s or 2min"),
+        (("--at", "1000s"), "; give an earlier time"),
+        (("--at", "2s", "--joints", "arm=home"), "leave out --joints"),
+        (("--at", "2s", "--state", "empty", "--holding", "arm=0"), "leave out --state and --holding"),
+        (("--at", "2s", "--order", "disassembly"), "is a plan of assembly; go on in that order"),
+        (("STRUCTURE", "--at", "2s"), "the robot plan is for another"),
+        (("NO PLAN", "--at", "2s"), "there is no robot plan file"),
+        (("NO FROM", "--at", "2s"), "--at 2s is a time of a robot plan; name that by --from"),
+        (("NO FROM",), "missing from falsework robots plan: STRUCTURE, --cell; or go on by --from and --at"),
+    ],
+)
+def test_an_interruption_that_is_none(
+    options: tuple[str, ...], message: str, interrupted: Path, run: Callable, tmp_path: Path
+) -> None:
+    words: list[object] = ["robots", "plan", "--out", tmp_path / "rest.json"]
+    words += [] if "NO FROM" in options else ["--from", tmp_path / "no.json" if "NO PLAN" in options else interrupted]
+    words += ["stack:blocks=3" if word == "STRUCTURE" else word for word in options if not word.startswith("NO ")]
+    code, _, error = run(*words)
+    assert code == 2
+    assert message in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "rest.json").exists()
+
+
+@pytest.fixture(scope="module")
+def interrupted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A robot plan, with its cell beside it."""
+    folder = tmp_path_factory.mktemp("interrupted")
+    (folder / "cell.toml").write_text(CELL)
+    words = ["robots", "plan", STACK, "--cell", folder / "cell.toml", "--criterion", "equilibrium", "--sequential"]
+    assert main([*map(str, words), "--out", str(folder / "plan.json")]) == 0
+    return folder / "plan.json"

@@ -18,9 +18,7 @@ from falsework.errors import InputError, PlanError, StateError
 from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.exports.commands import Grip, events_of
 from falsework.robots.model.cell import Cell
-from falsework.robots.planning.end_motions import Continuation
 from falsework.robots.planning.hybrid_planner import plan_robots
-from falsework.robots.planning.hybrid_result import HybridSettings
 from falsework.robots.plans.loads import load_of, loads_at
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import (
@@ -36,6 +34,7 @@ from falsework.search import Direction, Task
 from falsework.search.plans.plan_check import validate_plan
 from falsework.stability import Stability
 from falsework.viewer.arms import Arms
+from tests.robots.plans.orders import APART
 
 
 @pytest.fixture(scope="module")
@@ -50,9 +49,10 @@ def go_on(column: Assembly, cell: Cell, oracle: Stability) -> Callable[..., Robo
 
     def plan(state: np.ndarray, *now: Any, **more: Any) -> RobotPlan:
         task = Task.create(column.boundary, 2, target=state, identity=column.identity)
-        found = plan_robots(column, cell, task=task, continued=Continuation(*now), oracle=oracle, **more)
+        given = dict(zip(("configurations", "held", "gripped"), now, strict=False))
+        found = plan_robots(column, cell, task=task, oracle=oracle, **given, **more)
         assert found.plan is not None, found.explanation
-        return found.plan.reverse()
+        return found.plan
 
     return plan
 
@@ -143,14 +143,16 @@ def test_a_carried_part_that_cannot_be_next_is_brought_back(
     held = [part if k == robot else None for k, part in enumerate(held)]
     values = [value if k == robot else home for k, (value, home) in enumerate(zip(values, cell.homes, strict=True))]
     empty = building.states[0]
-    alone = plan_robots(
+    rest = plan_robots(
         column,
         cell,
         task=Task.create(column.boundary, 2, start=building.states[inserting(building)[0] + 2], target=empty),
-        continued=Continuation(values, held, gripped),
+        configurations=values,
+        held=held,
+        gripped=gripped,
     ).plan  # the complete structure is the first cube: the carried one is not in it
-    assert alone is not None
-    rest = alone.reverse()
+    assert rest is not None
+    alone = rest.reverse()
     back = next(k for k, entry in enumerate(rest.steps) if entry.robot == robot)
     assert rest.does(back) == f"carry {column.names[1]}"
     assert [event.close for event in events_of(rest, back) if isinstance(event, Grip)] == [False]
@@ -169,7 +171,7 @@ def test_disassembly_delivers_a_carried_part_first(
     gripped = [grip if k == robot else None for k in range(2)]
     task = Task.create(column.boundary, 2, start=robot_plan.states[step + 1], identity=column.identity)
     given: dict[str, Any] = {"configurations": values, "held": held, "gripped": gripped}
-    rest = plan_robots(column, cell, task=task, oracle=oracle, **given).plan
+    rest = plan_robots(column, cell, task=task, oracle=oracle, settings=APART, **given).plan
     assert rest is not None
     assert rest.steps[0].transit
     assert rest.does(0) == f"carry {column.names[part]}"
@@ -177,9 +179,10 @@ def test_disassembly_delivers_a_carried_part_first(
     check(rest, column, cell)
     save_robot_plan(rest, tmp_path / "rest.json")
     shown = Arms(load_robot_plan(tmp_path / "rest.json"), cell, Direction.DISASSEMBLY)
-    assert [load.part for load in shown.at(0.0).carried] == [part]
-    assert [load.part for load in shown.at(1e-3).carried] == [part]
-    assert shown.at(1.0).carried == ()
+    count = len(rest.plan)
+    assert [load.part for load in shown.at(count).carried] == [part]
+    assert [load.part for load in shown.at(count - 1e-3).carried] == [part]
+    assert shown.at(count - 1.0).carried == ()
 
 
 def test_arms_that_move_at_the_same_time(
@@ -194,8 +197,8 @@ def test_arms_that_move_at_the_same_time(
     step = inserting(building)[0]
     values, held, gripped = carrying(building, step)
     task = Task.create(column.boundary, 2, target=building.states[step], identity=column.identity)
-    continued = Continuation(values, held, gripped)
-    rest = plan_together(column, cell, task=task, continued=continued, oracle=oracle, assembly_order=True).plan
+    now: dict[str, Any] = {"configurations": values, "held": held, "gripped": gripped}
+    rest = plan_together(column, cell, task=task, oracle=oracle, **now).plan
     assert rest is not None
     assert rest.schedule is not None
     check(rest, column, cell)
@@ -260,7 +263,8 @@ def test_where_the_arms_cannot_be(building: RobotPlan, column: Assembly, cell: C
     task = Task.create(column.boundary, 2, target=building.states[step], identity=column.identity)
 
     def go(*now: Any) -> None:
-        plan_robots(column, cell, task=task, continued=Continuation(*now), oracle=oracle, settings=HybridSettings())
+        given = dict(zip(("configurations", "held", "gripped"), now, strict=False))
+        plan_robots(column, cell, task=task, oracle=oracle, **given)
 
     with pytest.raises(InputError, match="which is not in place; give the joint values"):
         go(values, held)

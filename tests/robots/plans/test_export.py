@@ -281,7 +281,7 @@ def test_a_bag_can_be_read_without_falsework(robot_plan: RobotPlan, tmp_path: Pa
                 assert len(found.points[0].positions) == len(found.joint_names)
     motions = [trajectory.seconds for _, _, trajectory in robot_plan.moves()]
     assert begins == pytest.approx([sum(motions[:k]) for k in range(len(motions))], abs=1e-6)
-    removed = [robot_plan.plan.part_names[part] for part in robot_plan.plan.removed_parts]
+    removed = [robot_plan.plan.part_names[part] for part in robot_plan.plan.inserted_parts[::-1]]
     attached = [scene.robot_state.attached_collision_objects[0].object for scene in scenes]
     assert all(scene.is_diff and scene.robot_state.is_diff for scene in scenes)
     assert [(thing.id, int(thing.operation)) for thing in attached] == [(k, o) for k in removed for o in (0, 1)]

@@ -190,10 +190,10 @@ def rolling(case: Case) -> Case:
 def unstable(case: Case) -> Case:
     """Say that the lower cube is removed while the upper one is on it."""
     parts = len(case.plan.plan.boundary)
-    actions = case.plan.plan.actions.copy()
+    actions = case.plan.actions.copy()
     actions[[1, 3]] = actions[[3, 1]]
     assert set(actions[[1, 3]]) == {parts, parts + 1}
-    return replace(case, plan=replace(case.plan, plan=replace(case.plan.plan, actions=actions)))
+    return replace(case, plan=replace(case.plan, plan=replace(case.plan.plan, actions=actions[::-1])))
 
 
 def arrived_elsewhere(case: Case) -> Case:
@@ -247,7 +247,7 @@ def taken(case: Case) -> Case:
 def pressing(case: Case, step: int, *, held: bool = False) -> Case:
     """Let a robot press the cube beside the column with 1 kN in a step; keyframes may say that arm 2 holds it."""
     presses: list[tuple[Press, ...]] = [()] * len(case.plan.plan)
-    presses[step] = (Press(2, (1000.0, 0.0, 0.0, 0.0, 0.0, 0.0)),)
+    presses[case.plan.number(step) - 1] = (Press(2, (1000.0, 0.0, 0.0, 0.0, 0.0, 0.0)),)
     frames = list(case.plan.keyframes)
     for index in (step, step + 1) if held else ():
         frames[index] = replace(frames[index], held=(frames[index].held[0], 2))

@@ -19,6 +19,7 @@ from falsework.robots.model.cell import Cell, Gripper, Placement, cell_identity
 from falsework.robots.model.part_shapes import PartShapes, place_parts
 from falsework.robots.model.shapes import block, cylinder, pose
 from falsework.robots.planning.hybrid_planner import plan_robots
+from tests.robots.plans.orders import APART
 
 CUBE = 0.2
 TOOL = np.array(pose((0.0, 0.0, 0.1)))
@@ -72,7 +73,7 @@ def test_a_plan_with_jaws_is_right(make_boxes: Callable[..., Assembly], cell_of:
     tool = np.array(pose((0.0, 0.0, 0.18)))
     jaws = Gripper("jaws", "jaw", (palm, *fingers), tool, 10.0, mass=1.0, opening=0.27, depth=0.06)
     cell = replace(plain, robots=(replace(plain.robots[0], gripper=jaws),))
-    plan = plan_robots(assembly, cell).plan
+    plan = plan_robots(assembly, cell, settings=APART).plan
     assert plan is not None
     assert check_robot_plan(plan, assembly, cell).good
     narrow = replace(cell, robots=(replace(cell.robots[0], gripper=replace(jaws, opening=0.19)),))

@@ -23,6 +23,7 @@ from falsework.robots.plans.temporal_graph import TemporalPlanGraph
 from falsework.robots.plans.timeline import event_times, nodes_of
 from falsework.search import Task
 from falsework.search.plans.plan_check import validate_plan
+from falsework.search.problem.task import Direction
 from falsework.stability import Stability
 from tests.robots.plans.beam_in_turn import BEAM, LEFT, RIGHT, bridge_with
 
@@ -41,7 +42,7 @@ def apart(cell_of: Callable[..., Cell]) -> Cell:
 
 def planned(assembly: Assembly, cell: Cell, *, support: bool) -> HybridResult:
     task = Task.create(assembly.boundary, 2, identity=assembly.identity, support=support)
-    return plan_robots(assembly, cell, task=task, settings=HybridSettings(attempts=4))
+    return plan_robots(assembly, cell, task=task, settings=HybridSettings(Direction.DISASSEMBLY, attempts=4))
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +60,7 @@ def timed(bridge: Assembly, apart: Cell) -> RobotPlan:
     from falsework.robots.planning.plan_together import plan_together
 
     task = Task.create(bridge.boundary, 2, identity=bridge.identity, support=True)
-    found = plan_together(bridge, apart, task=task, settings=HybridSettings(attempts=4)).plan
+    found = plan_together(bridge, apart, task=task, settings=HybridSettings(Direction.DISASSEMBLY, attempts=4)).plan
     assert found is not None
     assert halves(found)
     return found

@@ -28,6 +28,7 @@ from falsework.search.plans.plan_check import validate_plan
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.guide import SupportGuide
 from falsework.stability import Stability
+from tests.robots.plans.orders import APART
 
 
 def test_a_plan_is_found_and_its_states_are_proven(result: HybridResult, column: Assembly) -> None:
@@ -37,17 +38,17 @@ def test_a_plan_is_found_and_its_states_are_proven(result: HybridResult, column:
     assert len(plan) == 2 * int((~column.boundary).sum())
     assert validate_plan(plan.plan, column).good
     assert plan.plan.removable_only_if_clear
-    for row, action in enumerate(plan.plan.actions):
+    for row, action in enumerate(plan.actions):
         if action >= column.part_count:
-            assert column.clearance.can_leave(plan.plan.states[row][None])[0, action - column.part_count]
+            assert column.clearance.can_leave(plan.states[row][None])[0, action - column.part_count]
     assert result.statistics["dead_ends"] >= 0
 
 
 def test_the_same_seed_gives_the_same_plan(result: HybridResult, column: Assembly, cell: Cell) -> None:
-    again = plan_robots(column, cell)
+    again = plan_robots(column, cell, settings=APART)
     assert again.plan is not None
     assert result.plan is not None
-    np.testing.assert_array_equal(again.plan.plan.actions, result.plan.plan.actions)
+    np.testing.assert_array_equal(again.plan.actions, result.plan.actions)
     for one, other in zip(again.plan.moves(), result.plan.moves(), strict=True):
         np.testing.assert_array_equal(one[2].positions, other[2].positions)
         np.testing.assert_array_equal(one[2].times, other[2].times)
@@ -61,12 +62,20 @@ def test_from_midway_with_robots_where_they_stand(
     assert plan is not None
     for index in range(1, len(plan), 2):
         frame = plan.keyframes[index]
-        task = Task.create(column.boundary, 2, start=plan.plan.states[index], identity=column.identity)
-        rest = plan_robots(column, cell, task=task, configurations=frame.configurations, held=frame.held, oracle=oracle)
+        task = Task.create(column.boundary, 2, start=plan.states[index], identity=column.identity)
+        rest = plan_robots(
+            column,
+            cell,
+            task=task,
+            configurations=frame.configurations,
+            held=frame.held,
+            oracle=oracle,
+            settings=APART,
+        )
         assert rest.plan is not None
         assert len(rest.plan) == len(plan) - index
-        np.testing.assert_array_equal(rest.plan.plan.states[0], plan.plan.states[index])
-        np.testing.assert_array_equal(rest.plan.plan.states[-1], plan.plan.states[-1])
+        np.testing.assert_array_equal(rest.plan.states[0], plan.states[index])
+        np.testing.assert_array_equal(rest.plan.states[-1], plan.states[-1])
 
 
 def test_a_guide_decides_the_order(column: Assembly, cell: Cell, oracle: Stability) -> None:
@@ -76,9 +85,9 @@ def test_a_guide_decides_the_order(column: Assembly, cell: Cell, oracle: Stabili
         scores[:, [2, 2 + column.part_count]] = 10.0
         return scores
 
-    found = plan_robots(column, cell, oracle=oracle, guide=prefer_two)
+    found = plan_robots(column, cell, oracle=oracle, guide=prefer_two, settings=APART)
     assert found.plan is not None
-    assert found.plan.plan.removed_parts[0] == 2
+    assert found.plan.plan.inserted_parts[-1] == 2
 
 
 def test_a_guide_is_asked_about_each_state_once(column: Assembly, cell: Cell, oracle: Stability) -> None:
@@ -89,13 +98,13 @@ def test_a_guide_is_asked_about_each_state_once(column: Assembly, cell: Cell, or
         asked.extend(state.tobytes() for state in states)
         return np.zeros(actions.shape)
 
-    found = plan_robots(column, cell, oracle=oracle, guide=counting)
+    found = plan_robots(column, cell, oracle=oracle, guide=counting, settings=APART)
     assert found.plan is not None
-    assert asked == [state.tobytes() for state in found.plan.plan.states[:-1]]
+    assert asked == [state.tobytes() for state in found.plan.states[:-1]]
     assert found.statistics["dead_ends"] == 0
-    again = plan_robots(column, cell, guide=counting)
+    again = plan_robots(column, cell, guide=counting, settings=APART)
     assert again.plan is not None
-    np.testing.assert_array_equal(again.plan.plan.actions, found.plan.plan.actions)
+    np.testing.assert_array_equal(again.plan.actions, found.plan.actions)
     assert len(asked) == 2 * len(found.plan)
 
 
@@ -103,7 +112,7 @@ def test_where_rollouts_fail_the_plan_is_searched_for(
     column: Assembly, cell: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("falsework.robots.planning.solvability.roll_out", lambda *_, **__: [])
-    found = plan_robots(column, cell, guide=SupportGuide(column))
+    found = plan_robots(column, cell, guide=SupportGuide(column), settings=APART)
     assert found.plan is not None
     assert validate_plan(found.plan.plan, column).good
 
@@ -112,21 +121,32 @@ def test_a_target_and_missing_parts(column: Assembly, cell: Cell, oracle: Stabil
     target = complete_state(column.boundary)
     target[1] = 0
     task = Task.create(column.boundary, 2, target=target)
-    found = plan_robots(column, cell, task=task, oracle=oracle)
+    found = plan_robots(column, cell, task=task, oracle=oracle, settings=APART)
     assert found.plan is not None
-    assert found.plan.plan.removed_parts.tolist() == [1]
-    late = plan_robots(column, cell, task=Task.create(column.boundary, 2, missing=[2]), oracle=oracle)
+    assert found.plan.plan.inserted_parts.tolist() == [1]
+    late = plan_robots(
+        column,
+        cell,
+        task=Task.create(column.boundary, 2, missing=[2]),
+        oracle=oracle,
+        settings=APART,
+    )
     assert late.plan is not None
-    assert late.plan.plan.removed_parts[0] == 2  # taken off first: put in last
+    assert late.plan.plan.inserted_parts[-1] == 2  # taken off first: put in last
     guided = plan_robots(
-        column, cell, task=Task.create(column.boundary, 2, missing=[2]), oracle=oracle, guide=SupportGuide(column)
+        column,
+        cell,
+        task=Task.create(column.boundary, 2, missing=[2]),
+        oracle=oracle,
+        guide=SupportGuide(column),
+        settings=APART,
     )
     assert guided.plan is not None
-    assert guided.plan.plan.removed_parts[0] == 2
+    assert guided.plan.plan.inserted_parts[-1] == 2
 
 
 def test_what_is_out_of_reach_is_named(column: Assembly, cell_of: Callable[..., Cell]) -> None:
-    found = plan_robots(column, cell_of(2, 4.0))
+    found = plan_robots(column, cell_of(2, 4.0), settings=APART)
     assert not found.found
     why = found.explanation
     assert why is not None
@@ -154,7 +174,7 @@ def test_what_is_in_the_way_is_named_and_what_was_found_is_kept(
         )
     )
     closed = replace(cell, obstacles=(roof, *walls))
-    found = plan_robots(column, closed, oracle=oracle, settings=HybridSettings(attempts=2))
+    found = plan_robots(column, closed, oracle=oracle, settings=HybridSettings(Direction.DISASSEMBLY, attempts=2))
     assert not found.found
     assert found.partial is None
     assert found.explanation is not None
@@ -170,7 +190,7 @@ def test_a_partial_plan_is_a_plan(column: Assembly, cell: Cell, oracle: Stabilit
     )
     ring = Obstacle("ring", (block((0.06, -0.2, 0.202), (0.4, 0.2, 0.22)),))
     quick = KeyframeSettings(grasps=6, candidates=4, nodes=100)
-    settings = HybridSettings(attempts=1, dead_ends=2, keyframes=quick)
+    settings = HybridSettings(Direction.DISASSEMBLY, attempts=1, dead_ends=2, keyframes=quick)
     found = plan_robots(column, replace(cell, obstacles=(cage, ring)), oracle=oracle, settings=settings)
     assert not found.found
     assert found.explanation is not None
@@ -199,7 +219,7 @@ def test_a_dead_end_leads_back_to_the_hold_that_causes_it(
                     yield edge
 
         monkeypatch.setattr(graph, "edges", edges)
-        result = plan_robots(column, cell, graph=graph, oracle=oracle)
+        result = plan_robots(column, cell, graph=graph, oracle=oracle, settings=APART)
         assert result.found
         assert bad
         return result.statistics["dead_ends"]
@@ -212,7 +232,7 @@ def test_a_dead_end_leads_back_to_the_hold_that_causes_it(
 @pytest.fixture
 def search(column: Assembly, cell: Cell, oracle: Stability) -> HybridSearch:
     """A search that restarts after dead ends at two states."""
-    graph, settings = KeyframeGraph(column, cell), HybridSettings(dead_ends=1)
+    graph, settings = KeyframeGraph(column, cell), HybridSettings(Direction.DISASSEMBLY, dead_ends=1)
     task = task_in_cell(column, cell, None, graph.exits)
     return HybridSearch(graph, task, oracle, None, settings, None, Ends(graph), Deadline(None))
 
@@ -262,7 +282,7 @@ def test_where_nothing_leads_on_the_steps_back_grow(
 
 def test_a_structure_that_locks_itself_is_proven_so(cell: Cell) -> None:
     shelf = load_structure("shelf:shelves=0,width=0.3,depth=0.18,gap=0.1,thickness=0.02")
-    found = plan_robots(shelf, replace(cell, placement=Placement(density=300.0)))
+    found = plan_robots(shelf, replace(cell, placement=Placement(density=300.0)), settings=APART)
     assert not found.found
     assert found.explanation is not None
     assert found.explanation.outcome == "proved_impossible"
@@ -270,7 +290,7 @@ def test_a_structure_that_locks_itself_is_proven_so(cell: Cell) -> None:
 
 
 def test_a_deadline_ends_the_search(column: Assembly, cell: Cell) -> None:
-    found = plan_robots(column, cell, settings=HybridSettings(deadline=1e-6))
+    found = plan_robots(column, cell, settings=HybridSettings(Direction.DISASSEMBLY, deadline=1e-6))
     assert not found.found
     assert found.explanation is not None
     assert found.explanation.outcome == "interrupted"
@@ -295,7 +315,7 @@ def test_ctrl_c_in_a_search_for_states_ends_the_whole_search(
     monkeypatch.setattr(BeamSearch, "step", interrupted)
     task = Task.create(column.boundary, 2, identity=column.identity, support=support)
     with pytest.raises(KeyboardInterrupt):
-        plan_robots(column, cell, task=task, oracle=oracle)
+        plan_robots(column, cell, task=task, oracle=oracle, settings=APART)
     assert asked == 1
     check = SolvabilityCheck(column, task, oracle)
     with pytest.raises(KeyboardInterrupt):
@@ -304,23 +324,29 @@ def test_ctrl_c_in_a_search_for_states_ends_the_whole_search(
 
 def test_wrong_starts(column: Assembly, cell: Cell, oracle: Stability) -> None:
     with pytest.raises(InputError, match="has 2 robots"):
-        plan_robots(column, cell, configurations=[cell.homes[0]], oracle=oracle)
+        plan_robots(column, cell, configurations=[cell.homes[0]], oracle=oracle, settings=APART)
     with pytest.raises(InputError, match="configuration of arm 1"):
-        plan_robots(column, cell, configurations=[np.full(6, 9.0), cell.homes[1]], oracle=oracle)
+        plan_robots(
+            column,
+            cell,
+            configurations=[np.full(6, 9.0), cell.homes[1]],
+            oracle=oracle,
+            settings=APART,
+        )
     with pytest.raises(StateError, match="the part that each robot holds"):
-        plan_robots(column, cell, held=(1, None), oracle=oracle)
+        plan_robots(column, cell, held=(1, None), oracle=oracle, settings=APART)
     start = complete_state(column.boundary)
     start[1] = HELD
     task = Task.create(column.boundary, 2, start=start)
     with pytest.raises(InputError, match=r"away from part .*, which it should hold"):
-        plan_robots(column, cell, task=task, held=(1, None), oracle=oracle)
+        plan_robots(column, cell, task=task, held=(1, None), oracle=oracle, settings=APART)
     down = np.array([0.0, 1.4, 0.3, 0.0, 0.0, 0.0])
     with pytest.raises(InputError, match=r"at the start bodies are too near: .* m?c?m into each other; move arm"):
-        plan_robots(column, cell, configurations=[down, cell.homes[1]], oracle=oracle)
+        plan_robots(column, cell, configurations=[down, cell.homes[1]], oracle=oracle, settings=APART)
     with pytest.raises(InputError, match="leaves no time"):
-        HybridSettings(deadline=0.0)
+        HybridSettings(Direction.DISASSEMBLY, deadline=0.0)
     with pytest.raises(InputError, match="at least one attempt"):
-        HybridSettings(attempts=0)
+        HybridSettings(Direction.DISASSEMBLY, attempts=0)
 
 
 def test_solvable_states_are_those_of_the_census(column: Assembly) -> None:

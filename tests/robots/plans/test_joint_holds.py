@@ -19,6 +19,7 @@ from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.search import Task
 from falsework.stability import Stability
+from tests.robots.plans.orders import APART
 
 
 @pytest.fixture
@@ -148,7 +149,7 @@ def test_plans_keep_to_it(column: Assembly, cell: Cell, graph: KeyframeGraph) ->
     least = np.where(column.boundary, HELD, REMOVED).astype(np.uint8)
     least[[1, 2]] = HELD
     graph.joint.exclude((1, 2), least)
-    plan = plan_robots(column, cell, graph=graph).plan
+    plan = plan_robots(column, cell, graph=graph, settings=APART).plan
     assert plan is not None
     assert not ((plan.plan.states[:, 1] == HELD) & (plan.plan.states[:, 2] == HELD)).any()
 

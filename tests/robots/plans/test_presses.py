@@ -35,10 +35,11 @@ from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import load_robot_plan, save_robot_plan
 from falsework.robots.plans.timeline import event_times, schedule_of
 from falsework.search.plans.plan_check import validate_plan
-from falsework.search.problem.task import Task
+from falsework.search.problem.task import Direction, Task
 from falsework.stability import StabilitySettings
 from falsework.stability.holds import PRESS_STIFFNESS, HoldMode, HoldSettings, Press
 from tests.robots.plans.bag_reading import wrenches
+from tests.robots.plans.orders import APART
 from tests.robots.plans.test_export import load_yaml, run_programs
 
 WRENCH = (-12.0, 3.0, 4.0, 0.5, -0.2, 0.3)
@@ -57,7 +58,14 @@ def pressed(robot_plan: RobotPlan, column: Assembly, cell: Cell) -> RobotPlan:
     end[:SIDE] = REMOVED
     task = Task.create(column.boundary, 2, start=start, target=end, clearance=column.clearance)
     home = cell.homes[0]
-    plan = plan_robots(column, cell, task=task, configurations=(home, grip), held=(None, SIDE)).plan
+    plan = plan_robots(
+        column,
+        cell,
+        task=task,
+        configurations=(home, grip),
+        held=(None, SIDE),
+        settings=APART,
+    ).plan
     assert plan is not None
     plan = plan.reverse()
     (step,) = (k for k in range(len(plan)) if plan.actions[k] == UPPER)
@@ -92,7 +100,6 @@ def test_a_press_is_kept_in_files_and_certified(pressed: RobotPlan, column: Asse
     save_robot_plan(pressed, tmp_path / "plan.json")
     again = load_robot_plan(tmp_path / "plan.json")
     assert again.plan.presses == pressed.plan.presses
-    assert again.reverse().plan.presses == pressed.plan.presses[::-1]
     assert validate_plan(again.plan, column).good
 
 
@@ -327,7 +334,7 @@ def test_limits_of_holds_are_those_of_the_weakest_gripper(column: Assembly, cell
     with pytest.raises(CellError, match=r"the gripper of arm 2 bears 4 N, less than part block-2 weighs .* 4\.905 N"):
         stability_in(replace(small, robots=(first, weak)), column, settings)
     with pytest.raises(CellError, match="the gripper of arm 2 bears 4 N"):
-        plan_robots(column, replace(small, robots=(first, weak)))
+        plan_robots(column, replace(small, robots=(first, weak)), settings=APART)
 
 
 @pytest.fixture(scope="module")
@@ -356,11 +363,11 @@ def test_arms_press_where_the_search_needs_it(gap: Assembly, cell: Cell, togethe
         """Return the plan and the order in which parts come."""
         task = Task.create(gap.boundary, 2, start=start, target=end, missing=[2])
         given: dict[str, Any] = {"configurations": (cell.homes[0], grip), "held": (None, 1)}
-        limits = HybridSettings(attempts=2, together=together)
+        limits = HybridSettings(Direction.DISASSEMBLY, attempts=2, together=together)
         stability = StabilitySettings(reserve=1.1, holds=holds)
         found = plan_robots(gap, cell, task=task, settings=limits, stability=stability, **given).plan
         assert found is not None
-        return found.reverse(), found.reverse().plan.removed_parts.tolist()
+        return found.reverse(), found.plan.inserted_parts.tolist()
 
     plan, order = planned(raised, HoldSettings())
     assert order == [0, 2]
@@ -383,10 +390,10 @@ def test_a_plan_without_the_reserve_where_none_keeps_it(cell: Cell, make_boxes: 
     """A cube that an earthquake pushes with 0.52 of its weight, on a friction of 0.55."""
     alone = make_boxes((-0.1, -0.1, 0.0))
     shaken = alone.replace(loads=Loads.of(alone.part_count, acceleration=(0.52, 0.0, 0.0)))
-    plan = plan_robots(shaken, cell).plan
+    plan = plan_robots(shaken, cell, settings=APART).plan
     assert plan is not None
     assert plan.plan.claim.reserve == 1.0
-    calm = plan_robots(alone, cell).plan
+    calm = plan_robots(alone, cell, settings=APART).plan
     assert calm is not None
     assert calm.plan.claim.reserve == 1.1
 

@@ -62,7 +62,7 @@ REMOVAL = 1
 def planned(assembly: Assembly, cell: Cell, *, support: bool) -> HybridResult:
     """Search for a plan that takes everything away."""
     task = task_of(assembly, cell, support=support)
-    return plan_robots(assembly, cell, task=task, settings=HybridSettings(attempts=3))
+    return plan_robots(assembly, cell, task=task, settings=HybridSettings(Direction.DISASSEMBLY, attempts=3))
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +104,7 @@ def timed(stack: Assembly, two: Cell) -> RobotPlan:
     from falsework.robots.planning.plan_together import plan_together
 
     task = task_of(stack, two, support=True)
-    found = plan_together(stack, two, task=task, settings=HybridSettings(attempts=3)).plan
+    found = plan_together(stack, two, task=task, settings=HybridSettings(Direction.DISASSEMBLY, attempts=3)).plan
     assert found is not None
     assert sum(step.put_down is not None for step in found.steps) == 1
     return found
@@ -476,8 +476,7 @@ def test_a_chart_shows_the_part_carried_twice(timed: RobotPlan) -> None:
 def test_the_page_shows_the_part_all_the_way(plan: RobotPlan, one: Cell, direction: Direction) -> None:
     """The part moves without a jump, and lies still in between."""
     arms = Arms(plan, one, Direction.DISASSEMBLY).turned(direction)
-    first = 1.0 if direction is Direction.DISASSEMBLY else 0.0
-    places = np.linspace(first + 1e-6, first + 1 - 1e-6, 3000)
+    places = np.linspace(1e-6, 1 - 1e-6, 3000)
     shown = [arms.at(place).carried for place in places]
     assert all(len(entry) == 1 for entry in shown)
     poses = np.array([entry[0].pose for entry in shown])

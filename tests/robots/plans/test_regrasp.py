@@ -36,8 +36,10 @@ from falsework.robots.plans.timeline import arm_shares, event_times, nodes_of
 from falsework.search import Outcome, Task
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.problem.support_route import SupportRoute
+from falsework.search.problem.task import Direction
 from falsework.stability import Verdict, Verdicts
 from falsework.viewer.pictures.gantt import bars_of
+from tests.robots.plans.orders import APART
 from tests.robots.plans.sunk_cubes import FAR, NEAR, begin, cubes, planned, task_of
 
 
@@ -69,7 +71,7 @@ def test_without_regrasping_there_is_no_plan(sunk: Assembly, roofed: Cell, begun
 
 
 def test_with_regrasping_the_part_leaves_by_another_grasp(plan: RobotPlan, sunk: Assembly, roofed: Cell) -> None:
-    states = plan.plan.states[:, NEAR].tolist()
+    states = plan.states[:, NEAR].tolist()
     assert plan.plan.support
     release = states.index(INSTALLED)
     again = states.index(HELD, release)
@@ -78,7 +80,7 @@ def test_with_regrasping_the_part_leaves_by_another_grasp(plan: RobotPlan, sunk:
     first, second = plan.keyframes[0], plan.keyframes[again]
     robot = second.held.index(NEAR)
     assert robot != 0 or np.abs(second.configurations[0] - first.configurations[0]).max() > 0.1
-    assert plan.plan.describe(release - 1) == "release near-0"
+    assert plan.does(release - 1) == "release near-0"
     assert plan.steps[release - 1].trajectories[0].touches == NEAR
     report = check_robot_plan(plan, sunk, roofed)
     assert report.good, [str(problem) for problem in report.problems]
@@ -116,7 +118,7 @@ def test_a_chart_shows_an_arm_at_a_part_only_while_that_is_held(plan: RobotPlan)
         holds = [bar for bar in bars_of(one) if bar.does == "holds"]
         assert holds
         for bar in holds:
-            assert one.plan.states[np.searchsorted(times, (bar.begin + bar.end) / 2)][bar.part] == HELD
+            assert one.states[np.searchsorted(times, (bar.begin + bar.end) / 2)][bar.part] == HELD
 
 
 def test_files_keep_it(plan: RobotPlan, tmp_path: Path) -> None:
@@ -128,7 +130,7 @@ def test_files_keep_it(plan: RobotPlan, tmp_path: Path) -> None:
     np.testing.assert_array_equal(read.plan.states, plan.plan.states)
     data = robot_plan_to_dict(plan)
     data["plan"]["rules"]["support"] = False
-    with pytest.raises(PlanError, match="not an action of disassembly"):
+    with pytest.raises(PlanError, match="does 'hold' with part"):
         robot_plan_from_dict(data)
 
 
@@ -171,7 +173,9 @@ def test_a_schedule_keeps_the_order_of_release_and_hold(sunk: Assembly, roofed: 
 
     task = task_of(sunk, begun, support=True)
     given = {key: value for key, value in begun.items() if key != "start"}
-    plan = plan_together(sunk, roofed, task=task, settings=HybridSettings(attempts=4), **given).plan
+    plan = plan_together(
+        sunk, roofed, task=task, settings=HybridSettings(Direction.DISASSEMBLY, attempts=4), **given
+    ).plan
     assert plan is not None
     assert "open" in [plan.grip(step) for step in range(len(plan))]
     for one in (plan, schedule_plan(plan.reverse(), sunk, roofed)):
@@ -294,12 +298,12 @@ def test_a_planned_release_is_carried_out_at_once(
 
     task = task_of(sunk, begun, support=True)
     given: dict[str, Any] = {key: value for key, value in begun.items() if key != "start"}
-    given["settings"] = HybridSettings(attempts=1)
+    given["settings"] = HybridSettings(Direction.DISASSEMBLY, attempts=1)
     assert plan_robots(sunk, roofed, task=task, **given).plan is None
     monkeypatch.setattr(SolvabilityCheck, "prepare", prepared)
     found = plan_robots(sunk, roofed, task=task, **given).plan
     assert found is not None
-    np.testing.assert_array_equal(found.plan.states, states)
+    np.testing.assert_array_equal(found.states, states)
     assert check_robot_plan(found, sunk, roofed).good
 
 
@@ -310,7 +314,14 @@ def test_rejected_input(sunk: Assembly, roofed: Cell, begun: dict) -> None:
     target[NEAR] = INSTALLED
     task = Task.create(sunk.boundary, 2, start=begun["start"], target=target, support=True)
     with pytest.raises(StateError, match="near-0 is held in the start and installed in the target"):
-        plan_robots(sunk, roofed, task=task, configurations=begun["configurations"], held=begun["held"])
+        plan_robots(
+            sunk,
+            roofed,
+            task=task,
+            configurations=begun["configurations"],
+            held=begun["held"],
+            settings=APART,
+        )
     task = replace(Task.create(sunk.boundary, 2, support=True), props=(NEAR,))
     with pytest.raises(InputError, match="robot plans have no props"):
-        plan_robots(sunk, roofed, task=task)
+        plan_robots(sunk, roofed, task=task, settings=APART)

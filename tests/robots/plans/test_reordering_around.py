@@ -28,6 +28,7 @@ from falsework.robots.plans.timeline import event_times
 from falsework.robots.schedule.build import schedule_plan
 from falsework.robots.schedule.simulation import simulate
 from falsework.search import Task
+from falsework.search.problem.task import Direction
 from tests.robots.plans.beam_in_turn import bridge_with
 from tests.robots.plans.roofed_slab import slab, tabled
 
@@ -63,7 +64,11 @@ def planned(request: pytest.FixtureRequest, cell_of: Callable[..., Cell]) -> Pla
 
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(plan_maker, "reorder", ordered)
-            plans.append(plan_together(assembly, cell, task=task, settings=HybridSettings(attempts=4)).plan)
+            plans.append(
+                plan_together(
+                    assembly, cell, task=task, settings=HybridSettings(Direction.DISASSEMBLY, attempts=4)
+                ).plan
+            )
     better, as_found = plans
     assert better is not None
     assert as_found is not None

@@ -89,7 +89,7 @@ def test_reversed_twice_is_the_same(robot_plan: RobotPlan) -> None:
 def test_motions_join_and_carry_what_the_actions_say(robot_plan: RobotPlan) -> None:
     parts = len(robot_plan.plan.boundary)
     for index, (before, after) in enumerate(pairwise(robot_plan.keyframes)):
-        step, action = robot_plan.steps[index], int(robot_plan.plan.actions[index])
+        step, action = robot_plan.steps[index], int(robot_plan.actions[index])
         values = before.configurations[step.robot]
         for trajectory in step.trajectories:
             np.testing.assert_allclose(trajectory.positions[0], values, atol=1e-9)
@@ -165,7 +165,7 @@ def _put(data: dict[str, Any], value: Any, *path: Any) -> None:
 
 
 DAMAGE: list[tuple[Callable[[dict[str, Any]], None], str]] = [
-    (lambda data: _put(data, "falsework.robot-plan/9", "format"), "reads 'falsework.robot-plan/2' only"),
+    (lambda data: _put(data, "falsework.robot-plan/9", "format"), "reads 'falsework.robot-plan/3' only"),
     (lambda data: _cut(data, "cell", "identity"), "cell lacks 'identity'"),
     (lambda data: _put(data, 1, "extra"), "unknown entry 'extra'"),
     (lambda data: _cut(data, "keyframes", 0), "do not match a plan of"),

@@ -35,18 +35,8 @@ from falsework.robots.schedule.build import schedule_plan
 from falsework.robots.schedule.simulation import simulate
 from falsework.search.problem.task import Direction
 from falsework.utils.kernels import Kernel
-
-
-@pytest.fixture(scope="module")
-def row(make_boxes: Callable[..., Assembly]) -> Assembly:
-    """Four cubes, two on each side."""
-    return make_boxes((-0.45, -0.1, 0.0), (-0.2, -0.1, 0.0), (0.05, -0.1, 0.0), (0.3, -0.1, 0.0))
-
-
-@pytest.fixture(scope="module")
-def wide(cell_of: Callable[..., Cell]) -> Cell:
-    """Two arms at its ends."""
-    return cell_of(2, 1.3)
+from tests.older_files import as_robot_version_2
+from tests.robots.plans.orders import APART
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +66,7 @@ def test_arguments_have_the_types_of_the_portable_code(
         pytest.fail(f"numba is asked to compile {kernel.__name__}")
 
     monkeypatch.setattr(Kernel, "dispatcher", property(refuse))
-    plan = plan_together(row, wide, settings=HybridSettings(seed=1)).plan
+    plan = plan_together(row, wide, settings=HybridSettings(Direction.DISASSEMBLY, seed=1)).plan
     assert plan is not None
     assert plan.schedule is not None
 
@@ -143,7 +133,7 @@ def test_a_seed_that_is_none(scheduled: RobotPlan) -> None:
     with pytest.raises(InputError, match="a seed is not negative"):
         simulate(scheduled, seed=-1)
     with pytest.raises(InputError, match="a seed is not negative"):
-        HybridSettings(seed=-1)
+        HybridSettings(Direction.DISASSEMBLY, seed=-1)
 
 
 def test_a_plan_without_a_schedule(planned: RobotPlan) -> None:
@@ -160,7 +150,7 @@ def test_arms_spend_all_their_time_somehow(scheduled: RobotPlan) -> None:
 
 def test_one_arm_stays_sequential(column: Assembly, cell_of: Callable[..., Cell]) -> None:
     cell = cell_of(1)
-    plan = plan_robots(column, cell).plan
+    plan = plan_robots(column, cell, settings=APART).plan
     assert plan is not None
     graph = graph_of(schedule_plan(plan, column, cell))
     assert graph.makespan == pytest.approx(plan.seconds)
@@ -174,13 +164,33 @@ def test_files_keep_the_schedule(scheduled: RobotPlan, tmp_path: Path) -> None:
 
 
 def test_files_of_the_first_format(planned: RobotPlan, tmp_path: Path) -> None:
-    data = robot_plan_to_dict(planned)
+    data = as_robot_version_2(planned)
     del data["schedule"]
     data["format"] = "falsework.robot-plan/1"
     (tmp_path / "old.json").write_text(json.dumps(data))
     loaded = load_robot_plan(tmp_path / "old.json")
     assert loaded.schedule is None
     assert len(loaded) == len(planned)
+
+
+def test_files_of_the_second_format(scheduled: RobotPlan, tmp_path: Path) -> None:
+    """Their order is that of the plan in them, which is read in the order of assembly."""
+    for plan in (scheduled, scheduled.reverse()):
+        (tmp_path / "old.json").write_text(json.dumps(as_robot_version_2(plan)))
+        loaded = load_robot_plan(tmp_path / "old.json")
+        assert loaded.direction is plan.direction
+        assert loaded.makespan == pytest.approx(plan.makespan)
+        np.testing.assert_array_equal(loaded.plan.states, plan.plan.states)
+        np.testing.assert_array_equal(loaded.states, plan.states)
+        np.testing.assert_array_equal(loaded.actions, plan.actions)
+        assert [loaded.does(step) for step in range(len(plan))] == [plan.does(step) for step in range(len(plan))]
+        save_robot_plan(loaded, tmp_path / "new.json")
+        assert json.loads((tmp_path / "new.json").read_text())["direction"] == plan.direction.value
+    damaged = as_robot_version_2(scheduled)
+    del damaged["plan"]["direction"]
+    (tmp_path / "old.json").write_text(json.dumps(damaged))
+    with pytest.raises(PlanError, match="direction is None; it must be assembly or disassembly"):
+        load_robot_plan(tmp_path / "old.json")
 
 
 @pytest.mark.parametrize(
@@ -223,7 +233,7 @@ def test_times_that_do_not_fit_the_motions(
 
 
 def test_a_deadline_that_the_first_search_uses_up_ends_without_a_plan(row: Assembly, wide: Cell) -> None:
-    found = plan_together(row, wide, settings=HybridSettings(deadline=1e-3))
+    found = plan_together(row, wide, settings=HybridSettings(Direction.DISASSEMBLY, deadline=1e-3))
     assert found.plan is None
     assert found.statistics["search"] == "sequential"
 
@@ -238,7 +248,7 @@ def test_the_longer_of_two_partial_plans_is_kept(row: Assembly, wide: Cell, monk
         return HybridResult(None, partial if first else None, why, {})  # type: ignore[arg-type]
 
     monkeypatch.setattr("falsework.robots.planning.plan_together.plan_robots", search)
-    found = plan_together(row, wide, settings=HybridSettings(deadline=10.0))
+    found = plan_together(row, wide, settings=HybridSettings(Direction.DISASSEMBLY, deadline=10.0))
     assert found.partial is partial
     assert found.explanation is not None
     assert found.explanation.reached == 3
@@ -248,7 +258,7 @@ def test_the_longer_of_two_partial_plans_is_kept(row: Assembly, wide: Cell, monk
 def test_longer_lines_are_tried_where_short_ones_lead_to_no_plan(
     row: Assembly, wide: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found = plan_together(row, wide, settings=HybridSettings(deadline=120.0))
+    found = plan_together(row, wide, settings=HybridSettings(Direction.DISASSEMBLY, deadline=120.0))
     assert found.plan is not None
     assert found.plan.schedule is not None
     assert found.statistics["search"] == "together"
@@ -259,8 +269,8 @@ def test_longer_lines_are_tried_where_short_ones_lead_to_no_plan(
         return plan_robots(*given, settings=settings, **more)
 
     monkeypatch.setattr("falsework.robots.planning.plan_together.plan_robots", search)
-    other = plan_together(row, wide, settings=HybridSettings(deadline=120.0))
-    alone = plan_robots(row, wide).plan
+    other = plan_together(row, wide, settings=HybridSettings(Direction.DISASSEMBLY, deadline=120.0))
+    alone = plan_robots(row, wide, settings=APART).plan
     assert other.plan is not None
     assert alone is not None
     assert other.plan.schedule is not None
@@ -269,7 +279,7 @@ def test_longer_lines_are_tried_where_short_ones_lead_to_no_plan(
 
 
 def test_approaches_go_as_near_as_another_arm_lets_them(row: Assembly, wide: Cell) -> None:
-    plan = plan_robots(row, wide, settings=HybridSettings(together=True)).plan
+    plan = plan_robots(row, wide, settings=HybridSettings(Direction.DISASSEMBLY, together=True)).plan
     assert plan is not None
     graph, again = graph_of(plan), graph_of(schedule_plan(plan, row, wide))
     assert graph.makespan == pytest.approx(again.makespan, abs=1e-3)

@@ -19,6 +19,7 @@ from falsework.robots.model.cell import Cell
 from falsework.robots.planning.hybrid_result import HybridSettings
 from falsework.robots.planning.plan_together import plan_together, second_plan
 from falsework.robots.planning.second_search import SecondSearch
+from falsework.search.problem.task import Direction
 from falsework.stability.settings import StabilitySettings
 
 FOR_EVER: dict[str, Any] = {"object_list": [], "timeout": 600.0}
@@ -42,7 +43,7 @@ def test_the_other_process_finds_the_plan_that_this_one_would(row: Assembly, thr
         "assembly": row,
         "cell": three,
         "stability": StabilitySettings(),
-        "settings": HybridSettings(seed=7, together=True),
+        "settings": HybridSettings(Direction.DISASSEMBLY, seed=7, together=True),
     }
     with SecondSearch(second_plan, given) as beside:
         here, there = second_plan(**given), beside.plan(120.0)
@@ -53,7 +54,7 @@ def test_the_other_process_finds_the_plan_that_this_one_would(row: Assembly, thr
 
 
 def test_the_shorter_plan_is_taken(row: Assembly, three: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
-    settings = HybridSettings(seed=1)
+    settings = HybridSettings(Direction.DISASSEMBLY, seed=1)
     both = plan_together(row, three, settings=settings).plan
     monkeypatch.setattr(sys, "executable", "/no/such/interpreter")
     alone = plan_together(row, three, settings=settings).plan
@@ -73,10 +74,12 @@ def test_a_second_plan_is_taken_where_the_first_search_finds_none(
 
     def search(*given: Any, settings: HybridSettings, **more: Any) -> HybridResult:
         limit = 1e-9 if settings.seed == 2 else settings.deadline
-        return plan_robots(*given, settings=HybridSettings(seed=settings.seed, deadline=limit), **more)
+        return plan_robots(
+            *given, settings=HybridSettings(Direction.DISASSEMBLY, seed=settings.seed, deadline=limit), **more
+        )
 
     monkeypatch.setattr("falsework.robots.planning.plan_together.plan_robots", search)
-    found = plan_together(row, three, settings=HybridSettings(seed=2))
+    found = plan_together(row, three, settings=HybridSettings(Direction.DISASSEMBLY, seed=2))
     assert found.plan is not None
     assert found.plan.statistics["second_plan"]
     assert found.plan.schedule is not None

@@ -18,8 +18,10 @@ from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.search import Route, Task
 from falsework.search.plans.plan_check import validate_plan
+from falsework.search.problem.task import Direction
 from falsework.stability import Replay, Stability, StabilitySettings
 from falsework.stability.contact.replay import History
+from tests.robots.plans.orders import APART
 
 ARCH = load_structure("arch:blocks=5")
 TASK = Task.create(ARCH.boundary, 2)
@@ -203,7 +205,12 @@ def test_a_plan_says_by_which_criterion_it_stands(column: Assembly, cell: Cell, 
     assert result.statistics["criterion"] == "contact"
     assert result.statistics["replay"]["stands"]
     assert result.plan.plan.claim.criterion == "contact"
-    plain = plan_robots(column, cell, oracle=Stability(column, StabilitySettings(criterion="equilibrium")))
+    plain = plan_robots(
+        column,
+        cell,
+        oracle=Stability(column, StabilitySettings(criterion="equilibrium")),
+        settings=APART,
+    )
     assert plain.plan is not None
     assert plain.statistics["criterion"] == "equilibrium"
     assert plain.statistics["replay"] is None
@@ -215,11 +222,11 @@ def test_a_plan_that_falls_is_not_delivered_but_another_one_is(
 ) -> None:
     """The search for a plan without motions replays its steps; the plan with motions is replayed as a whole."""
     assert result.plan is not None
-    bad = result.plan.plan.states[2].copy()
+    bad = result.plan.states[2].copy()
     oracle = Stability(column)
     falling = Falling(oracle.replayer, lambda state: np.array_equal(state, bad))
     oracle.__dict__["replayer"] = falling
-    found = plan_robots(column, cell, oracle=oracle)
+    found = plan_robots(column, cell, oracle=oracle, settings=APART)
     assert found.plan is not None
     assert (falling.routes[0] == bad).all(axis=1).any()
     assert found.statistics["replays_fallen"] == 1
@@ -233,7 +240,7 @@ def test_where_every_plan_falls_none_is_delivered_and_the_step_is_named(column: 
     for inside in (False, True):
         oracle = Stability(column)
         oracle.__dict__["replayer"] = Falling(oracle.replayer, lambda state: bool(state[2] == HELD), inside)
-        found = plan_robots(column, cell, oracle=oracle, settings=HybridSettings(attempts=3))
+        found = plan_robots(column, cell, oracle=oracle, settings=HybridSettings(Direction.DISASSEMBLY, attempts=3))
         assert not found.found
         assert found.partial is None or not (found.partial.plan.states[:, 2] == HELD).any()
         assert found.explanation is not None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 import zlib
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,6 +18,7 @@ import pytest
 from falsework.assembly import Assembly, load_structure
 from falsework.errors import InputError, PlanError
 from falsework.search import (
+    Action,
     Direction,
     Plan,
     Task,
@@ -27,10 +29,13 @@ from falsework.search import (
     validate_plan,
     validate_proofs,
 )
+from falsework.search.margins.demands import Demands
+from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans import packed_proofs
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
-from falsework.stability import Stability
+from falsework.stability import Stability, StabilitySettings, Verdict
 from falsework.stability.settings import EQUILIBRIUM
+from tests.older_files import as_version_3
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +53,7 @@ def data(plan: Plan, tmp_path: Path) -> dict[str, Any]:
 
 def same(a: Plan, b: Plan) -> bool:
     arrays = ("states", "actions", "verdicts", "proofs", "boundary", "forces")
-    values = ("name", "identity", "part_names", "friction", "robots", "claim", "direction", "fixed", "missing")
+    values = ("name", "identity", "part_names", "friction", "robots", "claim", "fixed", "missing")
     return (
         all(np.array_equal(getattr(a, name), getattr(b, name)) for name in arrays)
         and all(getattr(a, name) == getattr(b, name) for name in values)
@@ -64,7 +69,7 @@ def test_plans_of_version_1_are_under_equilibrium(small_arch: Assembly, tmp_path
     assert made.replay is None
     save_plan(made, tmp_path / "plan.json", proofs=True)
     content = json.loads((tmp_path / "plan.json").read_text())
-    content["format"] = "falsework.plan/1"
+    content |= {"format": "falsework.plan/1", "direction": "assembly"}
     for later in ("criterion", "stiffness_ratio", "reserve"):
         del content["stability"][later]
     content["stability"]["tolerance"] = 1e-3  # m/s2 then
@@ -89,42 +94,125 @@ def test_every_state_is_proven_by_its_displacement(plan: Plan, small_arch: Assem
     assert report.residual == pytest.approx(plan.residuals.max())
 
 
-def test_the_reverse_of_the_reverse(plan: Plan, small_arch: Assembly) -> None:
-    back = plan.reverse()
-    assert back.direction is Direction.ASSEMBLY
-    assert np.array_equal(back.states, plan.states[::-1])
-    assert same(back.reverse(), plan)
-    assert validate_plan(back, small_arch).good
-    assert validate_proofs(back, small_arch).good
-    assert np.array_equal(back.route.states, plan.states)
-    words = [back.describe(step).split()[0] for step in range(len(back))]
-    assert words[0] == "insert"
-    assert words.count("insert") == words.count("release") == 7
-    assert plan.describe(0).startswith("hold ")
+def test_a_plan_is_the_sequence_of_its_steps(plan: Plan, small_arch: Assembly) -> None:
+    """In the order of assembly: from the boundary alone to the complete structure."""
+    boundary, parts = small_arch.boundary, small_arch.part_count
+    assert np.array_equal(plan.states[0], np.where(boundary, 2, 0))
+    assert np.array_equal(plan.states[-1], np.where(boundary, 2, 1))
+    assert list(plan) == list(plan.steps)
+    assert plan[0] is plan.steps[0]
+    assert plan[-2:] == plan.steps[-2:]
+    assert [step.number for step in plan] == list(range(1, len(plan) + 1))
+    with pytest.raises(IndexError):
+        plan[len(plan)]
+    for step, before in zip(plan, plan.states, strict=False):
+        value, now = before[step.part], step.state[step.part]
+        assert (value, now) == {Action.INSERT: (0, 2), Action.RELEASE: (2, 1)}[step.action]
+        assert (step.state != before).sum() == 1
+        assert step.state is not before
+        assert np.array_equal(step.state, plan.states[step.number])
+        assert step.name == small_arch.names[step.part]
+        assert step.verdict is Verdict.STABLE
+        assert plan.words(step.number) == f"{step.action} {step.name}"
+        assert plan.line(step.number) == f"{step.number:4d}  {step.action} {step.name} (R{(step.robot or 0) + 1})"
+    assert plan.words(0) == ""
+    assert plan.line(0) == "   0  start"
+    actions = [step.action for step in plan]
+    assert actions.count(Action.INSERT) == actions.count(Action.RELEASE) == 7
+    assert plan[0].action is Action.INSERT
+    assert int(plan.actions[0]) == parts + plan[0].part
 
 
-@pytest.mark.parametrize("assembly_order", [False, True])
-def test_comes_back_from_disk(plan: Plan, tmp_path: Path, assembly_order: bool) -> None:
-    ordered = plan.reverse() if assembly_order else plan
+def test_a_robot_keeps_the_part_that_it_holds(plan: Plan) -> None:
+    """One robot brings a part and lets go of it; no robot has two parts; a robot that is free takes the next part."""
+    holding: dict[int, int] = {}
+    for step in plan:
+        assert step.robot is not None
+        if step.action is Action.INSERT:
+            assert step.robot not in holding
+            holding[step.robot] = step.part
+        else:
+            assert holding.pop(step.robot) == step.part
+        who = plan.holders[step.number]
+        assert {robot: int(np.flatnonzero(who == robot)[0]) for robot in set(who.tolist()) - {-1}} == holding
+    assert not holding
+
+
+def test_disassembly_undoes_the_last_step_first(plan: Plan) -> None:
+    undone = plan.in_order(Direction.DISASSEMBLY)
+    assert plan.in_order(Direction.ASSEMBLY) == plan.steps
+    assert [step.number for step in undone] == list(range(len(plan), 0, -1))
+    for step in undone:
+        same_step = plan[step.number - 1]
+        assert (step.part, step.robot) == (same_step.part, same_step.robot)
+        assert step.action is {Action.INSERT: Action.REMOVE, Action.RELEASE: Action.HOLD}[same_step.action]
+        assert np.array_equal(step.state, plan.states[step.number - 1])
+        assert step.action.undone is same_step.action
+    assert np.array_equal(plan.route.states, plan.states[::-1])
+
+
+def test_comes_back_from_disk(plan: Plan, tmp_path: Path) -> None:
     path = tmp_path / "plan.json"
-    written = replace(ordered, forces=None)  # they follow from the displacements
-    save_plan(ordered, path, proofs=True)
+    written = replace(plan, forces=None)  # they follow from the displacements
+    save_plan(plan, path, proofs=True)
     assert same(load_plan(path), written)
-    assert load_plan(path).claim == ordered.claim
-    assert load_plan(path).replay == ordered.replay
-    save_plan(ordered, path)
+    assert load_plan(path).claim == plan.claim
+    assert load_plan(path).replay == plan.replay
+    save_plan(plan, path)
     assert load_plan(path).displacement is None
-    assert same(replace(load_plan(path), displacement=ordered.displacement), written)
+    assert same(replace(load_plan(path), displacement=plan.displacement), written)
     assert [entry.name for entry in tmp_path.iterdir()] == ["plan.json"]
 
 
-@pytest.mark.parametrize("assembly_order", [False, True])
-def test_files_follow_the_published_schema(plan: Plan, tmp_path: Path, assembly_order: bool) -> None:
+@pytest.mark.parametrize("proofs", [False, True])
+def test_files_follow_the_published_schema(plan: Plan, tmp_path: Path, proofs: bool) -> None:
     schema = plan_schema()
     jsonschema.Draft202012Validator.check_schema(schema)
     path = tmp_path / "plan.json"
-    save_plan(plan.reverse() if assembly_order else plan, path, proofs=assembly_order)
+    save_plan(plan, path, proofs=proofs)
     jsonschema.validate(json.loads(path.read_text()), schema)
+
+
+@pytest.mark.parametrize("direction", list(Direction))
+def test_plans_of_version_3_are_read_in_the_order_of_assembly(
+    plan: Plan, balanced: tuple[Assembly, Plan], small_arch: Assembly, tmp_path: Path, direction: Direction
+) -> None:
+    margins = PlanMargins.of(Stability(small_arch), plan.states, Demands(friction=1.05))
+    recorded = replace(plan, margins=margins)
+    for made, assembly, settings in (
+        (recorded, small_arch, StabilitySettings()),
+        (balanced[1], balanced[0], EQUILIBRIUM),
+    ):
+        path = tmp_path / "old.json"
+        path.write_text(json.dumps(as_version_3(made, direction)))
+        old = load_plan(path)
+        forces = made.forces if settings is EQUILIBRIUM else None
+        assert same(old, replace(made, forces=forces))
+        assert old.replay == made.replay
+        assert (old.margins is None) == (made.margins is None)
+        if old.margins is not None:
+            assert old.margins.measured["friction"] == pytest.approx(margins.measured["friction"], rel=1e-8)
+        assert validate_proofs(old, assembly, settings).good
+        save_plan(old, path, proofs=True)
+        assert json.loads(path.read_text())["format"] == "falsework.plan/4"
+        assert same(load_plan(path), old)
+
+
+@pytest.mark.parametrize("direction", [None, "sideways", ["assembly"]])
+def test_a_plan_of_version_3_says_its_order(plan: Plan, direction: Any) -> None:
+    old = as_version_3(plan, Direction.ASSEMBLY) | {"direction": direction}
+    with pytest.raises(PlanError, match=re.escape(f"direction is {direction!r}; it must be disassembly or assembly")):
+        plan_from_dict(old)
+
+
+@pytest.mark.parametrize("key", ["start", "steps", "end", "needs", "rules"])
+@pytest.mark.parametrize("wrong", [None, 3, [], {}, [3]])
+def test_damaged_plans_of_version_3_are_refused(plan: Plan, key: str, wrong: Any) -> None:
+    old = as_version_3(plan, Direction.DISASSEMBLY) | {key: wrong}
+    if old["needs"] == wrong == []:
+        return
+    with pytest.raises(PlanError, match="is not a valid plan: "):
+        plan_from_dict(old)
 
 
 def edit(*keys: Any, to: Any) -> Callable[[dict[str, Any]], None]:
@@ -151,7 +239,7 @@ WRONG_BY_SCHEMA = [
     (edit("robots", to=0), "robots is 0"),
     (edit("robots", to=2.5), "robots is 2.5"),
     (edit("robots", to=True), "robots is True"),
-    (edit("direction", to="sideways"), "direction is 'sideways'"),
+    (edit("direction", to="assembly"), "unknown entry 'direction'"),
     (edit("structure", "parts", to=[]), "structure.parts"),
     (edit("structure", "friction", to=-0.1), "structure.friction is -0.1"),
     (edit("structure", "name", to=7), "structure.name"),
@@ -162,8 +250,8 @@ WRONG_BY_SCHEMA = [
     (edit("stability", "cone", to="pyramid"), "stability.cone is 'pyramid'"),
     (edit("stability", "gravity", to=0), "zero where a positive number"),
     (edit("steps", to={}), "steps is not a list"),
-    (edit("steps", 0, "do", to="insert"), "not an action of disassembly"),
-    (edit("steps", 0, "do", to="juggle"), "not an action of disassembly"),
+    (edit("steps", 0, "do", to="remove"), "step 1 does 'remove' with part"),
+    (edit("steps", 0, "do", to="juggle"), "step 1 does 'juggle'; it must be one of insert, release, hold, remove"),
     (edit("steps", 0, "part", to=-1), "step 1: part is -1"),
     (edit("steps", 0, "verdict", to="unstable"), "verdict 'unstable'"),
     (edit("steps", 0, "proof", to="none"), "proof 'none'"),
@@ -178,8 +266,8 @@ WRONG_BY_CONTENT = [
     (edit("structure", "boundary", to=[99]), "structure.boundary"),
     (edit("structure", "parts", to=["a", "b"]), "structure.boundary"),
     (edit("steps", 0, "part", to=99), "step 1 names part 99"),
-    (edit("steps", 1, "part", to=0), "cannot remove part"),
-    (edit("steps", 0, to=...), "cannot remove part"),
+    (edit("steps", 1, "do", to="insert"), "step 2 cannot insert part"),
+    (edit("steps", 0, to=...), "cannot release part"),
     (edit("steps", -1, to=...), "do not lead to its end"),
     (edit("robots", to=1), "needs 2 robots"),
     (edit("end", to=[2, 1]), "end has 2 values for 9 parts"),
@@ -239,55 +327,53 @@ def test_a_plan_is_for_one_structure(plan: Plan, small_arch: Assembly) -> None:
 def test_the_first_unstable_state_is_found(plan: Plan, small_arch: Assembly) -> None:
     """Holding is left out of a plan for one robot's worth of steps: the arch falls, and the report says when."""
     states = plan.states.copy()
-    step = int(np.flatnonzero(plan.actions >= len(plan.boundary))[0])  # the first removal
-    # Claim a plan that begins after it with no robot holding anything: legal states, but nothing keeps them up.
-    loose = states[step + 1].copy()
+    step = int(np.flatnonzero(plan.actions >= len(plan.boundary))[-1])  # the last insertion
+    # Claim a plan that ends before it with no robot holding anything: legal states, but nothing keeps them up.
+    loose = states[step].copy()
     loose[(loose == 2) & ~plan.boundary] = 1
-    hold = int(np.flatnonzero(loose == 1)[0])
-    after = loose.copy()
-    after[hold] = 2
+    let_go = int(np.flatnonzero(loose == 1)[0])
+    before = loose.copy()
+    before[let_go] = 2
     fallen = replace(
         plan,
-        states=np.array([states[0], loose, after]),
-        actions=np.array([hold, hold]),
+        states=np.array([before, loose, states[-1]]),
+        actions=np.array([let_go, plan[step].part + len(plan.boundary)]),
         forces=None,
     )
     # The states do not follow from the actions, which is found without any solver.
     assert "do not lead through" in validate_plan(fallen, small_arch).reason
-    begins = replace(fallen, states=np.array([loose, after]), actions=np.array([hold]))
-    report = validate_plan(begins, small_arch)
+    ends = replace(fallen, states=np.array([before, loose]), actions=np.array([let_go]))
+    report = validate_plan(ends, small_arch)
     assert not report.good
-    # It is built from its last state, so that is the first to fall.
-    assert report.checked == 1
+    assert report.checked == 0
     assert report.bad_step == 0
-    assert "unstable after step 1" in report.reason
+    assert "unstable at the beginning" in report.reason
     assert report.verdict is not None
     assert report.verdict.unstable[0]
     assert report.verdict.velocity is not None
     assert np.abs(report.verdict.velocity).max() > 0
 
 
-def test_a_removal_without_support_is_found_where_it_happens(small_arch: Assembly, plan: Plan) -> None:
-    """Hold one block of the complete arch and take it out: legal, and unstable at the second step."""
-    block = int(np.flatnonzero(~plan.boundary)[3])
-    parts = len(plan.boundary)
+def test_a_release_without_support_is_found_where_it_happens(small_arch: Assembly, plan: Plan) -> None:
+    """Let go of a block before its neighbours are there: legal, and unstable at the step of its release."""
+    blocks, parts = np.flatnonzero(~plan.boundary), len(plan.boundary)
+    block = int(blocks[3])
     states = np.repeat(plan.states[:1], 3, axis=0)
-    states[1:, block] = [2, 0]
-    bad = replace(plan, states=states, actions=np.array([block, parts + block]), forces=None)
+    states[1:, block] = [2, 1]
+    bad = replace(plan, states=states, actions=np.array([parts + block, block]), forces=None)
     report = validate_plan(bad, small_arch)
     assert report.checked == 2
-    assert report.bad_step == 1
-    assert f"after step 2 (remove {plan.part_names[block]})" in report.reason
+    assert report.bad_step == 2
+    assert f"after step 2 (release {plan.part_names[block]})" in report.reason
 
 
 def test_broken_rules_are_found(plan: Plan, small_arch: Assembly) -> None:
     one = replace(plan, robots=1)
     assert "all 1 robots are holding" in validate_plan(one, small_arch).reason
-    fixed = replace(plan, fixed=(int(plan.actions[0]),))
+    fixed = replace(plan, fixed=(plan[0].part,))
     assert "touches a fixed part" in validate_plan(fixed, small_arch).reason
-    parts = len(plan.boundary)
-    early = replace(plan, actions=np.array([parts + 3, *plan.actions[1:]]))
-    assert "against the rules: the part is installed" in validate_plan(early, small_arch).reason
+    early = replace(plan, actions=np.array([plan[0].part, *plan.actions[1:]]))
+    assert "against the rules: the part is removed" in validate_plan(early, small_arch).reason
 
 
 def test_wrong_displacements_are_found(plan: Plan, small_arch: Assembly) -> None:
@@ -328,7 +414,6 @@ def test_changes_of_forces_are_read_as_they_were(balanced: tuple[Assembly, Plan]
     report = validate_proofs(read, vault, EQUILIBRIUM)
     assert report.good
     assert report.residual == validate_proofs(plan, vault, EQUILIBRIUM).residual
-    assert validate_proofs(plan.reverse(), vault, EQUILIBRIUM).good
     whole = replace(plan, forces=np.asarray(plan.forces))
     assert validate_proofs(whole, vault, EQUILIBRIUM).good
     assert len(changes["forces"]["changes_zlib_base64"]) < len(
@@ -387,10 +472,9 @@ def test_ways_out_are_checked(small_arch: Assembly, arch_oracle: Stability) -> N
     clear = planning.plans[0]
     assert clear.removable_only_if_clear
     assert validate_plan(clear, small_arch).good
-    assert validate_plan(clear.reverse(), small_arch).good
 
     class Shut:
-        """Lets nothing out of the complete structure."""
+        """Lets nothing into the complete structure."""
 
         def can_leave(self, states: Any) -> Any:
             return np.repeat((states == 0).any(axis=1)[:, None], states.shape[1], axis=1)
@@ -398,22 +482,19 @@ def test_ways_out_are_checked(small_arch: Assembly, arch_oracle: Stability) -> N
     shut = small_arch.replace()
     shut.__dict__["clearance"] = Shut()
     report = validate_plan(clear, shut)
-    first = int(np.flatnonzero(clear.actions >= len(clear.boundary))[0])
+    last = max(step.number for step in clear if step.action is Action.INSERT)
     assert "finds no straight way past" in report.reason
-    assert report.bad_step == first
-    back = validate_plan(clear.reverse(), shut)
-    assert back.bad_step == len(clear) - 1 - first
+    assert report.bad_step == last
 
 
 def test_says_when_missing_parts_are_needed(plan: Plan) -> None:
-    """The part that is taken out first goes in last."""
-    first = int(plan.removed_parts[0])
-    last = int(plan.removed_parts[-1])
-    (late,) = replace(plan, missing=(first,)).needs
-    assert late.part == first
+    """Of seven parts, the last is needed after six others."""
+    first, *_, last = plan.inserted_parts.tolist()
+    (late,) = replace(plan, missing=(last,)).needs
+    assert late.part == last
     assert late.after_parts == 6
-    early, _ = replace(plan, missing=(last, first)).reverse().needs
-    assert early.part == last
+    early, _ = replace(plan, missing=(last, first)).needs
+    assert early.part == first
     assert (early.after_steps, early.after_parts) == (0, 0)
 
 
@@ -427,7 +508,7 @@ def test_nothing_half_written_is_left(plan: Plan, tmp_path: Path, monkeypatch: p
 
     monkeypatch.setattr("os.replace", fail)
     with pytest.raises(KeyboardInterrupt):
-        save_plan(plan.reverse(), path)
+        save_plan(replace(plan, robots=3), path)
     assert [entry.name for entry in tmp_path.iterdir()] == ["plan.json"]
     assert path.read_bytes() == before
     with pytest.raises(InputError, match="cannot write"):

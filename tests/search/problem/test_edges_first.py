@@ -64,7 +64,7 @@ def _contacts(assembly: Assembly) -> tuple[np.ndarray, np.ndarray]:
 
 def _check_rows_in_order(planning: Planning, vault: Assembly) -> None:
     assert planning.found
-    placed = (planning.plans[0].assembly_states != 0).argmax(axis=0)
+    placed = (planning.plans[0].states != 0).argmax(axis=0)
     rows = edge_rows(*_contacts(vault))
     assert rows is not None
     free = ~vault.boundary
@@ -118,7 +118,7 @@ def test_under_equilibrium_most_parts_wait_for_the_rows_before() -> None:
     vault = load_structure("vault:parts=350")
     planning = find_plans(vault, robots=2, oracle=Stability(vault, EQUILIBRIUM), forces=False)
     assert planning.found
-    placed, rows = (planning.plans[0].assembly_states != 0).argmax(axis=0), edge_rows(*_contacts(vault))
+    placed, rows = (planning.plans[0].states != 0).argmax(axis=0), edge_rows(*_contacts(vault))
     assert rows is not None
     free = np.flatnonzero(~vault.boundary)
     order = rows[free[np.argsort(placed[free])]]

@@ -28,13 +28,13 @@ def plan_states(assembly: Assembly, robots: int = 2) -> NDArray[np.uint8]:
     """States of a plan in the order of assembly; the search has replayed it."""
     planning = find_plans(assembly, task_of(assembly, robots))
     assert planning.found
-    return np.ascontiguousarray(planning.plans[0].states[::-1])
+    return planning.plans[0].states
 
 
 def replayed(assembly: Assembly, plan: Plan) -> PlanReplay:
     """Replay of a plan with its reserve and the robots and presses that it names."""
     settings = StabilitySettings(reserve=plan.claim.reserve, holds=plan.claim.holds)
-    found = Replayer(assembly, settings).replay(plan.assembly_states, presses=plan.assembly_presses)
+    found = Replayer(assembly, settings).replay(plan.states, presses=plan.presses_before)
     return replace(PlanReplay.of(found), varied=plan.claim.reserve > 1)
 
 
@@ -126,7 +126,7 @@ def test_a_search_that_forgets_histories_finds_the_same_plan(
     """Only the histories of a few levels fit into memory; the others are computed anew."""
     monkeypatch.setattr("falsework.search.beam.histories._HISTORY_BYTES", 1 << 16)
     (plan,) = find_plans(dome, task_of(dome, 2)).plans
-    assert (plan.assembly_states == dome_states).all()
+    assert (plan.states == dome_states).all()
     assert plan.replay == replayed(dome, plan)
 
 
@@ -134,7 +134,7 @@ def test_history_fells_a_plan_whose_states_all_stand() -> None:
     """The vault's plan without history: every state stands from rest, and the replay falls; discrete elements agree."""
     vault = library.build("vault")
     planning = find_plans(vault, task_of(vault, 2), oracle=Forgetful(vault))
-    states = np.ascontiguousarray(planning.plans[0].states[::-1])
+    states = planning.plans[0].states
     replay = Replayer(vault).replay(states)
     assert not replay.good
     assert replay.falls_at is not None

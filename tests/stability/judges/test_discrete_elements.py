@@ -237,7 +237,7 @@ def test_a_plan_with_presses_can_be_built(shared_assembly: Callable[[str], Path]
     plan = find_plans(vault, stability=GIVES_WAY, forces=False).plans[0]
     assert any(plan.presses)
     found = replay_by_discrete_elements(
-        vault, plan.assembly_states, STIFF_CONTACTS, presses=plan.assembly_presses, holds=plan.claim.holds
+        vault, plan.states, STIFF_CONTACTS, presses=plan.presses_before, holds=plan.claim.holds
     )
     assert found.stands.tolist() == [STANDS] * len(plan.states)
 
@@ -247,9 +247,7 @@ def test_robots_that_press_may_be_rigid_otherwise() -> None:
     vault = library.build("vault")
     plan = find_plans(vault, stability=GIVES_WAY, forces=False).plans[0]
     assert any(plan.presses)
-    found = replay_by_discrete_elements(
-        vault, plan.assembly_states, STIFF_CONTACTS, presses=plan.assembly_presses, holds=RIGID
-    )
+    found = replay_by_discrete_elements(vault, plan.states, STIFF_CONTACTS, presses=plan.presses_before, holds=RIGID)
     assert found.stands.tolist() == [STANDS] * len(plan.states)
 
 
@@ -257,7 +255,7 @@ def test_robots_that_press_may_be_rigid_otherwise() -> None:
 def test_a_plan_for_an_arch_can_be_built(share: float) -> None:
     """Each state of a plan that robots support on the way stands, however friction has come to lie."""
     arch = library.build("arch:blocks=7")
-    plan = find_plans(arch).plans[0].reverse()
+    plan = find_plans(arch).plans[0]
     replay = replay_by_discrete_elements(arch, plan.states, DiscreteElementSettings(friction_share=share, seed=3))
     assert len(replay.stands) == len(plan.states)
     assert (replay.stands == STANDS).all()
@@ -350,7 +348,7 @@ def test_a_judge_builds_plans_from_where_they_differ(monkeypatch: pytest.MonkeyP
     """What it says does not depend on the plans before, nor on where it was stopped."""
     monkeypatch.setattr(build_judge, "_KEPT", 4)
     arch = library.build("arch:blocks=7,thickness=0.13")
-    states = find_plans(arch).plans[0].reverse().states
+    states = find_plans(arch).plans[0].states
     other = states.copy()
     other[6:, 3] = np.where(other[6:, 3] == 2, 1, other[6:, 3])  # a part that nothing holds any more
     none: list[tuple[Press, ...]] = [()] * len(states)

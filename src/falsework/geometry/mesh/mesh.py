@@ -54,10 +54,12 @@ class TriangleMesh:
         """Corners of the faces, shape (faces, 3, 3), metres."""
         return self.vertices[self.faces]
 
-    @property
+    @cached_property
     def bounds(self) -> NDArray[np.float64]:
         """Lowest and highest coordinates, shape (2, 3), metres."""
-        return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
+        bounds = np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
+        bounds.setflags(write=False)
+        return bounds
 
     @property
     def volume(self) -> float:

@@ -24,6 +24,7 @@ from falsework.learn.training.logger import check_logs
 from falsework.learn.training.trainer import Report, Trainer
 from falsework.learn.training.trainer import TrainResult as TrainResult
 from falsework.utils.collectives import summed
+from falsework.utils.display.notebook import notebook_progress
 from falsework.utils.distributed import init_distributed
 
 LOCK = "run.lock"
@@ -54,7 +55,7 @@ def train(
         device: `auto`, `cpu` or `cuda`.
         resume: continue the run in the folder.
         logs: `tensorboard` and `wandb`.
-        report: called with progress messages.
+        report: called with progress messages; notebooks show them if not given.
         dataset: states to learn from and to test on, in place of those that searches would find.
 
     Raises:
@@ -74,7 +75,7 @@ def train(
             summed([1.0], shards, where)
             with _repeatable(kept), _threads(kept, where):
                 trainer = Trainer(assembly, kept, place, dict(source or {"built_in": assembly.name}), where, shards)
-                trainer.report = report or trainer.report
+                trainer.report = report or notebook_progress("training") or trainer.report
                 return trainer.run(begun, resume=resume, logs=logs, dataset=dataset)
 
 

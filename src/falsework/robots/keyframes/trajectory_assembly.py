@@ -17,7 +17,7 @@ from falsework.robots.motion.timing import time_path
 from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Trajectory
 from falsework.robots.plans.robot_record import records_of
 from falsework.search.find import plan_of
-from falsework.search.problem.task import Task
+from falsework.search.problem.task import Direction, Task
 from falsework.stability.oracle import Stability
 
 Array = NDArray[np.float64]
@@ -39,7 +39,7 @@ def make_robot_plan(
     forces: bool = False,
     timed: dict[PathSegment, Trajectory | None] | None = None,
 ) -> RobotPlan:
-    """Certify the states along a chain of edges and compute its trajectories.
+    """Certify the states along a chain of edges and compute its trajectories, in the order of disassembly.
 
     Args:
         assembly: the structure.
@@ -76,6 +76,7 @@ def make_robot_plan(
         robots=records_of(cell),
         cell_name=cell.name,
         cell_identity=cell_identity(cell),
+        direction=Direction.DISASSEMBLY,
     )
 
 

@@ -1,4 +1,4 @@
-"""Approaches in two motions: up to where another robot is still in the way, and on to the part when it has left.
+"""Motions in two: up to where another robot is still in the way, and on when it has left.
 
 A motion waits until all of it is free, since a robot never waits within one. Where it waits for long, it is cut at the
 last place that is free before, and each half is a motion from rest to rest. The path stays as it is.
@@ -21,6 +21,7 @@ from falsework.robots.plans.temporal_graph import TemporalPlanGraph
 from falsework.robots.schedule.conflicts import choices, conflict_table, fixed_precedences
 from falsework.robots.schedule.itinerary import Itineraries
 from falsework.robots.schedule.solver import solve
+from falsework.search.problem.task import Direction
 
 Array = NDArray[np.float64]
 
@@ -35,22 +36,26 @@ _INSIDE = 0.97
 
 
 def approach_early(plan: RobotPlan, chain: Sequence[Edge], cell: Cell, world: CollisionWorld) -> RobotPlan:
-    """Return a plan with a schedule, and with approaches in two motions if that makes it shorter.
+    """Return a plan with a schedule, and with free motions in two if that makes it shorter.
 
     Args:
-        plan: motions, one after the other.
-        chain: the edges that they are of.
+        plan: motions, one after the other, in the order of execution.
+        chain: the edges that they are of, in the order of disassembly.
         cell: the robots.
         world: the robots and the parts.
     """
     rows = Itineraries(plan, world)
     graph = solve(rows.nodes, fixed_precedences(rows), choices(rows), cell.robot_count)
     steps, cut = list(plan.steps), False
+    way = slice(None, None, 1 if plan.direction is Direction.DISASSEMBLY else -1)
+    edges = chain[way]
     for node, second in _waiting(rows, graph):
         step, number = rows.nodes[node].step, rows.nodes[node].trajectory
         assert number is not None
         whole, robot = plan.steps[step].trajectories[number], steps[step].robot
-        segment = next(s for s in chain[step].segments if np.allclose(s.path[[0, -1]], whole.positions[[0, -1]]))
+        paths = [segment.path for segment in edges[step].segments]
+        found = next(k for k, path in enumerate(paths) if np.allclose(path[way][[0, -1]], whole.positions[[0, -1]]))
+        segment = replace(edges[step].segments[found], path=paths[found][way])
         halves = _halves(segment, whole.sample(np.array([second]))[0])
         legs = [timed_leg(cell.robots[robot].model, half, cell.speed) for half in halves]
         moves = list(steps[step].trajectories)
@@ -59,14 +64,14 @@ def approach_early(plan: RobotPlan, chain: Sequence[Edge], cell: Cell, world: Co
     if cut:
         other = replace(plan, steps=tuple(steps))
         again = Itineraries(other, world, like=rows)
-        found = solve(again.nodes, fixed_precedences(again), choices(again), cell.robot_count)
-        if found.makespan < graph.makespan:
-            return replace(other, schedule=found)
+        shorter = solve(again.nodes, fixed_precedences(again), choices(again), cell.robot_count)
+        if shorter.makespan < graph.makespan:
+            return replace(other, schedule=shorter)
     return replace(plan, schedule=graph)
 
 
 def _waiting(rows: Itineraries, graph: TemporalPlanGraph) -> Iterator[tuple[int, float]]:
-    """Yield approaches that wait for another robot, and up to which second of theirs they need not."""
+    """Yield free motions without a part that wait for another robot, and up to which second of theirs they need not."""
     starts = graph.starts()
     for robot in range(graph.robots):
         tables = {other: conflict_table(rows, robot, other) for other in range(graph.robots) if other != robot}

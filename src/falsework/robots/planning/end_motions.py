@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, REMOVED, States
 from falsework.errors import InputError
@@ -35,24 +35,17 @@ _SAME_WAY = 1e-4
 """Largest difference of joint values, directions and cosines between a line and one that ends where a robot is."""
 
 
-@dataclass(frozen=True, eq=False)
-class Continuation:
-    """Robots as they are when an assembly is continued, such as after a disruption."""
+def parts_of(task: Task | None, *, continues: bool) -> dict[str, Any]:
+    """Return which parts a keyframe graph for a task has to know: those ever in place, and those that ever leave.
 
-    configurations: Sequence[ArrayLike] | None = None
-    """Joint values of the robots, shape (joints,) each; by default their home."""
-    held: Sequence[int | None] | None = None
-    """The part that each robot holds in place, or carries."""
-    gripped: Sequence[ArrayLike | None] | None = None
-    """For each robot that carries a part, the joint values with which it would hold it at its place."""
-
-
-def parts_of(task: Task | None, continued: Continuation | None) -> dict[str, Any]:
-    """Return which parts a keyframe graph for a task has to know: those ever in place, and those that ever leave."""
+    Args:
+        task: start and target states.
+        continues: whether robots continue an assembly from where they are.
+    """
     if task is None:
         return {}
     present = {"present": task.start != REMOVED}
-    return present if continued is None else present | {"leaving": task.target == REMOVED}
+    return present | {"leaving": task.target == REMOVED} if continues else present
 
 
 def inserted_first(node: Node | None) -> Iterator[tuple[int, ...]]:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.robots.cells.cell_file import AnyCell, as_cell
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
-from falsework.robots.planning.end_motions import Continuation, Ends, inserted_first, parts_of
+from falsework.robots.planning.end_motions import Ends, inserted_first, parts_of
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings, Progress
 from falsework.robots.planning.hybrid_search import HybridSearch
 from falsework.robots.planning.initial_keyframe import given_keyframe, task_in_cell
@@ -18,9 +18,10 @@ from falsework.robots.planning.reserve import keeping_reserve
 from falsework.search.find import PLANS
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.guide import Guide
-from falsework.search.problem.task import Task
+from falsework.search.problem.task import Direction, Task
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
+from falsework.utils.display.notebook import or_notebook
 
 
 def plan_robots(
@@ -31,7 +32,6 @@ def plan_robots(
     configurations: Sequence[ArrayLike] | None = None,
     held: Sequence[int | None] | None = None,
     gripped: Sequence[ArrayLike | None] | None = None,
-    continued: Continuation | None = None,
     oracle: Stability | None = None,
     stability: StabilitySettings = PLANS,
     guide: Guide | None = None,
@@ -44,32 +44,34 @@ def plan_robots(
     Args:
         assembly: the structure, or its name or path.
         cell: the robots and their surroundings, or the name or file of the cell.
-        task: start and target states, and rules; by default the complete structure is disassembled. Its number of
-            robots is that of the cell, and every removed part needs a free exit direction, not downwards.
-        configurations: joint values of the robots at the start, shape (joints,) each; by default their home.
-        held: the part that each robot holds at the start, or carries; needed if the start state has held parts.
+        task: states and rules; by default the whole structure is assembled. As in all tasks the start state is the one
+            with more parts: an assembly begins in the target state. The number of robots is that of the cell, and
+            every part needs a free exit direction, not downwards.
+        configurations: joint values of the robots before the first step that is executed, shape (joints,) each. By
+            default they are at home in disassembly, and in assembly where the first motion begins.
+        held: the part that each robot holds in place then, or carries; needed in disassembly if the start state has
+            held parts.
         gripped: for each robot that carries a part then, which is delivered first, the joint values with which it would
             hold it at its place.
-        continued: the robots when the target state stands: the plan ends where they are, so that reversed it continues
-            an assembly from there; by default it ends where the last action does.
         oracle: decides stability; pass an existing one to reuse its cache.
         stability: criterion, reserve and robots, where no oracle is given. Limits of the cell's grippers hold as well.
             Where no order of the parts keeps the reserve, one is searched for that comes to rest under the true
             friction; `plan.claim` of the result has its reserve.
         guide: action heuristic, such as a trained policy, added to the ease of execution by the arms.
-        settings: limits of the search.
-        progress: callback, called at intervals.
+        settings: order of execution, and limits of the search.
+        progress: callback, called at intervals; notebooks show it if not given.
         graph: keyframe graph of the same structure and cell, whose motions are used again.
 
     Raises:
         CellError: a gripper bears less than the weight of a part.
         InputError: configurations that do not fit the robots, or in which something collides.
-        StateError: held parts that do not go with the start state, or the target state of a continued assembly.
+        StateError: held parts that do not go with the state that is begun with.
     """
     assembly, cell = as_assembly(assembly), as_cell(cell)
+    progress = or_notebook(progress, "planning motions")
     if oracle is None:
         given: dict[str, Any] = {"task": task, "configurations": configurations, "held": held, "gripped": gripped}
-        given |= {"continued": continued, "guide": guide, "progress": progress, "graph": graph}
+        given |= {"guide": guide, "progress": progress, "graph": graph}
         return keeping_reserve(
             lambda oracle, limits: plan_robots(assembly, cell, oracle=oracle, settings=limits, **given),
             assembly,
@@ -77,17 +79,20 @@ def plan_robots(
             stability,
             settings,
         )
-    needed, clock = parts_of(task, continued), Deadline(settings.deadline)
-    graph = graph or KeyframeGraph(assembly, cell, settings=settings.keyframes, seed=settings.seed, **needed)
+    now = configurations, held, gripped
+    continues = settings.direction is Direction.ASSEMBLY and any(given is not None for given in now)
+    clock = Deadline(settings.deadline)
+    graph = graph or KeyframeGraph(
+        assembly, cell, settings=settings.keyframes, seed=settings.seed, **parts_of(task, continues=continues)
+    )
     task = task_in_cell(assembly, cell, task, graph.exits)
-    first = given_keyframe(graph, task.start, configurations, held, gripped)
-    last = None
-    if continued is not None:
-        last = given_keyframe(graph, task.target, continued.configurations, continued.held, continued.gripped)
+    # Searches begin at the complete structure, where a continued assembly ends.
+    first = given_keyframe(graph, task.start, *((None,) * 3 if continues else now))
+    last = given_keyframe(graph, task.target, *now) if continues else None
     result: HybridResult | None = None
     for insert in inserted_first(last):
         ends = Ends(graph)
-        root = first if configurations is None else ends.begin(first)
+        root = first if continues or configurations is None else ends.begin(first)
         ends.end_at(last, insert)
         search = HybridSearch(graph, ends.reached(task), oracle, guide, settings, progress, ends, clock)
         result = search.run(root)

@@ -11,13 +11,16 @@ from falsework.robots.keyframes.failure_report import Explanation
 from falsework.robots.keyframes.keyframe_graph import KeyframeSettings
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.search.problem.deadline import check_deadline
+from falsework.search.problem.task import Direction
 from falsework.utils.quantity import check_seed
 
 
 @dataclass(frozen=True)
 class HybridSettings:
-    """Limits of the search for a robot plan."""
+    """Order and limits of the search for a robot plan."""
 
+    direction: Direction = Direction.ASSEMBLY
+    """Order in which the plan is executed, and in which its makespan is made short."""
     seed: int = 0
     """Same seed, same machine, same result, unless the deadline passes."""
     deadline: float | None = None
@@ -33,6 +36,9 @@ class HybridSettings:
     """Whether to keep the contact forces that prove each state in the plan."""
 
     def __post_init__(self) -> None:
+        if self.direction not in set(Direction):
+            raise InputError(f"direction is {self.direction!r}; it must be assembly or disassembly")
+        object.__setattr__(self, "direction", Direction(self.direction))
         if min(self.attempts, self.dead_ends) < 1:
             raise InputError("a search needs at least one attempt and dead end; give numbers from 1 on")
         check_deadline(self.deadline)
@@ -44,9 +50,10 @@ class HybridResult:
     """Result of a search for a robot plan."""
 
     plan: RobotPlan | None
-    """Plan from start to target, or None."""
+    """Plan in the order of the settings, or None."""
     partial: RobotPlan | None
-    """Without a plan: the longest partial plan whose replay succeeds, if it has any step."""
+    """Without a plan: the longest partial plan whose replay succeeds, if it has any step. As searches begin at the
+    complete structure, it has the first steps of a disassembly, or the last ones of an assembly."""
     explanation: Explanation | None
     """Explanation where there is no plan."""
     statistics: dict[str, Any]
@@ -69,6 +76,16 @@ class HybridProgress:
     attempt: int
     dead_ends: int
     seconds: float
+
+    @property
+    def share(self) -> float:
+        """How far the search is, from 0 to 1."""
+        return self.reached / max(self.steps, 1)
+
+    @property
+    def words(self) -> str:
+        """The progress on one line."""
+        return f"step {self.reached} of {self.steps}, {self.dead_ends} dead ends"
 
 
 Progress = Callable[[HybridProgress], None]

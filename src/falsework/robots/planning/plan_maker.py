@@ -1,4 +1,7 @@
-"""Timed robot plan of a chain of edges, arranged for robots that move at the same time where that is wanted."""
+"""Timed robot plan of a chain of edges, in the order of execution, for robots that move at the same time or in turn.
+
+This is where motions, which are searched for as disassembly, are put in the order in which they are executed.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,7 @@ from falsework.robots.planning.hybrid_result import HybridSettings
 from falsework.robots.planning.shorter_motions import shorten_motions
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
+from falsework.search.problem.task import Direction
 from falsework.stability.oracle import Stability
 
 
@@ -36,7 +40,7 @@ class PlanMaker:
             oracle: decides stability.
             solvability: the task, and the actions that its rules allow.
             ends: motions before and after the chains.
-            settings: whether robots move at the same time, and the seed.
+            settings: order, whether robots move at the same time, and the seed.
             stop: tells when to end with the order found so far.
         """
         self.graph, self.oracle, self.solvability = graph, oracle, solvability
@@ -44,7 +48,7 @@ class PlanMaker:
         self._timed: dict[PathSegment, Trajectory | None] = {}
 
     def plan(self, root: Node, chain: list[Edge], *, whole: bool) -> RobotPlan:
-        """Certify the states along a chain of edges and compute its trajectories.
+        """Certify the states along a chain of edges, compute its trajectories, and put them in their order.
 
         Args:
             root: the first keyframe.
@@ -63,6 +67,7 @@ class PlanMaker:
         else:
             root, chain = self.ends.around(root, chain)
         plan = self._make(root, chain)
+        plan = plan if self.settings.direction is Direction.DISASSEMBLY else plan.reverse()
         return approach_early(plan, chain, self.graph.cell, self.graph.world) if self.settings.together else plan
 
     def _make(self, root: Node, chain: list[Edge]) -> RobotPlan:

@@ -23,20 +23,20 @@ from falsework.robots.interleaving.search import is_worth_more
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.model.cell import Cell
 from falsework.robots.planning.around_neighbours import plan_around_neighbours
-from falsework.robots.planning.end_motions import Continuation, parts_of
+from falsework.robots.planning.end_motions import parts_of
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings, Progress
 from falsework.robots.planning.reserve import keeping_reserve
 from falsework.robots.planning.second_search import SecondSearch
 from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.robots.schedule.build import schedule_plan
 from falsework.robots.schedule.solver import import_ortools
 from falsework.search.find import PLANS
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.guide import Guide
-from falsework.search.problem.task import Task
+from falsework.search.problem.task import Direction, Task
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
+from falsework.utils.display.notebook import or_notebook
 
 _APPROACHES = (0.4, 1.0, 1.8)
 _WITHDRAWALS = (0.4, 1.0, 2.0, 4.0)
@@ -57,12 +57,10 @@ def plan_together(
     configurations: Sequence[ArrayLike] | None = None,
     held: Sequence[int | None] | None = None,
     gripped: Sequence[ArrayLike | None] | None = None,
-    continued: Continuation | None = None,
     oracle: Stability | None = None,
     stability: StabilitySettings = PLANS,
     guide: Guide | None = None,
     settings: HybridSettings = HybridSettings(),
-    assembly_order: bool = False,
     progress: Progress | None = None,
 ) -> HybridResult:
     """Find a plan with motions and schedule them for robots that move at the same time.
@@ -71,23 +69,22 @@ def plan_together(
     `search`: `together`, or `sequential` where only the lines of `plan_robots` led to a plan.
 
     Args:
-        assembly, cell, task, configurations, held, gripped, continued, oracle, stability, guide, progress: as in
+        assembly, cell, task, configurations, held, gripped, oracle, stability, guide, settings, progress: as in
             `plan_robots`.
-        settings: limits of the search.
-        assembly_order: schedule the motions in the order of assembly.
 
     Raises:
         CellError: a gripper bears less than the weight of a part.
         InputError: configurations that do not fit the robots, or in which something collides.
-        StateError: held parts that do not go with the start state, or the target state of a continued assembly.
+        StateError: held parts that do not go with the state that is begun with.
         DependencyError: OR-Tools is missing.
     """
     import_ortools()
     assembly, cell = as_assembly(assembly), as_cell(cell)
-    start: dict[str, Any] = {"task": task, "configurations": configurations, "held": held}
-    start |= {"gripped": gripped, "continued": continued}
+    progress = or_notebook(progress, "planning motions")
+    now = {"configurations": configurations, "held": held, "gripped": gripped}
+    start: dict[str, Any] = {"task": task, **now}
     if oracle is None:
-        start |= {"guide": guide, "assembly_order": assembly_order, "progress": progress}
+        start |= {"guide": guide, "progress": progress}
         return keeping_reserve(
             lambda oracle, limits: plan_together(assembly, cell, oracle=oracle, settings=limits, **start),
             assembly,
@@ -98,7 +95,8 @@ def plan_together(
     clock = Deadline(settings.deadline)
     lines = replace(settings.keyframes, approaches=_APPROACHES, withdrawals=_WITHDRAWALS)
     short = replace(settings, together=True, keyframes=lines)
-    needed = parts_of(task, continued)
+    continues = settings.direction is Direction.ASSEMBLY and any(given is not None for given in now.values())
+    needed = parts_of(task, continues=continues)
     graph = KeyframeGraph(assembly, cell, settings=short.keyframes, seed=settings.seed, **needed)
 
     def search(limits: HybridSettings, graph: KeyframeGraph, seconds: float) -> HybridResult:
@@ -140,15 +138,10 @@ def plan_together(
         done = plan_around_neighbours(result.plan, graph.world, seed=settings.seed, stop=lambda: clock.passed)
         result = replace(result, plan=done, statistics=done.statistics)
 
-    def scheduled(plan: RobotPlan | None) -> RobotPlan | None:
-        if plan is None:
-            return None
+    for plan in filter(None, (result.plan, result.partial)):
         plan.statistics.update(search=kind, second_plan=second is not None, seconds=round(clock.seconds, 3))
-        return schedule_plan(plan.reverse(), assembly, cell, parts=graph.parts) if assembly_order else plan
-
-    plan, partial = scheduled(result.plan), scheduled(result.partial)
     statistics = {**result.statistics, "search": kind, "seconds": round(clock.seconds, 3)}
-    return replace(result, plan=plan, partial=partial, statistics=statistics)
+    return replace(result, statistics=statistics)
 
 
 def second_plan(

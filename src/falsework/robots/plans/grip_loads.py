@@ -17,11 +17,11 @@ from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.presses import presses_in, pressing_robot
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.search.plans.plan import Plan
-from falsework.search.problem.task import Direction
 from falsework.stability.contact.build_verifier import BuildVerifier
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
+from falsework.utils.quantity import format_quantity
 
 Array = NDArray[np.float64]
 
@@ -54,12 +54,10 @@ class GripLoad:
         """Return what the gripper does not bear; empty if it bears the load, as far as the cell gives limits."""
         gripper, name = cell.robots[self.robot].gripper, plan.plan.part_names[self.part]
         does = "pressing" if self.presses else "holding"
-        for what, value, limit, unit in (
-            ("force", self.force_n, gripper.force, "N"),
-            ("moment", self.moment_nm, gripper.moment, "Nm"),
-        ):
+        for what, value, limit in (("force", self.force_n, gripper.force), ("moment", self.moment_nm, gripper.moment)):
             if value > limit:
-                return f"{does} {name} takes a {what} of {value:.4g} {unit}; its gripper bears {limit:.4g} {unit}"
+                takes, bears = format_quantity(value, what), format_quantity(limit, what)
+                return f"{does} {name} takes a {what} of {takes}; its gripper bears {bears}"
         return ""
 
 
@@ -110,12 +108,11 @@ def _borne(plan: Plan, assembly: Assembly) -> list[dict[int, Array]]:
         return [{load.part: np.concatenate([load.force, load.moment]) for load in state.held} for state in found]
     settings = replace(settings, reserve=plan.claim.reserve, holds=plan.claim.holds)
     verifier, borne = BuildVerifier(assembly, settings.claim), [dict[int, Array]() for _ in states]
-    steps = Replayer(assembly, settings).certificates(plan.assembly_states, plan.assembly_presses)
-    for row, (state, step) in enumerate(zip(plan.assembly_states, steps, strict=False)):
+    steps = Replayer(assembly, settings).certificates(states, plan.presses_before)
+    for row, (state, step) in enumerate(zip(states, steps, strict=False)):
         wrenches = verifier.step(state, step).wrenches
         parts = np.flatnonzero((state == HELD) & ~assembly.immovable).tolist()
-        place = row if plan.direction is Direction.ASSEMBLY else len(states) - 1 - row
-        borne[place] = {part: wrenches[part] for part in parts}
+        borne[row] = {part: wrenches[part] for part in parts}
     return borne
 
 

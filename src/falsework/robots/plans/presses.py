@@ -80,7 +80,7 @@ def has_presses(plan: RobotPlan) -> bool:
 def presses_in(plan: RobotPlan, step: int) -> tuple[Press, ...]:
     """Return the presses of a step as it is done in assembly, in the structure's units."""
     presses = plan.plan.presses
-    return presses[int(plan.rows[step])] if presses and acts(plan.steps[step]) else ()
+    return presses[plan.number(step) - 1] if presses and acts(plan.steps[step]) else ()
 
 
 def pressing_robot(plan: RobotPlan, step: int, part: int) -> int | None:

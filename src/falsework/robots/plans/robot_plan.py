@@ -18,6 +18,7 @@ from falsework.robots.model.cell import Cell, cell_identity
 from falsework.robots.plans.robot_record import RobotRecord, record_fault
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.task import Direction
+from falsework.utils.display.notebook import Displayed
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -193,11 +194,11 @@ class Keyframe:
 
 
 @dataclass(frozen=True, eq=False)
-class RobotPlan:
+class RobotPlan(Displayed):
     """Abstract plan, the keyframe of each of its states, and the motions between them."""
 
     plan: Plan
-    """States, actions, proofs; its direction is that of the motions."""
+    """States, actions, proofs, in the order of assembly."""
     keyframes: tuple[Keyframe, ...]
     """One keyframe before each step, and one after the last."""
     steps: tuple[RobotStep, ...]
@@ -212,6 +213,8 @@ class RobotPlan:
     """Statistics of the search: seconds, seed, counts."""
     schedule: TemporalPlanGraph | None = None
     """Schedule of simultaneous motions; None: one after the other."""
+    direction: Direction = Direction.ASSEMBLY
+    """Order in which the motions are executed, and keyframes and steps are listed."""
 
     def __post_init__(self) -> None:
         actions = sum(acts(step) for step in self.steps)
@@ -232,7 +235,16 @@ class RobotPlan:
     @cached_property
     def rows(self) -> NDArray[np.int64]:
         """Index of the state of the plan at each keyframe, shape (keyframes,)."""
+        return self.done if self.direction is Direction.ASSEMBLY else len(self.plan) - self.done
+
+    @cached_property
+    def done(self) -> NDArray[np.int64]:
+        """Number of actions executed before each keyframe, shape (keyframes,)."""
         return np.cumsum([0, *(acts(step) for step in self.steps)])
+
+    def number(self, step: int) -> int:
+        """Return the number of the plan's step that a step executes; if it has none, of the last one that has."""
+        return int(self.rows[step : step + 2].max())
 
     @cached_property
     def states(self) -> States:
@@ -245,11 +257,9 @@ class RobotPlan:
 
         Shape (steps,).
         """
-        found = [
-            int(self.plan.actions[row]) if acts(step) else -1 if step.hands_over is None else step.hands_over
-            for row, step in zip(self.rows.tolist(), self.steps, strict=False)
-        ]
-        return np.array(found, dtype=np.int64)
+        found = np.array([-1 if step.hands_over is None else step.hands_over for step in self.steps], dtype=np.int64)
+        found[np.diff(self.done) > 0] = self.plan.actions[:: 1 if self.direction is Direction.ASSEMBLY else -1]
+        return found
 
     @property
     def seconds(self) -> float:
@@ -260,11 +270,6 @@ class RobotPlan:
     def makespan(self) -> float:
         """Duration of the schedule, or of sequential motions without a schedule."""
         return self.seconds if self.schedule is None else self.schedule.makespan
-
-    @property
-    def direction(self) -> Direction:
-        """Whether the motions disassemble or assemble."""
-        return self.plan.direction
 
     def grip_of(self, robot: int, part: int) -> Array | None:
         """Return the configuration in which a robot holds a part at its place, shape (joints,); None if it never does.
@@ -290,7 +295,7 @@ class RobotPlan:
             carried = next((leg.part for leg in entry.trajectories if leg.part is not None), None)
             return "go to another place" if carried is None else f"carry {self.plan.part_names[carried]}"
         if entry.hands_over is None:
-            what = self.plan.describe(int(self.rows[step]))
+            what = self.plan.in_order(self.direction)[int(self.done[step])].words
             return what if entry.put_down is None else f"{what}, put down and gripped again on the way"
         name, held = self.plan.part_names[entry.hands_over], self.keyframes[step].held
         others = [k for k, part in enumerate(held) if part == entry.hands_over and k != entry.robot]
@@ -335,13 +340,14 @@ class RobotPlan:
                 yield index, step.robot, trajectory
 
     def reverse(self) -> RobotPlan:
-        """Return the plan in the other direction: assembly from disassembly, or back."""
+        """Return the motions in the other order: assembly from disassembly, or back."""
         steps = tuple(
             replace(step, trajectories=tuple(trajectory.reverse() for trajectory in reversed(step.trajectories)))
             for step in reversed(self.steps)
         )
         schedule = None if self.schedule is None else self.schedule.reverse()
-        return replace(self, plan=self.plan.reverse(), keyframes=self.keyframes[::-1], steps=steps, schedule=schedule)
+        other = Direction.DISASSEMBLY if self.direction is Direction.ASSEMBLY else Direction.ASSEMBLY
+        return replace(self, keyframes=self.keyframes[::-1], steps=steps, schedule=schedule, direction=other)
 
     def check_identity(self, assembly: Assembly, cell: Cell) -> None:
         """Raise PlanError unless the plan is for this structure in this cell, and names their parts and robots."""

@@ -19,11 +19,14 @@ from falsework.robots.plans.robot_record import RobotRecord
 from falsework.robots.plans.temporal_graph import MotionNode, Precedence, Reason, TemporalPlanGraph
 from falsework.robots.plans.timeline import nodes_of
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
+from falsework.search.problem.task import Direction
 from falsework.utils.json_file import Reader, write_json
 
 Array = NDArray[np.float64]
 
-FORMAT = "falsework.robot-plan/2"
+FORMAT = "falsework.robot-plan/3"
+SECOND_FORMAT = "falsework.robot-plan/2"
+"""Format whose direction is that of the plan in it; read, no longer written."""
 FIRST_FORMAT = "falsework.robot-plan/1"
 """Format without a schedule; read, no longer written."""
 
@@ -32,7 +35,7 @@ DIGITS = 12
 JOINS = 1e-5
 """Joint values that differ by no more are equal, rad or m."""
 
-_KEYS = {"format", "cell", "plan", "keyframes", "steps", "statistics"}
+_KEYS = {"format", "direction", "cell", "plan", "keyframes", "steps", "schedule", "statistics"}
 _REASONS = get_args(Reason)
 _TIMES = 1e-3
 """Times of a schedule that differ by no more are equal, seconds."""
@@ -45,7 +48,7 @@ def robot_plan_schema() -> dict[str, Any]:
 
 
 def save_robot_plan(plan: RobotPlan, path: Path | str) -> None:
-    """Write a robot plan as JSON, format `falsework.robot-plan/2`, atomically.
+    """Write a robot plan as JSON, format `falsework.robot-plan/3`, atomically.
 
     Raises:
         InputError: the file cannot be written.
@@ -57,6 +60,7 @@ def robot_plan_to_dict(plan: RobotPlan) -> dict[str, Any]:
     """Return the robot plan as plain JSON values; see `robot_plan.schema.json`."""
     return {
         "format": FORMAT,
+        "direction": plan.direction.value,
         "cell": {
             "name": plan.cell_name,
             "identity": plan.cell_identity,
@@ -163,8 +167,13 @@ class _Reader(Reader):
 
     def plan(self, data: Any) -> RobotPlan:
         if isinstance(data, dict) and data.get("format") == FIRST_FORMAT:
-            data = {**data, "format": FORMAT, "schedule": None}
-        self._header(data, _KEYS | {"schedule"})
+            data = {**data, "format": SECOND_FORMAT, "schedule": None}
+        if isinstance(data, dict) and data.get("format") == SECOND_FORMAT:
+            known = data["plan"].get("direction") if isinstance(data.get("plan"), dict) else None
+            data = {**data, "format": FORMAT, "direction": known}
+        self._header(data, _KEYS)
+        if data["direction"] not in ("assembly", "disassembly"):
+            self._fail(f"direction is {data['direction']!r}", "it must be assembly or disassembly")
         cell = data["cell"]
         self._keys(cell, {"name", "identity", "robots"}, "cell", frozenset({"source"}))
         robots = tuple(self._robot(entry, f"robot {k}") for k, entry in enumerate(self._list(cell["robots"], "robots")))
@@ -191,6 +200,7 @@ class _Reader(Reader):
             cell_identity=self._text(cell["identity"], "cell.identity"),
             cell_source=None if "source" not in cell else self._text(cell["source"], "cell.source"),
             statistics=data["statistics"],
+            direction=Direction(data["direction"]),
         )
         self._joins(made)
         return made if data["schedule"] is None else replace(made, schedule=self._schedule(data["schedule"], made))

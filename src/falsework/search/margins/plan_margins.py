@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -15,6 +15,7 @@ from falsework.search.margins.demands import Demands
 from falsework.stability.margins.claims import MarginClaims
 from falsework.stability.margins.state_margins import StateMargins
 from falsework.stability.oracle import Stability
+from falsework.utils.quantity import format_quantity
 
 Measured = Literal["friction", "tilt", "horizontal", "push"]
 MEASURED: tuple[Measured, ...] = get_args(Measured)
@@ -65,10 +66,6 @@ class PlanMargins:
             bounds = [getattr(margins, kind) for margins in found]
             measured[kind] = tuple(None if bound is None else bound.value for bound in bounds)
         return cls(demands, measured)
-
-    def reverse(self) -> PlanMargins:
-        """Return the margins of the reversed plan."""
-        return replace(self, measured={kind: values[::-1] for kind, values in self.measured.items()})
 
     def weakest(self, kind: str) -> tuple[int, float] | None:
         """Return the state with the weakest margin of a kind, and the margin; None where no state has a bound."""
@@ -159,8 +156,8 @@ class PlanMargins:
 
 def quantity_text(kind: str, value: float) -> str:
     """Return a margin with its unit, such as `3.2 deg`."""
-    units = {"friction": "", "tilt": " deg", "horizontal": " g", "push": " N"}
-    return f"{np.degrees(value) if kind == 'tilt' else value:.3g}{units[kind]}"
+    kinds = {"friction": "factor", "tilt": "angle", "horizontal": "share of gravity", "push": "force"}
+    return format_quantity(value, kinds[kind])
 
 
 def _is_bound(value: Any, kind: Any) -> bool:

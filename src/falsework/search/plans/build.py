@@ -14,7 +14,7 @@ from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.plans.plan_report import PlanReport, unstable_in_words
 from falsework.search.problem.result import Route
-from falsework.search.problem.task import Direction, Task
+from falsework.search.problem.task import Task
 from falsework.stability.contact.build_verifier import BuildVerifier, StepCertificate
 from falsework.stability.contact.hold_loads import CLOSE, Loads, larger_loads, loads_in
 from falsework.stability.contact.replay import Presses, Replayer
@@ -58,18 +58,13 @@ def plan_of_build(
         if verdicts.forces is not None:
             verdicts.forces[row] = proof.forces
             steps.append(certificate)
-    backwards = verdicts[np.arange(len(states))[::-1]]
-    if known.stands:
-        plan = Plan.of(route, assembly, task, backwards, claim)
-    else:
-        plan = Plan.unproven(route, assembly, task, backwards, claim)
-    plan = replace(plan, replay=known, presses=presses[:0:-1])
+    make = Plan.of if known.stands else Plan.unproven
+    plan = replace(make(route, assembly, task, verdicts, claim), replay=known, presses=presses[1:])
     if len(loads) == len(states) and known.stands:
         borne = larger_loads(tuple(loads), known.loads or _true_loads(replayer, states, presses, tuple(loads)))
-        plan = replace(plan, loads=borne[::-1])
+        plan = replace(plan, loads=borne)
     if forces and len(steps) == len(states):
-        displacement = np.array([step.displacement for step in steps])[::-1].copy()
-        torn = np.array([step.torn for step in steps])[::-1].copy()
+        displacement, torn = (np.array([getattr(step, name) for step in steps]) for name in ("displacement", "torn"))
         plan = replace(plan, displacement=displacement, torn=torn)
     return plan
 
@@ -90,7 +85,7 @@ def check_build(
         carried: the plan carries a certificate for each of its states.
         progress: as for `validate_plan`.
     """
-    states, presses = plan.assembly_states, plan.assembly_presses
+    states, presses = plan.states, plan.presses_before
     largest, cases = 0.0, [settings] if settings.reserve == 1.0 else [settings, replace(settings, reserve=1.0)]
     loads: list[Loads] = []
     for number, case in enumerate(cases):
@@ -115,29 +110,26 @@ def check_build(
         if not wrong and row + 1 < len(states):
             row, wrong = row + 1, f"the structure does not come to rest{under} at {_built(plan, row + 1)}"
         if wrong:
-            bad = row_of_build(plan, row)
-            verdict = Stability(assembly, replace(case, reserve=1.0)).check(plan.states[bad])
+            verdict = Stability(assembly, replace(case, reserve=1.0)).check(states[row])
             if verdict.unstable[0]:
-                wrong = unstable_in_words(plan, bad, verdict)
-            return replace(report, reason=wrong, checked=bad, residual=largest, verdict=verdict)
+                wrong = unstable_in_words(plan, row, verdict)
+            return replace(report, reason=wrong, checked=row, residual=largest, verdict=verdict)
         loads.append(tuple(borne))
     count, found = len(states), loads[0] if len(loads) == 1 else larger_loads(*loads)
     denied = _denied_load(plan, found)
     if denied is not None:
-        return replace(report, reason=denied[1], checked=row_of_build(plan, denied[0]), residual=largest)
-    shown = found if plan.direction is Direction.ASSEMBLY else found[::-1]
-    return replace(report, checked=count, residual=largest, certified=count * carried, loads=shown)
+        return replace(report, reason=denied[1], checked=denied[0], residual=largest)
+    return replace(report, checked=count, residual=largest, certified=count * carried, loads=found)
 
 
 def _denied_load(plan: Plan, found: Loads) -> tuple[int, str] | None:
-    """Return the first state, in the order of assembly, for which a plan says too little of what robots bear, and how.
+    """Return the first state for which a plan says too little of what robots bear, and how.
 
     Args:
         plan: the plan; one that says nothing denies nothing.
-        found: what robots bear in its states, in the order of assembly.
+        found: what robots bear in its states.
     """
-    claimed = plan.loads if plan.direction is Direction.ASSEMBLY else plan.loads[::-1]
-    for row, (said, true) in enumerate(zip(claimed, found, strict=True) if claimed else ()):
+    for row, (said, true) in enumerate(zip(plan.loads, found, strict=True) if plan.loads else ()):
         by_part = {load.part: load for load in said}
         for load in true:
             name, known = plan.part_names[load.part], by_part.pop(load.part, None)
@@ -168,20 +160,13 @@ def _true_loads(replayer: Replayer, states: States, presses: Presses, loads: Loa
 
 
 def carried_steps(plan: Plan) -> Iterator[StepCertificate]:
-    """Yield the certificates that a plan carries, in the order of assembly."""
-    forward = plan if plan.direction is Direction.ASSEMBLY else plan.reverse()
-    assert forward.displacement is not None
-    for row, presses in enumerate(forward.assembly_presses):
-        torn = np.zeros(0, dtype=bool) if forward.torn is None else forward.torn[row]
-        yield StepCertificate(forward.displacement[row], torn, presses)
-
-
-def row_of_build(plan: Plan, row: int) -> int:
-    """Return the row in the plan of a state counted in the order of assembly."""
-    return row if plan.direction is Direction.ASSEMBLY else len(plan.states) - 1 - row
+    """Yield the certificates that a plan carries."""
+    assert plan.displacement is not None
+    for row, presses in enumerate(plan.presses_before):
+        torn = np.zeros(0, dtype=bool) if plan.torn is None else plan.torn[row]
+        yield StepCertificate(plan.displacement[row], torn, presses)
 
 
 def _built(plan: Plan, row: int) -> str:
-    """Name a state by the assembly step that leads to it."""
-    forward = plan if plan.direction is Direction.ASSEMBLY else plan.reverse()
-    return f"assembly step {row} ({forward.describe(row - 1)})" if row else "the beginning of assembly"
+    """Name a state by the step that leads to it."""
+    return f"step {row} ({plan.words(row)})" if row else "the beginning"

@@ -1,26 +1,29 @@
-"""The plan: states and actions from start to target, with the verdict on every state."""
+"""The plan: steps in the order of assembly, with the verdict on every state."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.prop import Prop
-from falsework.assembly.state import HELD, INSTALLED, Mask, States, describe_step
+from falsework.assembly.state import HELD, INSTALLED, Mask, States
 from falsework.errors import PlanError
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans.plan_replay import PlanReplay
+from falsework.search.plans.steps import PlanStep, holders, steps_of, undone
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.certificate import StabilityCriterion
 from falsework.stability.contact.hold_loads import Loads
-from falsework.stability.holds import Press, describe_presses
+from falsework.stability.holds import Press
 from falsework.stability.state_arrays import StateArrays
-from falsework.stability.verdict import Verdicts
+from falsework.stability.verdict import Proof, Verdict, Verdicts
+from falsework.utils.display.notebook import Displayed
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -37,44 +40,41 @@ class PartDeadline:
     """Parts that are placed before it."""
 
 
-def needs_of(
-    actions: NDArray[np.int64], direction: Direction, parts: int, missing: tuple[int, ...]
-) -> tuple[PartDeadline, ...]:
+def needs_of(actions: NDArray[np.int64], parts: int, missing: tuple[int, ...]) -> tuple[PartDeadline, ...]:
     """Return when each missing part is inserted, in this order; parts that no action inserts are omitted.
 
     Args:
         actions: of the plan, shape (steps,).
-        direction: which way the plan runs.
         parts: number of parts.
         missing: the parts in question.
     """
-    in_order = actions if direction is Direction.ASSEMBLY else actions[::-1]
-    placed = np.cumsum(in_order >= parts)
+    placed = np.cumsum(actions >= parts)
     needs = []
     for part in missing:
-        step = np.flatnonzero(in_order == parts + part)
+        step = np.flatnonzero(actions == parts + part)
         if len(step):
             needs.append(PartDeadline(part, int(step[0]), int(placed[step[0]]) - 1))
     return tuple(sorted(needs, key=lambda need: need.after_steps))
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
-    """Sequence of actions whose states are all proven stable.
+class Plan(Displayed):
+    """Steps of an assembly whose states are all proven stable.
 
-    In disassembly action `i` holds part `i` and `parts + i` removes it. A plan for assembly runs the other way:
-    action `i` releases part `i`, and `parts + i` inserts it, held by a robot. With `support`, action `i` holds part `i`
-    or releases it, whichever it is not, in either direction.
+    A plan is the sequence of its steps, always in the order of assembly: `len(plan)`, `plan[0]`, `for step in plan`.
+    Whoever takes the structure apart undoes the last step first, see `in_order`. Searches work with routes, in the
+    order of disassembly; `of` turns a route into a plan.
     """
 
     states: States
-    """Shape (steps + 1, parts)."""
+    """State at first, and after each step; shape (steps + 1, parts)."""
     actions: NDArray[np.int64]
-    """Action between two states, shape (steps,)."""
-    verdicts: NDArray[np.int8]
-    """`Verdict` of each state, shape (steps + 1,)."""
-    proofs: NDArray[np.int8]
-    """`Proof` of each state, shape (steps + 1,)."""
+    """Steps as numbers, shape (steps,): `parts + i` inserts part `i`, held by a robot, and `i` releases it. With
+    `support`, `i` holds or releases part `i`, whichever it is not, and `parts + i` inserts or removes a prop."""
+    verdicts: tuple[Verdict, ...]
+    """One a state."""
+    proofs: tuple[Proof, ...]
+    """One a state."""
     residuals: NDArray[np.float64]
     """Residual of each state, a share of gravity (see `Verdicts`), shape (steps + 1,)."""
     name: str
@@ -88,7 +88,6 @@ class Plan:
     robots: int
     claim: StabilityCriterion = field(default_factory=StabilityCriterion)
     """Stability criterion of the verdicts: cone, gravity, tolerance, bound on forces."""
-    direction: Direction = Direction.DISASSEMBLY
     fixed: tuple[int, ...] = ()
     """Parts that the task excluded from all actions."""
     missing: tuple[int, ...] = ()
@@ -108,17 +107,17 @@ class Plan:
     """Contact forces `(n, t1, t2)` of each state in N, the proof under `equilibrium`, shape (steps + 1, points, 3);
     those of searches take memory only for what changes from state to state."""
     displacement: NDArray[np.float64] | None = None
-    """Proof of each state under `contact`: displacements of the parts in m and rad in the increments of the assembly
+    """Proof of each state under `contact`: displacements of the parts in m and rad in the increments of the
     step that leads to it, shape (steps + 1, increments, parts, 6)."""
     torn: Mask | None = None
     """With it: contact points that have lost their tensile strength, shape (steps + 1, points)."""
     presses: tuple[tuple[Press, ...], ...] = ()
-    """Presses of robots in each step as it is done in assembly, one entry a step; empty where there are none."""
+    """Presses of robots in each step, one entry a step; empty where there are none."""
     loads: Loads = ()
     """What robots bear in each state, the larger of what it is under the true friction and with the reserve, one entry
     a state; empty where it is not known."""
     replay: PlanReplay | None = None
-    """Result of the replay in the order of assembly; None if there was none."""
+    """Result of the replay with contact history; None if there was none."""
     margins: PlanMargins | None = None
     """Margins that its states keep; None if none were required."""
 
@@ -131,13 +130,14 @@ class Plan:
         verdicts: Verdicts,
         claim: StabilityCriterion = StabilityCriterion(),
     ) -> Plan:
-        """Plan for disassembly along a route.
+        """Plan along a route, which is turned into the order of assembly here.
 
         Args:
-            route: states and actions.
+            route: states and actions, in the order of disassembly.
             assembly: the structure.
             task: task of the route.
-            verdicts: of the states of the route, with forces if the plan is to carry its proofs.
+            verdicts: of the states of the route in the order of assembly, with forces if the plan is to carry its
+                proofs.
             claim: stability criterion of the verdicts.
 
         Raises:
@@ -154,10 +154,10 @@ class Plan:
     ) -> Plan:
         """Plan as `of`, whatever the verdicts are."""
         return cls(
-            states=route.states,
-            actions=route.actions,
-            verdicts=verdicts.verdict,
-            proofs=verdicts.proof,
+            states=route.states[::-1].copy(),
+            actions=route.actions[::-1].copy(),
+            verdicts=tuple(map(Verdict, verdicts.verdict.tolist())),
+            proofs=tuple(map(Proof, verdicts.proof.tolist())),
             residuals=verdicts.residual,
             name=assembly.name,
             identity=assembly.identity,
@@ -178,11 +178,43 @@ class Plan:
     def __len__(self) -> int:
         return len(self.actions)
 
+    def __iter__(self) -> Iterator[PlanStep]:
+        return iter(self.steps)
+
+    @overload
+    def __getitem__(self, index: int) -> PlanStep: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> tuple[PlanStep, ...]: ...
+
+    def __getitem__(self, index: int | slice) -> PlanStep | tuple[PlanStep, ...]:
+        return self.steps[index]
+
     def __repr__(self) -> str:
         return (
-            f"<Plan of {self.name}: {self.direction.value} in {len(self)} steps with {self.robots} "
-            f"robot{'s' * (self.robots > 1)}, criterion {self.claim.criterion}>"
+            f"<Plan of {self.name}: {len(self)} steps with {self.robots} robot{'s' * (self.robots > 1)}, "
+            f"criterion {self.claim.criterion}>"
         )
+
+    @cached_property
+    def steps(self) -> tuple[PlanStep, ...]:
+        """Steps in the order of assembly; the first has the number 1 and the index 0."""
+        return steps_of(self.states, self.actions, self.holders, self.verdicts, self.part_names, self.presses)
+
+    def in_order(self, direction: Direction) -> tuple[PlanStep, ...]:
+        """Return the steps as they are done in assembly, or in disassembly, in which the last one is undone first.
+
+        In disassembly a step keeps its number, but holds where that of assembly releases, and removes where it
+        inserts; its state is the one before.
+        """
+        if Direction(direction) is Direction.ASSEMBLY:
+            return self.steps
+        return undone(self.steps, self.states[0], self.verdicts[0])
+
+    @cached_property
+    def holders(self) -> NDArray[np.int64]:
+        """Robot that holds each part in each state, `NO_ROBOT` for none; shape (steps + 1, parts)."""
+        return holders(self.states, self.immovable)
 
     @property
     def immovable(self) -> Mask:
@@ -193,57 +225,33 @@ class Plan:
 
     @property
     def route(self) -> Route:
-        """States and actions alone, in disassembly order."""
-        plan = self if self.direction is Direction.DISASSEMBLY else self.reverse()
-        return Route(plan.states, plan.actions)
+        """States and actions alone, in the order of disassembly."""
+        return Route(self.states[::-1], self.actions[::-1])
 
     @property
     def needs(self) -> tuple[PartDeadline, ...]:
         """When each missing part is needed, in order; parts that the plan does not touch are omitted."""
-        return needs_of(self.actions, self.direction, len(self.boundary), self.missing)
+        return needs_of(self.actions, len(self.boundary), self.missing)
 
-    def describe(self, step: int) -> str:
-        """Describe a step, such as `hold 7` or `insert keystone`, in assembly with the presses of robots."""
-        action = describe_step(self.states[step], self.states[step + 1], self.part_names)
-        presses = self.presses[step] if self.presses and self.direction is Direction.ASSEMBLY else ()
-        return "; ".join(filter(None, (action, describe_presses(presses, self.part_names))))
+    def words(self, number: int) -> str:
+        """Describe the step of a number, such as `insert keystone`, with the presses of robots; empty for 0."""
+        return self.steps[number - 1].words if number else ""
 
-    def reverse(self) -> Plan:
-        """Return the plan in the other direction: assembly from disassembly, or back."""
-        other = Direction.ASSEMBLY if self.direction is Direction.DISASSEMBLY else Direction.DISASSEMBLY
-        return replace(
-            self,
-            states=self.states[::-1].copy(),
-            actions=self.actions[::-1].copy(),
-            verdicts=self.verdicts[::-1].copy(),
-            proofs=self.proofs[::-1].copy(),
-            residuals=self.residuals[::-1].copy(),
-            forces=None if self.forces is None else self.forces[::-1].copy(),
-            displacement=None if self.displacement is None else self.displacement[::-1].copy(),
-            torn=None if self.torn is None else self.torn[::-1].copy(),
-            presses=self.presses[::-1],
-            loads=self.loads[::-1],
-            margins=None if self.margins is None else self.margins.reverse(),
-            direction=other,
-        )
+    def line(self, number: int) -> str:
+        """Return a line of a list of steps, such as `  30  insert keystone (R1)`; 0 is the start."""
+        return f"{number:4d}  {self.steps[number - 1] if number else 'start'}"
 
     @property
-    def assembly_states(self) -> States:
-        """States in the order of assembly, in which a plan is replayed, shape (steps + 1, parts)."""
-        return self.states if self.direction is Direction.ASSEMBLY else self.states[::-1]
-
-    @property
-    def assembly_presses(self) -> tuple[tuple[Press, ...], ...]:
-        """Presses of the step to each state in the order of assembly, one entry a state."""
-        presses = self.presses or ((),) * len(self.actions)
-        return ((), *(presses if self.direction is Direction.ASSEMBLY else presses[::-1]))
+    def presses_before(self) -> tuple[tuple[Press, ...], ...]:
+        """Presses of the step that leads to each state, one entry a state."""
+        return ((), *(self.presses or ((),) * len(self.actions)))
 
     def proof_arrays(self) -> NDArray[np.float64] | StateArrays | None:
         """Return the certificates of the states under the plan's criterion, if the plan has them."""
         return self.displacement if self.claim.criterion == "contact" else self.forces
 
     @property
-    def removed_parts(self) -> NDArray[np.int64]:
-        """Parts that the plan removes, or inserts, in its order."""
+    def inserted_parts(self) -> NDArray[np.int64]:
+        """Parts that the plan inserts, in order."""
         parts = len(self.boundary)
         return self.actions[self.actions >= parts] - parts

@@ -13,7 +13,7 @@ from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError, PlanError
 from falsework.search.margins.demands import DemandingStability, Demands
-from falsework.search.plans.build import carried_steps, check_build, row_of_build
+from falsework.search.plans.build import carried_steps, check_build
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_report import (
     PROOF_NAMES,
@@ -222,8 +222,8 @@ def _residuals_of_proofs(plan: Plan, assembly: Assembly, claim: StabilityCriteri
         if claim.criterion == "equilibrium":
             return residuals_in_order(assembly, plan.states, proofs, claim)
         verifier, found = BuildVerifier(assembly, claim), np.empty(len(plan.states))
-        for row, (state, step) in enumerate(zip(plan.assembly_states, carried_steps(plan), strict=True)):
-            found[row_of_build(plan, row)] = verifier.step(state, step).residual
+        for row, (state, step) in enumerate(zip(plan.states, carried_steps(plan), strict=True)):
+            found[row] = verifier.step(state, step).residual
         return found
 
 

@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 
 from falsework.errors import InputError, PlanError
+from falsework.search.plans.older_plans import FORMAT, UNPROVEN
 from falsework.search.plans.packed_proofs import pack_proofs
 from falsework.search.plans.plan import Plan
-from falsework.search.plans.plan_reader import PROOF_ARRAYS, PROOF_WORDS, UNPROVEN, PlanReader
-from falsework.search.plans.plan_versions import FORMAT
+from falsework.search.plans.plan_reader import PROOF_ARRAYS, PROOF_WORDS, PlanReader
+from falsework.search.plans.steps import PlanStep
 from falsework.stability.verdict import Verdict
-from falsework.utils.json_file import write_json
+from falsework.utils.json_file import read_format, write_json
 
 
 def plan_schema() -> dict[str, Any]:
@@ -52,16 +53,15 @@ def _short(value: float) -> float:
 
 def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
     """Return the plan as plain JSON values; see `plan.schema.json`."""
-    parts = len(plan.boundary)
     proof = PROOF_WORDS[plan.claim.criterion]
     judged = [
         {"verdict": "stable", "proof": proof, "residual": _short(residual)} if stable else dict(UNPROVEN)
-        for residual, stable in zip(plan.residuals, plan.verdicts == Verdict.STABLE, strict=True)
+        for residual, stable in zip(plan.residuals, [kind is Verdict.STABLE for kind in plan.verdicts], strict=True)
     ]
 
-    def pressed(row: int) -> dict[str, Any]:
-        some = plan.presses[row] if plan.presses else ()
-        return {"presses": [{"part": press.part, "wrench": list(press.wrench)} for press in some]} if some else {}
+    def pressed(step: PlanStep) -> dict[str, Any]:
+        some = [{"part": press.part, "wrench": list(press.wrench)} for press in step.presses]
+        return {"presses": some} if some else {}
 
     def borne(row: int) -> dict[str, Any]:
         some = plan.loads[row] if plan.loads else ()
@@ -69,17 +69,16 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
 
     steps = [
         {
-            "do": plan.describe(row).partition(" ")[0],
-            "part": action % parts,
-            **judged[row + 1],
-            **pressed(row),
-            **borne(row + 1),
+            "do": step.action.value,
+            "part": step.part,
+            **judged[step.number],
+            **pressed(step),
+            **borne(step.number),
         }
-        for row, action in enumerate(plan.actions.tolist())
+        for step in plan.steps
     ]
     data: dict[str, Any] = {
         "format": FORMAT,
-        "direction": plan.direction.value,
         "structure": {
             "name": plan.name,
             "identity": plan.identity,
@@ -125,6 +124,16 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
             arrays = arrays.reshape(len(arrays), -1, 6)
         data[name] |= pack_proofs(arrays)
     return data
+
+
+def is_plan_file(path: Path | str) -> bool:
+    """Return whether a file says that it is a plan.
+
+    Raises:
+        PlanError: a JSON file that cannot be read.
+    """
+    file = Path(path)
+    return file.suffix.lower() == ".json" and file.is_file() and read_format(file).startswith("falsework.plan/")
 
 
 def load_plan(path: Path | str) -> Plan:

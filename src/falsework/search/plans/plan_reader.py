@@ -13,12 +13,12 @@ from falsework.assembly.prop import Prop
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states, held_count
 from falsework.errors import InputError, StateError
 from falsework.search.margins.plan_margins import PlanMargins
+from falsework.search.plans.older_plans import FORMAT, UNPROVEN, upgraded
 from falsework.search.plans.packed_proofs import CHANGES, WHOLE, unpack_proofs
 from falsework.search.plans.plan import needs_of
 from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.plans.plan_source import wrong_source
-from falsework.search.plans.plan_versions import FORMAT, as_newest
-from falsework.search.problem.task import Direction
+from falsework.search.plans.steps import Action
 from falsework.stability.certificate import StabilityCriterion
 from falsework.stability.holds import HoldLoad, HoldMode, HoldSettings, Press
 from falsework.stability.judges.judgement import Judgement
@@ -27,31 +27,30 @@ from falsework.stability.verdict import Proof, Verdict
 from falsework.utils.json_file import Reader
 
 MOVES = {
-    "hold": (Direction.DISASSEMBLY, False, INSTALLED, HELD),
-    "remove": (Direction.DISASSEMBLY, True, HELD, REMOVED),
-    "insert": (Direction.ASSEMBLY, True, REMOVED, HELD),
-    "release": (Direction.ASSEMBLY, False, HELD, INSTALLED),
+    Action.INSERT: (REMOVED, HELD),
+    Action.RELEASE: (HELD, INSTALLED),
+    Action.HOLD: (INSTALLED, HELD),
+    Action.REMOVE: (HELD, REMOVED),
 }
-"""Word of a step: direction, whether the action index is above `parts`, value of the part before, and after. With
-repeated holds, parts are held and released in both directions."""
+"""Value of the part before a step, and after."""
 PROOF_WORDS = {"contact": "history", "equilibrium": "forces"}
 PROOF_ARRAYS = {"contact": ("displacements", "parts"), "equilibrium": ("forces", "points")}
 """Entry of the file that holds the proofs, and the items along its first axis."""
-UNPROVEN = {"verdict": "undecided", "proof": "none", "residual": None}
-"""Entries of a state that is not proven, in a plan whose replay fails."""
 MOST_ENTRIES = 1 << 30
 """States of a plan times parts that are read, a byte each: a complete plan of 23,000 parts."""
 MOST_INCREMENTS = 64
 """Increments of a step that are read."""
 _REPLAY = frozenset({"judgement", "varied", "weak_under", "weak_at"})
 """Entries of a replay that may be missing."""
-_KEYS = {"format", "direction", "structure", "robots", "rules", "stability", "start", "steps", "end", "needs"}
+_KEYS = {"format", "structure", "robots", "rules", "stability", "start", "steps", "end", "needs"}
 
 
 class PlanReader(Reader):
     """Reader of plans that checks everything that can be checked without the structure."""
 
     kind, form, command = "plan", FORMAT, "falsework plan"
+    _backwards: bool | None = False
+    """Whether the packed proofs in the file are in the order of disassembly."""
 
     def fields(self, data: Any) -> dict[str, Any]:
         """Return the fields of the plan in JSON values.
@@ -60,7 +59,9 @@ class PlanReader(Reader):
             PlanError: they are no plan; the message names the entry.
         """
         if isinstance(data, dict):
-            data = as_newest(data, self._source)
+            data, self._backwards = upgraded(data, self._source)
+        if self._backwards is None:
+            self._fail(f"direction is {data.get('direction')!r}", "it must be disassembly or assembly")
         self._header(data, _KEYS, optional=frozenset({"forces", "displacements", "replay", "margins"}))
         structure, rules, stability = data["structure"], data["rules"], data["stability"]
         self._keys(
@@ -84,9 +85,6 @@ class PlanReader(Reader):
         parts, props = len(names), self._props(structure.get("props", []), len(names))
         boundary = np.zeros(parts, dtype=bool)
         boundary[self._parts(structure["boundary"], parts, "structure.boundary")] = True
-        if data["direction"] not in ("disassembly", "assembly"):
-            self._fail(f"direction is {data['direction']!r}", "it must be disassembly or assembly")
-        direction = Direction(data["direction"])
         if not isinstance(rules["removable_only_if_clear"], bool):
             self._fail("rules.removable_only_if_clear must be true or false")
         if not isinstance(rules.get("support", False), bool):
@@ -108,9 +106,7 @@ class PlanReader(Reader):
         replay = data.get("replay")
         self._falls = isinstance(replay, dict) and replay.get("stands") is False
         robots = self._count(data["robots"], "robots", least=1)
-        states, actions, residuals = self._sequence(
-            data, direction, boundary, robots, rules.get("support", False), len(props)
-        )
+        states, actions, residuals = self._sequence(data, boundary, robots, rules.get("support", False), len(props))
         proven = ~np.isnan(residuals)
         if (residuals[proven] > claim.tolerance).any():
             self._fail(f"a residual of {residuals[proven].max():.3g} is above the tolerance of {claim.tolerance:g}")
@@ -121,8 +117,8 @@ class PlanReader(Reader):
         fields: dict[str, Any] = {
             "states": states,
             "actions": actions,
-            "verdicts": np.where(proven, Verdict.STABLE, Verdict.UNDECIDED).astype(np.int8),
-            "proofs": np.where(proven, Proof[self._proof.upper()], Proof.NONE).astype(np.int8),
+            "verdicts": tuple(Verdict.STABLE if stable else Verdict.UNDECIDED for stable in proven),
+            "proofs": tuple(Proof[self._proof.upper()] if stable else Proof.NONE for stable in proven),
             "residuals": residuals,
             "name": structure["name"],
             "identity": structure["identity"],
@@ -131,7 +127,6 @@ class PlanReader(Reader):
             "friction": self._number(structure["friction"], "structure.friction"),
             "robots": robots,
             "claim": claim,
-            "direction": direction,
             "fixed": tuple(fixed),
             "missing": tuple(self._parts(rules["missing"], parts, "rules.missing")),
             "removable_only_if_clear": rules["removable_only_if_clear"],
@@ -165,7 +160,7 @@ class PlanReader(Reader):
             if claim.criterion != "contact":
                 self._fail("it says what robots bear, which is not known under the criterion equilibrium")
             fields["loads"] = tuple(loads)
-        if data["needs"] != [asdict(need) for need in needs_of(actions, direction, parts, fields["missing"])]:
+        if data["needs"] != [asdict(need) for need in needs_of(actions, parts, fields["missing"])]:
             self._fail("its needs do not agree with its steps")
         return fields
 
@@ -194,7 +189,6 @@ class PlanReader(Reader):
     def _sequence(
         self,
         data: dict[str, Any],
-        direction: Direction,
         boundary: NDArray[np.bool_],
         robots: int,
         support: bool,
@@ -222,10 +216,14 @@ class PlanReader(Reader):
             word, part = step["do"], self._count(step["part"], f"{place}: part")
             if part >= parts:
                 self._fail(f"{place} names part {part}, but parts are numbered 0 to {parts - 1}")
-            way, above, old, new = MOVES[word] if isinstance(word, str) and word in MOVES else (None, False, 0, 0)
-            turned = way is not direction and not (support and (is_prop[part] or not above))
-            if way is None or turned or (is_prop[part] and not above):
-                self._fail(f"{place} does {word!r}", f"that is not an action of {direction.value}")
+            if not isinstance(word, str) or word not in MOVES:
+                self._fail(f"{place} does {word!r}", f"it must be one of {', '.join(MOVES)}")
+            old, new = MOVES[Action(word)]
+            above = REMOVED in (old, new)
+            known = above if is_prop[part] else word != Action.REMOVE and (support or word != Action.HOLD)
+            if not known:
+                what = "a prop is inserted or removed" if is_prop[part] else "a plan inserts parts and releases them"
+                self._fail(f"{place} does {word!r} with part {part}", what)
             if boundary[part] or state[part] != old:
                 found = "boundary" if boundary[part] else ("removed", "installed", "held")[int(state[part])]
                 self._fail(f"{place} cannot {word} part {part}, which is {found}")
@@ -358,9 +356,10 @@ class PlanReader(Reader):
         if counted == "parts" and count != parts:
             self._fail(f"{name}.{entry} does not hold {what}", f"the plan has {parts} parts; plan again")
         try:
-            return unpack_proofs(entry, value[entry], (states, count, 6 if name == "displacements" else 3), what)
+            found = unpack_proofs(entry, value[entry], (states, count, 6 if name == "displacements" else 3), what)
         except ValueError as error:
             self._fail(f"{name}.{entry} {error}")
+        return found[::-1].copy() if self._backwards else found
 
     def _number(self, value: Any, place: str) -> float:
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value) or value < 0:

@@ -32,7 +32,6 @@ class CheckedPlan:
     """Digest of the structure, `Assembly.identity`."""
     boundary: tuple[int, ...]
     """Parts that the structure calls boundary."""
-    direction: str
     steps: int
     robots: int
     """Parts that the plan may hold at a time."""
@@ -52,7 +51,6 @@ class CheckedPlan:
             structure=assembly.name,
             identity=assembly.identity,
             boundary=tuple(np.flatnonzero(assembly.boundary).tolist()),
-            direction=plan.direction.value,
             steps=len(plan),
             robots=plan.robots,
             props=len(plan.props),
@@ -95,8 +93,8 @@ class PlanReport:
 
     @property
     def bad_step(self) -> int | None:
-        """Action that leads to the first bad state, counted from 0; -1 if the first state is bad, None if none is."""
-        return None if self.good else self.checked - 1
+        """Number of the step that leads to the first bad state; 0 if the first state is bad, None if none is."""
+        return None if self.good else self.checked
 
 
 def weaker_claim(claimed: StabilityCriterion, asked: StabilityCriterion) -> str:
@@ -164,4 +162,4 @@ def unstable_in_words(plan: Plan, row: int, verdict: Verdicts) -> str:
 
 def place_in_words(plan: Plan, row: int) -> str:
     """Say where a state is in a plan."""
-    return f"after step {row} ({plan.describe(row - 1)})" if row else "at the beginning"
+    return f"after step {row} ({plan.words(row)})" if row else "at the beginning"

@@ -5,16 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import (
-    HELD,
-    INSTALLED,
-    States,
-    action_mask,
-    apply_actions,
-    held_count,
-    undo_actions,
-    undo_mask,
-)
+from falsework.assembly.state import HELD, INSTALLED, States, held_count, undo_actions, undo_mask
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.support_moves import SupportMoves
 from falsework.search.problem.task import Direction, Task
@@ -32,32 +23,29 @@ def broken_rule(plan: Plan, assembly: Assembly | None = None) -> tuple[int, str]
     if held > plan.robots:
         return 0, f"{held} parts are held at first, with {plan.robots} robots"
     if plan.support:
-        allowed = SupportMoves(_task_of(plan)).legal(states[:-1], plan.direction)
+        allowed = SupportMoves(_task_of(plan)).legal(states[:-1], Direction.ASSEMBLY)
     else:
-        legal = action_mask if plan.direction is Direction.DISASSEMBLY else undo_mask
-        allowed = legal(states[:-1], boundary, plan.robots)
+        allowed = undo_mask(states[:-1], boundary, plan.robots)
     kept = np.isin(plan.actions % parts, plan.fixed)
     for step, action in enumerate(plan.actions.tolist()):
         if not allowed[step, action]:
-            return step + 1, f"step {step + 1} ({plan.describe(step)}) is against the rules: {_why(plan, step)}"
+            return step + 1, f"step {step + 1} ({plan.words(step + 1)}) is against the rules: {_why(plan, step)}"
         if kept[step]:
-            return step + 1, f"step {step + 1} ({plan.describe(step)}) touches a fixed part"
+            return step + 1, f"step {step + 1} ({plan.words(step + 1)}) touches a fixed part"
     if not np.array_equal(_follow(plan), states[1:]):
         return 1, "the actions do not lead through the states of the plan"
     for step, presses in enumerate(plan.presses):
         wrong = _broken_press(plan, step, [press.part for press in presses]) if presses else ""
         if wrong:
-            return step + 1, f"step {step + 1} ({plan.describe(step)}) is against the rules: {wrong}"
+            return step + 1, f"step {step + 1} ({plan.words(step + 1)}) is against the rules: {wrong}"
     if plan.removable_only_if_clear and assembly is not None:
-        # A part is removed from the state in which it is still there.
-        route = plan.route
-        removals = np.flatnonzero(route.actions >= parts)
-        clear = assembly.clearance.can_leave(route.states[removals])
-        blocked = removals[~clear[np.arange(len(removals)), route.actions[removals] - parts]]
+        # The way in is the way out from the state in which the part is there.
+        inserts = np.flatnonzero(plan.actions >= parts)
+        clear = assembly.clearance.can_leave(states[inserts + 1])
+        blocked = inserts[~clear[np.arange(len(inserts)), plan.actions[inserts] - parts]]
         if len(blocked):
-            disassembly = plan.direction is Direction.DISASSEMBLY
-            step = int(blocked[0]) if disassembly else len(plan) - 1 - int(blocked[-1])
-            return step + 1, f"step {step + 1} ({plan.describe(step)}) finds no straight way past the other parts"
+            step = int(blocked[0])
+            return step + 1, f"step {step + 1} ({plan.words(step + 1)}) finds no straight way past the other parts"
     return None
 
 
@@ -65,13 +53,12 @@ def _follow(plan: Plan) -> States:
     """Return the states that the actions of a plan lead to, each from the state before."""
     if plan.support:
         return SupportMoves(_task_of(plan)).follow(plan.states[:-1], plan.actions)
-    step = apply_actions if plan.direction is Direction.DISASSEMBLY else undo_actions
-    return step(plan.states[:-1], plan.actions)
+    return undo_actions(plan.states[:-1], plan.actions)
 
 
 def _task_of(plan: Plan) -> Task:
     """Return the task of a plan with repeated holds, without a rule on exits."""
-    start, target = plan.states[[0, -1]] if plan.direction is Direction.DISASSEMBLY else plan.states[[-1, 0]]
+    start, target = plan.states[[-1, 0]]
     return Task.create(
         plan.boundary,
         plan.robots,
@@ -85,9 +72,8 @@ def _task_of(plan: Plan) -> Task:
 
 
 def _broken_press(plan: Plan, step: int, pressed: list[int]) -> str:
-    """Return why robots cannot press on some parts in a step as it is done in assembly; empty if they can."""
-    order = 1 if plan.direction is Direction.ASSEMBLY else -1
-    before, after = plan.states[step : step + 2][::order]
+    """Return why robots cannot press on some parts in a step; empty if they can."""
+    before, after = plan.states[step : step + 2]
     held = (before == HELD) & (after == HELD) & ~plan.immovable
     for part in pressed:
         if not held[part]:
@@ -107,7 +93,7 @@ def _why(plan: Plan, step: int) -> str:
         return f"{plan.prop_limit} props may stand at a time, each under a part that is there"
     if action >= parts and any(prop.part == part and state[k - len(plan.props)] for k, prop in enumerate(plan.props)):
         return "a prop stands under it"
-    takes_robot = plan.support or (action < parts) is (plan.direction is Direction.DISASSEMBLY)
+    takes_robot = plan.support or action >= parts
     if takes_robot and held >= plan.robots and state[part] != HELD:
         return f"all {plan.robots} robots are holding"
     return f"the part is {('removed', 'installed', 'held')[int(state[part])]}"

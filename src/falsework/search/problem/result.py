@@ -127,6 +127,18 @@ class SearchProgress:
     seconds: float
     """Since the search began or was resumed."""
 
+    @property
+    def share(self) -> float:
+        """How far the search is, from 0 to 1."""
+        return self.level / max(self.levels, 1)
+
+    @property
+    def words(self) -> str:
+        """The progress on one line."""
+        backwards = self.direction is Direction.DISASSEMBLY
+        doing = f"width {self.width}, {progress_text(self.level, self.levels, backwards=backwards)}"
+        return f"{doing}, {self.kept} states kept, {self.asked} verdicts"
+
 
 Progress = Callable[[SearchProgress], None]
 Stop = Callable[[], bool]
@@ -177,6 +189,19 @@ class SearchResult:
         if self.interrupted and not (stop is not None and stop()):
             raise KeyboardInterrupt
         return self
+
+
+def progress_text(reached: int, steps: int, *, backwards: bool) -> str:
+    """Say how far a search came, in steps of assembly.
+
+    Args:
+        reached: steps that it completed from where it began.
+        steps: steps of a whole plan.
+        backwards: whether it began at the end of the assembly.
+    """
+    if backwards:
+        return f"from the end of the assembly, the search came back to step {steps - reached} of {steps}"
+    return f"from the beginning, the search reached step {reached} of {steps}"
 
 
 def unstable_end(task: Task, oracle: Oracle) -> SearchResult | None:

@@ -44,7 +44,7 @@ class Replayed:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the replay as a JSON object."""
-        return {"stands": self.stands, "steps": self.steps, "of": self.of, "largest_movement": self.moved}
+        return {"stands": self.stands, "steps": self.steps, "of": self.of, "moved_mm": self.moved * 1e3}
 
 
 @dataclass(eq=False)
@@ -88,9 +88,25 @@ class DeadlineReplayer:
     ends, so if an end fails, its neighbour is excluded.
     """
 
-    def __init__(self, replayer: Replayer, clock: Deadline, between: Callable[[], None] = lambda: None) -> None:
-        """Replay until `clock` has run out; call `between` before each few steps."""
+    def __init__(
+        self,
+        replayer: Replayer,
+        clock: Deadline,
+        between: Callable[[], None] = lambda: None,
+        built: tuple[States, Presses] | None = None,
+    ) -> None:
+        """Replay until a clock has run out.
+
+        Args:
+            replayer: replays.
+            clock: as it is.
+            between: called before each few steps.
+            built: states that have been built, the last of which is the first of every sequence, and the presses of
+                the steps that led to each of them; sequences then begin with that history, not from rest.
+        """
         self._replayer = replayer
+        self._built = built
+        self._prefix: _Progress | None = None
         self._clock = clock
         self._between = between
         self._known: dict[tuple[bytes, Presses | None], _Progress] = {}
@@ -136,7 +152,7 @@ class DeadlineReplayer:
         """Return a replayer of the same structure under other settings, with the same clock."""
         key = settings, replay
         if key not in self._varied:
-            varied = DeadlineReplayer(self._replayer.vary(settings, replay), self._clock, self._between)
+            varied = DeadlineReplayer(self._replayer.vary(settings, replay), self._clock, self._between, self._built)
             varied._falls = self._falls
             self._varied[key] = varied
         return self._varied[key]
@@ -162,15 +178,18 @@ class DeadlineReplayer:
             self._look()
             with self._clock.timed("replays"):
                 return self._replayer.replay(sequence, history, presses)
-        progress = self._go_on(sequence, presses)
+        if presses is not None and self._built is not None:
+            presses = (*self._built[1], *presses[1:])
+        progress, before = self._go_on(sequence, presses), self._before
         if not progress.over:
             self._falls.unfinished = sequence
             raise DeadlineExceeded
-        result = progress.result.copy()
+        result = progress.result[before:].copy()
         if progress.fell:
             result[:] = RESTS
-            result[_inner(progress.reached, len(sequence)) or len(sequence) :] = 0
-        return Replay(result, progress.moved, progress.part, progress.residual, 0.0, presses=tuple(progress.presses))
+            result[_inner(progress.reached - before, len(sequence)) or len(sequence) :] = 0
+        arrays = progress.moved[before:], progress.part[before:], progress.residual[before:]
+        return Replay(result, *arrays, 0.0, presses=tuple(progress.presses[before:]))
 
     def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
         """Replay a step as `Replayer.step`.
@@ -187,7 +206,11 @@ class DeadlineReplayer:
 
         Args:
             states: in the order of assembly, shape (steps + 1, parts).
-            presses: of the steps that lead to each state; chosen where they are needed if not given.
+            presses: of the steps that lead to each state, those that have been built included; chosen where they are
+                needed if not given.
+
+        Returns:
+            The result for the states that have been built and the sequence, together.
         """
         progress = self._go_on(np.asarray(states, dtype=np.uint8), presses)
         at_rest = slice(progress.reached)
@@ -197,7 +220,7 @@ class DeadlineReplayer:
         found = Replayed(
             stands,
             max(progress.reached - 1, 0),
-            len(states) - 1,
+            len(progress.result) - 1,
             float(moved[most]) if most >= 0 else 0.0,
             int(progress.part[most]) if most >= 0 else -1,
             tuple(progress.residual[at_rest].tolist()),
@@ -213,15 +236,63 @@ class DeadlineReplayer:
         if self._clock.passed:
             raise DeadlineExceeded
 
+    def built_falls_at(self) -> int | None:
+        """Return the first state that has been built and does not come to rest; None if all do, as far as time allows.
+
+        A sequence that fails there fails whatever comes after.
+        """
+        prefix = self._replay_built()
+        return prefix.reached if prefix is not None and prefix.fell else None
+
+    @property
+    def _before(self) -> int:
+        """Number of states before the first of every sequence."""
+        return 0 if self._built is None else len(self._built[0]) - 1
+
+    def _replay_built(self) -> _Progress | None:
+        if self._built is not None and (self._prefix is None or not self._prefix.over):
+            states, presses = self._built
+            self._prefix = self._prefix or _Progress.begin(len(states))
+            self._advance(self._prefix, states, tuple(map(tuple, presses)))
+        return self._prefix
+
+    def _begin(self, count: int) -> _Progress:
+        """Return the progress of a sequence of some states, as far as it has been built."""
+        progress, prefix = _Progress.begin(self._before + count), self._replay_built()
+        if prefix is not None:
+            for name in ("result", "moved", "part", "residual"):
+                getattr(progress, name)[: len(prefix.result)] = getattr(prefix, name)
+            progress.history, progress.reached, progress.fell = prefix.history, prefix.reached, prefix.fell
+            progress.presses = [*prefix.presses]
+        return progress
+
     def _go_on(self, states: States, presses: Presses | None) -> _Progress:
         given = None if presses is None else tuple(map(tuple, presses))
-        progress = self._known.setdefault((states.tobytes(), given), _Progress.begin(len(states)))
-        while not progress.over:
+        key = states.tobytes(), given
+        if key not in self._known:
+            self._known[key] = self._begin(len(states))
+        progress, before = self._known[key], self._before
+        if progress.over:
+            return progress
+        whole = states if self._built is None else np.concatenate([self._built[0][:before], states])
+        if given is None and progress.reached <= before and self._built is not None:
+            self._advance(progress, whole, tuple(map(tuple, self._built[1])), upto=before + 1)
+        self._advance(progress, whole, given)
+        if progress.fell:
+            self._note(states, progress.reached - before)
+        if progress.over:
+            progress.history = None  # a megabyte for a large structure, and nothing comes after
+        return progress
+
+    def _advance(self, progress: _Progress, states: States, given: Presses | None, *, upto: int | None = None) -> None:
+        """Replay further states of a sequence, as far as the clock allows."""
+        count = len(states) if upto is None else upto
+        while not progress.fell and progress.reached < count:
             self._between()
             if self._clock.passed:
                 break
             first = max(progress.reached - 1, 0)  # the last state at rest, whose history is known
-            rows = slice(first, first + _PIECE + 1)
+            rows = slice(first, min(first + _PIECE + 1, count))
             with self._clock.timed("replays"):
                 found = self._replayer.replay(states[rows], progress.history, given and given[rows])
             done = int(np.argmin(np.append(found.stands == RESTS, False)))
@@ -234,11 +305,6 @@ class DeadlineReplayer:
             if done:
                 progress.presses += found.presses[skipped:done]
                 progress.reached, progress.history = first + done, found.histories[done - 1]
-            if progress.fell:
-                self._note(states, progress.reached)
-            if progress.over:
-                progress.history = None  # a megabyte for a large structure, and nothing comes after
-        return progress
 
     def _note(self, states: States, row: int) -> None:
         """Record that a sequence fails in state `row`."""

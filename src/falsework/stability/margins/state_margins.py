@@ -129,7 +129,7 @@ class StateMargins:
         if "held" in self.kinds:
             data["held"] = [
                 {"part": load.part, "name": names[load.part], "force_n": load.force_n, "moment_nm": load.moment_nm}
-                | {"force": list(load.force), "moment": list(load.moment)}
+                | {"force_xyz_n": list(load.force), "moment_xyz_nm": list(load.moment)}
                 for load in self.held
             ]
         if self.polygon is not None:

@@ -24,10 +24,9 @@ from falsework.robots.model.cell import Cell, CellRobot
 from falsework.utils.files.printable import printable
 from falsework.viewer.cells.cell_scene import LEGEND, CellScene
 from falsework.viewer.cells.cell_sight import CellSight, see_cell
-from falsework.viewer.page.markup import html_text
-from falsework.viewer.page.origin_guard import LOCAL, WILDCARDS, OriginGuard, start_server
-from falsework.viewer.page.page import import_viser
 from falsework.viewer.palette import MISSING, robot_color
+from falsework.viewer.web.markup import html_text
+from falsework.viewer.web.origin_guard import LOCAL, WILDCARDS, OriginGuard, import_viser, start_server
 
 Array = NDArray[np.float64]
 

@@ -17,7 +17,8 @@ from falsework.robots.model.cell import Cell
 from falsework.robots.motion.near_pairs import NearPair
 from falsework.viewer.cells.cell_sight import COLLIDES, NEAR, CellSight, Reach, see_cell
 from falsework.viewer.palette import INK, MISSING, robot_color, unit_rgb
-from falsework.viewer.pictures.contact_sheet import check_suffix, import_pillow, to_pixels, write_png
+from falsework.viewer.pictures.contact_sheet import check_suffix, import_pillow, to_pixels
+from falsework.viewer.pictures.picture import Picture, png_of
 from falsework.viewer.pictures.render import Camera, ColoredSolid, render
 
 Array = NDArray[np.float64]
@@ -96,7 +97,7 @@ def picture_cell(
     for row, (line, color) in enumerate(lines):
         _write(pen, pillow, (16, camera.height + _LINE * (row + 1) + 18), line, color, 15, "lm")
     _write_arms(pen, pillow, sight, camera.height + _LINE * (len(lines) + 1) + 18)
-    write_png(path, np.asarray(whole))
+    Picture(sight.cell.name, content=png_of(np.asarray(whole))).save(path)
     many = len(sight.cell.robots)
     shows = f"{many} {'arm' if many == 1 else 'arms'} of {sight.cell.name}"
     return CellPicture(shows, sight.faults, tuple(pair.words for pair in pairs))

@@ -8,12 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from falsework.assembly.state import INSTALLED, REMOVED, States, complete_state, empty_state
+from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, complete_state, empty_state
 from falsework.errors import InputError
+from falsework.replanning.plan_diff import difference
 from falsework.search.problem.task import Direction
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
+    from falsework.replanning.result import ReplanResult
+    from falsework.search.plans.plan import Plan
 
 
 class ClickMode(StrEnum):
@@ -22,6 +25,7 @@ class ClickMode(StrEnum):
     LOOK = "look at it"
     MISSING = "mark as missing"
     THERE = "mark as already there"
+    HOLD = "hold or release with a robot"
     FIXED = "mark as not to be touched"
     TARGET = "add to or remove from the target"
 
@@ -34,6 +38,8 @@ class Disruption:
     """Parts that have not been delivered."""
     there: frozenset[int] = frozenset()
     """Parts that have been placed already."""
+    turned: frozenset[int] = frozenset()
+    """Parts that are held although the plan has released them, or the other way round."""
     fixed: frozenset[int] = frozenset()
     """Parts that are not to be touched."""
     target: frozenset[int] = frozenset()
@@ -53,6 +59,7 @@ class Disruption:
         field = {
             ClickMode.MISSING: "missing",
             ClickMode.THERE: "there",
+            ClickMode.HOLD: "turned",
             ClickMode.FIXED: "fixed",
             ClickMode.TARGET: "target",
         }[tool]
@@ -67,15 +74,23 @@ class Disruption:
     @property
     def empty(self) -> bool:
         """Whether nothing is marked."""
-        return not (self.missing or self.there or self.fixed or self.target)
+        return not (self.changes_state or self.fixed or self.target)
+
+    @property
+    def changes_state(self) -> bool:
+        """Whether the state on site differs from that of the plan."""
+        return bool(self.missing or self.there or self.turned)
 
     def on(self, state: States) -> States:
-        """Return the state on site, without missing parts and with parts already there; shape (parts,)."""
+        """Return the state on site, with the parts that are there and held according to the marks; shape (parts,)."""
         site = state.copy()
         site[list(self.missing)] = REMOVED
         for part in self.there:
             if site[part] == REMOVED:
                 site[part] = INSTALLED
+        for part in self.turned:
+            if site[part] != REMOVED:
+                site[part] = INSTALLED if site[part] == HELD else HELD
         return site
 
     def question(self, assembly: Assembly, state: States, direction: Direction) -> dict[str, Any]:
@@ -115,12 +130,56 @@ class Disruption:
         for word, parts in (
             ("missing", self.missing),
             ("already there", self.there),
+            ("held or released", self.turned),
             ("not to be touched", self.fixed),
             ("target changed", self.target),
         ):
             if parts:
                 texts.append(f"{word}: {', '.join(assembly.names[part] for part in sorted(parts))}")
         return "; ".join(texts)
+
+
+@dataclass(frozen=True, eq=False)
+class NewPlan:
+    """Result of a replanning request."""
+
+    found: bool
+    words: str
+    """Deciding stage, time taken, when late parts are needed, and differences from the old plan; or the reason for
+    none."""
+    seconds: float
+    decided_by: str
+    plan: Plan | None = None
+
+
+def new_plan(answer: ReplanResult, seconds: float, old: Plan | None, before: int) -> NewPlan:
+    """Describe the answer to a request.
+
+    Args:
+        answer: of the replanner.
+        seconds: that it took.
+        old: plan that was shown before.
+        before: steps that are done and not in the new plan, with which its numbers go on.
+    """
+    decided = answer.decided_by.value
+    if answer.plan is None:
+        kind = "there is no plan" if answer.outcome.value == "proved_impossible" else "no plan was found"
+        return NewPlan(False, f"{kind} ({seconds:.2f} s, {decided}): {answer.reason}", seconds, decided)
+    plan = answer.plan
+    texts = [f"{len(plan) - answer.built} steps in {seconds:.2f} s, decided by {decided}."]
+    placed = int((plan.actions[: answer.built] >= len(plan.boundary)).sum())
+    for need in plan.needs:
+        name, others = plan.part_names[need.part], need.after_parts - placed
+        after = f"after {others} other part{'s' * (others != 1)}" if others else "before any other part"
+        texts.append(f"{name} is needed at step {before + need.after_steps + 1}, {after}.")
+    if old is None:
+        texts.append("There was no plan before.")
+    else:
+        text = difference(old, plan, answer.direction).text
+        texts.append(f"{text[:1].upper()}{text[1:]}.")
+        if plan.source is None:
+            plan = replace(plan, source=old.source)
+    return NewPlan(True, " ".join(texts), seconds, decided, plan)
 
 
 def chance_of_parts(probabilities: np.ndarray) -> np.ndarray:

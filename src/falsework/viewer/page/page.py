@@ -3,55 +3,42 @@
 from __future__ import annotations
 
 import contextlib
+import html
 import io
+import re
 import threading
-import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 from typing import Any, Protocol
 
-import numpy as np
-
-from falsework.errors import DependencyError, FalseworkError, InputError
-from falsework.search.problem.task import Direction
+from falsework.errors import FalseworkError, InputError
 from falsework.utils.files.printable import printable
-from falsework.viewer.appearance import bounds_of
-from falsework.viewer.arms import bounds_with_arms
-from falsework.viewer.arrows import KINDS, PRESSES, Arrows, arrows_of_step
-from falsework.viewer.margin_strip import margin_strip
-from falsework.viewer.page.disruption import ClickMode
-from falsework.viewer.page.gantt_strip import GanttStrip
+from falsework.viewer.page.files_tab import FilesTab
 from falsework.viewer.page.graph_tab import add_graph_tab
-from falsework.viewer.page.markup import markdown_text
-from falsework.viewer.page.origin_guard import LOCAL, WILDCARDS, OriginGuard, start_server
-from falsework.viewer.page.page_text import about_text, legend_text, marked_text, where_text
-from falsework.viewer.page.scene import SIZE, ViserScene
+from falsework.viewer.page.look_tab import LookTab
+from falsework.viewer.page.play_panel import PlayPanel
+from falsework.viewer.page.recording import record, save_page
+from falsework.viewer.page.scene import ViserScene
+from falsework.viewer.page.site_tab import SiteTab
+from falsework.viewer.page.stage import NARROW, aim_upright, set_stage
+from falsework.viewer.page.step_list import StepsTab
 from falsework.viewer.page.viewer_state import ViewerState
+from falsework.viewer.web.links import Unit
+from falsework.viewer.web.markup import markdown_text
+from falsework.viewer.web.origin_guard import LOCAL, WILDCARDS, OriginGuard, import_viser, start_server
 
-FRAMES = 15.0
-"""Frames per second while a plan is played."""
-NO_MORE_THAN = 400
-"""Largest number of robots in the input field."""
-_TOGGLES = {"motion": "Motion, where unstable", "sliding": "Motion, where it slides"}
-_GONE = """<span class="falsework-alive"></span><style>
+_STYLE = """<span class="falsework-alive"></span><style>
 body:has(div[style*="pointer-events: none"] .falsework-alive)::before {
   content: "The server has stopped. This is its last view; start falsework view again, and this page reconnects.";
   position: fixed; left: 1em; bottom: 1em; z-index: 10000; max-width: 28em; padding: 0.8em 1.2em;
   background: #b2182b; color: white; font: 15px sans-serif; border-radius: 4px;
+}
+@media (max-width: 36em) {
+  div[style*="position: fixed"][style*="max-height: 60%"] { width: 100% !important; max-height: 45% !important; }
+  div[style*="position: fixed"][style*="max-height: 60%"] div[style="width: 20em;"] { width: 100% !important; }
 }</style>"""
-"""Shown by the style sheet alone: viser only disables the controls when it loses the server."""
-
-
-def import_viser() -> Any:
-    """Return the package that serves the page.
-
-    Raises:
-        DependencyError: it is not installed.
-    """
-    try:
-        import viser
-    except ImportError:
-        raise DependencyError("the page needs viser; install it with pip install 'falsework[viewer]'") from None
-    return viser
+"""A note shown by the style sheet alone, since viser only disables the controls when it loses the server; and controls
+across the lower half of a phone."""
 
 
 class Page:
@@ -73,24 +60,17 @@ class Page:
             InputError: the address cannot be listened at.
         """
         viser = import_viser()
-        try:
-            self.server = start_server(viser, host, port, OriginGuard(host, allowed_hosts))
-        except OSError as error:
-            raise InputError(f"cannot listen at {host} port {port} ({error.strerror}); choose another") from None
-        self.model = model
-        self.host = host
         self._lock = threading.RLock()
         self._stop = threading.Event()
-        self._playing = threading.Event()
         self._quiet = False
-        self.scene = ViserScene(self.server.scene, model.timeline)
-        self._arrange()
-        self._controls()
+        self.host = host
+        try:
+            self.server = start_server(viser, host, port, OriginGuard(host, allowed_hosts), go=self._linked)
+        except OSError as error:
+            raise InputError(f"cannot listen at {host} port {port} ({error.strerror}); choose another") from None
+        self._fill(model)
         self.server.scene.on_click()(self._clicked)
-        self._player = threading.Thread(target=self._play, name="falsework-player", daemon=True)
-        self._player.start()
-        self._set_slider()
-        self.refresh()
+        self.server.on_client_connect(self._connected)
 
     @property
     def port(self) -> int:
@@ -103,11 +83,36 @@ class Page:
         name = "localhost" if self.host in (*LOCAL, *WILDCARDS) else self.host
         return f"http://{name}:{self.port}"
 
+    @property
+    def file_name(self) -> str:
+        """Name of downloaded files, without an ending."""
+        return re.sub(r"[^\w.-]+", "-", self.model.assembly.name).strip("-.") or "plan"
+
+    @property
+    def asks(self) -> bool:
+        """Whether the proof of the present state is needed."""
+        return self.look.asks
+
+    def save(self, path: Path | str) -> None:
+        """Write what is shown as one HTML file that plays without a server.
+
+        Raises:
+            InputError: another ending than .html, or a place that cannot be written.
+        """
+        save_page(path, self.model)
+
+    def _repr_html_(self) -> str:
+        page = html.escape(record(self.model), quote=True)
+        link = f'<a href="{self.address}" target="_blank">{self.address}</a>'
+        return (
+            f'<iframe srcdoc="{page}" width="100%" height="480" style="border:1px solid #ddd"></iframe>'
+            f"<div>With all controls, as long as this process runs: {link}</div>"
+        )
+
     def close(self) -> None:
         """Stop serving."""
         self._stop.set()
-        self._playing.set()
-        self._player.join(timeout=5)
+        self.play.close()
         with contextlib.redirect_stdout(io.StringIO()):
             self.server.stop()
 
@@ -116,98 +121,55 @@ class Page:
         while not self._stop.wait(1.0):
             pass
 
+    def show(self, model: ViewerState) -> None:
+        """Show another model instead of the present one."""
+        self.play.close()  # outside the lock, for which the player may wait
+        with self._lock:
+            self.server.scene.reset()
+            self.server.gui.reset()
+            self._fill(model)
+
     def refresh(self) -> None:
         """Update scene and texts from the model."""
         with self._lock, self.server.atomic():
-            self._show_proof()
-            self._say()
+            self.look.update()
+            self.play.update()
+            self.site.update()
+            if self.steps is not None:
+                self.steps.update()
+            self.files.update()
             self._draw()  # marks sliding parts, if one of the calls above requested the proof
 
-    def _draw(self) -> None:
-        model = self.model
-        appearance = model.appearance()
-        self.scene.show(appearance, missing=model.disruption.missing, pale=model.pale, labels=model.labels(appearance))
-        self.scene.show_arms(model.arms, model.arm_poses())
-        self._gantt.show(model.arms, model.seconds)
+    def draw(self) -> None:
+        """Update what moves within a step."""
+        with self._lock, self.server.atomic():
+            if self.model.clock is not None:
+                self.play.update()  # the slider and the text show the time
+            self._draw()
 
-    # Elements of the page.
+    def pause(self) -> None:
+        """Stop playing for now."""
+        self.play.pause()
 
-    def _arrange(self) -> None:
-        gui, scene = self.server.gui, self.server.scene
-        gui.configure_theme(show_logo=False, show_share_button=False, control_width="large", brand_color=(0, 114, 178))
-        gui.set_panel_label(f"falsework: {printable(self.model.assembly.name)}")
-        scene.set_up_direction("+z")
-        scene.configure_environment_map(None)
-        scene.configure_default_lights(enabled=True, cast_shadow=self.model.assembly.part_count <= 400)
-        scene.world_axes.visible = False
-        scene.add_grid(
-            "/floor", 3 * SIZE, 3 * SIZE, position=(0.0, 0.0, -0.002 * SIZE), cell_color=(228, 229, 231),
-            section_color=(210, 212, 215), infinite_grid=False,
-        )  # fmt: skip
-        scene.add_light_ambient("/ambient", color=(255, 255, 255), intensity=0.85)
-        # Slightly right of the centre, since the controls cover the right of the window.
-        aside = np.array([0.80, 0.60, 0.0]) * 0.17 * SIZE
-        middle = np.array([0.0, 0.0, 0.42 * self.scene.height])
-        camera = self.server.initial_camera
-        far = 1.0
-        if self.model.arms is not None:  # arms reach beyond the structure
-            box = bounds_with_arms(self.model.arms, bounds_of(self.model.assembly))
-            far = max(0.8 * float(np.linalg.norm(np.ptp(box, axis=0))) * self.scene.scale / SIZE, 1.0)
-        camera.position = np.array([0.97, -1.30, 0.86]) * far * SIZE + middle + aside * far
-        camera.look_at = middle + aside * far
-        camera.fov = np.radians(36.0)
-        gui.add_html(_GONE)
+    def plan_changed(self, words: str) -> None:
+        """Show another plan of the model, and say why, in Markdown."""
+        if (self.steps is None) == (len(self.model.timeline) > 0):  # other controls are needed
+            self.show(self.model)
+        else:
+            self.scene.order(self.model.timeline)
+            self.refresh()
+        self.site.say(words)
 
-    def _controls(self) -> None:
-        gui, model = self.server.gui, self.model
-        self._where = gui.add_markdown("")
-        steps = len(model.timeline)
-        self._slider = gui.add_slider("Step", min=0.0, max=1.0, step=1.0, initial_value=0.0)
-        self._slider.on_update(lambda event: self._guard(event, self._moved))
-        self._gantt = GanttStrip(gui)
-        self._margins = gui.add_html("")
-        with gui.add_folder("Play"):
-            self._play_button = gui.add_button("Play", disabled=steps == 0)
-            self._play_button.on_click(lambda event: self._guard(event, self._toggle_play))
-            speed = 2.0 if model.arms is None else 0.5 if model.clock is None else 1.0
-            self._speed = gui.add_slider("Steps per second", min=0.5, max=8.0, step=0.5, initial_value=speed)
-            words = {Direction.ASSEMBLY: "assembly", Direction.DISASSEMBLY: "disassembly"}
-            self._order = gui.add_dropdown("Order", tuple(words.values()), initial_value=words[model.direction])
-            self._order.on_update(lambda event: self._guard(event, self._turned))
-        tabs = gui.add_tab_group()
-        with tabs.add_tab("Look"):
-            self._toggles = {}
-            for kind in KINDS:
-                name = _TOGGLES.get(kind, kind.capitalize())
-                self._toggles[kind] = gui.add_checkbox(name, initial_value=kind == PRESSES)
-                self._toggles[kind].on_update(lambda event: self._guard(event, self.refresh))
-            if model.policy is not None:
-                self._chances = gui.add_checkbox("Probabilities of the policy", initial_value=model.show_probabilities)
-                self._chances.on_update(lambda event: self._guard(event, self._chances_changed))
-            self._about = gui.add_html("")
-            self._legend = gui.add_html("")
-        with tabs.add_tab("Disrupt"):
-            self._tool = gui.add_dropdown(
-                "A click will", tuple(str(tool) for tool in ClickMode), initial_value=str(ClickMode.LOOK)
-            )
-            self._tool.on_update(lambda event: self._guard(event, self._tool_changed))
-            self._robots = gui.add_number("Robots", model.disruption.robots, min=1, max=NO_MORE_THAN, step=1)
-            self._robots.on_update(lambda event: self._guard(event, self._robots_changed))
-            self._marked = gui.add_markdown("")
-            self._replan_button = gui.add_button("Replan", color=(0, 114, 178))
-            self._replan_button.on_click(lambda event: self._guard(event, self._replan))
-            self._clear = gui.add_button("Clear marks")
-            self._clear.on_click(lambda event: self._guard(event, self._cleared))
-            self._back = gui.add_button("Back to the previous plan", disabled=True)
-            self._back.on_click(lambda event: self._guard(event, self._go_back))
-            self._answer = gui.add_markdown("")
-        if model.graph is not None:
-            with tabs.add_tab("Graph"):
-                add_graph_tab(gui, model, self._guard)
+    @contextlib.contextmanager
+    def quiet(self) -> Iterator[None]:
+        """Change controls without handling their events."""
+        before, self._quiet = self._quiet, True
+        try:
+            yield
+        finally:
+            self._quiet = before
 
-    # Handlers of the controls.
-
-    def _guard(self, event: Any, act: Callable[[], object]) -> None:
+    def guard(self, event: Any, act: Callable[[], object]) -> None:
         """Run an action, and report an error in one line; the page continues."""
         if self._quiet:
             return
@@ -215,10 +177,42 @@ class Page:
             act()
         except FalseworkError as error:
             text = printable(" ".join(str(error).split()))
-            self._answer.content = f"**{markdown_text(text)}**"
+            self.site.say(f"**{markdown_text(text)}**")
             client = getattr(event, "client", None)
             if client is not None:
                 client.add_notification("Request failed", text, color="orange", auto_close_seconds=8.0)
+
+    def _fill(self, model: ViewerState) -> None:
+        gui = self.server.gui
+        self.model = model
+        self.scene = ViserScene(self.server.scene, model.timeline)
+        gui.configure_theme(show_logo=False, show_share_button=False, control_width="large", brand_color=(0, 114, 178))
+        gui.set_panel_label(f"falsework: {printable(model.assembly.name)}")
+        set_stage(self.server, self.scene, model.arms, aside=True)
+        gui.add_html(_STYLE)
+        with self.quiet():
+            self.play = PlayPanel(gui, self)
+            tabs = gui.add_tab_group()
+            with tabs.add_tab("Look"):
+                self.look = LookTab(gui, self)
+            self.steps: StepsTab | None = None
+            if len(model.timeline):
+                with tabs.add_tab("Steps"):
+                    self.steps = StepsTab(gui, self)
+            with tabs.add_tab("Disrupt"):
+                self.site = SiteTab(gui, self)
+            if model.graph is not None:
+                with tabs.add_tab("Graph"):
+                    add_graph_tab(gui, model, self.guard)
+            with tabs.add_tab("Files"):
+                self.files = FilesTab(gui, self)
+        self.refresh()
+
+    def _draw(self) -> None:
+        model = self.model
+        appearance = model.appearance()
+        self.scene.show(appearance, missing=model.disruption.missing, pale=model.pale, labels=model.labels(appearance))
+        self.scene.show_arms(model.arms, model.arm_poses(), seen=self.look.arms)
 
     def _clicked(self, event: Any) -> None:
         origin, direction = self.scene.ray(event.ray_origin, event.ray_direction)
@@ -227,143 +221,19 @@ class Page:
             self.model.click(origin, direction)
             self.refresh()
 
-        self._guard(event, act)
+        self.guard(event, act)
 
-    def _moved(self) -> None:
-        self.model.go_to_reading(self._slider.value)
-        self.refresh()
+    def _connected(self, client: Any) -> None:
+        if client.camera.image_width <= NARROW:
+            aim_upright(client.camera, self.scene, self.model.arms, client.camera.aspect)
 
-    def _turned(self) -> None:
-        self.model.turn(Direction(self._order.value))
-        self._set_slider()
-        self.refresh()
-
-    def _toggle_play(self) -> None:
-        if self._playing.is_set():
-            self._playing.clear()
+    def _linked(self, unit: Unit, value: float) -> None:
+        self.play.pause()
+        if unit == "step":
+            self.model.go_to(value)
         else:
-            if self.model.reading >= self.model.last_reading:
-                self.model.go_to(0)
-            self._playing.set()
-        self._play_button.label = "Pause" if self._playing.is_set() else "Play"
-
-    def _tool_changed(self) -> None:
-        self.model.tool = ClickMode(self._tool.value)
+            self.model.go_to_reading(value)
         self.refresh()
-
-    def _robots_changed(self) -> None:
-        self.model.set_robots(int(self._robots.value))
-        self.refresh()
-
-    def _chances_changed(self) -> None:
-        self.model.show_probabilities = bool(self._chances.value)
-        self.refresh()
-
-    def _cleared(self) -> None:
-        self.model.clear_marks()
-        self._answer.content = ""
-        self.refresh()
-
-    def _replan(self) -> None:
-        self._playing.clear()
-        self._play_button.label = "Play"
-        self._replan_button.disabled = True
-        self._answer.content = "planning ..."
-        try:
-            answer = self.model.replan()
-            self._answer.content = markdown_text(answer.words)
-            self._plan_changed()
-        finally:
-            self._replan_button.disabled = False
-
-    def _go_back(self) -> None:
-        self.model.go_back()
-        self._answer.content = "This is the previous plan."
-        self._plan_changed()
-
-    def _plan_changed(self) -> None:
-        self.scene.order(self.model.timeline)
-        self._back.disabled = not self.model.can_go_back
-        self._quiet = True
-        try:
-            self._order.value = self.model.direction.value
-        finally:
-            self._quiet = False
-        self._set_slider()
-        self.refresh()
-
-    def _set_slider(self) -> None:
-        """Update the slider: steps, or seconds of a schedule."""
-        model, slider = self.model, self._slider
-        unit, step = ("Step", 1) if model.clock is None else ("Seconds", 0.1)
-        self._quiet = True
-        try:
-            if slider.label != unit:
-                slider.label, slider.step, slider.precision = unit, step, int(step < 1)
-                self._speed.label = "Steps per second" if model.clock is None else "Seconds per second"
-            slider.max = max(np.ceil(model.last_reading / step) * step, 1)
-            slider.disabled = self._play_button.disabled = len(model.timeline) == 0
-            slider.value = min(round(model.reading / step) * step, slider.max)
-        finally:
-            self._quiet = False
-
-    def _play(self) -> None:
-        while not self._stop.is_set():
-            if not self._playing.wait(0.5) or self._stop.is_set():
-                continue
-            begun = time.perf_counter()
-            model = self.model
-            before = int(model.position)
-            model.go_to_reading(model.reading + float(self._speed.value) / FRAMES)
-            if int(model.position) != before or model.clock is not None:
-                self._set_slider()
-            if int(model.position) != before:
-                self.refresh()
-            else:
-                with self._lock, self.server.atomic():
-                    if model.clock is not None:  # the text shows the time
-                        self._where.content = where_text(model, ask=bool(self._shown()))
-                    self._draw()
-            if model.reading >= model.last_reading:
-                self._playing.clear()
-                self._play_button.label = "Play"
-            time.sleep(max(1 / FRAMES - (time.perf_counter() - begun), 0.005))
-
-    # Texts.
-
-    def _shown(self) -> list[str]:
-        """Return the kinds of arrows that belong to a proof and are chosen."""
-        return [kind for kind, toggle in self._toggles.items() if toggle.value and kind != PRESSES]
-
-    def _presses(self) -> dict[str, Arrows]:
-        """Return the arrows of the present step, if they are chosen and its state is not marked otherwise."""
-        model = self.model
-        shown = self._toggles[PRESSES].value and model.disruption.empty
-        return arrows_of_step(model.timeline, model.step) if shown else {}
-
-    def _show_proof(self) -> None:
-        kinds, presses = self._shown(), self._presses()
-        if not kinds:
-            self.scene.show_arrows(presses, {})
-            self.scene.see_through(bool(presses))
-            return
-        proof = self.model.proof()
-        if presses:
-            kinds.append(PRESSES)
-        chosen = presses | {kind: some for kind, some in proof.arrows.items() if kind in kinds}
-        self.scene.see_through(bool(chosen))
-        moved = proof.moved if ("sliding" if proof.slides else "motion") in kinds else {}
-        self.scene.show_arrows(chosen, moved, proof.motion_color)
-
-    def _say(self) -> None:
-        model, shown = self.model, [*self._shown(), *self._presses()]
-        self._where.content = where_text(model, ask=bool(self._shown()))
-        self._marked.content = marked_text(model)
-        self._margins.content = margin_strip(
-            model.plan, model.direction, round(model.position) if model.clock is None else model.step
-        )
-        self._about.content = about_text(model)
-        self._legend.content = legend_text(model, shown)
 
 
 def check_host(host: str) -> str | None:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Mapping
 
-from falsework.viewer.arrows import KINDS
-from falsework.viewer.page.markup import html_text, markdown_text
+import numpy as np
+
+from falsework.assembly.state import HELD
+from falsework.search.plans.steps import NO_ROBOT
+from falsework.stability.holds import describe_force
+from falsework.viewer.arrows import KINDS, Arrows
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.palette import BOUNDARY, FIXED, INSTALLED, MISSING, RAMP, ROBOTS, SELECTED, SLIDING, robot_color
-from falsework.viewer.timeline import NO_ROBOT
+from falsework.viewer.web.markup import html_text, markdown_text
 
 
 def where_text(model: ViewerState, *, ask: bool) -> str:
@@ -19,9 +23,11 @@ def where_text(model: ViewerState, *, ask: bool) -> str:
         ask: whether to include the verdict on the state; it is always included where no plan has proven the state.
     """
     steps = len(model.timeline)
-    position = model.step
-    doing = f": **{markdown_text(model.timeline.words(position - 1))}**" if position and steps else ""
-    lines = [f"step {position} of {steps}{doing}" if steps else f"**{markdown_text(model.assembly.name)}**"]
+    where, _, _ = model.timeline.label(model.step).partition(": ")
+    step = model.timeline.step_to(model.step)
+    robot = "" if step is None or step.robot is None else f" ({model.robot_name(step.robot)})"
+    doing = "" if step is None else f": **{markdown_text(step.words + robot)}**"
+    lines = [f"{where}{doing}" if steps else f"**{markdown_text(model.assembly.name)}**"]
     if model.clock is not None:
         lines[0] = f"{model.seconds:.1f} s of {model.clock.makespan:.1f} s, {lines[0]}"
     # A plan has proven its states; states changed by marks have no verdict yet.
@@ -33,7 +39,7 @@ def where_text(model: ViewerState, *, ask: bool) -> str:
 def marked_text(model: ViewerState) -> str:
     """Describe the parts marked as missing, already there or not to be touched."""
     words = model.disruption.words(model.assembly)
-    return f"Marked {markdown_text(words)}." if words else "Nothing is marked: choose the effect of a click."
+    return f"Marked {markdown_text(words)}." if words else ""
 
 
 def about_text(model: ViewerState) -> str:
@@ -43,25 +49,65 @@ def about_text(model: ViewerState) -> str:
     rows = "".join(
         f"<tr><td style='color:#666;padding-right:1em;vertical-align:top'>{html_text(name)}</td>"
         f"<td>{html_text(value)}</td></tr>"
-        for name, value in model.about(model.selected)
+        for name, value in facts_of(model, model.selected)
     )
     return f"<table id='falsework-part' style='margin:0.5em 1em;font-size:0.85em'>{rows}</table>"
 
 
-def legend_text(model: ViewerState, shown: Collection[str]) -> str:
+def facts_of(model: ViewerState, part: int) -> list[tuple[str, str]]:
+    """Return the facts about a part, as pairs of label and text."""
+    assembly, timeline = model.assembly, model.timeline
+    contacts = assembly.contacts
+    mine = np.flatnonzero((contacts.parts == part).any(axis=1))
+    others = sorted({int(other) for other in contacts.parts[mine].ravel()} - {part})
+    touching = ", ".join(assembly.names[other] for other in others[:8])
+    touching += f" and {len(others) - 8} more" if len(others) > 8 else ""
+    value = int(model.site[part])
+    now = "boundary" if assembly.boundary[part] else ("not there", "installed", "held")[value]
+    who = model.appearance().holder[part]
+    if who != NO_ROBOT:
+        now = f"held by {model.robot_name(int(who))}"
+    spans = [
+        f"{model.robot_name(robot)}, " + (f"state {first}" if first == last else f"states {first} to {last}")
+        for robot, first, last in timeline.held_when(part)
+    ]
+    facts = [
+        ("part", f"{assembly.names[part]} (number {part})"),
+        ("mass", f"{assembly.mass.mass[part]:.4g} kg"),
+        ("now", now),
+        ("contacts", f"{len(mine)}, {contacts.areas[mine].sum():.3g} m2, with {touching or 'nothing'}"),
+        ("held by", "; ".join(spans) if spans else "no robot"),
+    ]
+    chance = model.action_probabilities()[part] if model.policy is not None else np.nan
+    if np.isfinite(chance):
+        verb = "remove" if model.state[part] == HELD else "hold"
+        facts.append(("policy", f"{verb} it with {100 * chance:.1f} %"))
+    return facts
+
+
+def legend_text(model: ViewerState, shown: Mapping[str, Arrows]) -> str:
     """Return the legend of the colours in use, in HTML.
 
     Args:
         model: state of the viewer.
-        shown: kinds of the visible arrows.
+        shown: visible arrows, by kind.
     """
     entries = [(BOUNDARY, "boundary"), (INSTALLED, "installed")]
     holding = int(model.timeline.holders.max(initial=NO_ROBOT)) + 1
-    entries += [(robot_color(robot), f"held by robot {robot + 1} (R{robot + 1})") for robot in range(holding)]
+    entries += [(robot_color(robot), f"held by {model.robot_name(robot)}") for robot in range(holding)]
     if holding > len(ROBOTS):
         entries.append(("#ffffff", "colours repeat: labels give the robot"))
-    entries += [(SELECTED, "selected"), (MISSING, "missing (wires)"), (FIXED, "not to be touched")]
-    entries += [(color, kind) for kind, color in KINDS.items() if kind in shown]
+    if model.selected is not None:
+        entries.append((SELECTED, "selected"))
+    if model.disruption.missing:
+        entries.append((MISSING, "missing (wires)"))
+    if model.disruption.fixed:
+        entries.append((FIXED, "not to be touched"))
+    for kind, color in KINDS.items():
+        some = shown.get(kind)
+        if some is not None and len(some):
+            longest = f", up to {describe_force(some.longest)}" if some.longest else ""
+            entries.append((color, f"{kind}{longest}"))
     if model.sliding and "sliding" not in shown:
         entries.append((SLIDING, "would slide"))
     boxes = "".join(

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.geometry.mesh.mesh import triangle_normals
+from falsework.stability.holds import describe_force
 from falsework.utils.files.printable import printable
 from falsework.viewer.appearance import Appearance, bounds_of, diagonal
 from falsework.viewer.arms import ArmPoses, Arms, wxyz_of
-from falsework.viewer.arrows import KINDS, Arrows
+from falsework.viewer.arrows import KINDS, Arrows, scale_arrow
 from falsework.viewer.palette import INK, INSTALLED, MISSING, MOTION, rgb, robot_color
 from falsework.viewer.timeline import Timeline
 
@@ -71,10 +72,10 @@ class ViserScene:
         self.order(timeline)
 
     def order(self, timeline: Timeline) -> None:
-        """Merge parts by the order in which a timeline removes them; to be called when the plan changes."""
-        step = timeline.removal_step
+        """Merge parts by the order in which they leave in disassembly; to be called when the plan changes."""
+        step = timeline.insertion
         rank = np.empty(len(step), dtype=np.int64)
-        rank[np.argsort(np.where(step < 0, len(timeline) + 1, step), kind="stable")] = np.arange(len(step))
+        rank[np.argsort(-step, kind="stable")] = np.arange(len(step))
         self._chunk = rank // CHUNK
 
     def place(self, points: Array) -> Array:
@@ -126,6 +127,24 @@ class ViserScene:
         self._show_labels(appearance, labels or {})
         return sent
 
+    def show_scale(self, arrows: Iterable[Arrows]) -> None:
+        """Draw an arrow of a round force beside the structure, where some of the arrows are forces."""
+        found = scale_arrow(self.assembly, arrows)
+        if found is None:
+            self._hide("/scale")
+            return
+        arrow, force = found
+        ends = self.place(arrow.ends)
+        key = ends.tobytes()
+        if self._fresh("/scale", key):
+            width = 0.006 * SIZE
+            line = self._scene.add_arrows(
+                "/scale/arrow", ends.astype(np.float32), rgb(arrow.color),
+                shaft_radius=width / 2, head_radius=1.3 * width, head_length=2.6 * width,
+            )  # fmt: skip
+            words = self._scene.add_label("/scale/force", describe_force(force), position=ends[0, 1])
+            self._keep("/scale", key, line, words)
+
     def show_arrows(self, arrows: Mapping[str, Arrows], moved: Mapping[int, Array], color: str = MOTION) -> None:
         """Update the arrows.
 
@@ -164,12 +183,13 @@ class ViserScene:
             )  # fmt: skip
             self._keep("/motion", key, node)
 
-    def show_arms(self, arms: Arms | None, arm_poses: ArmPoses | None) -> None:
+    def show_arms(self, arms: Arms | None, arm_poses: ArmPoses | None, *, seen: bool = True) -> None:
         """Update the arms, and the parts that they carry.
 
         Args:
             arms: the robots; None to remove them.
             arm_poses: where they are.
+            seen: whether to show the arms; the parts that they carry are always shown.
         """
         if arms is None or arm_poses is None:
             for node in (*self._arms, *self._carried.values()):
@@ -188,6 +208,8 @@ class ViserScene:
                     )
                 )
         for node, pose in zip(self._arms, arm_poses.poses, strict=True):
+            if node.visible != seen:
+                node.visible = seen
             node.position = self.place(pose[:3, 3])
             node.wxyz = wxyz_of(pose[:3, :3])
         for part in self._carried.keys() - {carried.part for carried in arm_poses.carried}:
@@ -257,6 +279,7 @@ class ViserScene:
             color = appearance.color[part].tobytes()
             position = appearance.shift[part] * self.scale
             opacity = float(appearance.opacity[part])
+            opacity = None if opacity >= 1 else opacity
             known = self._ghosts.get(part)
             if known is None or known[0] != color:
                 node = self._scene.add_mesh_simple(
@@ -266,6 +289,10 @@ class ViserScene:
                 )  # fmt: skip
                 self._ghosts[part] = (color, node)
                 sent += 1
+                if self._lined:
+                    self._scene.add_line_segments(
+                        f"/ghosts/{part}/edges", self._edges[part], rgb(INK), thickness=1.4, thickness_units="screen"
+                    )
             else:
                 known[1].position = position
                 known[1].opacity = opacity
@@ -275,9 +302,11 @@ class ViserScene:
         for part in [part for part in self._labels if labels.get(part) != self._labels[part][0]]:
             self._labels.pop(part)[1].remove()
         for part, words in labels.items():
+            at = self.place(self.assembly.mass.center[part] + appearance.shift[part])
             if part not in self._labels:
-                at = self.place(self.assembly.mass.center[part] + appearance.shift[part])
                 self._labels[part] = (words, self._scene.add_label(f"/labels/{part}", printable(words), position=at))
+            elif not np.allclose(self._labels[part][1].position, at):
+                self._labels[part][1].position = at
 
     def _fresh(self, name: str, key: bytes) -> bool:
         """Return whether a node must be sent; one that is only hidden is shown again."""

@@ -5,44 +5,34 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import HELD, REMOVED, States, action_mask
+from falsework.assembly.state import HELD, REMOVED, States, action_mask, empty_state
+from falsework.search.plans.steps import NO_ROBOT
 from falsework.search.problem.task import Direction
 from falsework.stability.holds import describe_force
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Criterion
-from falsework.viewer.appearance import Appearance, appearance_at, pick
+from falsework.viewer.appearance import Appearance, SceneView, appearance_at, pick
 from falsework.viewer.arms import ArmPoses, Arms, look_with_arms
 from falsework.viewer.clock import Clock
-from falsework.viewer.page.disruption import ClickMode, Disruption, chance_of_parts
-from falsework.viewer.page.proof_cache import ProofCache
+from falsework.viewer.page.disruption import ClickMode, Disruption, NewPlan, chance_of_parts, new_plan
 from falsework.viewer.palette import FIXED, SELECTED
 from falsework.viewer.proof import StateProof
-from falsework.viewer.timeline import NO_ROBOT, Timeline
+from falsework.viewer.proof_cache import ProofCache
+from falsework.viewer.timeline import Timeline
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.replanning.policy_guide import PolicyGuide
     from falsework.search.plans.plan import Plan
     from falsework.search.problem.state_graph import StateGraph
-
-
-@dataclass(frozen=True, eq=False)
-class NewPlan:
-    """Result of a replanning request."""
-
-    found: bool
-    words: str
-    """Deciding stage, time taken, and differences from the old plan; or the reason why there is none."""
-    seconds: float
-    decided_by: str
-    plan: Plan | None = None
 
 
 class ViewerState:
@@ -74,23 +64,26 @@ class ViewerState:
         """
         self.timeline = timeline
         self.plan = plan
+        self.built = 0
+        """Steps that are done and not in the plan; the timeline begins with them."""
         self.policy = policy
         self.graph = graph
         self.arms = arms
-        self.position = 0.0
+        self.position = float(timeline.begin)
         self.seconds = 0.0
         self.tool = ClickMode.LOOK
         self.selected: int | None = None
         self.disruption = Disruption(robots=timeline.robots)
+        self.view = SceneView()
         self.show_probabilities = policy is not None
         self.deadline = deadline
         self.lock = threading.RLock()
         self._oracle = oracle
-        self._criterion: Criterion = criterion if oracle is None else oracle.settings.criterion
-        self._proofs = ProofCache(contact=self._criterion == "contact")
+        self.criterion: Criterion = criterion if oracle is None else oracle.settings.criterion
+        self._proofs = ProofCache(contact=self.criterion == "contact")
         self._replanner: Any = None
         self._guide: PolicyGuide | None = None
-        self._before: list[tuple[Timeline, Plan | None, Disruption, float, Arms | None]] = []
+        self._before: list[tuple[Timeline, Plan | None, int, Disruption, float, Arms | None]] = []
 
     @property
     def assembly(self) -> Assembly:
@@ -101,7 +94,7 @@ class ViewerState:
     def oracle(self) -> Stability:
         """Stability oracle, created at first use."""
         if self._oracle is None:
-            self._oracle = Stability(self.assembly, StabilitySettings(criterion=self._criterion))
+            self._oracle = Stability(self.assembly, StabilitySettings(criterion=self.criterion))
         return self._oracle
 
     @property
@@ -126,8 +119,8 @@ class ViewerState:
 
     @property
     def step(self) -> int:
-        """Step in progress; with a schedule, where several are, the last that the structure has reached."""
-        return int(np.ceil(self.position)) if self.clock is None else int(self.position)
+        """Place that the step in progress leads to; with a schedule, where several are, the last that is reached."""
+        return (self.timeline.row if self.clock else self.timeline.next)(self.position)
 
     @property
     def reading(self) -> float:
@@ -138,6 +131,16 @@ class ViewerState:
     def last_reading(self) -> float:
         """End of the slider, seconds or steps."""
         return float(len(self.timeline)) if self.clock is None else self.clock.makespan
+
+    @property
+    def unproven(self) -> bool:
+        """Whether no plan has proven the state shown: there is no plan, or marks change it."""
+        return not self.disruption.empty or len(self.timeline) == 0
+
+    def robot_name(self, robot: int) -> str:
+        """Return the name of a robot, counted from 0: that of the cell, or such as `R1`."""
+        robots = () if self.arms is None else self.arms.plan.robots
+        return robots[robot].name if robot < len(robots) else f"R{robot + 1}"
 
     def go_to(self, position: float) -> None:
         """Show another position, in steps; clipped to the ends."""
@@ -154,19 +157,30 @@ class ViewerState:
                 self.seconds = min(max(float(reading), 0.0), self.clock.makespan)
                 self.position = self.clock.position(self.seconds)
 
+    @property
+    def at_end(self) -> bool:
+        """Whether the place that is shown last is reached."""
+        return self.reading == (self.timeline.end if self.clock is None else self.clock.makespan)
+
+    def advance(self, amount: float) -> None:
+        """Go on in the order shown, by seconds of the schedule, or steps without one."""
+        with self.lock:
+            back = self.clock is None and self.direction is Direction.DISASSEMBLY
+            self.go_to_reading(self.reading - amount if back else self.reading + amount)
+
     def turn(self, direction: Direction) -> None:
         """Show the plan in the other order; the state shown stays."""
         with self.lock:
             if direction is not self.direction:
+                shown = self.position if self.clock is None else self.step
                 self.timeline = self.timeline.turned(direction)
                 self.arms = None if self.arms is None else self.arms.turned(direction)
-                shown = self.position if self.clock is None else self.step
-                self.go_to(len(self.timeline) - shown)
+                self.go_to(shown)
 
     def appearance(self) -> Appearance:
         """Return the present appearance of all parts."""
         with self.lock:
-            disrupted = bool(self.disruption.missing or self.disruption.there)
+            disrupted = self.disruption.changes_state
             marks = self.sliding | dict.fromkeys(self.disruption.fixed, FIXED)
             if self.selected is not None:
                 marks[self.selected] = SELECTED
@@ -179,7 +193,8 @@ class ViewerState:
                 travelling=self.arms is None,
             )
             arm_poses = self.arm_poses()
-            return appearance if arm_poses is None or disrupted else look_with_arms(appearance, arm_poses)
+            seen = appearance if arm_poses is None or disrupted else look_with_arms(appearance, arm_poses)
+            return self.view.of(seen, self.assembly)
 
     def arm_poses(self) -> ArmPoses | None:
         """Return the present arm poses; None where there are no arms."""
@@ -198,7 +213,8 @@ class ViewerState:
     def labels(self, appearance: Appearance) -> dict[int, str]:
         """Return short labels of parts: holder, press, selection and marks."""
         labels = {
-            int(part): f"R{appearance.holder[part] + 1}" for part in np.flatnonzero(appearance.holder != NO_ROBOT)
+            int(part): self.robot_name(int(appearance.holder[part]))
+            for part in np.flatnonzero((appearance.holder != NO_ROBOT) & (appearance.opacity > 0))
         }
         for load in self.timeline.loads_at(self.step):
             if load.part in labels:
@@ -220,10 +236,7 @@ class ViewerState:
         return labels
 
     def click(self, origin: NDArray[np.float64], ray: NDArray[np.float64]) -> int | None:
-        """Handle a click along a ray: select the part that it hits, and toggle its mark if a tool is chosen.
-
-        Returns:
-            The part, or None if the ray hits nothing.
+        """Select the part that a ray hits, None if none, and toggle its mark if a tool is chosen; return the part.
 
         Raises:
             InputError: the part cannot be marked.
@@ -262,36 +275,6 @@ class ViewerState:
         with self.lock:
             self.disruption = replace(self.disruption, robots=int(robots))
 
-    def about(self, part: int) -> list[tuple[str, str]]:
-        """Return the facts about a part, as pairs of label and text."""
-        assembly, timeline = self.assembly, self.timeline
-        contacts = assembly.contacts
-        mine = np.flatnonzero((contacts.parts == part).any(axis=1))
-        others = sorted({int(other) for other in contacts.parts[mine].ravel()} - {part})
-        touching = ", ".join(assembly.names[other] for other in others[:8])
-        touching += f" and {len(others) - 8} more" if len(others) > 8 else ""
-        value = int(self.site[part])
-        now = "boundary" if assembly.boundary[part] else ("not there", "installed", "held")[value]
-        who = self.appearance().holder[part]
-        if who != NO_ROBOT:
-            now = f"held by robot {who + 1}"
-        spans = [
-            f"robot {robot + 1}, " + (f"state {first}" if first == last else f"states {first} to {last}")
-            for robot, first, last in timeline.held_when(part)
-        ]
-        facts = [
-            ("part", f"{assembly.names[part]} (number {part})"),
-            ("mass", f"{assembly.mass.mass[part]:.4g} kg"),
-            ("now", now),
-            ("contacts", f"{len(mine)}, {contacts.areas[mine].sum():.3g} m2, with {touching or 'nothing'}"),
-            ("held by", "; ".join(spans) if spans else "no robot"),
-        ]
-        chance = self.action_probabilities()[part] if self.policy is not None else np.nan
-        if np.isfinite(chance):
-            verb = "remove" if self.state[part] == HELD else "hold"
-            facts.append(("policy", f"{verb} it with {100 * chance:.1f} %"))
-        return facts
-
     def proof(self) -> StateProof:
         """Return the verdict on the marked state, with its proof.
 
@@ -303,7 +286,9 @@ class ViewerState:
     @property
     def _shown(self) -> tuple[Plan | None, int, States]:
         """The plan, unless marks change its state; row of the state in the timeline; the marked state."""
-        return self.plan if self.disruption.empty else None, self.timeline.row(self.position), self.site
+        place = self.timeline.row(self.position) - self.built
+        plan = self.plan if self.disruption.empty and place >= 0 else None
+        return plan, place, self.site
 
     @property
     def sliding(self) -> dict[int, str]:
@@ -338,7 +323,7 @@ class ViewerState:
         assert self._guide is not None or self.policy is not None
         self.action_probabilities()
         assert self._guide is not None
-        return visited_states(self._guide, self.oracle, self.timeline.states[0], self.timeline.robots, rollouts)
+        return visited_states(self._guide, self.oracle, self.timeline.states[-1], self.timeline.robots, rollouts)
 
     def replan(self) -> NewPlan:
         """Replan from the marked state, and show the new plan if there is one.
@@ -346,32 +331,42 @@ class ViewerState:
         Raises:
             InputError: the marks contradict each other or the state; the message says what to do.
         """
-        from falsework.replanning.replanner import Replanner
+        from falsework.replanning.replanner import Replanner, replan
 
         begun = time.perf_counter()
         with self.lock:
             question = self.disruption.question(self.assembly, self.state, self.direction)
-            old = self.plan
-            if self._replanner is None:
-                self._replanner = Replanner(self.assembly, self.policy, self.oracle)
-        answer = self._replanner.replan(**question, deadline=self.deadline)
-        seconds = time.perf_counter() - begun
-        decided = answer.decided_by.value
-        if answer.plan is None:
-            kind = "there is no plan" if answer.outcome.value == "proved_impossible" else "no plan was found"
-            words = f"{kind} ({seconds:.2f} s, {decided}): {answer.reason}"
-            return NewPlan(False, words, seconds, decided)
-        words = f"{len(answer.plan)} steps in {seconds:.2f} s, decided by {decided}. "
-        words += self._compare(old, answer.plan)
-        with self.lock:
-            self._before.append((self.timeline, self.plan, self.disruption, self.position, self.arms))
-            self.arms = None  # the new plan has no motions yet
-            self.timeline = Timeline.of(answer.plan, self.assembly)
-            self.plan = answer.plan
-            self.go_to(0)
-            # Disruptions in the new plan are no longer marked: the states of the new plan show it.
-            self.disruption = Disruption(fixed=self.disruption.fixed, robots=self.disruption.robots)
-        return NewPlan(True, words, seconds, decided, answer.plan)
+            if len(self.timeline) == 0 and np.array_equal(question["state"], question["target"]):
+                # A structure that nothing has been planned for is asked from its beginning.
+                question["state"] = empty_state(self.assembly.boundary)
+            old, building = self.plan, self.direction is Direction.ASSEMBLY
+            place = self.timeline.row(self.position)
+            before = place if building else 0
+            planned = building and place >= self.built and np.array_equal(self.site, self.state)
+            if planned and old is not None and not old.props:
+                # The new plan has the steps that are done, and goes on with their history.
+                before = self.built
+                del question["state"]
+                ask = partial(replan, old, step=place - self.built, structure=self.assembly, policy=self.policy)
+            else:
+                if self._replanner is None:
+                    self._replanner = Replanner(self.assembly, self.policy, self.oracle)
+                ask = self._replanner.replan
+        answer = ask(**question, deadline=self.deadline)
+        found = new_plan(answer, time.perf_counter() - begun, old, before)
+        if found.plan is not None:
+            with self.lock:
+                self._before.append((self.timeline, self.plan, self.built, self.disruption, self.position, self.arms))
+                self.arms = None  # the new plan has no motions yet
+                if building:
+                    self.timeline = self.timeline.going_on(before, found.plan)
+                else:
+                    self.timeline = Timeline.of(found.plan, self.assembly, answer.direction)
+                self.plan, self.built = found.plan, before
+                self.go_to(place if building else self.timeline.begin)
+                # Disruptions in the new plan are no longer marked: the states of the new plan show it.
+                self.disruption = Disruption(fixed=self.disruption.fixed, robots=self.disruption.robots)
+        return found
 
     @property
     def can_go_back(self) -> bool:
@@ -382,13 +377,5 @@ class ViewerState:
         """Show the previous plan again, with the marks that were set then."""
         with self.lock:
             if self._before:
-                self.timeline, self.plan, self.disruption, position, self.arms = self._before.pop()
+                self.timeline, self.plan, self.built, self.disruption, position, self.arms = self._before.pop()
                 self.go_to(position)
-
-    def _compare(self, old: Plan | None, new: Plan) -> str:
-        if old is None:
-            return "There was no plan before."
-        from falsework.replanning.plan_diff import difference
-
-        text = difference(old, new).text
-        return text[:1].upper() + text[1:] + "."

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import DependencyError, InputError
-from falsework.utils.files.output_file import write_whole
+from falsework.search.plans.steps import NO_ROBOT
 from falsework.viewer.appearance import TRAVEL, Appearance, appearance_at, bounds_of, diagonal
 from falsework.viewer.arms import Arms, bounds_with_arms, look_with_arms, solids_of_arms
 from falsework.viewer.arrows import Arrows, arrows_of_step
 from falsework.viewer.palette import BOUNDARY, INK, INSTALLED, PRESS, ROBOTS, SLIDING, hex_of, ramp, robot_color
 from falsework.viewer.pictures.render import Camera, ColoredSolid, Image, render
 from falsework.viewer.proof import StateProof
-from falsework.viewer.timeline import NO_ROBOT, Timeline, interesting
+from falsework.viewer.timeline import Timeline, interesting
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -189,7 +189,7 @@ def one_state(
     image = pillow.Image.new("RGB", (camera.width, height + height % 2), "white")
     image.paste(pillow.Image.fromarray(picture), (0, _LINE + 4))
     pen = pillow.ImageDraw.Draw(image)
-    text = caption(timeline, round(position)) if words is None else words
+    text = caption(timeline, timeline.next(position)) if words is None else words
     _write(pen, pillow, (camera.width / 2, _LINE / 2 + 4), text, 18)
     entries = list(legend(timeline) if key is None else key)
     if action_probabilities is not None:
@@ -223,12 +223,11 @@ def legend_of_shares(share_of: str = "") -> list[tuple[str, str]]:
 
 
 def caption(timeline: Timeline, position: int, proof: StateProof | None = None) -> str:
-    """Return the caption of a state, such as `step 3 of 90: hold block-7`, with its verdict if it is not stable."""
+    """Return the caption of a state, such as `step 3 of 90: insert block-7 (R1)`, and its verdict if not stable."""
     verdict = "" if proof is None else f" ({proof.verdict})" if not proof.stable else ""
     if len(timeline) == 0:
         return timeline.assembly.name + verdict
-    doing = f": {timeline.words(position - 1)}" if position else ""
-    return f"step {position} of {len(timeline)}{doing}{verdict}"
+    return timeline.label(position) + verdict
 
 
 def check_places(timeline: Timeline, places: Sequence[int]) -> None:
@@ -270,17 +269,6 @@ def check_suffix(path: Path | str, *suffixes: str) -> None:
     suffix = Path(path).suffix.lower()
     if suffix and suffix not in suffixes:
         raise InputError(f"{path}: pictures are written as {' or '.join(suffixes)}; name such a file")
-
-
-def write_png(path: Path | str, pixels: Pixels) -> None:
-    """Write a PNG, whole or not at all.
-
-    Raises:
-        InputError: it cannot be written.
-    """
-    pillow = import_pillow()
-    image = pillow.Image.fromarray(pixels)
-    write_whole(path, lambda file: image.save(file, format="PNG", optimize=True))
 
 
 def import_pillow() -> Any:

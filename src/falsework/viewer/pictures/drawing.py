@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.sax.saxutils import escape
 
@@ -12,7 +11,6 @@ from numpy.typing import NDArray
 
 from falsework.errors import InputError
 from falsework.geometry.mesh.mesh import triangle_normals
-from falsework.utils.files.output_file import write_whole
 from falsework.viewer.appearance import appearance_at
 from falsework.viewer.arrows import Arrows, arrows_of_step
 from falsework.viewer.palette import INK
@@ -42,7 +40,7 @@ def flat_axis(assembly: Assembly) -> int:
         if all(_is_prism(mesh.triangles, axis) for mesh in assembly.meshes):
             return axis
     raise InputError(
-        f"{assembly.name} is not two-dimensional, so it has no line drawing; leave --svg out for a picture in three"
+        f"{assembly.name} is not two-dimensional, so it has no line drawing; write a .png for a picture in three"
     )
 
 
@@ -161,15 +159,6 @@ def drawing(
         f'font-family="sans-serif" font-size="{_TEXT}">\n<defs>{tips}</defs>\n'
         '<rect width="100%" height="100%" fill="white"/>\n' + "\n".join(body) + "\n</svg>\n"
     )
-
-
-def write_svg(path: Path | str, text: str) -> None:
-    """Write an SVG, whole or not at all.
-
-    Raises:
-        InputError: it cannot be written.
-    """
-    write_whole(path, lambda file: file.write(text.encode("utf-8", "backslashreplace")))
 
 
 def _is_prism(triangles: Array, axis: int) -> bool:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import re
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -29,7 +27,10 @@ _DOTS = 100
 """Pixels per inch."""
 KEY = "high: carries a part; low: moves without one; pale: holds a part at its place; gap: waits"
 """Legend of the bars."""
-_ALPHA = {"moves": 1.0, "carries": 1.0, "holds": 0.35}
+ALPHA = {"moves": 1.0, "carries": 1.0, "holds": 0.35}
+"""Opacity of the bars of an activity."""
+_LETTER = 0.065
+"""Width of a letter in a bar, inches."""
 
 
 @dataclass(frozen=True)
@@ -100,9 +101,14 @@ class GanttChart:
         axes = figure.add_subplot()
         for bar in bars:
             edge: dict[str, Any] = {"edgecolor": INK, "linewidth": 1.0 if bar.does == "carries" else 0.3}
-            color, alpha = robot_color(bar.robot), _ALPHA[bar.does]
+            color, alpha = robot_color(bar.robot), ALPHA[bar.does]
             thick = 0.4 if bar.does == "moves" else 0.7
             axes.barh(bar.robot, bar.end - bar.begin, left=bar.begin, height=thick, color=color, alpha=alpha, **edge)
+            name = "" if bar.part is None else plan.plan.part_names[bar.part]
+            inches = (bar.end - bar.begin) / max(plan.makespan, 1e-3) * 0.9 * width
+            if name and not strip and len(name) * _LETTER < inches:
+                middle = (bar.begin + bar.end) / 2
+                axes.text(middle, bar.robot, name, fontsize=6, ha="center", va="center", parse_math=False)
         axes.set_yticks(range(rows), [robot.name for robot in plan.robots], parse_math=False)
         axes.set_ylim(rows - 0.5, -0.5)
         axes.set_xlim(0.0, max(plan.makespan, 1e-3))
@@ -128,29 +134,6 @@ class GanttChart:
     def mark(self, seconds: float) -> float:
         """Return where a time is, as a share of the width of the figure."""
         return self.box[0] + self.box[2] * min(max(seconds / max(self.makespan, 1e-3), 0.0), 1.0)
-
-    @cached_property
-    def svg(self) -> str:
-        """The chart as an element for a page, as wide as what it is in."""
-        file = io.BytesIO()
-        self.figure.savefig(file, format="svg", metadata={"Date": None})
-        text = file.getvalue().decode()
-        # A style element would apply to the whole page.
-        text = re.sub(r"<style.*?</style>", "", text[text.index("<svg") :], flags=re.DOTALL)
-        return text.replace("<svg ", '<svg style="display:block;width:100%;height:auto" ', 1)
-
-    def html(self, seconds: float) -> str:
-        """Return the chart with a marker at a time, in HTML; it moves by half a percent of the width."""
-        _, top, _, height = self.box
-        line = (
-            f"left:{round(200 * self.mark(seconds)) / 2:g}%;top:{100 * top:.1f}%;height:{100 * height:.1f}%;"
-            f"width:2px;background:{INK}"
-        )
-        return (
-            f'<div style="margin:0 1em"><div style="position:relative">{self.svg}'
-            f'<div class="falsework-now" style="position:absolute;{line}"></div></div>'
-            f'<div style="font-size:11px">seconds; {KEY}</div></div>'
-        )
 
     @cached_property
     def pixels(self) -> NDArray[np.uint8]:

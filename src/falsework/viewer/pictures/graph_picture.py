@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +10,6 @@ from numpy.typing import NDArray
 from falsework.assembly.state import States
 from falsework.errors import DependencyError
 from falsework.search.problem.state_graph import StateGraph
-from falsework.utils.files.output_file import write_whole
 from falsework.viewer.appearance import appearance_at
 from falsework.viewer.palette import INK, ROBOTS
 from falsework.viewer.timeline import Timeline
@@ -132,16 +130,6 @@ def graph_figure(
     if title:
         axis.set_title(title, fontsize=10, color=INK)
     return figure
-
-
-def write_figure(path: Path | str, figure: Any) -> None:
-    """Write a figure as PNG or SVG, as the ending says, whole or not at all.
-
-    Raises:
-        InputError: it cannot be written.
-    """
-    kind = "svg" if Path(path).suffix.lower() == ".svg" else "png"
-    write_whole(path, lambda file: figure.savefig(file, format=kind, dpi=150, bbox_inches="tight", pad_inches=0.08))
 
 
 def figure_pixels(figure: Any, dpi: int = 110) -> NDArray[np.uint8]:

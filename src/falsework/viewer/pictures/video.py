@@ -60,7 +60,7 @@ def frames_of(
     chart = None if arms is None or arms.clock is None else strip_of(arms.plan, camera.width)
     for number, (position, time) in enumerate(moments):
         # One after the other, a step is written as soon as it begins; else the last that the structure has come to.
-        step = int(np.ceil(position)) if time is None else int(position)
+        step = timeline.next(position) if time is None else timeline.row(position)
         proof = (proofs or {}).get(step)
         marks = None if proof is None else proof.marks
         picture = one_state(
@@ -88,7 +88,7 @@ def _moments(
 ) -> list[tuple[float, float | None]]:
     """Return the place of every picture, and its time of the schedule if there is one."""
     if arms is None or arms.clock is None:
-        return [(place, None) for place in frame_places(len(timeline), seconds, rate)]
+        return [(abs(place - timeline.begin), None) for place in frame_places(len(timeline), seconds, rate)]
     return [(arms.clock.position(time), time) for time in frame_times(arms.clock.makespan, rate, speed)]
 
 

@@ -1,16 +1,13 @@
-"""`falsework robots-needed`: fewest robots with a plan, and why fewer do not suffice."""
+"""Part of `falsework plan --robots auto`: fewest robots with a plan, and why fewer do not suffice."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING
 
-from tyro.conf import arg
-
-from falsework.cli.command import UNSET, JudgingCommand, StructureOptions
 from falsework.cli.exit_code import Exit
-from falsework.cli.planning import HoldOptions, SupportOptions, lacks_reserve, promise_lines, writable
+from falsework.cli.output import counted
+from falsework.cli.planning import SupportOptions, lacks_reserve, promise_lines
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -20,44 +17,8 @@ if TYPE_CHECKING:
     from falsework.stability import StabilitySettings
 
 
-@dataclass(frozen=True, kw_only=True)
-class AskRobotsNeeded(JudgingCommand):
-    """Find the fewest robots with which a structure can be disassembled and assembled.
-
-    A plan is found with that number, and for the number below it is either proven that no plan exists, or reported that
-    none was found, with the number of robots that is proven to be needed at least. Exit code 1 if no plan was found
-    with any number, or none that keeps the reserve.
-    """
-
-    examples: ClassVar[tuple[str, ...]] = (
-        "falsework robots-needed vault",
-        "falsework robots-needed arch --deadline 300 --out fewest.json",
-        "falsework robots-needed arch --support",
-    )
-
-    structure: StructureOptions
-    task: SupportOptions
-    holds: HoldOptions
-    out: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=UNSET)] = None
-    """File to write the plan to."""
-    deadline: float = 60.0
-    """Seconds after which the search ends with the best it has."""
-    seed: int = 0
-    """Random seed; results are reproducible on one machine unless the deadline is reached."""
-
-    def run(self, output: Output) -> Exit:
-        """Search, report, save."""
-        from falsework.search.plans.plan_file import save_plan
-        from falsework.search.settings import PlannerSettings
-
-        if self.out is not None:
-            writable(self.out)
-        assembly = self.task.with_places(self.structure.load())
-        stability = self.holds.settings(self.criterion)
-        answer = ask(assembly, stability, self.task, PlannerSettings(seed=self.seed), self.deadline, False, output)
-        if answer.plan is not None and self.out is not None:
-            save_plan(replace(answer.plan, source=self.structure.source(self.out)), self.out)
-        return report(answer, stability.reserve, self.out, output)
+_SHARED = ("verdicts", "seconds", "interrupted")
+"""Fields that the answer on any plan has."""
 
 
 def ask(
@@ -93,14 +54,18 @@ def report(answer: RobotsNeeded, reserve: float, path: Path | None, output: Outp
         path: of the plan, where it was saved.
         output: where to print.
     """
-    output.record(answer.to_dict() | {"plan": None if path is None or answer.plan is None else str(path)})
+    fields = answer.to_dict()
+    output.record({"fewest": {name: value for name, value in fields.items() if name not in _SHARED}})
+    output.record({name: fields[name] for name in _SHARED})
+    if path is not None and answer.plan is not None:
+        output.file(path)
     spent = f"{answer.seconds:.1f} s, {answer.verdicts} verdicts"
     fewer = [f"with {n}: {reason}" for n, reason in enumerate(answer.reasons, 1)]
     if answer.robots is not None:
         least = "proven to be the fewest" if answer.proven else f"at least {answer.least} are proven to be needed"
         if answer.robots == 1:
             least = "the fewest there can be"
-        output.say(f"{answer.robots} robot{'s' * (answer.robots > 1)}: a plan was found; {least} ({spent})")
+        output.say(f"{counted(answer.robots, 'robot')}: a plan was found; {least} ({spent})")
         for line in fewer[-1:] if answer.proven else fewer[answer.least - 2 if answer.least > 1 else 0 :]:
             output.say(line)
         if path is not None and answer.plan is not None:
@@ -108,6 +73,7 @@ def report(answer: RobotsNeeded, reserve: float, path: Path | None, output: Outp
             for line in promise_lines(answer.plan):
                 output.say(line)
     elif answer.impossible:
+        output.outcome("impossible" if answer.certain else "not_found")
         word = "no number of robots suffices" if answer.certain else "no plan was found with any number of robots"
         output.note(f"falsework: {word}: {answer.impossible}")
     else:
@@ -121,5 +87,6 @@ def report(answer: RobotsNeeded, reserve: float, path: Path | None, output: Outp
         output.note("the deadline ended the search; more time may find a plan or a proof")
     lacking = "" if answer.plan is None else lacks_reserve(answer.plan, reserve)
     if lacking:
+        output.outcome("weaker")
         output.note(lacking)
     return Exit.DONE if answer.robots is not None and not lacking else Exit.NO

@@ -5,6 +5,7 @@ Answers carry the content security policy.
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import io
 import ipaddress
@@ -16,13 +17,27 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from falsework.errors import DependencyError
-from falsework.viewer.page.content_policy import content_policy
+from falsework.viewer.web.content_policy import content_policy
+from falsework.viewer.web.links import Unit, target_of
 
 LOCAL = ("localhost", "127.0.0.1", "::1")
 """Names of this machine that are unreachable from others."""
 WILDCARDS = ("0.0.0.0", "::")
 """Wildcard addresses: all addresses of this machine."""
 _SERVING = threading.Lock()
+
+
+def import_viser() -> Any:
+    """Return the package that serves the page.
+
+    Raises:
+        DependencyError: it is not installed.
+    """
+    try:
+        import viser
+    except ImportError:
+        raise DependencyError("the page needs viser; install it with pip install 'falsework[viewer]'") from None
+    return viser
 
 
 class OriginGuard:
@@ -64,10 +79,19 @@ class OriginGuard:
         return None
 
 
-def start_server(viser: Any, host: str, port: int, guard: OriginGuard) -> Any:
+def start_server(
+    viser: Any, host: str, port: int, guard: OriginGuard, *, go: Callable[[Unit, float], None] | None = None
+) -> Any:
     """Start viser's server behind a guard, with a content security policy.
 
     viser has no settings for these, so `websockets.asyncio.server.serve` is replaced while the server starts.
+
+    Args:
+        viser: the package.
+        host: address to listen at.
+        port: port to listen at; if it is in use, the next free one, and any if it is 0.
+        guard: decides who is answered.
+        go: called with the step or second that a click on a link of the page asks for, see `links`.
 
     Raises:
         OSError: the address cannot be listened at.
@@ -86,6 +110,12 @@ def start_server(viser: Any, host: str, port: int, guard: OriginGuard) -> Any:
             refusal = guard.refusal(request.headers.get_all("Host"), request.headers.get_all("Origin"))
             if refusal is not None:
                 return connection.respond(HTTPStatus.FORBIDDEN, f"{refusal}\n")
+            target = target_of(request.path)
+            if go is not None and target is not None:
+                if request.headers.get("Sec-Fetch-Site", "same-origin") != "same-origin":
+                    return connection.respond(HTTPStatus.FORBIDDEN, "a link of another page\n")
+                asyncio.get_running_loop().run_in_executor(None, go, *target)
+                return connection.respond(HTTPStatus.NO_CONTENT, "")
             response = None if process_request is None else process_request(connection, request)
             if response is not None:
                 response.headers["Content-Security-Policy"] = policy

@@ -1,0 +1,156 @@
+"""Steps of a plan: what is done to which part, by which robot, and the state that it leads to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import HELD, REMOVED, Mask, States
+from falsework.stability.holds import Press, describe_presses
+from falsework.stability.verdict import Verdict
+
+NO_ROBOT = -1
+
+
+class Action(StrEnum):
+    """What a step does to its part."""
+
+    INSERT = "insert"
+    """Bring the part to its place and hold it there."""
+    RELEASE = "release"
+    """Let go of the part, which stays."""
+    HOLD = "hold"
+    """Hold a part that stands: in plans with repeated holds, and in disassembly."""
+    REMOVE = "remove"
+    """Take away a part that is held: a prop, or in disassembly any part."""
+
+    @property
+    def undone(self) -> Action:
+        """The action that undoes this one."""
+        return _UNDONE[self]
+
+
+_UNDONE = {
+    Action.INSERT: Action.REMOVE,
+    Action.REMOVE: Action.INSERT,
+    Action.HOLD: Action.RELEASE,
+    Action.RELEASE: Action.HOLD,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class PlanStep:
+    """One step of a plan."""
+
+    number: int
+    """From 1, in the order of assembly; the same in every output, also where a plan is shown in disassembly."""
+    action: Action
+    part: int
+    name: str
+    """Name of the part."""
+    robot: int | None
+    """Robot that does it, from 0; None for a prop, which no robot holds."""
+    state: States
+    """State after the step, shape (parts,)."""
+    verdict: Verdict
+    """Verdict on that state."""
+    presses: tuple[Press, ...] = ()
+    """Presses of other robots while this one lets go of its part."""
+    pressed: str = ""
+    """The presses in words."""
+
+    @property
+    def words(self) -> str:
+        """What is done, such as `insert keystone`, with the presses of robots."""
+        return "; ".join(filter(None, (f"{self.action} {self.name}", self.pressed)))
+
+    def __str__(self) -> str:
+        by = "" if self.robot is None else f" (R{self.robot + 1})"
+        return "; ".join(filter(None, (f"{self.action} {self.name}{by}", self.pressed)))
+
+    def __repr__(self) -> str:
+        return f"<PlanStep {self.number}: {self}>"
+
+
+def steps_of(
+    states: States,
+    actions: NDArray[np.int64],
+    who: NDArray[np.int64],
+    verdicts: tuple[Verdict, ...],
+    names: tuple[str, ...],
+    presses: tuple[tuple[Press, ...], ...],
+) -> tuple[PlanStep, ...]:
+    """Return the steps between the states of a plan.
+
+    Args:
+        states: in the order of assembly, shape (steps + 1, parts).
+        actions: as in `Plan.actions`, shape (steps,).
+        who: robot that holds each part in each state, shape (steps + 1, parts).
+        verdicts: one a state.
+        names: of the parts.
+        presses: one entry a step, or none.
+    """
+    parts, found = states.shape[1], []
+    for number, action in enumerate(actions.tolist(), 1):
+        part, before = action % parts, int(states[number - 1, action % parts])
+        if action >= parts:
+            does = Action.INSERT if before == REMOVED else Action.REMOVE
+        else:
+            does = Action.RELEASE if before == HELD else Action.HOLD
+        robot = max(int(who[number - 1, part]), int(who[number, part]))
+        pressing = presses[number - 1] if presses else ()
+        found.append(
+            PlanStep(
+                number,
+                does,
+                part,
+                names[part],
+                None if robot == NO_ROBOT else robot,
+                states[number],
+                verdicts[number],
+                pressing,
+                describe_presses(pressing, names),
+            )
+        )
+    return tuple(found)
+
+
+def undone(steps: tuple[PlanStep, ...], first: States, verdict: Verdict) -> tuple[PlanStep, ...]:
+    """Return steps as they are undone, the last one first.
+
+    A step keeps its number and robot, but holds where it released, and removes where it inserted. Robots do not press.
+
+    Args:
+        steps: in the order of assembly.
+        first: state before the first of them, shape (parts,).
+        verdict: verdict on that state.
+    """
+    before = [(first, verdict), *((step.state, step.verdict) for step in steps)]
+    return tuple(
+        replace(step, action=step.action.undone, state=state, verdict=known, presses=(), pressed="")
+        for step, (state, known) in zip(reversed(steps), reversed(before[:-1]), strict=True)
+    )
+
+
+def holders(states: States, immovable: Mask) -> NDArray[np.int64]:
+    """Return the robot that holds each part in each state, `NO_ROBOT` for none; it stays the same during a hold.
+
+    Args:
+        states: states one action apart, shape (steps + 1, parts).
+        immovable: parts that no robot holds, shape (parts,).
+
+    Returns:
+        Shape (steps + 1, parts).
+    """
+    robots = np.full(states.shape, NO_ROBOT, dtype=np.int64)
+    for step, state in enumerate(states):
+        held = np.flatnonzero((state == HELD) & ~immovable)
+        before = robots[step - 1] if step else np.full(len(state), NO_ROBOT)
+        robots[step, held] = before[held]
+        free = [robot for robot in range(len(held)) if robot not in robots[step, held]]
+        for part, robot in zip([part for part in held if robots[step, part] == NO_ROBOT], free, strict=False):
+            robots[step, part] = robot
+    return robots

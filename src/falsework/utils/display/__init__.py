@@ -1,0 +1,1 @@
+"""Display of objects and progress outside the command line."""

@@ -1,0 +1,190 @@
+"""New plans go on from steps that are done: their numbers stay, and replays begin with their history."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import falsework as fw
+from falsework.assembly import Assembly, load_structure
+from falsework.assembly.props import prop_places, with_props
+from falsework.errors import InputError, PlanError, StateError
+from falsework.replanning.built import BuiltSteps
+from falsework.replanning.named_state import named_state
+from falsework.replanning.replanner import Replanner, replan
+from falsework.search import Plan, find_plans, save_plan, validate_plan
+from falsework.search.problem.deadline import Deadline
+from falsework.search.problem.timed_replayer import DeadlineReplayer
+from falsework.stability import Stability, StabilitySettings
+from falsework.stability.contact.replay import Replayer
+
+ARCH = load_structure("arch:blocks=7")
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    return find_plans(ARCH, robots=2).plans[0]
+
+
+def late(plan: Plan, step: int) -> int:
+    """The part that the plan inserts next after a step."""
+    return next(one.part for one in plan.steps[step:] if one.action == "insert")
+
+
+@pytest.mark.parametrize("reserve", [1.0, 1.1])
+def test_a_replay_that_goes_on_is_that_of_the_whole(plan: Plan, reserve: float) -> None:
+    settings = StabilitySettings(reserve=reserve)
+    whole = Replayer(ARCH, settings).replay(plan.states, presses=plan.presses_before)
+    for step in (0, 1, 5, len(plan) - 1):
+        built = plan.states[: step + 1], plan.presses_before[: step + 1]
+        goes_on = DeadlineReplayer(Replayer(ARCH, settings), Deadline(None), built=built)
+        rest = goes_on.replay(plan.states[step:])
+        np.testing.assert_allclose(rest.moved, whole.moved[step:], rtol=1e-9, atol=1e-15)
+        assert rest.stands.tolist() == whole.stands[step:].tolist()
+        summary = goes_on.as_time_allows(plan.states[step:])
+        assert (summary.stands, summary.steps, summary.of) == (True, len(plan), len(plan))
+        assert summary.moved == pytest.approx(whole.moved.max(), rel=1e-9)
+        assert len(summary.residuals) == len(summary.presses) == len(plan.states)
+
+
+def test_history_counts(plan: Plan) -> None:
+    """From rest the same steps move parts by other amounts, so that it matters where a replay begins."""
+    step = len(plan) // 2
+    built = plan.states[: step + 1], plan.presses_before[: step + 1]
+    goes_on = DeadlineReplayer(Replayer(ARCH), Deadline(None), built=built).replay(plan.states[step:])
+    from_rest = DeadlineReplayer(Replayer(ARCH), Deadline(None)).replay(plan.states[step:])
+    assert np.abs(goes_on.moved[1:] - from_rest.moved[1:]).max() > 1e-3 * goes_on.moved.max()
+
+
+def test_steps_that_are_done_stay(plan: Plan) -> None:
+    for step in (2, 6, 9):
+        part = late(plan, step)
+        answer = replan(plan, step=step, structure=ARCH, missing=[ARCH.names[part]])
+        assert answer.found, answer.reason
+        new = answer.plans[0]
+        assert answer.built == step
+        np.testing.assert_array_equal(new.states[: step + 1], plan.states[: step + 1])
+        np.testing.assert_array_equal(new.actions[:step], plan.actions[:step])
+        assert new.steps[step].number == step + 1
+        assert validate_plan(new, ARCH).good
+        assert new.replay is not None
+        assert new.replay.stands
+        repeated = Replayer(ARCH, Stability(ARCH, StabilitySettings(**vars(new.claim))).settings).replay(
+            new.states, presses=new.presses_before
+        )
+        assert new.replay.denied_by(repeated) == ""
+
+
+def test_what_it_takes_from_the_plan(plan: Plan, tmp_path: Path) -> None:
+    """Robots, criterion and reserve, from the file of a plan too."""
+    three = find_plans(ARCH, robots=3, stability=StabilitySettings(reserve=1.2)).plans[0]
+    save_plan(replace(three, source={"built_in": "arch:blocks=7"}), tmp_path / "plan.json")
+    for subject in (three, tmp_path / "plan.json", str(tmp_path / "plan.json")):
+        new = fw.replan(subject, step=3).plans[0]
+        assert (new.robots, new.claim.reserve) == (3, 1.2)
+    fewer = fw.replan(plan, step=4, robots=2, stability=StabilitySettings(criterion="equilibrium")).plans[0]
+    assert fewer.claim.criterion == "equilibrium"
+    assert validate_plan(fewer, ARCH, StabilitySettings(criterion="equilibrium")).good
+
+
+def test_steps_that_do_not_come_to_rest_are_named(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(DeadlineReplayer, "built_falls_at", lambda _: 3)
+    answer = replan(plan, step=5)
+    assert not answer.found
+    assert answer.reason == "the steps that are done do not come to rest in a replay, after step 3"
+
+
+def test_a_replayer_answers_within_the_deadline(plan: Plan) -> None:
+    replanner = Replanner(ARCH)
+    answer = replanner.replan(plan=plan, step=4, deadline=1e-4)
+    assert not answer.found or len(answer.plans[0]) == len(plan)
+    assert replanner.replan(plan=plan, step=4, deadline=30.0).built == 4
+
+
+def test_alternatives_all_begin_with_what_is_done(plan: Plan) -> None:
+    answer = replan(plan, step=4, alternatives=2)
+    assert len(answer.plans) == 2
+    for new in answer.plans:
+        np.testing.assert_array_equal(new.states[:5], plan.states[:5])
+        assert validate_plan(new, ARCH).good
+
+
+@pytest.mark.parametrize(
+    ("subject", "options", "message"),
+    [
+        ("plan", {"step": 99}, "step 99 does not exist; the plan has the steps 1 to 14, and 0 is the start"),
+        ("plan", {}, "the plan has 14 steps; name the last one that is done, 0 for none"),
+        ("plan", {"step": 2, "state": "empty"}, "leave one of the two out"),
+        ("plan", {"step": 4, "missing": [0]}, "is said to be missing, yet step 1 has placed it"),
+        ("plan", {"step": 4, "missing": ["stone17"]}, "missing is part 'stone17', which does not exist"),
+        ("plan", {"step": 4, "structure": "arch:blocks=5"}, "the plan is for arch:blocks=7 with 9 parts"),
+        ("arch:blocks=7", {"step": 4}, "step 4 is of no plan; give the plan too, or the state"),
+        ("arch:blocks=7", {"structure": "arch"}, "structure names that of a plan"),
+    ],
+)
+def test_wrong_requests(subject: str, options: dict[str, Any], message: str, plan: Plan) -> None:
+    if options.get("missing") == [0]:
+        options = {**options, "missing": [plan.steps[0].part]}
+    with pytest.raises(InputError, match=message):
+        replan(plan if subject == "plan" else subject, **options)
+
+
+def test_props_are_not_replanned() -> None:
+    arch = load_structure("arch:blocks=5", ground=True)
+    propped = with_props(arch, prop_places(arch)[:1])
+    states = np.zeros((1, propped.part_count), dtype=np.uint8)
+    states[0, propped.boundary] = 2
+    plan = Plan(
+        states=states,
+        actions=np.zeros(0, dtype=np.int64),
+        verdicts=(),
+        proofs=(),
+        residuals=np.zeros(1),
+        name=propped.name,
+        identity=propped.identity,
+        part_names=tuple(propped.names),
+        boundary=propped.boundary,
+        friction=propped.friction,
+        robots=1,
+        props=propped.props,
+    )
+    with pytest.raises(PlanError, match="has props, which replanning cannot move"):
+        BuiltSteps(plan, 0)
+
+
+@pytest.mark.parametrize(
+    ("given", "values"),
+    [
+        ("empty", [0, 0, 0, 2, 2]),
+        ("complete", [1, 1, 1, 2, 2]),
+        ({"standing": ["voussoir-0"], "held": [1]}, [1, 2, 0, 2, 2]),
+        ({"standing": ["0-1"], "held": ["voussoir-2"]}, [1, 1, 2, 2, 2]),
+        ({"standing": ["abutment-3", 0], "held": []}, [1, 0, 0, 2, 2]),
+        ({}, [0, 0, 0, 2, 2]),
+        ([1, 2, 0, 2, 2], [1, 2, 0, 2, 2]),
+    ],
+)
+def test_states_by_parts(given: Any, values: list[int]) -> None:
+    small: Assembly = load_structure("arch:blocks=3")
+    assert named_state(given, small).tolist() == values
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ("half", "the state is 'half'; give complete, empty, or one value a part"),
+        ({"lying": [0]}, "the state has an unknown entry 'lying'; give standing and held"),
+        ({"standing": ["top"]}, "the state: standing is part 'top', which does not exist"),
+        ({"held": [17]}, "the state: held is part 17, which does not exist"),
+        ({"standing": [0], "held": ["voussoir-0"]}, "part voussoir-0 both stands by itself and is held"),
+        ({"standing": "voussoir-0"}, "the state: standing parts are 'voussoir-0'; give a list"),
+        ([[1, 1, 1, 2, 2]] * 2, "the state holds 2 states; give one, of shape"),
+    ],
+)
+def test_what_is_no_state(given: Any, message: str) -> None:
+    with pytest.raises((StateError, InputError), match=message):
+        named_state(given, load_structure("arch:blocks=3"))

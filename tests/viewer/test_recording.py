@@ -1,0 +1,106 @@
+"""Pages in one file: what they hold, how large they are, and who may run what in them."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import falsework as fw
+from falsework.assembly.state import HELD, INSTALLED, complete_state, empty_state
+from falsework.cli.main import main
+from falsework.errors import InputError
+from falsework.search.plans.steps import holders
+from falsework.search.problem.task import Direction
+from falsework.viewer.page.recording import record
+from falsework.viewer.page.scene import EDGES_UP_TO
+from falsework.viewer.page.viewer_state import ViewerState
+from falsework.viewer.timeline import Timeline
+
+pytest.importorskip("viser", reason="the page needs viser; pip install 'falsework[viewer]'")
+
+
+def test_a_page_in_a_file_lists_the_steps_and_allows_its_own_scripts_alone(arch: Any) -> None:
+    assembly, plan = arch
+    page = record(ViewerState(Timeline.of(plan, assembly), plan=plan))
+    for step in plan:
+        assert f">{step.words}</td>" in page
+    policy = page.index('http-equiv="Content-Security-Policy"')
+    assert policy < page.index("<script")
+    assert re.search(r"script-src 'wasm-unsafe-eval' ('sha256-[^']+' ?){3};", page[policy : policy + 1000])
+    assert "href=" not in page[page.index("<body") :]  # no server answers its links
+    assert len(page) < 2e6
+
+
+def test_the_order_of_a_page_in_a_file_is_that_of_assembly(arch: Any) -> None:
+    assembly, plan = arch
+    model = ViewerState(Timeline.of(plan, assembly, Direction.DISASSEMBLY), plan=plan)
+    model.go_to(3)
+    page = record(model)
+    words = [step.words for step in plan]
+    places = [page.index(f">{word}</td>") for word in words]
+    assert places == sorted(places)
+    assert (model.position, model.direction) == (3, Direction.DISASSEMBLY)  # the viewer stays where it is
+
+
+def test_robot_plans_are_recorded_with_their_arms(arch: Any, scheduled: Any, cell: Any) -> None:
+    from falsework.viewer.viewable import viewable_of
+
+    page = record(viewable_of(scheduled, arch[0], cell=cell))
+    assert "arm 0" in page
+    assert "held by arm 1" in page
+
+
+def test_names_do_not_become_markup(arch: Any) -> None:
+    assembly, _ = arch
+    hostile = replace(assembly, name="</title><script>alert(1)</script>")
+    page = record(ViewerState(Timeline.from_state(hostile, complete_state(hostile.boundary))))
+    assert "alert(1)</script>" not in page
+
+
+def test_the_command_and_the_function_write_it(arch: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assembly, plan = arch
+    fw.save(plan, tmp_path / "plan.json")
+    out = tmp_path / "plan.html"
+    assert main(["export", str(tmp_path / "plan.json"), "--out", str(out), "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert answer["steps"] == len(plan)
+    assert "__VISER_EMBED_DATA__" in out.read_text(encoding="utf-8")
+    fw.export(assembly, tmp_path / "arch.html")
+    assert "__VISER_EMBED_DATA__" in (tmp_path / "arch.html").read_text(encoding="utf-8")
+    assert main(["export", "arch:blocks=3", "--out", str(tmp_path / "a.html"), "--step-seconds", "2"]) == 2
+    assert "leave it out" in capsys.readouterr().err
+
+
+def test_four_hundred_parts_are_a_small_file() -> None:
+    vault = fw.load_structure("vault:parts=390")
+    states = [empty_state(vault.boundary)]
+    actions = []
+    for part in np.flatnonzero(~vault.boundary)[np.argsort(vault.mass.center[~vault.boundary, 2], kind="stable")]:
+        for action, value in ((part + vault.part_count, HELD), (part, INSTALLED)):  # as a plan looks, proven or not
+            states.append(states[-1].copy())
+            states[-1][part] = value
+            actions.append(int(action))
+    rows = np.array(states)
+    who = holders(rows, vault.immovable)
+    page = record(ViewerState(Timeline(vault, rows, np.array(actions), who, Direction.ASSEMBLY, 1)))
+    assert 380 < len(vault.names) <= EDGES_UP_TO
+    assert len(page) < 2e6
+
+
+def test_another_ending_is_refused(arch: Any, tmp_path: Path) -> None:
+    assembly, plan = arch
+    page = fw.view(plan, assembly, port=0, browser=False, wait=False)
+    try:
+        page.save(tmp_path / "plan.html")
+        with pytest.raises(InputError, match=r"written as \.html"):
+            page.save(tmp_path / "plan.pdf")
+    finally:
+        page.close()
+    assert (tmp_path / "plan.html").stat().st_size < 2e6
+    assert not (tmp_path / "plan.pdf").exists()
