@@ -51,7 +51,7 @@ class CheckStability(JudgingCommand):
         assembly = self.structure.load()
         wanted = complete_state(assembly.boundary) if self.states is None else read_states(self.states)
         states = as_states(wanted, assembly.boundary)
-        verdicts = Stability(assembly, self._settings()).check(states)
+        verdicts = Stability(assembly, self._settings()).verdicts(states, require_certificate=True)
         for index in range(len(states)):
             verdict, proof = Verdict(verdicts.verdict[index]), Proof(verdicts.proof[index])
             residual = float(verdicts.residual[index])

@@ -42,7 +42,7 @@ class Prover:
         states = np.repeat(complete_state(boundary)[None], len(movable), axis=0)
         states[np.arange(len(movable)), movable] = HELD
         begun = time.perf_counter()
-        self.oracle.check(states)
+        self.oracle.verdicts(states, require_certificate=True)
         self._per_state = (time.perf_counter() - begun) / max(len(movable), 1)
 
     def plan(
@@ -81,11 +81,11 @@ class Prover:
         """Return a plan that rests on its replay as far as that came, and else on verdicts from rest."""
         claim, states = self.oracle.settings.claim, route.states
         if replayed is None:
-            return Plan.of(route, self.assembly, task, self.oracle.judge(states), claim)
+            return Plan.of(route, self.assembly, task, self.oracle.verdicts(states), claim)
         claim = replace(claim, holds=claim.holds.resolved(self.assembly, claim.gravity))
         rest, verdicts = len(states) - len(replayed.residuals), Verdicts.blank(len(states))
         if rest:
-            verdicts.put(np.arange(rest), self.oracle.judge(states[:rest]))
+            verdicts.put(np.arange(rest), self.oracle.verdicts(states[:rest]))
         verdicts.verdict[rest:], verdicts.proof[rest:] = Verdict.STABLE, Proof.HISTORY
         verdicts.residual[rest:], verdicts.decided_by[rest:] = replayed.residuals[::-1], Solver.CPU
         known = None if replayed.stands is None else _summary(replayed)

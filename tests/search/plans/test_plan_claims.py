@@ -527,7 +527,7 @@ def test_an_unstable_state_is_told_from_a_wrong_certificate(plan: Plan) -> None:
     assembly = load_structure(SPEC)
     states, parts = np.repeat(plan.states[:1], 3, axis=0), assembly.part_count
     states[1:, 1] = [2, 0]
-    proofs = Stability(assembly).check(states[[0, 1, 1]]).displacement
+    proofs = Stability(assembly).verdicts(states[[0, 1, 1]], require_certificate=True).displacement
     falls = replace(plan, states=states, actions=np.array([1, parts + 1]), displacement=proofs)
     report = validate_plan(replace(falls, margins=None), assembly)
     assert "the structure is unstable after step 2" in report.reason

@@ -29,7 +29,7 @@ def _centre(solver: CpuSolver, states: NDArray, parents: NDArray, forces: NDArra
 
 
 def _with_forces(vault: Assembly, states: NDArray, forces: NDArray) -> Verdicts:
-    checked = Stability(vault, EQUILIBRIUM).check(states)
+    checked = Stability(vault, EQUILIBRIUM).verdicts(states, require_certificate=True)
     assert checked.forces is not None
     checked.forces[:] = forces
     return checked
@@ -61,7 +61,9 @@ def test_centred_forces_prove_the_state_and_the_next(
     start = np.repeat(forces[good][:1], len(parts), axis=0)
     stands, moved = _centre(solver, after, parents, start)
     assert stands.any()
-    assert (Stability(vault, EQUILIBRIUM).check(after).verdict[stands] == Verdict.STABLE).all()
+    assert (
+        Stability(vault, EQUILIBRIUM).verdicts(after, require_certificate=True).verdict[stands] == Verdict.STABLE
+    ).all()
     assert ((moved != start).any(axis=2)[stands].mean(axis=1) < 0.5).any()
 
 
@@ -75,19 +77,18 @@ def test_verdicts_along_random_orders_are_the_same(
     monkeypatch.setattr(cpu_solver, "_LARGER", 0)
     monkeypatch.setattr(cpu_solver, "_CENTRED", 0)
     centred = Stability(vault, settings)
-    assert isinstance(centred._cpu, CpuSolver)
-    assert centred._cpu._centred
+    assert CpuSolver(build_problem(vault, cone=cone), settings)._centred
     rng = np.random.default_rng(0)
     seen = []
     for _ in range(3):
         state = complete_state(vault.boundary)
-        assert centred.judge(state[None], parents=state[None]).stable.all()
+        assert centred.verdicts(state[None], near=state[None]).stable.all()
         for part in rng.permutation(np.flatnonzero(state == INSTALLED)):
             held, after = state.copy(), state.copy()
             held[part], after[part] = HELD, REMOVED
             next_states, parents = np.stack([held, after, state]), np.stack([state, state, held])
-            found = centred.judge(next_states, parents=parents)
-            assert (found.verdict == plain.judge(next_states).verdict).all()
+            found = centred.verdicts(next_states, near=parents)
+            assert (found.verdict == plain.verdicts(next_states).verdict).all()
             seen.append(found.stable[1])
             if not found.stable[1]:
                 state = held if (held == HELD).sum() < (vault.boundary.sum() + 3) else state

@@ -112,11 +112,9 @@ def test_units_leave_wrenches_as_they_are(vault: Assembly) -> None:
 def test_forces_of_another_state_do_not_mislead(vault: Assembly, released: tuple[NDArray, NDArray]) -> None:
     states, before = released
     oracle = Stability(vault, EQUILIBRIUM)
-    wrong = oracle.check(before[::-1].copy())
-    assert wrong.forces is not None
-    wrong.forces[:] *= 1.5
-    found = oracle.check_next(states, before, wrong)
-    assert (found.verdict == oracle.check(states).verdict).all()
+    oracle.verdicts(before, require_certificate=True)
+    found = oracle.verdicts(states, near=before[::-1].copy(), require_certificate=True)
+    assert (found.verdict == Stability(vault, EQUILIBRIUM).verdicts(states, require_certificate=True).verdict).all()
     assert verify_certificates(vault, states, found, EQUILIBRIUM.claim).all()
 
 
@@ -126,17 +124,19 @@ def test_forces_are_passed_on_by_holds(vault: Assembly) -> None:
     parts = np.flatnonzero(complete == INSTALLED)[[0, 5, 9]]
     for row in range(3):
         held[row, parts[: row + 1]] = HELD
-    assert oracle.judge(complete[None], parents=complete[None]).stable.all()
-    assert oracle.check_again(held).stable.all()
+    assert oracle.verdicts(complete[None], near=complete[None]).stable.all()
+    found = oracle.verdicts(held, near=held, require_certificate=True)
+    assert found.stable.all()
+    assert (found.iterations == 0).all()
 
 
 def test_forces_are_kept_as_they_were_accepted(vault: Assembly) -> None:
     oracle, complete = Stability(vault, EQUILIBRIUM), complete_state(vault.boundary)
-    assert oracle.judge(complete[None], parents=complete[None]).stable.all()
+    assert oracle.verdicts(complete[None], near=complete[None]).stable.all()
     kept = oracle._guesses._memory.get(complete.tobytes())
     assert kept is not None
     assert (kept != kept.astype(np.float32)).any()  # rounded, they may leave parts out of balance
-    again = oracle.check_again(complete[None])
+    again = oracle.verdicts(complete, near=complete, require_certificate=True)
     assert again.forces is not None
     assert again.iterations[0] == 0
     assert np.abs(again.forces[0] - kept).max() <= 1e-12 * np.abs(kept).max()

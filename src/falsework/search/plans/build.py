@@ -106,7 +106,9 @@ def check_build(
             row, wrong = row + 1, f"the structure does not come to rest{under} at {_built(plan, row + 1)}"
         if wrong:
             bad = row_of_build(plan, row)
-            verdict = Stability(assembly, replace(case, reserve=1.0)).check(plan.states[bad])
+            verdict = Stability(assembly, replace(case, reserve=1.0)).verdicts(
+                plan.states[bad], require_certificate=True
+            )
             if verdict.unstable[0]:
                 wrong = unstable_in_words(plan, bad, verdict)
             return replace(report, reason=wrong, checked=bad, residual=largest, verdict=verdict)

@@ -93,6 +93,8 @@ class CpuSolver:
     (`docs/decisions/0002`). Both stop at the first proof.
     """
 
+    starts_from_guesses = True
+
     def __init__(self, problem: Problem, settings: StabilitySettings = EQUILIBRIUM) -> None:
         self.problem = problem
         self.settings = settings
