@@ -172,7 +172,7 @@ def _patch_in_turn() -> None:
 def _patch_supports() -> None:
     from falsework.stability.cpu import solver
 
-    vars(solver)["CORRIDORS"] = solver.CORRIDORS[:0]
+    vars(solver)["REACHES"] = solver.REACHES[:1]
 
 
 def last_fixed(beam: Any) -> tuple[int, int]:
@@ -293,10 +293,9 @@ RULES: dict[str, Rule] = {
         _shown_by(_SELECTION, "Selector", "_in_turn", lambda rows, _, fixed: not np.array_equal(rows, fixed)),
     ),
     "supports": Rule(
-        "Verdicts under `equilibrium` change forces along ways to supports; without it, near the change, or anywhere. "
-        "From 400 parts on, compiled code keeps some of these ways.",
+        "Verdicts under `equilibrium` change forces along ways to supports; without it, near the change, or anywhere.",
         _patch_supports,
-        _shown_by(_SOLVER, "CpuSolver", "__init__", lambda _, solver, *__, **___: len(solver._corridors)),
+        _shown_by(_SOLVER, "CpuSolver", "__init__", lambda _, solver, *__, **___: len(solver.reaches) > 1),
     ),
 }
 """Rules by their names."""

@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, complete_state
 from falsework.stability import Stability, Verdict, verify_certificates
-from falsework.stability.cpu.layout import add_wrenches, make_scratch, restrict
 from falsework.stability.cpu.neighbourhood import hold_beside_corridor
-from falsework.stability.cpu.repair import CORRIDORS, REPAIR_RINGS, repair_range
-from falsework.stability.cpu.solver import CpuSolver
-from falsework.stability.cpu.units import scale_units
+from falsework.stability.cpu.repair import REACHES, repair_range
+from falsework.stability.cpu.solver import CpuSolver, kernel_options
 from falsework.stability.problem import build_problem
 from falsework.stability.settings import EQUILIBRIUM
 
 
-def test_repaired_forces_prove_the_state(vault: Assembly, released: tuple[NDArray, NDArray]) -> None:
+@pytest.mark.parametrize("interior", [True, False])
+@pytest.mark.parametrize("reaches", [REACHES, REACHES[1:], REACHES[:0]])
+def test_repaired_forces_prove_the_state(
+    vault: Assembly, released: tuple[NDArray, NDArray], reaches: NDArray, interior: bool
+) -> None:
+    """Whether they change around the difference, along ways from there to a support, or everywhere."""
     states, before = released
     solver = CpuSolver(build_problem(vault))
     known = solver.check(before)
@@ -25,8 +29,8 @@ def test_repaired_forces_prove_the_state(vault: Assembly, released: tuple[NDArra
     counts = np.zeros((2, len(states)), np.int32)
     assert known.forces is not None
     forces = known.forces.copy()
-    kernel = solver.structure, states, before, known.stable, REPAIR_RINGS, CORRIDORS
-    left = repair_range(*kernel, solver._options, solver._along, True, False, forces, verdict, residual, *counts)
+    kernel = solver.structure, states, before, known.stable, reaches, interior, kernel_options(EQUILIBRIUM)
+    left = repair_range(*kernel, forces, verdict, residual, *counts)
     good = np.flatnonzero(verdict == Verdict.STABLE)
     assert len(good) == len(states) - left > 0
     checked = solver.check(states)[good]
@@ -34,25 +38,8 @@ def test_repaired_forces_prove_the_state(vault: Assembly, released: tuple[NDArra
     checked.forces[:] = forces[good]
     assert verify_certificates(vault, states[good], checked, EQUILIBRIUM.claim).all()
     changed = (forces[good] != known.forces[good]).any(axis=2)
-    assert (changed.sum(axis=1) < changed.shape[1]).any()  # forces farther away are those of before
-
-
-def test_a_corridor_alone_balances_a_part_that_is_let_go_of(vault: Assembly, released: tuple[NDArray, NDArray]) -> None:
-    states, before = released
-    solver = CpuSolver(build_problem(vault))
-    known = solver.check(before)
-    assert known.forces is not None
-    verdict, residual = np.zeros(len(states), np.int8), np.full(len(states), np.nan)
-    forces, nowhere = known.forces.copy(), REPAIR_RINGS[:0]
-    counts = np.zeros((2, len(states)), np.int32)
-    kernel = solver.structure, states, before, known.stable, nowhere, np.array([1, 3]), solver._options, solver._along
-    repair_range(*kernel, True, False, forces, verdict, residual, *counts)
-    good = np.flatnonzero((verdict == Verdict.STABLE) & (counts[0] > 0))
-    assert len(good)
-    checked = solver.check(states)[good]
-    assert checked.forces is not None
-    checked.forces[:] = forces[good]
-    assert verify_certificates(vault, states[good], checked, EQUILIBRIUM.claim).all()
+    if len(reaches):
+        assert (changed.sum(axis=1) < changed.shape[1]).any()  # forces farther away are those of before
 
 
 def test_corridors_lead_from_the_change_to_a_support(vault: Assembly, released: tuple[NDArray, NDArray]) -> None:
@@ -92,21 +79,6 @@ def test_corridors_lead_to_a_held_part_where_none_leads_to_a_support(vault: Asse
     pairs = structure.pair_parts
     inside = near[pairs] == INSTALLED
     assert ((pairs == held) & inside[:, ::-1]).any()
-
-
-def test_units_leave_wrenches_as_they_are(vault: Assembly) -> None:
-    solver, state = CpuSolver(build_problem(vault)), complete_state(vault.boundary)
-    work = make_scratch(solver.structure)
-    pairs, _ = restrict(solver.structure, state, work)
-    rng = np.random.default_rng(0)
-    work.u[:] = rng.normal(size=work.u.shape) * 10.0 ** rng.uniform(-3, 3, (len(work.u), 1))
-    known, wrenches = work.u * work.force_scale[:, None], np.zeros((2, *work.load.shape))
-    add_wrenches(solver.structure, work, pairs, work.u, wrenches[0])
-    scale_units(work, pairs)
-    add_wrenches(solver.structure, work, pairs, work.u, wrenches[1])
-    assert np.ptp(work.unit[:pairs]) > 1.0
-    np.testing.assert_allclose(wrenches[1], wrenches[0], rtol=1e-9, atol=1e-9 * np.abs(wrenches).max())
-    np.testing.assert_allclose(work.u * work.force_scale[:, None], known, rtol=1e-12)
 
 
 def test_forces_of_another_state_do_not_mislead(vault: Assembly, released: tuple[NDArray, NDArray]) -> None:

@@ -22,10 +22,10 @@ from falsework.utils.cores import core_count
 _TASK = 16
 """States per task of a thread: few enough to balance the load, enough to hide the cost of a call."""
 LEFT_OPEN = 1000
-"""Parts from which states that local repairs leave undecided stay undecided within a search: ADMM on the whole and the
-exact solver take seconds for one of them, and ADMM mostly decides nothing."""
+"""Parts from which states that repairs leave undecided stay undecided within a search: ADMM on the whole and the exact
+solver take seconds for one of them and mostly decide nothing, on vaults of 2,012 and 3,998 parts."""
 _LEAST_FRICTION = 1e-3
-"""Coefficient of friction below which cones are too narrow for that."""
+"""Coefficient of friction below which cones are too narrow for forces to be kept inside them."""
 
 
 def kernel_options(settings: StabilitySettings) -> Options:
@@ -72,8 +72,10 @@ class Workers:
 class CpuSolver:
     """Solver of batches of states of one structure with compiled code.
 
-    ADMM on the forces with one sparse factorisation per state, then an interior point method for undecided states
-    (`docs/decisions/0002`). Both stop at the first proof.
+    Attempts follow each other in the order of their work; each stops at the first proof. With a state near by: a
+    mechanism near the difference (`neighbourhood.py`), then forces that change in growing regions around it, then
+    everywhere (`repair.py`). Then, and without one, ADMM on the whole with one sparse factorisation per state, and an
+    interior point method (`docs/decisions/0002`). What they leave undecided is up to the exact solver.
     """
 
     starts_from_guesses = True
@@ -85,6 +87,7 @@ class CpuSolver:
         self._options = kernel_options(settings)
         strength = problem.strength
         rough = bool((strength.friction > _LEAST_FRICTION).all())
+        self.reaches = REACHES
         self._interior = rough and not (strength.pull.any() or strength.stick.any())
         self._workers = Workers(settings.cpu.threads)
 
@@ -136,7 +139,7 @@ class CpuSolver:
             if falls and not fall_range(self.structure, chosen, origins[rows], RINGS, options, motion, *tail):
                 return
             if known[rows].any():
-                beside = origins[rows], known[rows], REACHES, self._interior
+                beside = origins[rows], known[rows], self.reaches, self._interior
                 if not repair_range(self.structure, chosen, *beside, options, force, *tail):
                     return
             if not open_at_last or not known[rows].all():

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.state import INSTALLED, REMOVED, States, as_states
 from falsework.errors import InputError
-from falsework.stability.margins.brackets import OUTSIDE, Bracket, largest, stride, weakest
+from falsework.stability.margins.brackets import OUTSIDE, Bracket, largest, weakest
 from falsework.stability.margins.conditions import Answer, Condition, OutOfTime
 from falsework.stability.margins.families import FLOOR, SMOOTH, Near, friction_bracket, load_bracket, weakest_load
 from falsework.stability.margins.prober import Prober
@@ -160,13 +160,16 @@ class MarginFinder:
             low = answer
         else:
             return StateMargins(False)
-        stands = answer
-        while stands.condition.friction - low.condition.friction > 0.01 * stands.condition.friction:
-            middle = 0.5 * (stands.condition.friction + low.condition.friction)
-            answer = prober.ask(state, Condition(middle, stands.condition.extra), stands)
-            stands, low = (answer, low) if answer.stands else (stands, answer)
-        bracket = Bracket(stands.condition.friction, stands, low.condition.friction, low)
-        return StateMargins(False, friction=self._bound(state, bracket, self._rough(start.condition), always=True))
+        found = largest(
+            lambda inverse, near: prober.ask(state, Condition(1.0 / inverse, prober.own().extra), near),
+            answer,
+            guess=1.0 / high,
+            low=1.0 / high,
+            cap=1.0 / low.condition.friction,
+            known=(1.0 / low.condition.friction, low),
+        )
+        turned = replace(found, inside=1.0 / found.inside, outside=1.0 / (found.outside or 1.0))
+        return StateMargins(False, friction=self._bound(state, turned, self._rough(start.condition), always=True))
 
     def _friction(self, state: States, start: Answer, near: Near) -> Bound | None:
         bracket = friction_bracket(self.prober, state, start, near)
@@ -237,8 +240,7 @@ class MarginFinder:
             return self.prober.ask(state, self._tilts(start.condition, row)(angle), near)
 
         def bound(row: int, known: tuple[float, Answer] | None) -> Bracket:
-            search = stride if self.prober.contact else largest
-            return search(
+            return largest(
                 lambda angle, near: probe(row, angle, near),
                 start,
                 guess=float(np.arctan(max(self._assembly.friction, 0.1))),
