@@ -172,7 +172,11 @@ def _patch_in_turn() -> None:
 def _patch_supports() -> None:
     from falsework.stability.cpu import solver
 
-    vars(solver)["REACHES"] = solver.REACHES[:1]
+    def around(call: Callable[..., Any], this: Any, *given: Any, **named: Any) -> None:
+        call(this, *given, **named)
+        this.reaches = this.reaches[:1]
+
+    _wrap(solver.CpuSolver, "__init__", around)
 
 
 def last_fixed(beam: Any) -> tuple[int, int]:

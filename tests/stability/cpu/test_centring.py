@@ -13,7 +13,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, complete_state
 from falsework.stability import Stability, Verdict, Verdicts, verify_certificates
 from falsework.stability.cpu import solver as cpu_solver
-from falsework.stability.cpu.repair import REACHES, repair_range
+from falsework.stability.cpu.repair import repair_range
 from falsework.stability.cpu.solver import CpuSolver, kernel_options
 from falsework.stability.problem import build_problem
 from falsework.stability.settings import EQUILIBRIUM, Cone
@@ -25,7 +25,7 @@ def _centre(solver: CpuSolver, states: NDArray, parents: NDArray, forces: NDArra
     verdict, residual = np.zeros(len(states), np.int8), np.full(len(states), np.nan)
     counts, out = np.zeros((2, len(states)), np.int32), forces.copy()
     known = np.ones(len(states), dtype=bool)
-    kernel = solver.structure, states, parents, known, REACHES, True, kernel_options(EQUILIBRIUM)
+    kernel = solver.structure, states, parents, known, solver.reaches, True, kernel_options(EQUILIBRIUM)
     repair_range(*kernel, out, verdict, residual, *counts)
     return verdict == Verdict.STABLE, out
 

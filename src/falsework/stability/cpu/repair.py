@@ -28,10 +28,6 @@ from falsework.stability.cpu.neighbourhood import hold_beside_corridor, hold_far
 from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED, residual_of_part
 from falsework.utils.kernels import njit
 
-REACHES = np.array([3, 5, 10, 20])
-"""Contacts by which regions reach beyond a change, tried in turn. The first is around the change alone; in the others
-are also the ways from there to a support that are longer than the shortest one by no more than that. Each takes about
-twice the work of the one before, on vaults, domes and shells of 60 to 2,000 parts."""
 _NEAR_STEPS, _ALL_STEPS = 12, 40
 """Most interior steps in a region, and in the whole. What a region balances takes up to ten."""
 _ROUNDING = 1e-12
@@ -140,7 +136,9 @@ def repair_state(structure, state, parent, reaches, interior, options, work, nea
     Args:
         structure, options, work: `KernelArrays`, `Options` and `Scratch`.
         state, parent: shape (parts,).
-        reaches: of the regions that are tried in turn; see `REACHES`.
+        reaches: contacts by which the regions that are tried in turn reach beyond the change. The first is around the
+            change alone; in the others are also the ways from there to a support that are longer than the shortest one
+            by no more than that.
         interior: whether forces stay inside their cones, by `run_centring`; ADMM leaves them on the boundaries.
         near: scratch, shape (parts,).
         forces: in: contact forces in N that balance the parent; out: of the state if it is stable. Shape (points, 3).
