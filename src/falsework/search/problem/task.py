@@ -154,7 +154,8 @@ class Task:
                 )
             if last[part] != REMOVED:
                 raise StateError(
-                    f"part {part} is missing but in the target, which is what assembly starts from; remove it there"
+                    f"part {part} is missing but already in place where assembly starts; take it out of that state, or "
+                    "out of the missing parts"
                 )
         _check_order(first, last, support)
         for name, state in (("start", first), ("target", last)):
