@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -160,15 +160,13 @@ class MarginFinder:
             low = answer
         else:
             return StateMargins(False)
-        found = largest(
-            lambda inverse, near: prober.ask(state, Condition(1.0 / inverse, prober.own().extra), near),
-            answer,
-            guess=1.0 / high,
-            low=1.0 / high,
-            cap=1.0 / low.condition.friction,
-            known=(1.0 / low.condition.friction, low),
-        )
-        turned = replace(found, inside=1.0 / found.inside, outside=1.0 / (found.outside or 1.0))
+
+        def ask(inverse: float, near: Answer) -> Answer:
+            return prober.ask(state, Condition(1.0 / inverse, start.condition.extra), near)
+
+        cap = 1.0 / max(low.condition.friction, SMOOTH)
+        found = largest(ask, answer, guess=1.0 / high, low=1.0 / high, cap=cap, known=(cap, low))
+        turned = replace(found, inside=1.0 / found.inside, outside=(found.fails or low).condition.friction)
         return StateMargins(False, friction=self._bound(state, turned, self._rough(start.condition), always=True))
 
     def _friction(self, state: States, start: Answer, near: Near) -> Bound | None:
@@ -236,12 +234,12 @@ class MarginFinder:
     def _tilt(self, state: States, start: Answer, order: Sequence[int]) -> Bound:
         """Return the largest tilt where other loads keep their direction."""
 
-        def probe(row: int, angle: float, near: Answer) -> Answer:
+        def probe(row: int, angle: float, near: Answer = start) -> Answer:
             return self.prober.ask(state, self._tilts(start.condition, row)(angle), near)
 
         def bound(row: int, known: tuple[float, Answer] | None) -> Bracket:
             return largest(
-                lambda angle, near: probe(row, angle, near),
+                partial(probe, row),
                 start,
                 guess=float(np.arctan(max(self._assembly.friction, 0.1))),
                 cap=cap,
@@ -250,7 +248,7 @@ class MarginFinder:
             )
 
         cap = float(np.arctan(LARGEST_SHARE))
-        found = weakest(order, lambda row, angle: probe(row, angle, start), bound, cap, start)
+        found = weakest(order, probe, bound, cap, start)
         if found is None:
             return self._unbounded(state, start)
         row, bracket = found
