@@ -73,18 +73,18 @@ def cost(back: int, repeats: int) -> None:
     chosen, alone, beside, together = late[:: max(len(late) // STATES, 1)], [], [], []
     for row in chosen:
         oracle = Stability(assembly)
-        oracle.judge(states[:1])  # lays the structure out
+        oracle.verdicts(states[:1])  # lays the structure out
         begun = time.process_time()
-        oracle.judge(states[row - 1])
+        oracle.verdicts(states[row - 1])
         between = time.process_time()
-        oracle.judge(states[row], parents=states[row - 1 : row])
+        oracle.verdicts(states[row], near=states[row - 1 : row])
         beside.append(time.process_time() - between)
         alone.append(between - begun)
     for _ in range(repeats):
         oracle = Stability(assembly)
-        oracle.judge(states[:1])
+        oracle.verdicts(states[:1])
         begun = time.process_time()
-        oracle.judge(states[chosen])
+        oracle.verdicts(states[chosen])
         together.append((time.process_time() - begun) / len(chosen))
     hundred = 100.0 / float(np.median((states[chosen] == INSTALLED).sum(axis=1)))
     report(

@@ -71,7 +71,7 @@ def verdicts(name: str, options: Options) -> Iterator[dict[str, Any]]:
         for criterion, settings in (("contact", StabilitySettings()), ("equilibrium", EQUILIBRIUM)):
             oracle = Stability(assembly, settings)
             begun = time.perf_counter()
-            found = [oracle.judge(states, parents=parents) for states, parents in zip(*questions, strict=True)]
+            found = [oracle.verdicts(states, near=parents) for states, parents in zip(*questions, strict=True)]
             times[criterion].append(time.perf_counter() - begun)
             counts[criterion] = int(sum(batch.stable.sum() for batch in found))
     asked = sum(map(len, recorder.states))
@@ -81,7 +81,7 @@ def verdicts(name: str, options: Options) -> Iterator[dict[str, Any]]:
     for state in states:
         oracle = Stability(assembly)
         begun = time.perf_counter()
-        oracle.judge(state[None])
+        oracle.verdicts(state[None])
         cold.append((time.perf_counter() - begun) * 1e3)
     yield {
         "asked": asked,
@@ -104,7 +104,7 @@ def steps(name: str, options: Options) -> Iterator[dict[str, Any]]:
     agree = 0
     for _ in range(options.repeat):
         oracle = Stability(assembly)
-        oracle.judge(complete[None], parents=complete[None])
+        oracle.verdicts(complete[None], near=complete[None])
         state = complete
         for part in highest:
             for value in (HELD, REMOVED):
@@ -113,7 +113,7 @@ def steps(name: str, options: Options) -> Iterator[dict[str, Any]]:
                 found = []
                 for way, judge in (("beside", oracle), ("from rest", Stability(assembly))):
                     begun = time.process_time()
-                    found.append(judge.judge(child[None], parents=state[None]).verdict[0])
+                    found.append(judge.verdicts(child[None], near=state[None]).verdict[0])
                     times[way].append((time.process_time() - begun) * 1e3)
                 agree += int(found[0] == found[1])
                 if found[0] != Verdict.STABLE:

@@ -92,7 +92,7 @@ def main(options: Options) -> None:
             for friction, holds in asked:
                 at = structure.replace(friction=friction)
                 begin = time.perf_counter()
-                verdict = Stability(at, settings).check(state)
+                verdict = Stability(at, settings).verdicts(state, require_certificate=True)
                 found["seconds"].append(time.perf_counter() - begin)
                 stable = verdict.verdict[0] == 1
                 proven = stable and verify_certificates(at, state, verdict, settings.claim)[0]
@@ -101,7 +101,7 @@ def main(options: Options) -> None:
                 found["cautious"].append(holds and (verdict.verdict[0] in (-1, 0)))
                 if options.faces != "shared":
                     mean = replace(at, contacts=replace(at.contacts, lean=None))
-                    there = Stability(mean, settings).check(state)
+                    there = Stability(mean, settings).verdicts(state, require_certificate=True)
                     proven = there.verdict[0] == 1 and verify_certificates(mean, state, there, settings.claim)[0]
                     found["unsafe_about_mean"].append(proven and not holds)
     for (surface, criterion), found in counts.items():

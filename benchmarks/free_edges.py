@@ -74,9 +74,9 @@ class FromRest:
         self._oracle = oracle
         self.holds_keep_stable = oracle.holds_keep_stable
 
-    def judge(self, states: States, *, parents: States | None = None) -> Verdicts:
+    def verdicts(self, states: States, *, near: States | None = None, require_certificate: bool = False) -> Verdicts:
         """See `falsework.search.problem.oracle.Oracle`."""
-        return self._oracle.judge(states, parents=parents)
+        return self._oracle.verdicts(states, near=near, require_certificate=require_certificate)
 
 
 def rib(assembly: Assembly) -> NDArray[np.intp]:

@@ -101,7 +101,7 @@ def time_phases(search: DeviceBeam) -> dict[str, float]:
 def disagreements(states: np.ndarray, count: int, oracle: Stability) -> int:
     """Return how many of some states drawn at random the oracle does not prove stable."""
     rows = np.random.default_rng(0).permutation(len(states))[:count]
-    return int((~oracle.stable(states[rows])).sum())
+    return int((~oracle.verdicts(states[rows]).stable).sum())
 
 
 def measure(

@@ -127,7 +127,9 @@ def plans(options: Options) -> Iterator[dict[str, Any]]:
             "varied_falls": [f"{case.name}: state {case.falls_at}" for case in varied if not case.good],
             "built": _count(replay_by_discrete_elements(assembly, states, presses=presses).stands),
             "settled": _count(settle(assembly, states).stands),
-            "proven": _count(settle(assembly, states, forces=oracle.check(states).forces).stands),
+            "proven": _count(
+                settle(assembly, states, forces=oracle.verdicts(states, require_certificate=True).forces).stands
+            ),
         }
         if options.lmgc90:
             some = np.unique(np.linspace(0, len(states) - 1, options.lmgc90).round().astype(int))
@@ -247,7 +249,7 @@ def scenes(options: Options) -> Iterator[dict[str, Any]]:
         state = complete_state(assembly.boundary)
         oracle = Stability(assembly)
         assert oracle.replayer is not None
-        verdict = Verdict(oracle.judge(state[None]).verdict[0]).name.lower()
+        verdict = Verdict(oracle.verdicts(state[None]).verdict[0]).name.lower()
         replay = oracle.replayer.replay(np.stack([np.full_like(state, HELD), state]))
         found[f"{verdict}, {_STANDS[int(replay.stands[-1])]} in the replay"] += 1
     yield {"scenes": options.scenes, "seeds": tuple(range(options.scenes)), "found": dict(found)}

@@ -225,7 +225,7 @@ class Meter:
 
     def watch_all(self, oracle: type, replayer: type) -> None:
         """Count what an oracle and a replayer are asked."""
-        for method in ("judge", "plausible", "check"):
+        for method in ("verdicts", "plausible", "judge", "check"):  # the last two in older commits
             self.watch(oracle, method, _one_each)
         self.watch(replayer, "replay", _steps)
 

@@ -198,7 +198,7 @@ def limit_of_elements(assembly: Assembly, state: np.ndarray, bound: Bound, kind:
 
 def stands_from_forces(assembly: Assembly, state: np.ndarray) -> bool:
     """Return whether discrete elements stay at rest that begin with the forces of the certificate."""
-    forces = Stability(assembly).check(state).forces
+    forces = Stability(assembly).verdicts(state, require_certificate=True).forces
     return bool(settle(assembly, state, forces=forces).stands[0] == 1)
 
 

@@ -85,7 +85,7 @@ def measure(parts: int, repeats: int) -> dict[str, float | int | str]:
     assembly = load_structure(f"vault:parts={parts}")
     small = load_structure("vault:parts=62")
     for settings in (EQUILIBRIUM, StabilitySettings()):  # compiles
-        Stability(small, settings).check(complete_state(small.boundary))
+        Stability(small, settings).verdicts(complete_state(small.boundary), require_certificate=True)
     state = complete_state(assembly.boundary)
     loose = np.flatnonzero(~assembly.boundary)
     highest = loose[np.argsort(-assembly.mass.center[loose, 2])][:_HIGHEST]
@@ -98,18 +98,18 @@ def measure(parts: int, repeats: int) -> dict[str, float | int | str]:
         clock("problem_s")
         for name, asked in (("equilibrium_s", oracle), ("contact_s", Stability(assembly))):
             begun = time.process_time()
-            verdict = asked.check(state)
+            verdict = asked.verdicts(state, require_certificate=True)
             clock(name)
             if not verdict.stable[0]:
                 raise SystemExit(f"vault:parts={parts} is not proven stable")
         iterations = int(verdict.iterations[0])
         oracle, before = Stability(assembly), state
-        oracle.judge(state[None], parents=state[None])
+        oracle.verdicts(state[None], near=state[None])
         for change in ((part, value) for part in highest for value in (HELD, REMOVED)):
             after = before.copy()
             after[change[0]] = change[1]
             begun = time.process_time()
-            stands = oracle.judge(after[None], parents=before[None]).stable[0]
+            stands = oracle.verdicts(after[None], near=before[None]).stable[0]
             if not stands:
                 break
             clock("next_s")

@@ -129,7 +129,11 @@ def _probe_few_ahead(note: Note) -> None:
 def _patch_supports() -> None:
     from falsework.stability.cpu import solver
 
-    vars(solver)["CORRIDORS"] = solver.CORRIDORS[:0]
+    def around(call: Callable[..., Any], this: Any, *given: Any, **named: Any) -> None:
+        call(this, *given, **named)
+        this.reaches = this.reaches[:1]
+
+    _wrap(solver.CpuSolver, "__init__", around)
 
 
 RULES: dict[str, Rule] = {
@@ -164,10 +168,9 @@ RULES: dict[str, Rule] = {
         _probe_few_ahead,
     ),
     "supports": Rule(
-        "Verdicts under `equilibrium` change forces along ways to supports; without it, near the change, or anywhere. "
-        "From 400 parts on, compiled code keeps some of these ways.",
+        "Verdicts under `equilibrium` change forces along ways to supports; without it, near the change, or anywhere.",
         _patch_supports,
-        _shown_by(_SOLVER, "CpuSolver", "__init__", lambda _, solver, *__, **___: len(solver._corridors)),
+        _shown_by(_SOLVER, "CpuSolver", "__init__", lambda _, solver, *__, **___: len(solver.reaches) > 1),
     ),
 }
 """Rules by their names."""

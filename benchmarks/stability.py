@@ -105,7 +105,7 @@ def measure_verdicts(name: str, assembly: Assembly, states: States, parents: Sta
     """Measure agreement and speed on the same states."""
     settings = StabilitySettings(criterion="equilibrium", cone=options.cone, cpu=CpuSettings(threads=options.threads))
     checked = Stability(assembly, settings)
-    verdicts = checked.check(states)
+    verdicts = checked.verdicts(states, require_certificate=True)
     accepted = int(verify_certificates(assembly, states, verdicts, settings.claim).sum())
     exact = ExactSolver(assembly, settings)
     with one_core():
@@ -115,8 +115,8 @@ def measure_verdicts(name: str, assembly: Assembly, states: States, parents: Sta
     rows: list[dict[str, float]] = []
     for chunk in np.array_split(np.arange(len(states)), options.rounds):
         near, alone = Stability(assembly, settings), Stability(assembly, settings)
-        with_parents, judged = seconds_of(lambda near=near: near.judge(states, parents=parents))
-        without, _ = seconds_of(lambda alone=alone: alone.judge(states))
+        with_parents, judged = seconds_of(lambda near=near: near.verdicts(states, near=parents))
+        without, _ = seconds_of(lambda alone=alone: alone.verdicts(states))
         with one_core():
             slow, answers = seconds_of(lambda chunk=chunk: exact.check(states[chunk]))
         verdict[chunk] = answers.verdict
@@ -156,14 +156,16 @@ def measure_cold(name: str, assembly: Assembly, states: States, options: Options
     """Measure milliseconds from an assembly to the first verdict, and of single verdicts without cached neighbours."""
     settings = StabilitySettings(criterion="equilibrium", cone=options.cone, cpu=CpuSettings(threads=options.threads))
     state = complete_state(assembly.boundary)
-    Stability(assembly, settings).check(state)
-    Stability(assembly, settings).judge(state)
+    Stability(assembly, settings).verdicts(state, require_certificate=True)
+    Stability(assembly, settings).verdicts(state)
     set_up, first, single = [], [], []
     for row in states[:50]:
         made, stability = seconds_of(lambda: Stability(assembly, settings))
         set_up.append(made)
-        first.append(seconds_of(lambda stability=stability: stability.check(state))[0])
-        single.append(seconds_of(lambda stability=stability, row=row: stability.check(row))[0])
+        first.append(seconds_of(lambda stability=stability: stability.verdicts(state, require_certificate=True))[0])
+        single.append(
+            seconds_of(lambda stability=stability, row=row: stability.verdicts(row, require_certificate=True))[0]
+        )
     report(
         "stability cold",
         structure=name,
@@ -190,7 +192,7 @@ def measure_baseline(name: str, assembly: Assembly, states: States, parents: Sta
     shared.check(states[:1])
     seconds, answers = seconds_of(lambda: shared.check(states))
     stability = Stability(assembly, settings)
-    ours, verdicts = seconds_of(lambda: stability.judge(states, parents=parents))
+    ours, verdicts = seconds_of(lambda: stability.verdicts(states, near=parents))
     report(
         "stability baseline",
         structure=name,

@@ -29,11 +29,11 @@ class Recorder:
     def __getattr__(self, name: str) -> Any:
         return getattr(self.oracle, name)
 
-    def judge(self, states: States, *, parents: States | None = None) -> Verdicts:
-        """Check states as `Stability.judge`; states without parents, such as the ends of a task, are not recorded."""
-        if parents is not None:
-            self._record(states, parents)
-        return self.oracle.judge(states, parents=parents)
+    def verdicts(self, states: States, *, near: States | None = None, require_certificate: bool = False) -> Verdicts:
+        """Return verdicts as `Stability`; states without near ones, such as the ends of a task, are not recorded."""
+        if near is not None:
+            self._record(states, near)
+        return self.oracle.verdicts(states, near=near, require_certificate=require_certificate)
 
     def plausible(self, states: States, parents: States) -> NDArray[np.bool_]:
         """Return which states a replay may find at rest, as `Stability.plausible`."""

@@ -12,7 +12,7 @@ from falsework.stability import Stability
 def verdict(spec: str) -> str:
     """Whether a structure stands when it is complete and nobody holds a part."""
     assembly = load_structure(spec)
-    return "stands" if Stability(assembly).stable(complete_state(assembly.boundary)[None])[0] else "falls"
+    return "stands" if Stability(assembly).verdicts(complete_state(assembly.boundary)[None]).stable[0] else "falls"
 
 
 def main() -> None:

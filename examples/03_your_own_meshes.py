@@ -43,7 +43,7 @@ def main() -> None:
             [1, 1, 0, 2, 2],  # without one leg, but a robot holds the top
         ]
     )
-    print("stable:", oracle.stable(states).tolist())
+    print("stable:", oracle.verdicts(states).stable.tolist())
 
     with tempfile.TemporaryDirectory() as folder:
         path = save_assembly(table, Path(folder) / "table")

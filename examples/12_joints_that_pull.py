@@ -17,7 +17,7 @@ def main() -> None:
     for kilopascals in (0, 1, 3, 10):
         joints = Joints.of(corbel.contacts, tension=1000.0 * kilopascals)
         glued = corbel.replace(joints=joints)
-        verdicts = Stability(glued).check(state)
+        verdicts = Stability(glued).verdicts(state, require_certificate=True)
         assert verify_certificates(glued, state[None], verdicts, StabilitySettings().claim).all()
         print(f"tension {kilopascals} kPa: {'stands' if verdicts.stable[0] else 'falls'}")
 

@@ -209,7 +209,7 @@ def test_every_function_takes_a_structure_by_name_or_path(arch: Assembly, plan: 
         lambda given: fw.replan(given, start).plans[0].actions.tolist(),
         lambda given: fw.Replanner(given).replan(start).plans[0].actions.tolist(),
         lambda given: fw.validate_plan(plan, given).good,
-        lambda given: fw.Stability(given).stable(start[None]).tolist(),
+        lambda given: fw.Stability(given).verdicts(start[None]).stable.tolist(),
         lambda given: fw.export(given, tmp_path / "copy.glb"),
         lambda given: fw.open_file(tmp_path / "plan.json", given).kind,
     ]
@@ -358,8 +358,8 @@ def test_results_print_as_one_line(arch: Assembly, plan: fw.Plan) -> None:
         repr(plan): "10 steps with 2 robots, criterion contact",
         repr(planning): "proved_impossible",
         repr(fw.find_plans(arch, robots=2)): "found, (<Plan",
-        repr(oracle.check(plan.states)): "11 states: 11 stable",
-        repr(oracle.check(plan.states[:1] * 0 + 2 * arch.boundary)): "1 state",
+        repr(oracle.verdicts(plan.states, require_certificate=True)): "11 states: 11 stable",
+        repr(oracle.verdicts(plan.states[:1] * 0 + 2 * arch.boundary, require_certificate=True)): "1 state",
         repr(fw.load_cell("bottle-12", check=False)): "robots front, back",
     }
     for line, words in lines.items():

@@ -38,9 +38,9 @@ def test_a_prop_carries_an_overhang(overhang: Assembly, criterion: Criterion) ->
     assert propped.names[-1] == "prop-plank"
     assert propped.immovable.tolist() == [False, False, True, True]
     oracle = Stability(propped, replace(EQUILIBRIUM, criterion=criterion, cone=None))
-    verdicts = oracle.check([[1, 1, 2, 0], [1, 1, 2, 2], [1, 0, 2, 0]])
+    verdicts = oracle.verdicts([[1, 1, 2, 0], [1, 1, 2, 2], [1, 0, 2, 0]], require_certificate=True)
     assert verdicts.verdict.tolist() == [-1, 1, 1]
-    bare = Stability(overhang, oracle.settings).check([[1, 1, 2], [1, 0, 2]])
+    bare = Stability(overhang, oracle.settings).verdicts([[1, 1, 2], [1, 0, 2]], require_certificate=True)
     assert bare.verdict.tolist() == [-1, 1]
 
 
@@ -50,7 +50,7 @@ def test_a_prop_pushes_and_does_not_pull(overhang: Assembly) -> None:
     plank = box("plank", (2.4, 0, 2), (9, 1, 2.2))
     tips = Assembly.from_meshes([wall, plank], boundary=[], ground=True, name="tips")
     propped = with_props(tips, [Prop(1, (2.7, 0.5, 2.0), 0.0)])
-    assert Stability(propped).check([1, 1, 2, 2]).unstable[0]
+    assert Stability(propped).verdicts([1, 1, 2, 2], require_certificate=True).unstable[0]
 
 
 def test_places(overhang: Assembly) -> None:

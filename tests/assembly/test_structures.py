@@ -122,4 +122,8 @@ def test_the_complete_armadillo_stands(name):
     assembly = load(name)[0].replace(friction=0.84)
     state = complete_state(assembly.boundary)[None]
     for criterion in ("equilibrium", "contact"):
-        assert Stability(assembly, StabilitySettings(criterion=criterion)).check(state).stable.all()
+        assert (
+            Stability(assembly, StabilitySettings(criterion=criterion))
+            .verdicts(state, require_certificate=True)
+            .stable.all()
+        )

@@ -133,12 +133,12 @@ def test_images_of_states_stand_if_the_states_do() -> None:
     oracle, rng = Stability(assembly, EQUILIBRIUM), np.random.default_rng(0)
     states = rng.choice([0, 1, 2], p=[0.3, 0.6, 0.1], size=(60, assembly.part_count)).astype(np.uint8)
     states[:, assembly.boundary] = 2
-    verdicts = oracle.judge(states).verdict
+    verdicts = oracle.verdicts(states).verdict
     assert 0.05 < (verdicts == 1).mean() < 0.95
     for image in symmetries(assembly):
         there = np.empty_like(states)
         there[:, image] = states
-        assert np.array_equal(oracle.judge(there).verdict, verdicts)
+        assert np.array_equal(oracle.verdicts(there).verdict, verdicts)
 
 
 def test_one_part_and_parts_on_the_axis_have_no_others_to_be() -> None:

@@ -58,10 +58,10 @@ def test_states_of_a_perturbed_structure_have_the_same_verdicts(plain: Assembly,
     states[:, plain.boundary] = 2
     perturbation = Perturbation.draw(1, plain.part_count)
     settings = StabilitySettings(criterion=criterion)
-    verdicts = Stability(plain, settings).judge(states).stable
+    verdicts = Stability(plain, settings).verdicts(states).stable
     assert 0 < verdicts.sum() < len(verdicts)
     perturbed = Stability(perturbation.of(plain), settings)
-    assert (perturbed.judge(states[:, perturbation.order]).stable == verdicts).all()
+    assert (perturbed.verdicts(states[:, perturbation.order]).stable == verdicts).all()
 
 
 def test_half_of_the_structures_are_held_out() -> None:
@@ -119,10 +119,10 @@ def test_runs_are_read_again_up_to_one_that_was_cut_short(tmp_path: Path) -> Non
 
 def test_a_meter_counts_outer_calls_only_and_ends_the_search() -> None:
     class Judge:
-        def check(self, states: list[int]) -> list[int]:
-            return self.judge(states)
+        def plausible(self, states: list[int]) -> list[int]:
+            return self.verdicts(states)
 
-        def judge(self, states: list[int]) -> list[int]:
+        def verdicts(self, states: list[int]) -> list[int]:
             return states
 
         def replay(self, states: list[int], history: object = None) -> SimpleNamespace:
@@ -130,17 +130,17 @@ def test_a_meter_counts_outer_calls_only_and_ends_the_search() -> None:
 
     meter, judge = Meter(budget=10, limit=1e9), Judge()
     meter.watch_all(Judge, Judge)
-    judge.check([1, 1, 1])
+    judge.plausible([1, 1, 1])
     assert (meter.verdicts, meter.replayed) == (3, 0)
     judge.replay([1, 1])
     judge.replay([1, -1, 0, 0], history=object())
     assert (meter.verdicts, meter.replayed, meter.cost) == (3, 3, 6)
-    assert meter.without(judge.judge)([1] * 20) == [1] * 20
+    assert meter.without(judge.verdicts)([1] * 20) == [1] * 20
     assert meter.cost == 6
-    judge.judge([1, 1, 1, 1])
+    judge.verdicts([1, 1, 1, 1])
     assert meter.spent()
     with pytest.raises(KeyboardInterrupt):
-        judge.judge([1])
+        judge.verdicts([1])
     assert (meter.cost, meter.ended) == (10, "budget")
 
 

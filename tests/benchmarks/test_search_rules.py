@@ -47,7 +47,7 @@ class Chance:
     def __init__(self, share: float) -> None:
         self._most = share * 2**32
 
-    def judge(self, states: States, *, parents: States | None = None) -> Verdicts:
+    def verdicts(self, states: States, *, near: States | None = None, require_certificate: bool = False) -> Verdicts:
         """See `Oracle`."""
         verdicts = Verdicts.blank(len(states))
         verdicts.verdict[:] = [1 if crc32(state.tobytes()) < self._most else -1 for state in states]

@@ -42,7 +42,7 @@ def test_an_unknown_family_is_refused() -> None:
 def test_members_are_buildable_and_their_states_stand() -> None:
     for member in members(2, kinds=("arch", "stack"), seed=3, width=8):
         states = member.solved.states.numpy()
-        assert Stability(member.assembly).judge(states).verdict.all()
+        assert Stability(member.assembly).verdicts(states).verdict.all()
         assert (states == member.environment.rules.complete()[0].numpy()).all(axis=1).any()
         assert member.solved.valid_actions(member.environment.rules.complete()).any()
 
@@ -55,4 +55,4 @@ def test_turning_a_structure_changes_nothing_that_matters() -> None:
     np.testing.assert_allclose(other.contacts.normals[:, 2], arch.contacts.normals[:, 2], atol=1e-9)
     states = np.random.default_rng(0).integers(0, 3, (60, arch.part_count), dtype=np.uint8)
     states[:, arch.boundary] = 2
-    assert (Stability(arch).judge(states).verdict == Stability(other).judge(states).verdict).all()
+    assert (Stability(arch).verdicts(states).verdict == Stability(other).verdicts(states).verdict).all()

@@ -37,7 +37,7 @@ def stick(bricks: list[tuple[int, int, int]]) -> list[Brick]:
 def verdict(bricks: list[Brick], criterion: str = "equilibrium", **options: Any) -> int:
     assembly = assemble_bricks(bricks, **options)
     oracle = Stability(assembly, StabilitySettings(criterion=criterion))  # type: ignore[arg-type]
-    return int(oracle.check(complete_state(assembly.boundary)).verdict[0])
+    return int(oracle.verdicts(complete_state(assembly.boundary), require_certificate=True).verdict[0])
 
 
 @pytest.mark.parametrize("criterion", ["equilibrium", "contact"])
@@ -91,7 +91,7 @@ def test_ldraw_with_plates_and_wide_bricks(tmp_path: Path) -> None:
     assert heights == [3.2, 3.2, 9.6, 9.6]
     assert assembly.contacts.parts.tolist() == [[0, 1], [0, 4], [1, 2], [3, 4]]
     assert np.diff(assembly.contacts.start).tolist() == [72, 72, 72, 24]
-    assert Stability(assembly).check(complete_state(assembly.boundary)).stable.all()
+    assert Stability(assembly).verdicts(complete_state(assembly.boundary), require_certificate=True).stable.all()
 
 
 @ON_A_PLATE
@@ -112,7 +112,7 @@ def test_text_of_brickgpt(tmp_path: Path) -> None:
     assert np.diff(assembly.contacts.start).tolist() == [12, 24, 12, 24, 12, 12]
     for criterion in ("equilibrium", "contact"):
         oracle = Stability(assembly, StabilitySettings(criterion=criterion))  # type: ignore[arg-type]
-        assert oracle.check(complete_state(assembly.boundary)).stable.all()
+        assert oracle.verdicts(complete_state(assembly.boundary), require_certificate=True).stable.all()
 
 
 LDRAW = """0 A table

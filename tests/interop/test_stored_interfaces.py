@@ -40,7 +40,10 @@ def test_what_was_found_and_stored_comes_back(arch: Assembly, written: Path) -> 
     assert np.allclose(stored.contacts.areas, arch.contacts.areas)
     assert found.identity == arch.identity
     assert stored.identity != arch.identity
-    both = [Stability(assembly).check(complete_state(arch.boundary)) for assembly in (arch, stored)]
+    both = [
+        Stability(assembly).verdicts(complete_state(arch.boundary), require_certificate=True)
+        for assembly in (arch, stored)
+    ]
     assert both[0].verdict.tolist() == both[1].verdict.tolist() == [1]
 
 

@@ -40,8 +40,14 @@ class RuleOracle:
     asked: list[NDArray[np.uint8]] = field(default_factory=list)
     holds_keep_stable: bool = True
 
-    def judge(self, states: NDArray[np.uint8], *, parents: NDArray[np.uint8] | None = None) -> Verdicts:
-        assert parents is None or len(parents) == len(states)
+    def verdicts(
+        self,
+        states: NDArray[np.uint8],
+        *,
+        near: NDArray[np.uint8] | None = None,
+        require_certificate: bool = False,
+    ) -> Verdicts:
+        assert near is None or len(near) == len(states)
         self.asked.append(states.copy())
         return verdicts_of(np.array([self.stands(tuple(state.tolist())) for state in states], dtype=bool))
 
@@ -60,8 +66,14 @@ class PressingOracle(RuleOracle):
     pressed: list[frozenset[int]] = field(default_factory=list)
     holds_keep_stable: bool = False
 
-    def judge(self, states: NDArray[np.uint8], *, parents: NDArray[np.uint8] | None = None) -> Verdicts:
-        verdicts = super().judge(states, parents=parents)
+    def verdicts(
+        self,
+        states: NDArray[np.uint8],
+        *,
+        near: NDArray[np.uint8] | None = None,
+        require_certificate: bool = False,
+    ) -> Verdicts:
+        verdicts = super().verdicts(states, near=near)
         slides = [super(PressingOracle, self).stands(tuple(state.tolist())) for state in states]
         verdicts.verdict[np.array(slides, dtype=bool) & ~verdicts.stable] = Verdict.SLIDES
         return verdicts

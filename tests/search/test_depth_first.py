@@ -89,11 +89,11 @@ def test_an_interruption_loses_no_move(rules: Any) -> None:
 
         calls = 0
 
-        def judge(self, states: Any, *, parents: Any = None) -> Any:
+        def verdicts(self, states: Any, *, near: Any = None, require_certificate: bool = False) -> Any:
             self.calls += 1
             if self.calls % 2 == 0:
                 raise KeyboardInterrupt
-            return oracle.judge(states)
+            return oracle.verdicts(states)
 
     search = DepthFirstSearch(task, Impatient())
     while True:

@@ -99,7 +99,7 @@ def test_gives_up_honestly(rules: Any) -> None:
 
 def test_no_proof_on_undecided_verdicts(rules: Any) -> None:
     class Unsure:
-        def judge(self, states: Any, *, parents: Any = None) -> Any:
+        def verdicts(self, states: Any, *, near: Any = None, require_certificate: bool = False) -> Any:
             stable = (states == states[:, 1:2])[:, 1:].all(axis=1)  # of the two ends alone
             return rules.verdicts(stable, ~stable)
 
@@ -116,7 +116,7 @@ def test_no_plan_between_ends_that_do_not_stand(rules: Any, end: str, sure: bool
     task = Task.create(rules.ground(4), 1)
 
     class OneEnd:
-        def judge(self, states: Any, *, parents: Any = None) -> Any:
+        def verdicts(self, states: Any, *, near: Any = None, require_certificate: bool = False) -> Any:
             wrong = (states == getattr(task, end)).all(axis=1)
             return rules.verdicts(~wrong, None if sure else wrong)
 

@@ -92,7 +92,7 @@ def test_two_robots_cannot_close_the_top_ring(public_structure_path: Callable[[s
         state = np.where(assembly.boundary, 2, rng.integers(0, 2, 90)).astype(np.uint8)
         state[80:] = 0
         state[rng.choice(np.arange(80, 90), 2, replace=False)] = 1, 2
-        assert oracle.judge(state).unstable.all()
+        assert oracle.verdicts(state).unstable.all()
 
 
 def test_a_start_in_which_parts_are_held(small_arch: Assembly) -> None:

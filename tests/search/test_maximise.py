@@ -53,7 +53,7 @@ def test_a_bound_that_no_search_reaches_does_not_hold_it_up() -> None:
     assert weakest is not None
     assert weakest[1] < 0.95 * plan.margins.bound
     assert max(asked) < 1200
-    assert np.all(Stability(assembly).judge(plan.states).stable)
+    assert np.all(Stability(assembly).verdicts(plan.states).stable)
 
 
 def test_a_stopped_search_returns_the_first_plan_with_its_margins() -> None:

@@ -252,7 +252,7 @@ def test_one_robot_cannot_take_an_arch_apart(small_arch: Assembly, arch_oracle: 
     assert not planning.found
     assert planning.result.outcome is Outcome.PROVED_IMPOSSIBLE
     assert planning.plans == ()
-    verdicts = arch_oracle.check(planning.result.rejected)
+    verdicts = arch_oracle.verdicts(planning.result.rejected, require_certificate=True)
     assert verdicts.unstable.all()
     assert verdicts.velocity is not None
 

@@ -115,7 +115,7 @@ def test_verdicts_agree_with_the_exact_solver(live: Any) -> None:
     random = np.random.default_rng(0)
     states = random.integers(0, 3, (60, live.assembly.part_count))
     states[:, live.assembly.boundary] = 2
-    truth = Stability(live.assembly, StabilitySettings(solver="exact")).check(states)
+    truth = Stability(live.assembly, StabilitySettings(solver="exact")).verdicts(states, require_certificate=True)
     for explain in (False, True):
         found = live.post("/stability", {"states": states.tolist(), "explain": explain}).json()["verdicts"]
         assert [record["verdict"] == "stable" for record in found] == truth.stable.tolist()

@@ -23,7 +23,7 @@ def compare(assembly: Assembly, states: NDArray[np.uint8], cone: str, *, exact: 
     """Check that the fast solver decides every state with a proof, as the exact solver does; return the verdicts."""
     settings = StabilitySettings(criterion="equilibrium", cone=cone)  # type: ignore[arg-type]
     stability = Stability(assembly, settings)
-    verdicts = stability.check(states)
+    verdicts = stability.verdicts(states, require_certificate=True)
     assert not verdicts.undecided.any()
     assert stability.counters.rejected == 0
     assert verify_certificates(assembly, states, verdicts, settings.claim).all()
@@ -48,7 +48,11 @@ def test_three_methods_agree(scenes: Any, simplex: Callable[..., float], structu
     states = mixed_states(scenes, assembly, 8, seed=11)
     verdict = compare(assembly, states, "octagon")
     assert {Verdict.STABLE, Verdict.UNSTABLE} == set(verdict.tolist())
-    residual = Stability(assembly, StabilitySettings(criterion="equilibrium")).check(states).residual
+    residual = (
+        Stability(assembly, StabilitySettings(criterion="equilibrium"))
+        .verdicts(states, require_certificate=True)
+        .residual
+    )
     for state, value, proven in zip(states, verdict, residual, strict=True):
         least = simplex(assembly, state)
         assert value == (Verdict.STABLE if least <= TOLERANCE else Verdict.UNSTABLE)
@@ -97,7 +101,7 @@ def test_any_tolerance(scenes: Any, simplex: Callable[..., float], tolerance: fl
     assembly = library.build("stack:blocks=3,overhang=1.001")
     states = mixed_states(scenes, assembly, 8, seed=15)
     settings = StabilitySettings(criterion="equilibrium", tolerance=tolerance)
-    verdicts = Stability(assembly, settings).check(states)
+    verdicts = Stability(assembly, settings).verdicts(states, require_certificate=True)
     assert not verdicts.undecided.any()
     close = 0
     for state, verdict, on_tolerance in zip(states, verdicts.verdict, verdicts.on_tolerance, strict=True):

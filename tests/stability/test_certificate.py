@@ -48,7 +48,7 @@ def case(request: pytest.FixtureRequest, scenes: Any) -> tuple[Assembly, NDArray
     states = np.unique(scenes.few_changes(assembly, 40, seed=1), axis=0)
     states = states[(states == 1).any(axis=1)]
     settings = StabilitySettings(criterion="equilibrium", cone=request.param)
-    verdicts = Stability(assembly, settings).check(states)
+    verdicts = Stability(assembly, settings).verdicts(states, require_certificate=True)
     assert verdicts.stable.sum() > 3
     assert verdicts.unstable.sum() > 3
     return assembly, states, verdicts, settings.claim
@@ -126,9 +126,9 @@ def along_a_plan() -> tuple[Assembly, NDArray, NDArray]:
     oracle = Stability(vault, EQUILIBRIUM)
     plan = find_plans(vault, robots=2, oracle=oracle).plans[0]
     states, assembly = plan.states[60:], vault
-    found = [oracle.check(states[0])]
+    found = [oracle.verdicts(states[0], require_certificate=True)]
     for before, state in pairwise(states):
-        found.append(oracle.check_next(state[None], before[None], found[-1]))
+        found.append(oracle.verdicts(state, near=before, require_certificate=True))
     return assembly, states, np.concatenate([each.forces for each in found if each.forces is not None])
 
 
@@ -216,7 +216,9 @@ def test_what_only_grows_along_a_plan_is_added_up(along_a_plan: tuple, residual_
 def test_forces_of_another_state_are_rejected(scenes: Any) -> None:
     """What carries a tower of three does not balance the tower without its base, nor with another block free."""
     tower = scenes.tower(3)
-    verdicts = Stability(tower, StabilitySettings(criterion="equilibrium")).check([1, 1, 1, 2])
+    verdicts = Stability(tower, StabilitySettings(criterion="equilibrium")).verdicts(
+        [1, 1, 1, 2], require_certificate=True
+    )
     assert verdicts.stable[0]
     for state, expected in (([1, 1, 1, 2], True), ([0, 1, 1, 2], False), ([1, 1, 0, 2], False), ([2, 1, 1, 2], True)):
         # With the base held, its forces stay those of a state in which it needs none.
@@ -245,7 +247,9 @@ def test_random_velocities_are_rejected(case: tuple) -> None:
 
 def test_a_velocity_of_a_part_that_is_held_proves_nothing(scenes: Any) -> None:
     tower = scenes.tower(2)
-    verdicts = Stability(tower, StabilitySettings(criterion="equilibrium")).check([0, 1, 2])
+    verdicts = Stability(tower, StabilitySettings(criterion="equilibrium")).verdicts(
+        [0, 1, 2], require_certificate=True
+    )
     assert verdicts.unstable[0]
     assert verify_certificates(tower, np.array([[0, 1, 2]], np.uint8), verdicts)[0]
     assert not verify_certificates(tower, np.array([[0, 2, 2]], np.uint8), verdicts)[0]
@@ -307,7 +311,9 @@ def test_the_octagon_is_the_narrower_cone(scenes: Any) -> None:
 def test_forces_above_the_bound_are_rejected(scenes: Any) -> None:
     """Walls may press harder on a clamped cube without disturbing it, up to the bound on all normal forces."""
     clamp = scenes.clamp(friction=1.0)
-    verdicts = Stability(clamp, StabilitySettings(criterion="equilibrium")).check([1, 2, 2])
+    verdicts = Stability(clamp, StabilitySettings(criterion="equilibrium")).verdicts(
+        [1, 2, 2], require_certificate=True
+    )
     assert verdicts.stable[0]
     assert verdicts.forces is not None
     weight = 9.81 * clamp.mass.mass[0]
@@ -327,8 +333,8 @@ def test_certificates_must_be_there_and_fit(scenes: Any) -> None:
     stability = Stability(tower, StabilitySettings(criterion="equilibrium"))
     state = np.array([[1, 2]], np.uint8)
     with pytest.raises(InputError, match="no certificates"):
-        verify_certificates(tower, state, stability.judge(state))
-    verdicts = stability.check(state)
+        verify_certificates(tower, state, stability.verdicts(state))
+    verdicts = stability.verdicts(state, require_certificate=True)
     assert verdicts.forces is not None
     with pytest.raises(InputError, match=r"forces have shape \(1, 4, 1\); expected \(1, 4, 3\)"):
         verify_certificates(tower, state, with_forces(verdicts, verdicts.forces[:, :, :1]))
@@ -379,11 +385,11 @@ def test_rounding_that_is_forgiven_carries_nothing(scenes: Any, cone: str) -> No
     )
     claim = StabilityCriterion(cone=cone)
     settings = StabilitySettings(criterion="equilibrium", cone=cone)  # type: ignore[arg-type]
-    verdicts = Stability(assembly, settings).check(complete_state(assembly.boundary))
+    verdicts = Stability(assembly, settings).verdicts(complete_state(assembly.boundary), require_certificate=True)
     assert verdicts.unstable[0]
     # The forces that would hold the plate, were its cone only a little wider.
     wider = assembly.replace(friction=0.5 + 1e-3)
-    held = Stability(wider, settings).check(complete_state(assembly.boundary))
+    held = Stability(wider, settings).verdicts(complete_state(assembly.boundary), require_certificate=True)
     assert held.stable[0]
     assert not verify_certificates(assembly, complete_state(assembly.boundary)[None], held, claim)[0]
 

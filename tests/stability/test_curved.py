@@ -29,7 +29,7 @@ def pairs(monkeypatch: pytest.MonkeyPatch) -> Any:
 def verdict_of(assembly: Assembly, criterion: Any) -> Verdict:
     """Verdict with a circular cone of friction; its certificate is accepted."""
     settings = StabilitySettings(criterion=criterion, cone="quadratic")
-    verdicts = Stability(assembly, settings).check(STATE)
+    verdicts = Stability(assembly, settings).verdicts(STATE, require_certificate=True)
     assert verdicts.undecided.any() or verify_certificates(assembly, STATE, verdicts, settings.claim)[0]
     return Verdict(int(verdicts.verdict[0]))
 

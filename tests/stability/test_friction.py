@@ -26,7 +26,10 @@ CONES: tuple[Cone, ...] = ("octagon", "quadratic")
 def decided(assembly: Assembly, states: NDArray[np.uint8], cone: Cone) -> NDArray[np.int8]:
     """Verdicts on which the processor, with the exact solver's help, and the exact solver alone agree; all proven."""
     settings = StabilitySettings(criterion="equilibrium", cone=cone)
-    both, alone = Stability(assembly, settings).check(states), ExactSolver(assembly, settings).check(states)
+    both, alone = (
+        Stability(assembly, settings).verdicts(states, require_certificate=True),
+        ExactSolver(assembly, settings).check(states),
+    )
     for verdicts in (both, alone):
         assert verify_certificates(assembly, states, verdicts, settings.claim).all()
     np.testing.assert_array_equal(both.verdict, alone.verdict)
@@ -69,7 +72,7 @@ def test_contacts_do_not_pull(scenes: Any, cone: Cone, friction: float) -> None:
     assert verdicts.residual[0] == pytest.approx(1, abs=1e-6)
     assert verdicts.forces is not None
     assert (verdicts.forces[0, :, 0] >= 0).all()
-    assert Stability(assembly, settings).check(state).verdict[0] == Verdict.UNSTABLE
+    assert Stability(assembly, settings).verdicts(state, require_certificate=True).verdict[0] == Verdict.UNSTABLE
 
 
 @pytest.mark.parametrize("cone", CONES)

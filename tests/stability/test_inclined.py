@@ -36,7 +36,7 @@ def pairs(monkeypatch: pytest.MonkeyPatch) -> Any:
 def checked(assembly: Assembly, criterion: Any) -> Verdicts:
     """Verdict with a circular cone of friction; its certificate is accepted."""
     settings = StabilitySettings(criterion=criterion, cone="quadratic")
-    verdicts = Stability(assembly, settings).check(STATE)
+    verdicts = Stability(assembly, settings).verdicts(STATE, require_certificate=True)
     assert verdicts.undecided.any() or verify_certificates(assembly, STATE, verdicts, settings.claim)[0]
     return verdicts
 
@@ -126,7 +126,7 @@ def test_without_enough_friction_for_both_faces_a_contact_carries_nothing(scenes
     assert verdict_of(smooth, criterion) == Verdict.STABLE
     assert verdict_of(structure, criterion) == Verdict.UNSTABLE
     settings = StabilitySettings(criterion=criterion, cone="quadratic")
-    assert Stability(structure, settings).judge(STATE).unstable[0]
+    assert Stability(structure, settings).verdicts(STATE).unstable[0]
     proven = checked(smooth, criterion)
     assert not verify_certificates(structure, STATE, proven, settings.claim)[0]
     assert proven.forces is not None

@@ -25,7 +25,7 @@ EQUILIBRIUM = ("octagon", "quadratic")
 def stands(assembly: Any, criterion: str = "contact", **settings: Any) -> bool:
     """Whether the complete structure stands; the checker has accepted the proof of the answer."""
     oracle = Stability(assembly, StabilitySettings(criterion=criterion, **settings))  # type: ignore[arg-type]
-    verdicts = oracle.check(complete_state(assembly.boundary))
+    verdicts = oracle.verdicts(complete_state(assembly.boundary), require_certificate=True)
     assert not verdicts.undecided.any()
     return bool(verdicts.stable[0])
 
@@ -115,7 +115,7 @@ def test_friction_of_a_pair_is_its_own(scenes: Any) -> None:
     rough = Joints.read([{"parts": ["block-0.5", "slab"], "friction": 0.5}], None, pair.names, pair.contacts)
     for criterion in CRITERIA:
         oracle = Stability(pair.replace(joints=rough), StabilitySettings(criterion=criterion, cone="quadratic"))
-        assert oracle.check([[2, 2, 1], [2, 1, 2]]).stable.tolist() == [True, False]
+        assert oracle.verdicts([[2, 2, 1], [2, 1, 2]], require_certificate=True).stable.tolist() == [True, False]
 
 
 def random_joints(assembly: Any, seed: int) -> Any:
@@ -143,7 +143,7 @@ def test_fast_exact_and_simplex_agree(scenes: Any, simplex: Callable[..., float]
         states = np.unique(states, axis=0)
         settings = StabilitySettings(criterion="equilibrium", cone=cone)  # type: ignore[arg-type]
         oracle = Stability(assembly, settings)
-        verdicts = oracle.check(states)
+        verdicts = oracle.verdicts(states, require_certificate=True)
         assert not verdicts.undecided.any()
         assert oracle.counters.rejected == 0
         assert verify_certificates(assembly, states, verdicts, settings.claim).all()
@@ -164,7 +164,7 @@ def test_what_stands_in_contact_is_in_equilibrium(scenes: Any, structure: str) -
         assembly = random_joints(library.build(structure), seed)
         states = np.unique(scenes.random_states(assembly, 12, seed, (0.25, 0.65, 0.1)), axis=0)
         settings = StabilitySettings()
-        verdicts = Stability(assembly, settings).check(states)
+        verdicts = Stability(assembly, settings).verdicts(states, require_certificate=True)
         assert verify_certificates(assembly, states, verdicts, settings.claim)[~verdicts.undecided].all()
         exact = ExactSolver(assembly, StabilitySettings(criterion="equilibrium", cone="quadratic")).check(states)
         assert (exact.verdict[verdicts.stable] == Verdict.STABLE).all()
@@ -179,11 +179,11 @@ def test_the_checker_refuses_more_tension_than_there_is(scenes: Any) -> None:
     state = complete_state(block.boundary)[None]
     for criterion in CRITERIA:
         settings = StabilitySettings(criterion=criterion)
-        verdicts = Stability(joined(block, tension=1.05 * weight), settings).check(state)
+        verdicts = Stability(joined(block, tension=1.05 * weight), settings).verdicts(state, require_certificate=True)
         assert verify_certificates(joined(block, tension=1.05 * weight), state, verdicts, settings.claim).all()
         assert not verify_certificates(joined(block, tension=0.95 * weight), state, verdicts, settings.claim).any()
         assert not verify_certificates(block, state, verdicts, settings.claim).any()
-        falls = Stability(joined(block, tension=0.95 * weight), settings).check(state)
+        falls = Stability(joined(block, tension=0.95 * weight), settings).verdicts(state, require_certificate=True)
         assert verify_certificates(block, state, falls, settings.claim).all()
         assert not verify_certificates(joined(block, tension=1.05 * weight), state, falls, settings.claim).any()
 
@@ -198,7 +198,7 @@ def test_no_forces_are_proven_beside_the_bound_of_others(scenes: Any) -> None:
     assembly = random_joints(library.build("arch:blocks=7"), 1)
     states = scenes.random_states(assembly, 30, 5)
     settings = StabilitySettings(criterion="equilibrium")
-    verdicts = Stability(assembly, settings).check(states)
+    verdicts = Stability(assembly, settings).verdicts(states, require_certificate=True)
     other = verdicts[np.arange(len(states))]
     other.verdict[:] = -verdicts.verdict
     assert not verify_certificates(assembly, states, other, settings.claim).any()
@@ -239,7 +239,7 @@ def test_glue_bears_what_it_has_set_to(scenes: Any, steps: int, falls_at: int | 
     states = [[2, 0, 2, 0, 0], [2, 2, 2, 0, 0], [2, 2, 2, 2, 0], [2, 2, 2, 1, 0], [2, 2, 2, 1, 2], [2, 1, 2, 1, 2]]
     yard = setting_bracket(scenes, steps)
     assert Replayer(yard).replay(states).falls_at == falls_at
-    assert Stability(yard).check(states[-1]).stable.all()  # once it has set
+    assert Stability(yard).verdicts(states[-1], require_certificate=True).stable.all()  # once it has set
     replayer = Replayer(yard)
     history = replayer.replay(states[:1]).histories[0]
     stood = []
@@ -267,10 +267,10 @@ def test_an_edge_that_tears_lets_the_rest_fall(scenes: Any) -> None:
     glued = joined(beam, tension=2.2 * weight, cohesion=10 * weight)
     for criterion in CRITERIA:
         oracle = Stability(glued, StabilitySettings(criterion=criterion))
-        assert oracle.check([[2, 2, 1, 1], [2, 2, 1, 0], [2, 2, 0, 1]]).stable.all()
+        assert oracle.verdicts([[2, 2, 1, 1], [2, 2, 1, 0], [2, 2, 0, 1]], require_certificate=True).stable.all()
         weak = joined(beam, tension=1.8 * weight, cohesion=10 * weight)
         oracle = Stability(weak, StabilitySettings(criterion=criterion))
-        assert oracle.check([[2, 2, 1, 0], [2, 2, 0, 1]]).unstable.all()
+        assert oracle.verdicts([[2, 2, 1, 0], [2, 2, 0, 1]], require_certificate=True).unstable.all()
 
 
 def test_a_ductile_joint_bears_on_where_a_brittle_one_tears(scenes: Any) -> None:
@@ -325,7 +325,11 @@ def test_joints_keep_their_strength_per_area_where_parts_are_placed_with_an_erro
     block = hanging(scenes)
     glued = joined(block, tension=share * 9.81 * block.mass.mass[1], setting=[[[0, 0], [3, 1]]])
     curve = placement_curve(
-        glued, complete_state(block.boundary), [1e-3], lambda moved, states: Stability(moved).stable(states), draws=5
+        glued,
+        complete_state(block.boundary),
+        [1e-3],
+        lambda moved, states: Stability(moved).verdicts(states).stable,
+        draws=5,
     )
     assert curve.shares.tolist() == [[expected]]
     assert curve.refused.tolist() == [0]

@@ -15,7 +15,11 @@ from falsework.stability.judges.discrete_elements import settle
 
 def verdict(assembly: Any, **settings: Any) -> int:
     """Verdict of the complete structure; the checker has accepted its proof."""
-    return int(Stability(assembly, StabilitySettings(**settings)).check(complete_state(assembly.boundary)).verdict[0])
+    return int(
+        Stability(assembly, StabilitySettings(**settings))
+        .verdicts(complete_state(assembly.boundary), require_certificate=True)
+        .verdict[0]
+    )
 
 
 @pytest.mark.parametrize("settings", [{}, {"criterion": "equilibrium", "cone": "quadratic"}, {"solver": "exact"}])
@@ -50,8 +54,8 @@ def test_a_load_acts_only_while_its_part_is_there(scenes: Any) -> None:
     wrench[1, 0] = 9.81 * tower.mass.mass[1]
     loaded = tower.replace(loads=Loads.of(3, wrench=wrench), friction=0.4)
     oracle = Stability(loaded)
-    assert oracle.check([[1, 1, 2], [1, 0, 2], [1, 2, 2]]).verdict.tolist()[1:] == [1, 1]
-    assert oracle.check([[1, 1, 2]]).verdict[0] != Verdict.STABLE
+    assert oracle.verdicts([[1, 1, 2], [1, 0, 2], [1, 2, 2]], require_certificate=True).verdict.tolist()[1:] == [1, 1]
+    assert oracle.verdicts([[1, 1, 2]], require_certificate=True).verdict[0] != Verdict.STABLE
 
 
 def test_a_replay_takes_loads_up_when_a_robot_lets_go(scenes: Any) -> None:

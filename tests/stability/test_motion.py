@@ -10,6 +10,7 @@ from falsework.assembly.library.blocks import box, gather
 from falsework.stability import Stability, StabilitySettings, Verdict
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.motion import motion_of
+from falsework.stability.settings import EQUILIBRIUM
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +31,7 @@ STATES = np.array([[1, 1, 2, 2], [2, 1, 2, 2]], dtype=np.uint8)
 
 
 def test_what_slides_slides_down_and_what_settles_is_left_out(clamp: Assembly) -> None:
-    verdicts = Stability(clamp).check(STATES)
+    verdicts = Stability(clamp).verdicts(STATES, require_certificate=True)
     assert verdicts.verdict.tolist() == [Verdict.SLIDES, Verdict.STABLE]
     assert verdicts.displacement is not None
     assert verdicts.displacement[0, 1].any()  # the other cube settles on its wall
@@ -43,8 +44,8 @@ def test_what_slides_slides_down_and_what_settles_is_left_out(clamp: Assembly) -
 
 def test_an_unstable_state_moves_as_its_proof_says(clamp: Assembly) -> None:
     slippery = clamp.replace(friction=0.0)
-    for criterion in ("contact", "equilibrium"):
-        verdicts = Stability(slippery, StabilitySettings(criterion=criterion)).check(STATES)  # type: ignore[arg-type]
+    for settings in (StabilitySettings(), EQUILIBRIUM):
+        verdicts = Stability(slippery, settings).verdicts(STATES, require_certificate=True)
         assert verdicts.verdict.tolist() == [Verdict.UNSTABLE, Verdict.STABLE]
         motion = motion_of(slippery, verdicts, 0)
         assert motion is not None
@@ -54,7 +55,7 @@ def test_an_unstable_state_moves_as_its_proof_says(clamp: Assembly) -> None:
 
 
 def test_without_certificates_no_motion_is_known(clamp: Assembly) -> None:
-    assert motion_of(clamp, Stability(clamp).judge(STATES), 0) is None
+    assert motion_of(clamp, Stability(clamp).verdicts(STATES), 0) is None
 
 
 def test_no_guess_is_made_from_a_displacement_that_slides(clamp: Assembly) -> None:

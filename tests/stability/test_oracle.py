@@ -24,6 +24,8 @@ from falsework.stability import (
     verify_certificates,
 )
 from falsework.stability.certificate import CONTACT
+from falsework.stability.cpu.solver import CpuSolver
+from falsework.stability.problem import build_problem
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +65,7 @@ def balanced(stability: Stability) -> bool:
 
 def test_verdicts_are_verified_under_their_own_criterion(arch: Assembly, states: NDArray) -> None:
     stability = Stability(arch)
-    verdicts = stability.check(states)
+    verdicts = stability.verdicts(states, require_certificate=True)
     assert stability.settings.claim == CONTACT
     stable = verdicts.stable
     assert stable.any()
@@ -75,7 +77,7 @@ def test_verdicts_are_verified_under_their_own_criterion(arch: Assembly, states:
 
 def test_check_returns_proofs_that_hold(arch: Assembly, states: NDArray, expected: NDArray) -> None:
     stability = Stability(arch, StabilitySettings(criterion="equilibrium"))
-    verdicts = stability.check(states)
+    verdicts = stability.verdicts(states, require_certificate=True)
     np.testing.assert_array_equal(verdicts.verdict, expected)
     assert verify_certificates(arch, states, verdicts).all()
     np.testing.assert_array_equal(verdicts.proof, np.where(expected == 1, Proof.FORCES, Proof.VELOCITY))
@@ -89,23 +91,23 @@ def test_check_returns_proofs_that_hold(arch: Assembly, states: NDArray, expecte
 
 
 def test_judge_agrees_and_carries_no_proofs(arch: Assembly, states: NDArray, expected: NDArray) -> None:
-    verdicts = Stability(arch, StabilitySettings(criterion="equilibrium")).judge(states)
+    verdicts = Stability(arch, StabilitySettings(criterion="equilibrium")).verdicts(states)
     np.testing.assert_array_equal(verdicts.verdict, expected)
     assert verdicts.forces is None
     assert verdicts.velocity is None
     np.testing.assert_array_equal(
-        Stability(arch, StabilitySettings(criterion="equilibrium")).stable(states), expected == 1
+        Stability(arch, StabilitySettings(criterion="equilibrium")).verdicts(states).stable, expected == 1
     )
 
 
 def test_asking_again_costs_nothing(arch: Assembly, states: NDArray, expected: NDArray) -> None:
     stability = Stability(arch, StabilitySettings(criterion="equilibrium"))
     unique = len(np.unique(states, axis=0))
-    first = stability.judge(states)
+    first = stability.verdicts(states)
     solved = stability.counters.cpu + stability.counters.exact
     assert solved == unique
     assert stability.counters.cached == len(states) - unique
-    again = stability.judge(states)
+    again = stability.verdicts(states)
     np.testing.assert_array_equal(again.verdict, expected)
     np.testing.assert_array_equal(again.residual, first.residual)
     assert stability.counters.cpu + stability.counters.exact == solved
@@ -117,18 +119,18 @@ def test_asking_again_costs_nothing(arch: Assembly, states: NDArray, expected: N
 def test_the_rules_answer_without_solving(arch: Assembly) -> None:
     stability = Stability(arch, StabilitySettings(criterion="equilibrium"))
     complete = complete_state(arch.boundary)
-    assert stability.stable(complete)[0]
+    assert stability.verdicts(complete).stable[0]
     held = children(arch, complete)[1::2]
-    verdicts = stability.judge(held)
+    verdicts = stability.verdicts(held)
     assert verdicts.stable.all()
     assert (verdicts.proof == Proof.FORCES).all()
     assert stability.counters.by_monotonicity == len(held)
     assert stability.counters.cpu + stability.counters.exact == 1
     gap = complete.copy()
     gap[[4, 0]] = 0, 2  # without its keystone, its first block held
-    assert stability.judge(gap).unstable[0]
+    assert stability.verdicts(gap).unstable[0]
     gap[0] = 1
-    verdicts = stability.judge(gap)
+    verdicts = stability.verdicts(gap)
     assert verdicts.unstable[0]
     assert verdicts.proof[0] == Proof.VELOCITY
     assert stability.counters.cpu + stability.counters.exact == 2
@@ -137,9 +139,9 @@ def test_the_rules_answer_without_solving(arch: Assembly) -> None:
 
 def test_what_was_checked_is_known_to_judge(arch: Assembly, states: NDArray) -> None:
     stability = Stability(arch, StabilitySettings(criterion="equilibrium"))
-    stability.check(states)
+    stability.verdicts(states, require_certificate=True)
     before = stability.counters.cpu + stability.counters.exact
-    stability.judge(states)
+    stability.verdicts(states)
     assert stability.counters.cpu + stability.counters.exact == before
 
 
@@ -149,13 +151,14 @@ def judged(arch: Assembly) -> tuple[Stability, NDArray[np.uint8]]:
     whole = complete_state(arch.boundary)
     held = whole.copy()
     held[4] = 2
-    assert stability.judge(np.stack([whole, held]), parents=np.stack([whole, whole])).stable.all()
+    assert stability.verdicts(np.stack([whole, held]), near=np.stack([whole, whole])).stable.all()
     return stability, np.stack([whole, held])
 
 
 def test_what_was_judged_is_proven_from_memory(arch: Assembly) -> None:
     stability, states = judged(arch)
-    again, cold = stability.check_again(states), Stability(arch).check(states)
+    again = stability.verdicts(states, near=states, require_certificate=True)
+    cold = Stability(arch).verdicts(states, require_certificate=True)
     assert again.stable.all()
     assert cold.stable.all()
     assert (again.proof == Proof.DISPLACEMENT).all()
@@ -164,21 +167,36 @@ def test_what_was_judged_is_proven_from_memory(arch: Assembly) -> None:
     assert balanced(stability)
 
 
-def test_nothing_is_proven_from_memory_that_was_not_judged(arch: Assembly) -> None:
-    stability, states = judged(arch)
-    other = states[1].copy()
-    other[5] = 2
-    assert stability.check_again(np.stack([other, states[0]])).stable.tolist() == [False, True]
-    assert Stability(arch).check_again(states).undecided.all()
+def test_each_state_serves_those_that_are_near_to_it(arch: Assembly) -> None:
+    """Only the first of a chain begins from rest, wherever it is in the batch."""
+    states = [complete_state(arch.boundary)]
+    for part in np.flatnonzero(states[0] == 1)[:5]:
+        states.append(np.where(np.arange(arch.part_count) == part, 2, states[-1]).astype(np.uint8))
+    chain, before = np.stack(states), np.stack([states[0], *states[:-1]])
+    for order in (np.arange(6), np.arange(6)[::-1]):
+        for settings in (StabilitySettings(), StabilitySettings(criterion="equilibrium")):
+            stability = Stability(arch, settings)
+            found = stability.verdicts(chain[order], near=before[order], require_certificate=True)
+            assert found.stable.all()
+            assert verify_certificates(arch, chain[order], found, settings.claim).all()
+            assert stability.counters.warm == 5
+            assert balanced(stability)
+
+
+def test_states_that_are_near_to_each_other_alone_begin_from_rest(arch: Assembly) -> None:
+    _, states = judged(arch)
+    stability = Stability(arch)
+    assert stability.verdicts(states, near=states[::-1].copy(), require_certificate=True).stable.all()
+    assert stability.counters.warm == 0
+    assert balanced(stability)
 
 
 def test_forces_are_proven_from_memory_too(arch: Assembly) -> None:
     _, states = judged(arch)
     settings = StabilitySettings(criterion="equilibrium")
     stability = Stability(arch, settings)
-    assert stability.check_again(states).undecided.all()
-    stability.judge(states, parents=states)
-    again = stability.check_again(states)
+    stability.verdicts(states, near=states)
+    again = stability.verdicts(states, near=states, require_certificate=True)
     assert (again.proof == Proof.FORCES).all()
     assert (again.iterations == 0).all()
     assert verify_certificates(arch, states, again, settings.claim).all()
@@ -188,11 +206,9 @@ def test_a_displacement_that_proves_nothing_is_not_passed_on(arch: Assembly) -> 
     stability, states = judged(arch)
     fallen = states[0].copy()
     fallen[3] = 0
-    assert stability.check(fallen).unstable[0]
-    known = stability._guesses._memory.get(states[0].tobytes())
-    assert known is not None
-    stability._guesses._memory[fallen.tobytes()] = known
-    assert stability.check_again(fallen[None]).undecided[0]
+    found = stability.verdicts(np.stack([fallen, fallen]), near=states, require_certificate=True)
+    assert found.unstable.all()
+    assert verify_certificates(arch, np.stack([fallen, fallen]), found, stability.settings.claim).all()
 
 
 def test_the_next_state_is_checked_from_the_one_before(arch: Assembly) -> None:
@@ -200,9 +216,9 @@ def test_the_next_state_is_checked_from_the_one_before(arch: Assembly) -> None:
     whole = complete_state(arch.boundary)
     held, fallen = whole.copy(), whole.copy()
     held[4], fallen[4] = 2, 0
-    known = stability.check(np.stack([whole, whole]))
+    stability.verdicts(whole, require_certificate=True)
     asked = stability.counters.asked
-    found = stability.check_next(np.stack([held, fallen]), np.stack([whole, whole]), known)
+    found = stability.verdicts(np.stack([held, fallen]), near=np.stack([whole, whole]), require_certificate=True)
     assert found.stable.tolist() == [True, False]
     assert found.unstable.tolist() == [False, True]
     assert verify_certificates(arch, np.stack([held, fallen]), found, stability.settings.claim).all()
@@ -215,8 +231,16 @@ def test_the_next_state_is_checked_from_rest_where_nothing_is_known_of_the_one_b
     whole = complete_state(arch.boundary)
     held = whole.copy()
     held[4] = 2
-    for known in (stability.check(whole).without_certificates(), stability.check(np.where(whole == 1, 0, whole))):
-        assert stability.check_next(held[None], whole[None], known).stable[0]
+    found = stability.verdicts(held, near=whole, require_certificate=True)
+    assert found.stable[0]
+    cold = Stability(arch).verdicts(held, require_certificate=True)
+    np.testing.assert_array_equal(found.displacement, cold.displacement)
+
+
+def test_each_state_needs_a_near_one(arch: Assembly) -> None:
+    states = np.stack([complete_state(arch.boundary)] * 3)
+    with pytest.raises(StateError, match="1 near states do not fit 3 states; give one for each"):
+        Stability(arch).verdicts(states, near=states[:1])
 
 
 @pytest.mark.parametrize("structure", ["arch:blocks=9,thickness=0.25", "wall:bricks=4,courses=4", "dome"])
@@ -228,14 +252,14 @@ def test_warm_starts_change_no_verdict(structure: str) -> None:
         Stability(assembly, StabilitySettings(criterion="equilibrium")),
     )
     parent = complete_state(assembly.boundary)
-    assert warm.stable(parent, parents=parent)[0]
+    assert warm.verdicts(parent, near=parent).stable[0]
     random = np.random.default_rng(0)
     for _ in range(3):
         asked = children(assembly, parent)
         asked = asked[random.permutation(len(asked))[:60]]
         parents = np.broadcast_to(parent, asked.shape)
-        verdict = warm.judge(asked, parents=parents).verdict
-        np.testing.assert_array_equal(verdict, cold.check(asked).verdict)
+        verdict = warm.verdicts(asked, near=parents).verdict
+        np.testing.assert_array_equal(verdict, cold.verdicts(asked, require_certificate=True).verdict)
         stable = asked[(verdict == 1) & (asked == 0).any(axis=1)]
         if not len(stable):
             break
@@ -249,7 +273,7 @@ def test_parents_may_be_anything(arch: Assembly, states: NDArray, expected: NDAr
     random = np.random.default_rng(5)
     for parents in (states[::-1], states[random.permutation(len(states))], np.where(arch.boundary, 2, 0 * states)):
         stability = Stability(arch, StabilitySettings(criterion="equilibrium"))
-        np.testing.assert_array_equal(stability.judge(states, parents=parents).verdict, expected)
+        np.testing.assert_array_equal(stability.verdicts(states, near=parents).verdict, expected)
 
 
 @pytest.mark.parametrize("structure", ["vault", "wall:bricks=8,courses=8"])
@@ -257,13 +281,11 @@ def test_a_proof_found_near_a_change_proves_the_whole(structure: str) -> None:
     """What falls near the change falls in the whole state, and the same velocity proves it to the checker."""
     assembly = library.build(structure)
     settings = StabilitySettings(criterion="equilibrium")
-    stability = Stability(assembly, settings)
+    solver = CpuSolver(build_problem(assembly), settings)
     parent = complete_state(assembly.boundary)
     states = children(assembly, parent)[::2]
     parents = np.ascontiguousarray(np.broadcast_to(parent, states.shape))
-    assert stability._cpu is not None
-    near = stability._cpu.check(states, parents=parents)
-    whole = stability._cpu.check(states)
+    near, whole = solver.check(states, parents=parents), solver.check(states)
     np.testing.assert_array_equal(near.verdict, whole.verdict)
     assert near.unstable.any()
     assert verify_certificates(assembly, states, near, settings.claim).all()
@@ -275,7 +297,9 @@ def test_a_proof_found_near_a_change_proves_the_whole(structure: str) -> None:
 
 def test_threads_change_nothing(arch: Assembly, states: NDArray) -> None:
     one, two, again = (
-        Stability(arch, StabilitySettings(criterion="equilibrium", cpu=CpuSettings(threads=threads))).check(states)
+        Stability(arch, StabilitySettings(criterion="equilibrium", cpu=CpuSettings(threads=threads))).verdicts(
+            states, require_certificate=True
+        )
         for threads in (1, 2, 2)
     )
     for other in (two, again):
@@ -290,8 +314,8 @@ def test_order_changes_nothing(arch: Assembly, states: NDArray) -> None:
     stability = Stability(arch, StabilitySettings(criterion="equilibrium"))
     order = np.random.default_rng(1).permutation(len(states))
     straight, shuffled = (
-        stability.check(states),
-        Stability(arch, StabilitySettings(criterion="equilibrium")).check(states[order]),
+        stability.verdicts(states, require_certificate=True),
+        Stability(arch, StabilitySettings(criterion="equilibrium")).verdicts(states[order], require_certificate=True),
     )
     np.testing.assert_array_equal(straight.verdict[order], shuffled.verdict)
     np.testing.assert_array_equal(straight.residual[order], shuffled.residual)
@@ -300,20 +324,26 @@ def test_order_changes_nothing(arch: Assembly, states: NDArray) -> None:
 def test_an_empty_batch(arch: Assembly) -> None:
     stability = Stability(arch, StabilitySettings(criterion="equilibrium"))
     nothing = np.zeros((0, arch.part_count), np.uint8)
-    for verdicts in (stability.check(nothing), stability.judge(nothing), stability.judge(nothing, parents=nothing)):
+    for verdicts in (
+        stability.verdicts(nothing, require_certificate=True),
+        stability.verdicts(nothing),
+        stability.verdicts(nothing, near=nothing),
+    ):
         assert len(verdicts) == 0
-    assert stability.stable(nothing).shape == (0,)
+    assert stability.verdicts(nothing).stable.shape == (0,)
     assert stability.counters.asked == 0
 
 
 def test_one_state_is_a_batch_of_one(arch: Assembly) -> None:
-    verdicts = Stability(arch, StabilitySettings(criterion="equilibrium")).check(complete_state(arch.boundary))
+    verdicts = Stability(arch, StabilitySettings(criterion="equilibrium")).verdicts(
+        complete_state(arch.boundary), require_certificate=True
+    )
     assert len(verdicts) == 1
     assert verdicts.stable[0]
 
 
 def test_verdicts_can_be_taken_apart(arch: Assembly, states: NDArray) -> None:
-    verdicts = Stability(arch, StabilitySettings(criterion="equilibrium")).check(states)
+    verdicts = Stability(arch, StabilitySettings(criterion="equilibrium")).verdicts(states, require_certificate=True)
     assert len(verdicts[3]) == 1
     assert verdicts[3].verdict[0] == verdicts.verdict[3]
     assert verdicts[-1].verdict[0] == verdicts.verdict[-1]
@@ -329,20 +359,20 @@ def test_verdicts_can_be_taken_apart(arch: Assembly, states: NDArray) -> None:
 
 def test_the_exact_solver_can_be_asked_alone(arch: Assembly, states: NDArray, expected: NDArray) -> None:
     stability = Stability(arch, StabilitySettings(criterion="equilibrium", solver="exact"))
-    verdicts = stability.check(states[:20])
+    verdicts = stability.verdicts(states[:20], require_certificate=True)
     np.testing.assert_array_equal(verdicts.verdict, expected[:20])
     assert (verdicts.decided_by == Solver.EXACT).all()
     assert stability.counters.cpu == 0
-    np.testing.assert_array_equal(stability.judge(states[:20]).verdict, expected[:20])
+    np.testing.assert_array_equal(stability.verdicts(states[:20]).verdict, expected[:20])
     assert balanced(stability)
 
 
 def test_what_the_fast_solver_leaves_goes_to_the_exact_one(arch: Assembly, states: NDArray, expected: NDArray) -> None:
     """With next to no iterations nothing is decided fast, yet everything is decided."""
     cpu = CpuSettings(iterations=1, interior_steps=0)
-    for ask in (Stability.check, Stability.judge):
+    for certificates in (True, False):
         stability = Stability(arch, StabilitySettings(criterion="equilibrium", cpu=cpu))
-        verdicts = ask(stability, states)
+        verdicts = stability.verdicts(states, require_certificate=certificates)
         np.testing.assert_array_equal(verdicts.verdict, expected)
         assert stability.counters.exact > 0
         assert balanced(stability)
@@ -355,12 +385,12 @@ def test_searches_of_large_structures_do_not_wait_for_the_exact_solver(
     parents = states[np.flatnonzero(expected == 1)[:1]].repeat(len(states), axis=0)
     stability = Stability(arch, StabilitySettings(criterion="equilibrium", cpu=cpu))
     monkeypatch.setattr("falsework.stability.oracle.LEFT_OPEN", arch.part_count)
-    verdicts = stability.judge(states, parents=parents)
+    verdicts = stability.verdicts(states, near=parents)
     decided = ~verdicts.undecided
     assert not decided.all()
     np.testing.assert_array_equal(verdicts.verdict[decided], expected[decided])
     assert stability.counters.exact == 0
-    np.testing.assert_array_equal(stability.judge(states).verdict, expected)
+    np.testing.assert_array_equal(stability.verdicts(states).verdict, expected)
     assert balanced(stability)
 
 
@@ -369,22 +399,21 @@ def test_a_proof_that_is_rejected_goes_to_the_exact_solver(
 ) -> None:
     """Were the fast solver wrong, the checker would see it and the exact solver decide."""
     stability = Stability(arch, StabilitySettings(criterion="equilibrium"))
-    assert stability._cpu is not None
-    solve = stability._cpu.check
+    solve = CpuSolver.check
 
     def lie(*arguments: Any, **options: Any) -> Verdicts:
         verdicts = solve(*arguments, **options)
         return replace(verdicts, verdict=-verdicts.verdict)
 
-    monkeypatch.setattr(stability._cpu, "check", lie)
-    verdicts = stability.check(states)
+    monkeypatch.setattr(CpuSolver, "check", lie)
+    verdicts = stability.verdicts(states, require_certificate=True)
     np.testing.assert_array_equal(verdicts.verdict, expected)
     unique = len(np.unique(states, axis=0))
     assert stability.counters.rejected == unique
     assert stability.counters.exact == unique
 
 
-@pytest.mark.parametrize("method", ["check", "judge", "stable"])
+@pytest.mark.parametrize("as_near", [True, False])
 @pytest.mark.parametrize(
     ("state", "message"),
     [
@@ -400,9 +429,10 @@ def test_a_proof_that_is_rejected_goes_to_the_exact_solver(
         ([[1] * 11, [1] * 10], "different lengths"),
     ],
 )
-def test_bad_states_are_named(arch: Assembly, method: str, state: Any, message: str) -> None:
+def test_bad_states_are_named(arch: Assembly, as_near: bool, state: Any, message: str) -> None:
+    stability, whole = Stability(arch, StabilitySettings(criterion="equilibrium")), complete_state(arch.boundary)
     with pytest.raises(StateError, match=message) as caught:
-        getattr(Stability(arch, StabilitySettings(criterion="equilibrium")), method)(state)
+        stability.verdicts(whole if as_near else state, near=state if as_near else None)
     assert "\n" not in str(caught.value)
 
 

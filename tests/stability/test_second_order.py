@@ -30,7 +30,7 @@ PRISM_FACES = np.array(
 def checked(assembly: Assembly, state: Any = None) -> Verdicts:
     """Verdict of one state, by default the complete structure, whose certificate the checker accepts."""
     states = np.asarray(complete_state(assembly.boundary) if state is None else state, np.uint8)[None]
-    verdicts = Stability(assembly).check(states)
+    verdicts = Stability(assembly).verdicts(states, require_certificate=True)
     assert verify_certificates(assembly, states, verdicts).all()
     return verdicts
 

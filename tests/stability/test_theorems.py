@@ -20,7 +20,9 @@ def verdict_of(assembly: Assembly, state: Any = None, **settings: Any) -> Verdic
     """Verdict of one state, by default the complete structure; the oracle has checked its certificate."""
     if state is None:
         state = complete_state(assembly.boundary)
-    verdicts = Stability(assembly, StabilitySettings(criterion="equilibrium", **settings)).check(state)
+    verdicts = Stability(assembly, StabilitySettings(criterion="equilibrium", **settings)).verdicts(
+        state, require_certificate=True
+    )
     assert not verdicts.undecided.any()
     return Verdict(int(verdicts.verdict[0]))
 
@@ -145,12 +147,14 @@ def test_a_held_part_is_never_asked_to_balance(scenes: Any) -> None:
         ([0, 1, 0, 2], Verdict.UNSTABLE),
         ([2, 2, 2, 2], Verdict.STABLE),
     ):
-        assert stability.check(state).verdict[0] == expected, state
+        assert stability.verdicts(state, require_certificate=True).verdict[0] == expected, state
 
 
 def test_the_empty_structure_stands() -> None:
     arch = library.build("arch")
-    verdicts = Stability(arch, StabilitySettings(criterion="equilibrium")).check(empty_state(arch.boundary))
+    verdicts = Stability(arch, StabilitySettings(criterion="equilibrium")).verdicts(
+        empty_state(arch.boundary), require_certificate=True
+    )
     assert verdicts.verdict[0] == Verdict.STABLE
     assert verdicts.residual[0] == 0
 
@@ -158,7 +162,9 @@ def test_the_empty_structure_stands() -> None:
 def test_a_part_that_floats_falls_straight_down(scenes: Any) -> None:
     """Its certificate is the fall itself: down, without turning, and nothing else moves."""
     tower = scenes.tower(3)
-    verdicts = Stability(tower, StabilitySettings(criterion="equilibrium")).check([1, 0, 1, 2])
+    verdicts = Stability(tower, StabilitySettings(criterion="equilibrium")).verdicts(
+        [1, 0, 1, 2], require_certificate=True
+    )
     assert verdicts.verdict[0] == Verdict.UNSTABLE
     assert verdicts.proof[0] == Proof.VELOCITY
     assert verdicts.velocity is not None
@@ -185,14 +191,14 @@ def test_a_part_without_any_contact_falls(scenes: Any) -> None:
         StabilitySettings(criterion="equilibrium"),
         StabilitySettings(criterion="equilibrium", solver="exact"),
     ):
-        verdicts = Stability(alone, settings).check([[1, 2], [2, 2], [0, 2]])
+        verdicts = Stability(alone, settings).verdicts([[1, 2], [2, 2], [0, 2]], require_certificate=True)
         assert verdicts.verdict.tolist() == [Verdict.UNSTABLE, Verdict.STABLE, Verdict.STABLE]
 
 
 def test_boundary_parts_alone_stand(scenes: Any) -> None:
     """A structure of boundary parts that touch nothing has no contact point at all."""
     boxes = [scenes.box([0, 0, 0], [1, 1, 1]), scenes.box([3, 0, 0], [4, 1, 1], "other")]
-    verdicts = Stability(scenes.make(boxes, [0, 1])).check([2, 2])
+    verdicts = Stability(scenes.make(boxes, [0, 1])).verdicts([2, 2], require_certificate=True)
     assert verdicts.stable.all()
 
 
@@ -216,7 +222,7 @@ def test_supports_carry_the_weight(structure: str, cone: str) -> None:
     states.append(states[0].copy())
     states[1][0] = 2
     for state in states:
-        verdicts = stability.check(state)
+        verdicts = stability.verdicts(state, require_certificate=True)
         assert verdicts.stable[0]
         mass = assembly.mass.mass[state == 1].sum()
         np.testing.assert_allclose(held_forces(assembly, state, verdicts), [0, 0, 9.81 * mass], atol=1.1e-3 * mass)
@@ -229,7 +235,7 @@ def test_monotone_rules(scenes: Any, structure: str, cone: str) -> None:
     assembly = library.build(structure)
     settings = StabilitySettings(criterion="equilibrium", cone=cone)  # type: ignore[arg-type]
     states = scenes.few_changes(assembly, 40, seed=3)
-    verdicts = Stability(assembly, settings).check(states)
+    verdicts = Stability(assembly, settings).verdicts(states, require_certificate=True)
     assert verdicts.stable.any()
     assert verdicts.unstable.any()
     random = np.random.default_rng(0)
@@ -238,7 +244,9 @@ def test_monotone_rules(scenes: Any, structure: str, cone: str) -> None:
         parts = np.flatnonzero((state == (1 if stable else 2)) & ~assembly.boundary)
         if len(parts):
             state[random.choice(parts)] = 2 if stable else 1
-    np.testing.assert_array_equal(Stability(assembly, settings).check(changed).verdict, verdicts.verdict)
+    np.testing.assert_array_equal(
+        Stability(assembly, settings).verdicts(changed, require_certificate=True).verdict, verdicts.verdict
+    )
 
 
 @pytest.mark.parametrize("length", [1e-2, 37.0])
@@ -249,11 +257,14 @@ def test_verdicts_do_not_depend_on_units(scenes: Any, length: float, density: fl
     meshes = [dataclasses.replace(mesh, vertices=length * mesh.vertices) for mesh in base.meshes]
     scaled = Assembly.from_meshes(meshes, boundary=base.boundary, density=density)
     states = scenes.few_changes(base, 40, seed=1)
-    expected = Stability(base, StabilitySettings(criterion="equilibrium")).check(states)
+    expected = Stability(base, StabilitySettings(criterion="equilibrium")).verdicts(states, require_certificate=True)
     assert expected.stable.any()
     assert expected.unstable.any()
     np.testing.assert_array_equal(
-        Stability(scaled, StabilitySettings(criterion="equilibrium")).check(states).verdict, expected.verdict
+        Stability(scaled, StabilitySettings(criterion="equilibrium"))
+        .verdicts(states, require_certificate=True)
+        .verdict,
+        expected.verdict,
     )
 
 
@@ -265,17 +276,22 @@ def test_verdicts_do_not_depend_on_the_compass(scenes: Any, angle: float) -> Non
     turned = Assembly.from_meshes(meshes, boundary=base.boundary)
     states = scenes.few_changes(base, 40, seed=2)
     settings = StabilitySettings(criterion="equilibrium", cone="quadratic")
-    expected = Stability(base, settings).check(states)
+    expected = Stability(base, settings).verdicts(states, require_certificate=True)
     assert expected.stable.any()
     assert expected.unstable.any()
-    np.testing.assert_array_equal(Stability(turned, settings).check(states).verdict, expected.verdict)
+    np.testing.assert_array_equal(
+        Stability(turned, settings).verdicts(states, require_certificate=True).verdict, expected.verdict
+    )
 
 
 def test_gravity_scales_forces_and_changes_no_verdict(scenes: Any) -> None:
     assembly = library.build("arch:blocks=7")
     states = scenes.few_changes(assembly, 30, seed=4)
     earth, moon = (
-        Stability(assembly, StabilitySettings(criterion="equilibrium", gravity=g)).check(states) for g in (9.81, 1.62)
+        Stability(assembly, StabilitySettings(criterion="equilibrium", gravity=g)).verdicts(
+            states, require_certificate=True
+        )
+        for g in (9.81, 1.62)
     )
     np.testing.assert_array_equal(earth.verdict, moon.verdict)
 
@@ -285,11 +301,13 @@ def test_the_cones_lie_in_each_other(scenes: Any, structure: str) -> None:
     """The octagon lies inside the quadratic cone, and reaches a quadratic cone of friction `mu cos(22.5)`."""
     assembly = library.build(structure).replace(friction=0.35)
     states = scenes.few_changes(assembly, 40, seed=5)
-    octagon = Stability(assembly, StabilitySettings(criterion="equilibrium")).check(states)
-    wide = Stability(assembly, StabilitySettings(criterion="equilibrium", cone="quadratic")).check(states)
+    octagon = Stability(assembly, StabilitySettings(criterion="equilibrium")).verdicts(states, require_certificate=True)
+    wide = Stability(assembly, StabilitySettings(criterion="equilibrium", cone="quadratic")).verdicts(
+        states, require_certificate=True
+    )
     narrow = Stability(
         assembly.replace(friction=0.35 * np.cos(np.pi / 8)),
         StabilitySettings(criterion="equilibrium", cone="quadratic"),
-    ).check(states)
+    ).verdicts(states, require_certificate=True)
     assert not (octagon.stable & wide.unstable).any()
     assert not (narrow.stable & octagon.unstable).any()

@@ -18,7 +18,7 @@ from falsework.stability import (
     StabilitySettings,
     Verdict,
     Verdicts,
-    optional_solvers,
+    solvers,
     verify_certificates,
 )
 from falsework.stability.certificate import residual_of_forces
@@ -37,7 +37,7 @@ def checked(assembly: Assembly, criterion: Any, **settings: Any) -> Verdicts:
     """Verdict of the complete structure, whose certificate the checker accepts."""
     chosen = StabilitySettings(criterion=criterion, **settings)
     states = complete_state(assembly.boundary)[None]
-    verdicts = Stability(assembly, chosen).check(states)
+    verdicts = Stability(assembly, chosen).verdicts(states, require_certificate=True)
     assert verify_certificates(assembly, states, verdicts, chosen.claim).all()
     return verdicts
 
@@ -86,11 +86,11 @@ def test_searches_do_not_take_what_is_close_for_stable(simplex: Any) -> None:
     assembly = arch(critical_thickness(simplex) - 2e-5)
     for criterion in CRITERIA:
         oracle = Stability(assembly, StabilitySettings(criterion=criterion))  # type: ignore[arg-type]
-        verdicts = oracle.judge(complete_state(assembly.boundary))
+        verdicts = oracle.verdicts(complete_state(assembly.boundary))
         assert verdicts.unstable[0]
         assert verdicts.on_tolerance[0]
         assert oracle.counters.exact == 1
-        assert oracle.judge(complete_state(assembly.boundary)).on_tolerance[0]  # from the cache
+        assert oracle.verdicts(complete_state(assembly.boundary)).on_tolerance[0]  # from the cache
     assert not find_plans(assembly, robots=2).plans
 
 
@@ -99,7 +99,7 @@ def test_a_gpu_is_no_exception(on_host: Any, simplex: Any, monkeypatch: pytest.M
     def driven(assembly: Assembly, problem: Any, settings: StabilitySettings) -> GpuSolver:
         return on_host(assembly, settings)
 
-    monkeypatch.setattr(optional_solvers, "GpuSolver", driven)
+    monkeypatch.setattr(solvers, "GpuSolver", driven)
     critical = critical_thickness(simplex)
     for thickness, verdict in ((critical - 2e-5, Verdict.UNSTABLE), (critical + 1e-3, Verdict.STABLE)):
         verdicts = checked(arch(thickness), criterion, solver="gpu")
@@ -111,7 +111,7 @@ def test_a_gpu_is_no_exception(on_host: Any, simplex: Any, monkeypatch: pytest.M
 def test_the_checker_takes_a_close_proof_only_from_a_verdict_that_says_so(simplex: Any) -> None:
     assembly = arch(critical_thickness(simplex) - 1e-5)
     states = complete_state(assembly.boundary)[None]
-    verdicts = Stability(assembly, EQUILIBRIUM).check(states)
+    verdicts = Stability(assembly, EQUILIBRIUM).verdicts(states, require_certificate=True)
     assert verify_certificates(assembly, states, verdicts)[0]
     verdicts.on_tolerance[:] = False
     assert not verify_certificates(assembly, states, verdicts)[0]
@@ -133,7 +133,7 @@ def test_ordinary_verdicts_stay_with_the_fast_solver(scenes: Any) -> None:
         states = scenes.few_changes(assembly, 20, seed=5)
         for criterion in CRITERIA:
             oracle = Stability(assembly, StabilitySettings(criterion=criterion))  # type: ignore[arg-type]
-            verdicts = oracle.judge(states)
+            verdicts = oracle.verdicts(states)
             assert not verdicts.on_tolerance.any()
             assert (verdicts.decided_by[verdicts.stable] != Solver.EXACT).mean() >= 0.9
 
@@ -141,6 +141,6 @@ def test_ordinary_verdicts_stay_with_the_fast_solver(scenes: Any) -> None:
 def test_forces_of_a_verdict_leave_as_much_as_it_says() -> None:
     assembly = library.build("dome")
     states = complete_state(assembly.boundary)[None]
-    verdicts = Stability(assembly, EQUILIBRIUM).check(states)
+    verdicts = Stability(assembly, EQUILIBRIUM).verdicts(states, require_certificate=True)
     assert verdicts.forces is not None
     assert residual_of_forces(assembly, states, verdicts.forces)[0] <= EQUILIBRIUM.resolution

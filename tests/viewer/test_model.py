@@ -296,7 +296,7 @@ def test_probabilities_are_those_of_the_policy(arch, policy) -> None:
     assert (visited == plan.states[-1]).all(axis=1).any()
     from falsework.stability import Stability
 
-    assert Stability(assembly).judge(visited).stable.all()
+    assert Stability(assembly).verdicts(visited).stable.all()
 
 
 def test_chances_of_parts() -> None:

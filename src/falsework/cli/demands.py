@@ -39,7 +39,7 @@ def explain_shortfall(oracle: DemandingStability, result: SearchResult) -> tuple
 
     states = result.rejected[: 4 * LOOKED_AT]
     if len(states):
-        plain = Stability.judge(Stability(oracle.assembly, oracle.settings), states)
+        plain = Stability(oracle.assembly, oracle.settings).verdicts(states)
         states = states[np.flatnonzero(plain.stable)][:LOOKED_AT]
     lacks = shortfall(oracle, states)
     return lacks, _words(lacks)

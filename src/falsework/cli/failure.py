@@ -115,7 +115,7 @@ def common_motions(assembly: Assembly, oracle: Stability, states: States) -> lis
         return []
     from falsework.stability.motion import motion_of
 
-    verdicts = oracle.check(states)
+    verdicts = oracle.verdicts(states, require_certificate=True)
     count: Counter[int] = Counter()
     fastest: dict[int, PartMotion] = {}
     for index in np.flatnonzero(~verdicts.stable & ~verdicts.undecided):

@@ -213,7 +213,7 @@ class FindMargins(Command):
                 assembly,
                 states,
                 errors,
-                lambda moved, batch: Stability(moved, settings).stable(batch),
+                lambda moved, batch: Stability(moved, settings).verdicts(batch).stable,
                 draws=self.draws,
                 seed=self.seed,
                 progress=lambda done, total: show(done, total, f"draw {done} of {total}"),

@@ -362,7 +362,7 @@ def refuse_unstable(
 
     names = ("target", "start") if building else ("start", "target")
     for name, state in zip(names, (task.start, task.target), strict=True):
-        verdicts = oracle.check(state)
+        verdicts = oracle.verdicts(state, require_certificate=True)
         if verdicts.stable[0]:
             continue
         complete = np.array_equal(state, complete_state(assembly.boundary))

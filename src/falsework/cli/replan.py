@@ -283,7 +283,7 @@ class MakeReplan(Command):
         text = f"{word}: {answer.reason}"
         if answer.search is None:  # one of the two ends may be unstable, which ends the work before any search
             task = request.task(assembly)
-            verdicts = oracle.check(np.stack([task.start, task.target]))
+            verdicts = oracle.verdicts(np.stack([task.start, task.target]), require_certificate=True)
             row = int(np.argmin(verdicts.stable))
             motion = motion_of(assembly, verdicts, row)
             moving = [] if motion is None else motions(assembly, motion)

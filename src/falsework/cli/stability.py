@@ -53,7 +53,7 @@ class CheckStability(JudgingCommand):
 
         assembly = self.structure.load()
         states = parse_states(self.states or "complete", "--states", assembly)
-        verdicts = Stability(assembly, self._settings()).check(states)
+        verdicts = Stability(assembly, self._settings()).verdicts(states, require_certificate=True)
         for index in range(len(states)):
             verdict, proof = Verdict(verdicts.verdict[index]), Proof(verdicts.proof[index])
             residual = float(verdicts.residual[index])

@@ -69,7 +69,9 @@ def solve(problem: Any, *, criterion: Criterion = "contact", gravity: float | No
         wrench, share = assembly.loads.wrench, assembly.loads.acceleration * GRAVITY / g
         assembly = assembly.replace(loads=Loads.of(assembly.part_count, wrench=wrench, acceleration=share))
     state = complete_state(assembly.boundary)
-    verdicts = Stability(assembly, StabilitySettings(criterion=criterion, gravity=g)).check(state)
+    verdicts = Stability(assembly, StabilitySettings(criterion=criterion, gravity=g)).verdicts(
+        state, require_certificate=True
+    )
     verdict = Verdict(verdicts.verdict[0])
     assert verdicts.forces is not None
     assert verdicts.velocity is not None

@@ -184,7 +184,7 @@ def _judge(owners: Sequence[ReplanSession], states: States, parents: States) -> 
             continue
         since = time.perf_counter()
         with pace.measure():
-            verdict[rows] = oracle.judge(states[rows], parents=parents[rows]).verdict
+            verdict[rows] = oracle.verdicts(states[rows], near=parents[rows]).verdict
         taken = time.perf_counter() - since
         for row in rows.tolist():
             owners[row].oracle.asked += 1

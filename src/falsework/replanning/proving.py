@@ -42,7 +42,7 @@ class Prover:
         states = np.repeat(complete_state(boundary)[None], len(movable), axis=0)
         states[np.arange(len(movable)), movable] = HELD
         begun = time.perf_counter()
-        self.oracle.check(states)
+        self.oracle.verdicts(states, require_certificate=True)
         self._per_state = (time.perf_counter() - begun) / max(len(movable), 1)
 
     def plan(
@@ -83,11 +83,11 @@ class Prover:
         """Return a plan that rests on its replay as far as that came, and else on verdicts from rest."""
         claim, states = self.oracle.settings.claim, route.states[::-1]
         if replayed is None:
-            return Plan.of(route, self.assembly, task, self.oracle.judge(states), claim)
+            return Plan.of(route, self.assembly, task, self.oracle.verdicts(states), claim)
         claim = replace(claim, holds=claim.holds.resolved(self.assembly, claim.gravity))
         done, verdicts = len(replayed.residuals), Verdicts.blank(len(states))
         if done < len(states):
-            verdicts.put(np.arange(done, len(states)), self.oracle.judge(states[done:]))
+            verdicts.put(np.arange(done, len(states)), self.oracle.verdicts(states[done:]))
         verdicts.verdict[:done], verdicts.proof[:done] = Verdict.STABLE, Proof.HISTORY
         verdicts.residual[:done], verdicts.decided_by[:done] = replayed.residuals, Solver.CPU
         known = None if replayed.stands is None else _summary(replayed)

@@ -115,8 +115,8 @@ class Replanner:
     def _warm(self) -> None:
         """Load and compile everything, and measure how long a proof takes."""
         state = complete_state(self.assembly.boundary)[None]
-        self.oracle.judge(state, parents=state)
-        self.oracle.check(state)
+        self.oracle.verdicts(state, near=state)
+        self.oracle.verdicts(state, require_certificate=True)
         if self.oracle.replayer is not None:
             self.oracle.replayer.replay(state)
         self._context.prover.warm_up()
@@ -185,7 +185,7 @@ class _Round:
     def _check_ends(self) -> None:
         """Check start and target of all sessions."""
         ends = np.concatenate([[session.task.start, session.task.target] for session in self._sessions])
-        verdicts = self._context.prover.oracle.judge(ends)
+        verdicts = self._context.prover.oracle.verdicts(ends)
         for number, session in enumerate(self._sessions):
             session.check_ends(verdicts[2 * number : 2 * number + 2])
 

@@ -314,7 +314,7 @@ class ReplanSession:
             rejected = self.result.rejected[:_LOOKED_AT]
         if rejected is None or len(rejected) == 0 or self.clock.passed:
             return ()
-        verdicts = self.context.prover.oracle.check(rejected)
+        verdicts = self.context.prover.oracle.verdicts(rejected, require_certificate=True)
         count: Counter[int] = Counter()
         for row in np.flatnonzero(verdicts.unstable):
             if verdicts.velocity is not None:

@@ -138,8 +138,8 @@ class _Judge:
         self._assembly, self._settings = config.assembly, one_thread(config.criterion)
         self._oracle = Stability(config.assembly, self._settings)
         states = np.where(config.assembly.boundary, 2, 1).astype(np.uint8)[None]
-        self._oracle.judge(states)
-        self._oracle.check(states)
+        self._oracle.verdicts(states)
+        self._oracle.verdicts(states, require_certificate=True)
 
     def answer(self, items: Sequence[Item], pipe: Connection) -> None:
         """Check all states of all requests in one batch, except those to be explained."""
@@ -147,14 +147,14 @@ class _Judge:
             self._oracle = Stability(self._assembly, self._settings)
         plain = [item for item in items if not item.payload[1]]
         if plain:
-            verdicts = self._oracle.judge(np.concatenate([item.payload[0] for item in plain]))
+            verdicts = self._oracle.verdicts(np.concatenate([item.payload[0] for item in plain]))
             first = 0
             for item in plain:
                 rows = slice(first, first := first + len(item.payload[0]))
                 pipe.send(self._done(item.number, verdicts[rows], explain=False))
         for item in items:
             if item.payload[1]:
-                verdicts = self._oracle.check(item.payload[0])
+                verdicts = self._oracle.verdicts(item.payload[0], require_certificate=True)
                 pipe.send(self._done(item.number, verdicts, explain=True))
 
     def _done(self, number: int, verdicts: Verdicts, *, explain: bool) -> Done:

@@ -85,12 +85,13 @@ def _keys(states: States) -> list[tuple[bytes, int]]:
 
 
 def unique_rows(states: States) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the first row of every distinct state, and for each row the index of its distinct state."""
+    """Return the first row of every distinct state, ascending, and for each row the index of its distinct state."""
     if len(states) == 1:
         return np.zeros(1, np.intp), np.zeros(1, np.intp)
     keys = np.ascontiguousarray(states).view(np.dtype((np.void, states.shape[1]))).ravel()
     _, first, back = np.unique(keys, return_index=True, return_inverse=True)
-    return first, back
+    order = np.argsort(first)
+    return first[order], np.argsort(order)[back]
 
 
 def unique_states(states: States) -> tuple[States, NDArray[np.intp]]:

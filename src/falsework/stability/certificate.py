@@ -59,7 +59,9 @@ def verify_certificates(
         InputError: verdicts without certificates, or with shapes that do not fit the states.
     """
     if verdicts.forces is None or verdicts.velocity is None:
-        raise InputError("these verdicts carry no certificates; get verdicts from Stability.check, which returns them")
+        raise InputError(
+            "these verdicts carry no certificates; ask for them with Stability.verdicts(..., require_certificate=True)"
+        )
     if np.ndim(states) != 2:
         raise InputError(f"states have shape {np.shape(states)}; expected (batch, parts)")
     if claim is None:
@@ -73,7 +75,7 @@ def verify_certificates(
     if claim.criterion == "contact":
         if verdicts.displacement is None:
             raise InputError(
-                "these verdicts carry no displacements; get verdicts from Stability.check, under `contact`"
+                "these verdicts carry no displacements; ask for certificates under the criterion `contact`"
             )
         shapes.append(("displacement", verdicts.displacement.shape, (batch, parts, 6)))
     for name, given, expected in shapes:

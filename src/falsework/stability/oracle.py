@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.state import States, as_states
-from falsework.errors import InputError
+from falsework.errors import StateError
 from falsework.stability.cache import VerdictCache, unique_rows, unique_states
 from falsework.stability.certificate import verify_certificates
 from falsework.stability.contact.replay import Replayer
@@ -23,11 +23,10 @@ from falsework.stability.gpu.solver import GpuSolver
 from falsework.stability.margins.margins import QUICK, MarginFinder
 from falsework.stability.margins.prober import Prober
 from falsework.stability.margins.state_margins import StateMargins
-from falsework.stability.optional_solvers import gpu_solver, gurobi_solver
 from falsework.stability.problem import build_problem
-from falsework.stability.second_order.growing_motion import SecondOrder
 from falsework.stability.settings import StabilitySettings
-from falsework.stability.state_memory import Guesses, WholeMemory, remembered_forces
+from falsework.stability.solvers import criterion_solver, gpu_solver, gurobi_solver
+from falsework.stability.state_memory import Guesses
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 
 if TYPE_CHECKING:
@@ -37,8 +36,6 @@ _BATCH = 32 * 1024 * 1024
 """Memory for contact forces or displacements of one batch, bytes."""
 _WORTH_A_GPU = 8
 """States from which `auto` uses the GPU: a launch costs as much as a few states on the CPU."""
-_LOOKED_AT = 64
-"""States whose proofs are in memory at the same time while they are looked at more closely."""
 
 
 class Stability:
@@ -50,19 +47,16 @@ class Stability:
 
     def __init__(self, assembly: AnyStructure, settings: StabilitySettings = StabilitySettings()) -> None:
         assembly = as_assembly(assembly)
-        if settings.criterion == "equilibrium" and assembly.joints is not None and assembly.joints.setting:
-            raise InputError("joints that set need the criterion contact; equilibrium has no steps")
-        self.assembly, self.settings, self._contact = assembly, settings, settings.criterion == "contact"
+        self.assembly, self.settings = assembly, settings
         self.problem = build_problem(
             assembly, cone=settings.friction_cone, gravity=settings.gravity, reserve=settings.reserve
         )
         self._gurobi = gurobi_solver(assembly, settings, self.problem)
         self.counters = Counters()
-        self._cpu, self._gpu = self._make_cpu(), gpu_solver(assembly, settings, self.problem)
-        self._cache = VerdictCache(holds_keep_stable=not self._contact)
-        self._guess_shape = (self.problem.parts, 6) if self._contact else (self.problem.points, 3)
-        memory = WholeMemory(self._guess_bytes) if self._contact else remembered_forces(self.problem.points)
-        self._guesses = Guesses(memory, assembly.boundary, holds_keep_stable=not self._contact)
+        self._criterion = criterion_solver(assembly, self.problem, settings)
+        self._gpu = gpu_solver(assembly, settings, self.problem)
+        self._cache = VerdictCache(holds_keep_stable=self.holds_keep_stable)
+        self._guesses = Guesses(self._criterion.memory(), assembly.boundary, holds_keep_stable=self.holds_keep_stable)
 
     @cached_property
     def exact(self) -> ExactSolver:
@@ -76,154 +70,47 @@ class Stability:
     @property
     def holds_keep_stable(self) -> bool:
         """Whether a stable state stays stable when a part is held: under `equilibrium`, not under `contact`."""
-        return not self._contact
+        return self._criterion.holds_keep_stable
 
     @cached_property
     def replayer(self) -> Replayer | None:
         """Replayer of state sequences of the structure; None under `equilibrium`, which has no history."""
-        if not isinstance(self._cpu, ContactSolver):
-            return None
-        return Replayer(self.assembly, self.settings, solver=self._cpu)
+        return self._criterion.replayer
 
-    def check(self, states: ArrayLike) -> Verdicts:
-        """Check states and return verdicts with certificates, each verified by the certificate checker.
+    def verdicts(
+        self, states: ArrayLike, *, near: ArrayLike | None = None, require_certificate: bool = False
+    ) -> Verdicts:
+        """Return verdicts on states, each based on a proof that was found in float64.
 
         Args:
             states: one state `(parts,)` or a batch `(batch, parts)`; 0 removed, 1 installed, 2 held.
+            near: for each state a stable one that differs from it in few parts, such as its predecessor in a plan,
+                or itself. What was found of that one is the first guess, and a mechanism is sought near the difference
+                first. Without certificates, states that local attempts leave undecided in structures of 1,000 parts
+                and more stay so, without the exact solver. Same shape.
+            require_certificate: return forces, velocity and, under `contact`, displacement, each accepted by the
+                certificate checker, and whether a stable state tips. Else verdicts come from the cache if possible,
+                which keeps no certificates, and only a state that is known to tip is not stable for that.
 
         Returns:
-            Verdicts with forces, velocity and, under `contact`, displacement; a batch of one for one state.
+            Verdicts; a batch of one for one state.
 
         Raises:
-            StateError: states of the wrong length or with other values.
+            StateError: states of the wrong length or with other values, or not as many near ones.
         """
         batch = as_states(states, self.assembly.boundary)
+        origins = None if near is None else as_states(near, self.assembly.boundary)
+        if origins is not None and len(origins) != len(batch):
+            raise StateError(f"{len(origins)} near states do not fit {len(batch)} states; give one for each")
         self.counters.asked += len(batch)
-        unique, back = unique_states(batch)
-        solver = self._choose(len(unique))
-        if solver is None:
-            verdicts = self.exact.check(unique)
+        if require_certificate:
+            verdicts = self._certify(batch, origins)
+        elif self.problem.strength.idle.any():  # which the kernels take to bear pressure: only certificates count
+            verdicts = self._certify(batch, origins).without_certificates()
         else:
-            verdicts = solver.check(unique, certificates=True)
-            # A GPU may stop at residuals above the resolution; they are proofs where no solver finds better ones.
-            accepted = self._accept(unique, verdicts)
-            rough = np.flatnonzero(accepted & verdicts.stable & (verdicts.residual > self.settings.resolution))
-            kept = verdicts[rough]
-            accepted[rough] = False
-            rest = np.flatnonzero(~accepted)
-            if len(rest) and solver is self._gpu and self._cpu is not None:
-                again = self._cpu.check(unique[rest], certificates=True)
-                verdicts.put(rest, again)
-                rest = rest[~self._accept(unique[rest], again)]
-            if len(rest):
-                verdicts.put(rest, self._decide_exactly(unique[rest], verdicts[rest]))
-            lost = verdicts.undecided[rough]
-            verdicts.put(rough[lost], kept[lost])
-            self._look_closer(unique, verdicts)
+            verdicts = self._recall(batch, origins)
         verdicts.on_tolerance[:] = self.settings.claim.on_tolerance(verdicts)
-        self._count(verdicts)
-        self._cache.store(unique, verdicts.verdict, verdicts.residual)
-        self.counters.cached += len(batch) - len(unique)
-        return replace(verdicts[back], assembly=self.assembly, states=batch)
-
-    def check_beside(self, state: States, neighbours: States) -> Verdicts:
-        """Check a state from the displacements of neighbouring states where none is found from rest.
-
-        Under `contact` a state may have several rest positions, and iterations from rest may
-        miss them all. Each one is a proof.
-
-        Args:
-            state: shape (parts,).
-            neighbours: states before and after it in a plan, shape (batch, parts).
-
-        Returns:
-            A batch of one: the first stable verdict, else the one from rest.
-        """
-        verdict = self.check(state)
-        for neighbour in neighbours[(neighbours != state).any(axis=1)]:
-            if not verdict.stable[0]:
-                verdict = self.check_next(state[None], neighbour[None], self.check(neighbour))
-        return verdict
-
-    def check_again(self, states: States) -> Verdicts:
-        """Check states `(batch, parts)` from the displacements or forces by which `judge` found them stable.
-
-        Returns:
-            Stable verdicts with certificates, or that a state tips; undecided where none are stored or they no longer
-            prove the state.
-        """
-        found = Verdicts.blank(
-            len(states), points=self.problem.points, parts=self.problem.parts, displaced=self._contact
-        )
-        stored = {row: guess for row, state in enumerate(states) if (guess := self._guesses.of(state)) is not None}
-        if self._cpu is None or not stored or self._choose(len(stored)) is not self._cpu:
-            return found
-        rows, guess = np.array(list(stored)), np.array(list(stored.values()), dtype=np.float64)
-        again = self._cpu.check(states[rows], parents=states[rows], guess=guess)
-        good = again.stable & self._accept(states[rows], again)
-        self._look_closer(states[rows[good]], proven := again[good])
-        self._put(states[rows[good]], proven)
-        found.put(rows[good], proven)
-        return found
-
-    def check_next(self, states: States, before: States, known: Verdicts) -> Verdicts:
-        """Check states `(batch, parts)` first from the displacements, or forces, `known` of their predecessors."""
-        proof = known.displacement if self._contact else known.forces
-        if self._cpu is None or proof is None or self._choose(len(states)) is not self._cpu:
-            return self.check(states)
-        guess = np.where(known.stable[:, None, None], proof, np.nan if self._contact else 0.0)
-        found = self._cpu.check(states, parents=before, guess=guess)
-        good = found.stable & self._accept(states, found)
-        self._look_closer(states, found)
-        good &= found.stable
-        self._put(states[good], found[good])
-        if not good.all():
-            found.put(np.flatnonzero(~good), self.check(states[~good]))
-        return found
-
-    def judge(self, states: ArrayLike, *, parents: ArrayLike | None = None) -> Verdicts:
-        """Check states without certificates, from the cache if possible.
-
-        Every verdict is based on a proof found in float64; the cache keeps the verdict, not the proof. Whether a state
-        tips is not asked here, see `keeps`; one that is known to tip is not stable.
-
-        Args:
-            states: shape (batch, parts).
-            parents: for each state a stable one that differs from it in few parts, such as its predecessor. Its forces
-                are the initial guess, and a mechanism is sought near the difference first. What is left undecided in
-                structures of 1,000 parts and more stays so, without the exact solver. Shape (batch, parts).
-
-        Returns:
-            Verdicts without certificates.
-
-        Raises:
-            StateError: states of the wrong length or with other values.
-        """
-        batch = as_states(states, self.assembly.boundary)
-        if self.problem.strength.idle.any():  # which the kernels take to bear pressure: only proofs count
-            return self.check(batch).without_certificates()
-        self.counters.asked += len(batch)
-        verdicts = Verdicts.blank(len(batch))
-        verdict, residual, by_monotonicity = self._cache.look_up(batch)
-        verdicts.verdict[:], verdicts.residual[:] = verdict, residual
-        verdicts.decided_by[:] = np.where(verdict != 0, Solver.RULE, Solver.NONE)
-        self.counters.by_monotonicity += int(by_monotonicity.sum())
-        self.counters.cached += int(((verdict != 0) & ~by_monotonicity).sum())
-        origins = None if parents is None else as_states(parents, self.assembly.boundary)
-        if origins is not None:
-            self._guesses.pass_on(batch[verdict == Verdict.STABLE], origins[verdict == Verdict.STABLE])
-        rest = np.flatnonzero(verdict == 0)
-        if len(rest):
-            first, back = unique_rows(batch[rest])
-            rows = rest[first]
-            solved = self._solve(batch[rows], None if origins is None else origins[rows])
-            self._count(solved)
-            self._cache.store(batch[rows], solved.verdict, solved.residual)
-            self.counters.cached += len(rest) - len(rows)
-            verdicts.put(rest, solved[back])
-        verdicts.proof[:] = proof_of(verdicts.verdict, self.settings.criterion)
-        verdicts.on_tolerance[:] = self.settings.claim.on_tolerance(verdicts)
-        return verdicts
+        return replace(verdicts, assembly=self.assembly, states=batch) if require_certificate else verdicts
 
     def margins(
         self, states: ArrayLike, kinds: Sequence[str] | None = None, *, deadline: float | None = None
@@ -245,23 +132,15 @@ class Stability:
         return self._margins.of(states, QUICK if kinds is None else kinds, deadline=deadline)
 
     @cached_property
-    def _second_order(self) -> SecondOrder | None:
-        return SecondOrder(self.assembly, self.settings.claim) if self._contact else None
-
-    @cached_property
     def prober(self) -> Prober:
         """Solver of single states under modified friction and additional loads, which count from the true friction."""
         if self.settings.reserve != 1.0:
             return Stability(self.assembly, replace(self.settings, reserve=1.0)).prober
-        return Prober(self.assembly, self.problem, self.settings, self._cpu)
+        return Prober(self.assembly, self.problem, self.settings, self._criterion.cpu)
 
     @cached_property
     def _margins(self) -> MarginFinder:
         return MarginFinder(self.prober)
-
-    def stable(self, states: ArrayLike, *, parents: ArrayLike | None = None) -> NDArray[np.bool_]:
-        """Return whether states are proven stable; arguments as for `judge`. Shape (batch,)."""
-        return self.judge(states, parents=parents).stable
 
     def plausible(self, states: States, parents: States) -> NDArray[np.bool_]:
         """Return which states a replay may find at rest: those without a proven mechanism near where they differ.
@@ -273,40 +152,144 @@ class Stability:
         self.counters.asked += len(states)
         verdict, residual, _ = self._cache.look_up(states)
         rest = np.flatnonzero(verdict == 0)
-        if len(rest) and isinstance(self._cpu, ContactSolver):
-            falls = self._cpu.falls(states[rest], parents[rest])
+        if len(rest):
+            falls = self._criterion.falls_near(states[rest], parents[rest])
             self.counters.cpu += int(falls.sum())
             verdict[rest[falls]] = Verdict.UNSTABLE
             self._cache.store(states[rest[falls]], verdict[rest[falls]], residual[rest[falls]])
         return verdict != Verdict.UNSTABLE
 
-    def settle(self, states: States, residual: NDArray[np.float64]) -> Verdicts:
-        """Decide states that a GPU left undecided.
+    def _certify(self, states: States, near: States | None) -> Verdicts:
+        """Return verdicts with certificates: from what is remembered of states or of near ones, else from rest.
 
-        Under `contact` the CPU solver, whose iterations are the same, is only called if its iteration limit is higher.
-        Under both criteria the exact solver comes last.
-
-        Args:
-            states: checked states, shape (batch, parts).
-            residual: residuals found on the GPU, shape (batch,).
-
-        Returns:
-            Verdicts without certificates.
+        What is found of one state serves others of the batch that it is near to.
         """
-        verdicts = Verdicts.blank(len(states))
-        verdicts.residual[:] = residual
-        rest = np.arange(len(states))
-        steps = self.settings.gpu.contact_steps, self.settings.cpu.contact_steps
-        if isinstance(self._cpu, ContactSolver) and steps[0] < steps[1]:
-            verdicts = self._cpu.check(states, certificates=False)
-            rest = np.flatnonzero(verdicts.undecided)
+        unique, back = unique_states(states)
+        verdicts, left, origins = self._criterion.blank(len(unique)), np.arange(len(unique)), np.empty_like(unique)
+        if near is not None:
+            origins[back] = near
+        starts_near = near is not None and self._criterion.cpu is not None
+        starts_near = starts_near and self._choose(len(unique)) is self._criterion.cpu
+        while len(left):
+            begun, found = left[:0], None
+            if starts_near:
+                begun, found = self._certify_from_memory(unique, origins, left)
+            if found is not None:
+                verdicts.put(begun, found)
+                rest = begun[~found.stable]
+            else:
+                begun = rest = _roots(unique, origins, left) if starts_near else left
+            if len(rest):
+                verdicts.put(rest, self._certify_from_rest(unique[rest]))
+                self._remember(unique[rest], verdicts[rest])
+            left = np.setdiff1d(left, begun, assume_unique=True)
+        self._count(verdicts)
+        self._cache.store(unique, verdicts.verdict, verdicts.residual)
+        self.counters.cached += len(states) - len(unique)
+        return verdicts[back]
+
+    def _certify_from_memory(
+        self, states: States, near: States, rows: NDArray[np.intp]
+    ) -> tuple[NDArray[np.intp], Verdicts | None]:
+        """Return those of some rows of which, or of whose near states, something is remembered, and their verdicts."""
+        own = {row: guess for row in rows if (guess := self._guesses.of(states[row])) is not None}
+        others = [row for row in rows if row not in own]
+        new = {row: guess for row in others if (guess := self._guesses.of(near[row])) is not None}
+        known = own | new
+        chosen = np.array(list(known), dtype=np.intp)
+        if self._criterion.cpu is None or not known:
+            return chosen, None
+        origins = np.concatenate([states[list(own)], near[list(new)]])
+        guess = np.array(list(known.values()), dtype=np.float64)
+        found = self._criterion.cpu.check(states[chosen], parents=origins, guess=guess)
+        found.verdict[~(found.stable & self._accept(states[chosen], found))] = Verdict.UNDECIDED
+        self._criterion.look_closer(states[chosen], found)
+        self.counters.warm += len(chosen)
+        self._remember(states[list(new)], found[len(own) :])
+        return chosen, found
+
+    def _certify_from_rest(self, states: States) -> Verdicts:
+        """Return verdicts with certificates on distinct states, of which nothing is known."""
+        solver, cpu = self._choose(len(states)), self._criterion.cpu
+        if solver is None:
+            return self.exact.check(states)
+        verdicts = solver.check(states, certificates=True)
+        # A GPU may stop at residuals above the resolution; they are proofs where no solver finds better ones.
+        accepted = self._accept(states, verdicts)
+        rough = np.flatnonzero(accepted & verdicts.stable & (verdicts.residual > self.settings.resolution))
+        kept = verdicts[rough]
+        accepted[rough] = False
+        rest = np.flatnonzero(~accepted)
+        if len(rest) and solver is self._gpu and cpu is not None:
+            again = cpu.check(states[rest], certificates=True)
+            verdicts.put(rest, again)
+            rest = rest[~self._accept(states[rest], again)]
         if len(rest):
             verdicts.put(rest, self._decide_exactly(states[rest], verdicts[rest]))
-        return verdicts.without_certificates()
+        lost = verdicts.undecided[rough]
+        verdicts.put(rough[lost], kept[lost])
+        self._criterion.look_closer(states, verdicts)
+        return verdicts
 
-    def _look_closer(self, states: States, verdicts: Verdicts) -> None:
-        if self._second_order is not None:
-            self._second_order.revise(states, verdicts)
+    def _recall(self, states: States, near: States | None) -> Verdicts:
+        """Return verdicts without certificates, from the cache if possible."""
+        verdicts = Verdicts.blank(len(states))
+        verdict, residual, by_monotonicity = self._cache.look_up(states)
+        verdicts.verdict[:], verdicts.residual[:] = verdict, residual
+        verdicts.decided_by[:] = np.where(verdict != 0, Solver.RULE, Solver.NONE)
+        self.counters.by_monotonicity += int(by_monotonicity.sum())
+        self.counters.cached += int(((verdict != 0) & ~by_monotonicity).sum())
+        if near is not None:
+            self._guesses.pass_on(states[verdict == Verdict.STABLE], near[verdict == Verdict.STABLE])
+        rest = np.flatnonzero(verdict == 0)
+        if len(rest):
+            first, back = unique_rows(states[rest])
+            rows = rest[first]
+            solved = self._solve(states[rows], None if near is None else near[rows])
+            self._count(solved)
+            self._cache.store(states[rows], solved.verdict, solved.residual)
+            self.counters.cached += len(rest) - len(rows)
+            verdicts.put(rest, solved[back])
+        verdicts.proof[:] = proof_of(verdicts.verdict, self.settings.criterion)
+        return verdicts
+
+    def _solve(self, states: States, near: States | None) -> Verdicts:
+        """Return verdicts without certificates on distinct states that are not in the cache."""
+        solver = self._choose(len(states))
+        if solver is None:
+            return self.exact.check(states).without_certificates()
+        verdicts = Verdicts.blank(len(states))
+        # Look up the near states first: storing what is found may evict them.
+        known = [None] * len(states) if near is None else [self._guesses.of(origin) for origin in near]
+        size = max(_BATCH // max(self._criterion.no_guess(1).nbytes, 1), 16)
+        for first in range(0, len(states), size):
+            rows = np.arange(first, min(first + size, len(states)))
+            origins = guess = None
+            if near is not None and solver.starts_from_guesses:
+                origins, guess = near[rows], self._criterion.no_guess(len(rows))
+                for row, start in zip(range(len(rows)), known[first : first + size], strict=True):
+                    if start is not None:
+                        guess[row] = start
+                        self.counters.warm += 1
+            solved = solver.check(states[rows], certificates=False, parents=origins, guess=guess)
+            if guess is not None:
+                self._guesses.remember(states[rows][solved.stable], guess[solved.stable])
+            verdicts.put(rows, solved)
+        rest = np.flatnonzero(verdicts.undecided)
+        if len(rest) and solver is self._gpu and self._criterion.cpu is not None:
+            verdicts.put(rest, self._criterion.cpu.check(states[rest], certificates=False))
+            rest = rest[verdicts.undecided[rest]]
+        if len(rest) and (near is None or self.problem.parts < LEFT_OPEN):
+            exact = self._decide_exactly(states[rest], verdicts[rest])
+            self._remember(states[rest], exact)
+            verdicts.put(rest, exact)
+        return verdicts
+
+    def _remember(self, states: States, verdicts: Verdicts) -> None:
+        """Remember the certificates of stable states, from which others start."""
+        guess = self._criterion.guess_of(verdicts)
+        if guess is not None:
+            self._guesses.remember(states[verdicts.stable], guess[verdicts.stable])
 
     def _accept(self, states: States, verdicts: Verdicts) -> NDArray[np.bool_]:
         """Return whether the checker accepts each verdict; count the rejected ones."""
@@ -314,87 +297,35 @@ class Stability:
         self.counters.rejected += int((~accepted & ~verdicts.undecided).sum())
         return accepted
 
-    def _make_cpu(self) -> CpuSolver | ContactSolver | None:
-        """Return the CPU solver if the settings ask for it and it knows all contacts, and always under `contact`."""
-        if self._contact:
-            return ContactSolver(self.assembly, self.problem, self.settings)
-        known = self.settings.solver in ("auto", "cpu") and not self.problem.strength.idle.any()
-        return CpuSolver(self.problem, self.settings) if known else None
-
     def _decide_exactly(self, states: States, verdicts: Verdicts) -> Verdicts:
-        """Return verdicts of the exact solver; under `contact` it only tells unstable from in equilibrium.
+        """Return verdicts of the exact solver.
 
         Args:
             states: shape (batch, parts).
             verdicts: verdicts of the solver that left them undecided.
         """
-        # Where equilibrium is proven and no rest position was found, the exact solver has nothing to add.
-        rows = np.flatnonzero(~(self._contact & verdicts.undecided & (verdicts.residual <= self.settings.tolerance)))
-        decided = verdicts[np.arange(len(verdicts))]
-        if not len(rows):
-            return decided
-        exact = self.exact.check(states[rows])
-        if self._contact:
-            # Equilibrium does not imply stability here: states that the contact solver left undecided stay undecided.
-            slides = exact.stable & (verdicts.slides[rows] | np.isposinf(verdicts.residual[rows]))
-            exact.verdict[exact.stable & ~slides] = Verdict.UNDECIDED
-            exact.verdict[slides] = Verdict.SLIDES
-            exact.proof[:] = proof_of(exact.verdict, self.settings.criterion)
-        elif exact.forces is not None:  # the next states start from them
-            self._guesses.remember(states[rows[exact.stable]], exact.forces[exact.stable])
-        decided.put(rows, exact)
+        decided, rows = verdicts[np.arange(len(verdicts))], np.flatnonzero(self._criterion.is_left_to_exact(verdicts))
+        if len(rows):
+            exact = self.exact.check(states[rows])
+            self._criterion.read_exact(exact, verdicts[rows])
+            decided.put(rows, exact)
         return decided
-
-    @property
-    def _guess_bytes(self) -> int:
-        """Return the bytes of the guess for one state in float64."""
-        return 8 * self._guess_shape[0] * self._guess_shape[1]
 
     def _choose(self, count: int) -> CpuSolver | ContactSolver | GpuSolver | None:
         """Choose the solver for a batch of this size; None for the exact solver."""
         if self._gpu is not None and (self.settings.solver == "gpu" or count >= _WORTH_A_GPU):
             return self._gpu
-        return self._cpu
-
-    def _solve(self, states: States, parents: States | None) -> Verdicts:
-        solver = self._choose(len(states))
-        if solver is None:
-            return self.exact.check(states).without_certificates()
-        verdicts = Verdicts.blank(len(states))
-        # Look up the parents first: storing the results of their children may evict them.
-        known = [None] * len(states) if parents is None else [self._guesses.of(parent) for parent in parents]
-        size, guess = max(_BATCH // max(self._guess_bytes, 1), 16), None
-        for first in range(0, len(states), size):
-            rows = np.arange(first, min(first + size, len(states)))
-            if parents is not None and not (solver is self._gpu and self._contact):
-                guess = np.full((len(rows), *self._guess_shape), np.nan if self._contact else 0.0)
-                for row, start in zip(range(len(rows)), known[first : first + size], strict=True):
-                    if start is not None:
-                        guess[row] = start
-                        self.counters.warm += 1
-            if solver is self._cpu and self._cpu is not None:
-                near = None if parents is None else parents[rows]
-                solved = self._cpu.check(states[rows], certificates=False, parents=near, guess=guess)
-            else:
-                solved = solver.check(states[rows], certificates=False, guess=guess)
-            if guess is not None:
-                self._guesses.remember(states[rows][solved.stable], guess[solved.stable])
-            verdicts.put(rows, solved)
-        rest = np.flatnonzero(verdicts.verdict == Verdict.UNDECIDED)
-        if len(rest) and solver is self._gpu:
-            verdicts.put(rest, self.settle(states[rest], verdicts.residual[rest]))
-        elif len(rest) and (parents is None or self.problem.parts < LEFT_OPEN):
-            verdicts.put(rest, self._decide_exactly(states[rest], verdicts[rest]))
-        return verdicts
-
-    def _put(self, states: States, verdicts: Verdicts) -> None:
-        """Count checked verdicts and store them in the cache."""
-        self.counters.asked += len(states)
-        self._count(verdicts)
-        self._cache.store(states, verdicts.verdict, verdicts.residual)
+        return self._criterion.cpu
 
     def _count(self, verdicts: Verdicts) -> None:
         self.counters.cpu += int((verdicts.decided_by == Solver.CPU).sum())
         self.counters.gpu += int((verdicts.decided_by == Solver.GPU).sum())
         self.counters.exact += int(np.isin(verdicts.decided_by, (Solver.EXACT, Solver.GUROBI)).sum())
         self.counters.undecided += int(verdicts.undecided.sum())
+
+
+def _roots(states: States, near: States, rows: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return the rows whose near state is none of the others; all if there are none."""
+    asked = {states[row].tobytes(): row for row in rows}
+    first = [row for row in rows if asked.get(near[row].tobytes(), row) == row]
+    return np.array(first, dtype=np.intp) if first else rows

@@ -62,10 +62,11 @@ def load(module: str, name: str) -> Code | None:
 
 
 def digest(sources: Iterable[str]) -> str:
-    """Return the digest of source files, given by their paths in the package."""
+    """Return the digest of source files, given by their paths in the package; one that is gone counts as empty."""
     sha = hashlib.sha256()
     for source in sources:
-        sha.update((PACKAGE / source).read_text(encoding="utf-8").encode())
+        path = PACKAGE / source
+        sha.update(path.read_text(encoding="utf-8").encode() if path.is_file() else b"")
     return sha.hexdigest()
 
 

@@ -97,7 +97,7 @@ def proofs_of_states(oracle: Stability, states: States) -> list[StateProof]:
     proofs = []
     for first in range(0, len(states), _AT_ONCE):
         some = states[first : first + _AT_ONCE]
-        verdicts = oracle.check(some)
+        verdicts = oracle.verdicts(some, require_certificate=True)
         proofs += [_proof(oracle.assembly, state, verdicts, row, how) for row, state in enumerate(some)]
     return proofs
 

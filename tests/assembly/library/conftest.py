@@ -22,7 +22,7 @@ def stands() -> Callable[..., bool]:
     ) -> bool:
         if state is None:
             state = complete_state(assembly.boundary)
-        verdict = Stability(assembly, settings).check(np.asarray(state)).verdict[0]
+        verdict = Stability(assembly, settings).verdicts(np.asarray(state), require_certificate=True).verdict[0]
         assert verdict != Verdict.UNDECIDED
         return bool(verdict == Verdict.STABLE)
 

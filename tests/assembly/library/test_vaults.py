@@ -185,7 +185,7 @@ def test_two_robots_can_build_it(parts: int) -> None:
         while left:
             for chain in left:
                 ways = [built(way) for way in (chain, chain[::-1])]
-                states = next((states for states in ways if stability.stable(states).all()), None)
+                states = next((states for states in ways if stability.verdicts(states).stable.all()), None)
                 if states is not None:
                     state = states[-1]
                     left = [other for other in left if other is not chain]

@@ -103,7 +103,7 @@ def test_clock_stops_a_search(oracle: Stability) -> None:
     levels = len(beam.levels)
     assert levels > 0
     with pytest.raises(DeadlineExceeded):
-        timed.judge(TASK.start[None])
+        timed.verdicts(TASK.start[None])
     assert len(beam.levels) == levels
     assert clock.spent["verdicts"] > 0
 
@@ -112,7 +112,7 @@ def test_clock_without_a_deadline(oracle: Stability) -> None:
     clock = Deadline()
     timed = TimedOracle(oracle, clock)
     plan = find_plans(ARCH, forces=False).plans[0]
-    verdicts: Any = timed.judge(plan.states)
+    verdicts: Any = timed.verdicts(plan.states)
     assert verdicts.stable.all()
     assert timed.asked == len(plan.states)
     assert not clock.passed

@@ -46,7 +46,7 @@ def test_sets_share_nothing_and_all_their_states_come_apart(arch: Any, data: Dat
     everything = np.concatenate(sets)
     assert min(len(states) for states in sets) > 10
     assert len(np.unique(everything, axis=0)) == len(everything)
-    assert Stability(arch).stable(everything).all()
+    assert Stability(arch).verdicts(everything).stable.all()
     graph = StateGraph.build(data.task, everything)
     assert graph.solvable.all()
     assert sum(sum(counts) for counts in data.levels().values()) == len(everything)

@@ -55,7 +55,7 @@ def test_images_of_tasks_are_tasks(dome: Assembly, graph: StateGraph) -> None:
     after = environment.rules.follow(states, valid.long().argmax(dim=1))
     oracle = Stability(dome)
     for some in (states, targets, after):
-        assert (oracle.judge(some.numpy()).verdict == 1).all()
+        assert (oracle.verdicts(some.numpy()).verdict == 1).all()
     assert (graph.index.find(states.numpy()) < 0).mean() > 0.5
 
 
@@ -139,7 +139,7 @@ def test_a_policy_that_numbers_parts_learns_from_images_of_states(dome: Assembly
     assert torch.equal(turned.starts[:count], plain.starts)
     assert len(turned.starts) == len(images) * count
     assert len(alone.starts) < count
-    assert oracle.stable(turned.starts.numpy()).all()
+    assert oracle.verdicts(turned.starts.numpy()).stable.all()
     held_out = {bytes(row) for row in turned.held_out.numpy()}
     assert not held_out & {bytes(row) for row in turned.starts.numpy()}
 

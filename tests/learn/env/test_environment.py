@@ -31,9 +31,11 @@ class Counting:
         self.holds_keep_stable = self.oracle.holds_keep_stable
         self.asked: list[bytes] = []
 
-    def judge(self, states: np.ndarray, *, parents: np.ndarray | None = None) -> Verdicts:
+    def verdicts(
+        self, states: np.ndarray, *, near: np.ndarray | None = None, require_certificate: bool = False
+    ) -> Verdicts:
         self.asked += [state.tobytes() for state in states]
-        return self.oracle.judge(states, parents=parents)
+        return self.oracle.verdicts(states, near=near)
 
 
 class Indifferent:
@@ -140,7 +142,7 @@ def test_the_first_unstable_state_costs_one(arch: Assembly) -> None:
     held = environment.step(environment.rules.complete(), torch.tensor([middle]), check=True)
     assert held.reward.tolist() == [0.0]
     fallen = environment.step(held.states, torch.tensor([arch.part_count + middle]), check=True)
-    assert not Stability(arch).stable(fallen.states.numpy())[0]
+    assert not Stability(arch).verdicts(fallen.states.numpy()).stable[0]
     assert fallen.reward.tolist() == [-1.0]
     assert fallen.done.all()
     assert fallen.unstable.all()
@@ -188,11 +190,11 @@ def test_under_contact_every_action_is_judged(bottle: Assembly) -> None:
     assert len(oracle.asked) == len(set(oracle.asked)) == environment.counters.states_asked
     assert set(oracle.asked) == {state.numpy().tobytes() for state in first.states[1:][first.actions >= 0]}
     # The last state of a rollout is one that is not proven stable exactly if it is called so; all others stand.
-    last = oracle.oracle.check(first.last.numpy())
+    last = oracle.oracle.verdicts(first.last.numpy(), require_certificate=True)
     stands = last.stable | last.tips  # which rollouts do not ask
     assert np.array_equal(stands, ~first.unstable.numpy())
     passed = np.unique(first.states[first.passed()].numpy(), axis=0)
-    found = oracle.oracle.check(passed)
+    found = oracle.oracle.verdicts(passed, require_certificate=True)
     assert (found.stable | found.tips).all()
 
 
@@ -200,9 +202,11 @@ def test_a_hold_after_which_a_part_slides_ends_a_rollout(bottle: Assembly) -> No
     """A robot that takes over a part takes its weight off the neighbours, and one that leant on it slides."""
     slides = np.array([1, 0, 1, 0, 0, 2, 1, 1, 0, 1, 2, 2], dtype=np.uint8)
     contact = Stability(bottle)
-    taken = next(part for part in (5, 10) if contact.stable(np.where(np.arange(12) == part, 1, slides)[None])[0])
+    taken = next(
+        part for part in (5, 10) if contact.verdicts(np.where(np.arange(12) == part, 1, slides)[None]).stable[0]
+    )
     before = np.where(np.arange(12) == taken, 1, slides).astype(np.uint8)
-    assert contact.check(slides).slides[0]
+    assert contact.verdicts(slides, require_certificate=True).slides[0]
     assert ExactSolver(bottle).check(slides[None]).stable[0]
 
     def eager(states, targets=None):
@@ -233,7 +237,7 @@ def test_verdicts_are_right_when_slots_are_fought_over(bottle: Assembly) -> None
     states = states[torch.randperm(len(states), generator=torch.Generator().manual_seed(0))]
     environment._verdicts = VerdictTable(environment.rules, memory=1)
     environment._verdicts._slots = 32
-    truth = torch.from_numpy(Stability(bottle, EQUILIBRIUM).stable(states.numpy()))
+    truth = torch.from_numpy(Stability(bottle, EQUILIBRIUM).verdicts(states.numpy()).stable)
     for begin in range(0, len(states), 700):
         rows = slice(begin, begin + 700)
         assert torch.equal(environment.stable(states[rows]), truth[rows])
@@ -248,14 +252,14 @@ class HalfBlind:
 
     def check_tensor(self, states):
         self.asked += len(states)
-        verdict = torch.from_numpy(self.oracle.judge(states.numpy()).verdict)
+        verdict = torch.from_numpy(self.oracle.verdicts(states.numpy()).verdict)
         verdict[::2] = 0
         return verdict, torch.full((len(states),), torch.nan, dtype=torch.float64)
 
 
 def half_blind_oracle(assembly: Assembly) -> DeviceOracle:
     oracle = DeviceOracle.__new__(DeviceOracle)
-    oracle._solver, oracle._settle = HalfBlind(assembly), Stability(assembly, EQUILIBRIUM).settle  # type: ignore[assignment]
+    oracle._solver, oracle._fallback = HalfBlind(assembly), Stability(assembly, EQUILIBRIUM)  # type: ignore[assignment]
     return oracle
 
 
@@ -266,7 +270,7 @@ def test_states_left_open_go_to_the_exact_solver_unless_they_may_be_given_up(arc
     environment._on_device = oracle
     _, rollouts = random_rollouts(arch, 60)
     states = torch.unique(rollouts.states.flatten(0, 1), dim=0)
-    truth = torch.from_numpy(Stability(arch, EQUILIBRIUM).stable(states.numpy()))
+    truth = torch.from_numpy(Stability(arch, EQUILIBRIUM).verdicts(states.numpy()).stable)
     assert truth.any()
     assert not truth.all()
     solver: Any = oracle._solver

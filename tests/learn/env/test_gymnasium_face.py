@@ -103,7 +103,9 @@ def test_its_criterion_is_that_of_the_graph() -> None:
     bottle = load_structure("bottle")
     before = np.array([1, 0, 1, 0, 0, 2, 1, 1, 0, 1, 2, 2], dtype=np.uint8)
     contact = Stability(bottle)
-    taken = next(part for part in (5, 10) if contact.stable(np.where(np.arange(12) == part, 1, before)[None])[0])
+    taken = next(
+        part for part in (5, 10) if contact.verdicts(np.where(np.arange(12) == part, 1, before)[None]).stable[0]
+    )
     before[taken] = 1
     for criterion in ("contact", "equilibrium"):
         beam = BeamSearch(task_of(bottle), Stability(bottle, StabilitySettings(criterion=criterion)), BeamSettings(4))

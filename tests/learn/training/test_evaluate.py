@@ -64,7 +64,7 @@ def test_success_is_a_way_to_the_end_that_stands(arch: Any, data: Dataset) -> No
         while (mask := rules.moves(state)).any():
             logits, _ = policy(state)
             state = rules.follow(state, torch.where(mask, logits, -torch.inf).argmax(dim=1))
-            if not oracle.stable(state.numpy())[0]:
+            if not oracle.verdicts(state.numpy()).stable[0]:
                 break
         assert bool(rules.reached(state)[0]) == expected
     assert success.to_dict() == {"states": len(states), "success": round(int(which.sum()) / len(states), 6)}

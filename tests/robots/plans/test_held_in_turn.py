@@ -85,9 +85,9 @@ def test_without_a_hand_over_there_is_no_plan(bridge: Assembly, apart: Cell) -> 
             (other,) = {LEFT, RIGHT} - set(gone)
             for held in ([], [other]):
                 state[held] = HELD
-                assert not oracle.stable(state[None])[0]
+                assert not oracle.verdicts(state[None]).stable[0]
             state[other], state[BEAM] = complete[other], HELD
-            assert oracle.stable(state[None])[0]
+            assert oracle.verdicts(state[None]).stable[0]
 
 
 def test_one_arm_hands_the_beam_to_the_other(plan: RobotPlan, bridge: Assembly, apart: Cell) -> None:

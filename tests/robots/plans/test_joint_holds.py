@@ -140,9 +140,9 @@ def test_the_oracle_leaves_open_what_no_arms_can_hold(column: Assembly, graph: K
     graph.joint.exclude((1, 2), held(column))
     holding = HoldingOracle(oracle, graph.joint)
     states = np.array([held(column, 1), held(column, 1, 2)])
-    np.testing.assert_array_equal(oracle.stable(states), [True, True])
-    np.testing.assert_array_equal(holding.stable(states), [True, False])
-    assert holding.judge(states, parents=states).undecided.tolist() == [False, True]
+    np.testing.assert_array_equal(oracle.verdicts(states).stable, [True, True])
+    np.testing.assert_array_equal(holding.verdicts(states).stable, [True, False])
+    assert holding.verdicts(states, near=states).undecided.tolist() == [False, True]
 
 
 def test_plans_keep_to_it(column: Assembly, cell: Cell, graph: KeyframeGraph) -> None:

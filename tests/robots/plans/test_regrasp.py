@@ -231,7 +231,7 @@ class Rules:
     needed = (((),), ((2,), (1, 4)), ((2,), (4,)), ((4,),), ((4,),), ((),))
     """Sets of which one must be held, by number of parts that are gone."""
 
-    def stable(self, states: np.ndarray, *, parents: np.ndarray | None = None) -> np.ndarray:
+    def _stable(self, states: np.ndarray) -> np.ndarray:
         """Which states of five parts on the ground stand."""
         gone = [[part for part in self.order if not state[part]] for state in states]
         return np.array(
@@ -242,10 +242,12 @@ class Rules:
             ]
         )
 
-    def judge(self, states: np.ndarray, *, parents: np.ndarray | None = None) -> Verdicts:
+    def verdicts(
+        self, states: np.ndarray, *, near: np.ndarray | None = None, require_certificate: bool = False
+    ) -> Verdicts:
         """Verdicts on them."""
         verdicts = Verdicts.blank(len(states))
-        verdicts.verdict[:] = np.where(self.stable(states), Verdict.STABLE, Verdict.UNSTABLE)
+        verdicts.verdict[:] = np.where(self._stable(states), Verdict.STABLE, Verdict.UNSTABLE)
         return verdicts
 
     def can_leave(self, states: np.ndarray) -> np.ndarray:

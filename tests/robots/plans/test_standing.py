@@ -34,9 +34,9 @@ class Watched(Stability):
         super().__init__(assembly, StabilitySettings(criterion=criterion))
         self.seen: set[bytes] = set()
 
-    def stable(self, states: Any, *, parents: Any = None) -> Any:
-        self.seen |= {state.tobytes() for state in states}
-        return super().stable(states, parents=parents)
+    def verdicts(self, states: Any, *, near: Any = None, require_certificate: bool = False) -> Any:
+        self.seen |= {state.tobytes() for state in np.atleast_2d(states)}
+        return super().verdicts(states, near=near, require_certificate=require_certificate)
 
 
 class Falling:
@@ -126,8 +126,10 @@ def test_a_hold_on_the_way_that_does_not_stand_is_gone_around() -> None:
     class Refusing(Stability):
         refused = np.empty((0, ARCH.part_count), dtype=np.uint8)
 
-        def stable(self, states: Any, *, parents: Any = None) -> Any:
-            return super().stable(states, parents=parents) & ~(states[:, None] == self.refused).all(axis=2).any(axis=1)
+        def verdicts(self, states: Any, *, near: Any = None, require_certificate: bool = False) -> Any:
+            verdicts = super().verdicts(states, near=near, require_certificate=require_certificate)
+            verdicts.verdict[(np.atleast_2d(states)[:, None] == self.refused).all(axis=2).any(axis=1)] = 0
+            return verdicts
 
     state, tried = complete_state(ARCH.boundary), 0
     for action in prepared(Stability(ARCH)).legal(state):

@@ -310,7 +310,7 @@ def test_a_state_that_slides_is_not_entered(rules: Any, direction: Direction, se
     assert result.counters.asked == result.counters.candidates
     assert result.found == (rules.enumeration(task, oracle).count() > 0)
     asked = np.unique(np.concatenate(oracle.asked), axis=0)
-    slides = asked[oracle.judge(asked).slides]
+    slides = asked[oracle.verdicts(asked).slides]
     assert (result.sliding > 0) == (len(slides) > 0)
     assert not rows_of(slides) & rows_of(search.states())
 

@@ -34,7 +34,7 @@ def graph_of(states: np.ndarray) -> StateGraph:
 @BOTH
 def test_every_state_stands_and_was_come_to(direction: Direction) -> None:
     found = bottle_searches(6, 4, direction=direction)
-    assert (STABLE.judge(found.states).verdict == 1).all()
+    assert (STABLE.verdicts(found.states).verdict == 1).all()
     graph = graph_of(found.states)
     connected = graph.reachable if direction is Direction.DISASSEMBLY else graph.solvable
     assert connected.all()
@@ -60,7 +60,7 @@ def test_nothing_is_left_out_where_there_is_room_for_all() -> None:
         moves = task.moves(np.array(fresh), Direction.DISASSEMBLY)
         rows, actions = np.nonzero(moves)
         after = task.follow(np.array(fresh)[rows], actions, Direction.DISASSEMBLY)
-        stands = oracle.judge(after).verdict == 1
+        stands = oracle.verdicts(after).verdict == 1
         fresh = [state for state in np.unique(after[stands], axis=0) if tuple(state) not in reached]
         reached |= {tuple(state) for state in fresh}
     found = parallel_beam_search(task, HostOracle(oracle), 1, 1000)

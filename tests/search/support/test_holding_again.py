@@ -164,7 +164,7 @@ class SeesawOracle:
     """Pairs of parts of which the first must stay as long as the second is there."""
     holds_keep_stable: bool = False
 
-    def judge(self, states: Any, *, parents: Any = None) -> Any:
+    def verdicts(self, states: Any, *, near: Any = None, require_certificate: bool = False) -> Any:
         return self.rules.verdicts(np.array([self.stands(tuple(state.tolist())) for state in states], dtype=bool))
 
     def stands(self, state: State) -> bool:

@@ -32,14 +32,14 @@ def test_a_state_stands_if_its_robot_can_press(scenes: Any, mode: HoldMode) -> N
     assembly = beside_wall(scenes)
     plain = Stability(assembly, StabilitySettings(holds=HoldSettings(mode=mode)))
     pressing = PressingStability(plain)
-    assert [Verdict(v).name for v in plain.judge(STATES).verdict] == [
+    assert [Verdict(v).name for v in plain.verdicts(STATES).verdict] == [
         "SLIDES",
         "SLIDES",
         "STABLE",
         "UNSTABLE",
         "UNSTABLE",
     ]
-    verdicts = pressing.judge(STATES)
+    verdicts = pressing.verdicts(STATES)
     assert verdicts.stable.tolist() == [True, True, True, False, False]
     assert (verdicts.proof[:2] == Proof.HISTORY).all()
     for state, count in zip(STATES[:2], (1, 2), strict=True):
@@ -58,7 +58,7 @@ def test_a_weak_robot_does_not_hold_them(scenes: Any, weights: float) -> None:
     assembly = beside_wall(scenes)
     force = weights * 9.81 * float(assembly.mass.mass[0])
     pressing = PressingStability(Stability(assembly, StabilitySettings(holds=HoldSettings(force=force))))
-    assert pressing.judge(STATES[:1]).stable.tolist() == [weights > 2]
+    assert pressing.verdicts(STATES[:1]).stable.tolist() == [weights > 2]
 
 
 def test_without_presses_there_is_no_such_oracle(scenes: Any) -> None:

@@ -30,7 +30,7 @@ def compare(random_scenes: Any, seeds: range) -> tuple[int, int, int]:
             assembly = (random_scenes.row, random_scenes.slope)[seed % 2](rng)
         state = complete_state(assembly.boundary)[None]
         oracle = Stability(assembly, settings)
-        verdict = oracle.check(state).verdict[0]
+        verdict = oracle.verdicts(state, require_certificate=True).verdict[0]
         assert oracle.replayer is not None
         replay = oracle.replayer.replay(np.concatenate([np.full_like(state, HELD), state])).stands[-1]
         assert (verdict == Verdict.STABLE) == (replay == 1), f"seed {seed}: {verdict} and {replay} in the replay"

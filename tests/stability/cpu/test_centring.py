@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from falsework.assembly.joints import Joints
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, complete_state
 from falsework.stability import Stability, Verdict, Verdicts, verify_certificates
 from falsework.stability.cpu import solver as cpu_solver
-from falsework.stability.cpu.repair import CORRIDORS, REPAIR_RINGS, repair_range
-from falsework.stability.cpu.solver import CpuSolver
+from falsework.stability.cpu.repair import repair_range
+from falsework.stability.cpu.solver import CpuSolver, kernel_options
 from falsework.stability.problem import build_problem
 from falsework.stability.settings import EQUILIBRIUM, Cone
 
@@ -23,13 +24,14 @@ Found = tuple[NDArray[np.bool_], NDArray[np.float64]]
 def _centre(solver: CpuSolver, states: NDArray, parents: NDArray, forces: NDArray) -> Found:
     verdict, residual = np.zeros(len(states), np.int8), np.full(len(states), np.nan)
     counts, out = np.zeros((2, len(states)), np.int32), forces.copy()
-    kernel = solver.structure, states, parents, np.ones(len(states), dtype=bool), REPAIR_RINGS, CORRIDORS
-    repair_range(*kernel, solver._options, solver._along, True, True, out, verdict, residual, *counts)
+    known = np.ones(len(states), dtype=bool)
+    kernel = solver.structure, states, parents, known, solver.reaches, True, kernel_options(EQUILIBRIUM)
+    repair_range(*kernel, out, verdict, residual, *counts)
     return verdict == Verdict.STABLE, out
 
 
 def _with_forces(vault: Assembly, states: NDArray, forces: NDArray) -> Verdicts:
-    checked = Stability(vault, EQUILIBRIUM).check(states)
+    checked = Stability(vault, EQUILIBRIUM).verdicts(states, require_certificate=True)
     assert checked.forces is not None
     checked.forces[:] = forces
     return checked
@@ -61,33 +63,30 @@ def test_centred_forces_prove_the_state_and_the_next(
     start = np.repeat(forces[good][:1], len(parts), axis=0)
     stands, moved = _centre(solver, after, parents, start)
     assert stands.any()
-    assert (Stability(vault, EQUILIBRIUM).check(after).verdict[stands] == Verdict.STABLE).all()
+    assert (
+        Stability(vault, EQUILIBRIUM).verdicts(after, require_certificate=True).verdict[stands] == Verdict.STABLE
+    ).all()
     assert ((moved != start).any(axis=2)[stands].mean(axis=1) < 0.5).any()
 
 
 @pytest.mark.parametrize("cone", ["octagon", "quadratic"])
-def test_verdicts_along_random_orders_are_the_same(
-    vault: Assembly, monkeypatch: pytest.MonkeyPatch, cone: Cone
-) -> None:
+@pytest.mark.parametrize("glued", [True, False])
+def test_verdicts_along_random_orders_are_the_same(vault: Assembly, cone: Cone, glued: bool) -> None:
+    """Also where contacts pull, so that forces are not kept inside their cones."""
+    vault = vault.replace(joints=Joints.of(vault.contacts, tension=1.0)) if glued else vault
     settings = replace(EQUILIBRIUM, cone=cone)
-    plain = Stability(vault, settings)
-    monkeypatch.setattr(cpu_solver, "_LARGE", 0)
-    monkeypatch.setattr(cpu_solver, "_LARGER", 0)
-    monkeypatch.setattr(cpu_solver, "_CENTRED", 0)
-    centred = Stability(vault, settings)
-    assert isinstance(centred._cpu, CpuSolver)
-    assert centred._cpu._centred
+    plain, centred = Stability(vault, settings), Stability(vault, settings)
     rng = np.random.default_rng(0)
     seen = []
     for _ in range(3):
         state = complete_state(vault.boundary)
-        assert centred.judge(state[None], parents=state[None]).stable.all()
+        assert centred.verdicts(state[None], near=state[None]).stable.all()
         for part in rng.permutation(np.flatnonzero(state == INSTALLED)):
             held, after = state.copy(), state.copy()
             held[part], after[part] = HELD, REMOVED
             next_states, parents = np.stack([held, after, state]), np.stack([state, state, held])
-            found = centred.judge(next_states, parents=parents)
-            assert (found.verdict == plain.judge(next_states).verdict).all()
+            found = centred.verdicts(next_states, near=parents)
+            assert (found.verdict == plain.verdicts(next_states).verdict).all()
             seen.append(found.stable[1])
             if not found.stable[1]:
                 state = held if (held == HELD).sum() < (vault.boundary.sum() + 3) else state
@@ -97,21 +96,9 @@ def test_verdicts_along_random_orders_are_the_same(
     assert not all(seen)
 
 
-def test_only_contacts_with_friction_and_without_cohesion(monkeypatch: pytest.MonkeyPatch, vault: Assembly) -> None:
-    monkeypatch.setattr(cpu_solver, "_CENTRED", 0)
-    problem = build_problem(vault)
-    assert CpuSolver(problem)._centred
-    one = np.arange(problem.points) == 0
-    slippery = problem.strength._replace(friction=np.where(one, 0.0, problem.strength.friction))
-    glued = problem.strength._replace(pull=np.where(one, 1.0, 0.0))
-    for strength in (slippery, glued):
-        assert not CpuSolver(replace(problem, strength=strength))._centred
-
-
-def test_what_centring_leaves_open_is_decided_on_the_whole_unless_that_takes_long(
+def test_what_repairs_leave_open_is_decided_on_the_whole_unless_that_takes_long(
     vault: Assembly, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cpu_solver, "_CENTRED", 0)
     monkeypatch.setattr(cpu_solver, "fall_range", lambda *arguments: len(arguments[1]))
     monkeypatch.setattr(cpu_solver, "repair_range", lambda *arguments: len(arguments[1]))
     parent = complete_state(vault.boundary)

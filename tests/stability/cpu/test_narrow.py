@@ -34,7 +34,7 @@ def verdict(parts: list[TriangleMesh], boundary: list[int], **options: Any) -> V
     with pytest.warns(ContactWarning):
         assembly = Assembly.from_meshes(parts, boundary=boundary, **options)
     state = np.where(assembly.boundary, 2, 1)
-    found = Stability(assembly, EQUILIBRIUM).check(state)
+    found = Stability(assembly, EQUILIBRIUM).verdicts(state, require_certificate=True)
     exact = ExactSolver(assembly).check(state)
     assert int(found.verdict[0]) == int(exact.verdict[0]) != Verdict.UNDECIDED
     return Verdict(int(found.verdict[0]))

@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, complete_state
 from falsework.stability import Stability, Verdict, verify_certificates
-from falsework.stability.cpu.layout import add_wrenches, make_scratch, restrict
 from falsework.stability.cpu.neighbourhood import hold_beside_corridor
-from falsework.stability.cpu.repair import CORRIDORS, REPAIR_RINGS, repair_range
-from falsework.stability.cpu.solver import CpuSolver
-from falsework.stability.cpu.units import scale_units
+from falsework.stability.cpu.repair import repair_range
+from falsework.stability.cpu.solver import CpuSolver, kernel_options
 from falsework.stability.problem import build_problem
 from falsework.stability.settings import EQUILIBRIUM
 
 
-def test_repaired_forces_prove_the_state(vault: Assembly, released: tuple[NDArray, NDArray]) -> None:
+@pytest.mark.parametrize("interior", [True, False])
+@pytest.mark.parametrize("reaches", [[2, 4, 8], [0, 1, 3], []])
+def test_repaired_forces_prove_the_state(
+    vault: Assembly, released: tuple[NDArray, NDArray], reaches: list[int], interior: bool
+) -> None:
+    """Whether they change around the difference, along ways from there to a support, or everywhere."""
     states, before = released
     solver = CpuSolver(build_problem(vault))
     known = solver.check(before)
@@ -25,8 +29,16 @@ def test_repaired_forces_prove_the_state(vault: Assembly, released: tuple[NDArra
     counts = np.zeros((2, len(states)), np.int32)
     assert known.forces is not None
     forces = known.forces.copy()
-    kernel = solver.structure, states, before, known.stable, REPAIR_RINGS, CORRIDORS
-    left = repair_range(*kernel, solver._options, solver._along, True, False, forces, verdict, residual, *counts)
+    kernel = (
+        solver.structure,
+        states,
+        before,
+        known.stable,
+        np.array(reaches, dtype=np.int64),
+        interior,
+        kernel_options(EQUILIBRIUM),
+    )
+    left = repair_range(*kernel, forces, verdict, residual, *counts)
     good = np.flatnonzero(verdict == Verdict.STABLE)
     assert len(good) == len(states) - left > 0
     checked = solver.check(states)[good]
@@ -34,25 +46,8 @@ def test_repaired_forces_prove_the_state(vault: Assembly, released: tuple[NDArra
     checked.forces[:] = forces[good]
     assert verify_certificates(vault, states[good], checked, EQUILIBRIUM.claim).all()
     changed = (forces[good] != known.forces[good]).any(axis=2)
-    assert (changed.sum(axis=1) < changed.shape[1]).any()  # forces farther away are those of before
-
-
-def test_a_corridor_alone_balances_a_part_that_is_let_go_of(vault: Assembly, released: tuple[NDArray, NDArray]) -> None:
-    states, before = released
-    solver = CpuSolver(build_problem(vault))
-    known = solver.check(before)
-    assert known.forces is not None
-    verdict, residual = np.zeros(len(states), np.int8), np.full(len(states), np.nan)
-    forces, nowhere = known.forces.copy(), REPAIR_RINGS[:0]
-    counts = np.zeros((2, len(states)), np.int32)
-    kernel = solver.structure, states, before, known.stable, nowhere, np.array([1, 3]), solver._options, solver._along
-    repair_range(*kernel, True, False, forces, verdict, residual, *counts)
-    good = np.flatnonzero((verdict == Verdict.STABLE) & (counts[0] > 0))
-    assert len(good)
-    checked = solver.check(states)[good]
-    assert checked.forces is not None
-    checked.forces[:] = forces[good]
-    assert verify_certificates(vault, states[good], checked, EQUILIBRIUM.claim).all()
+    if len(reaches):
+        assert (changed.sum(axis=1) < changed.shape[1]).any()  # forces farther away are those of before
 
 
 def test_corridors_lead_from_the_change_to_a_support(vault: Assembly, released: tuple[NDArray, NDArray]) -> None:
@@ -94,29 +89,12 @@ def test_corridors_lead_to_a_held_part_where_none_leads_to_a_support(vault: Asse
     assert ((pairs == held) & inside[:, ::-1]).any()
 
 
-def test_units_leave_wrenches_as_they_are(vault: Assembly) -> None:
-    solver, state = CpuSolver(build_problem(vault)), complete_state(vault.boundary)
-    work = make_scratch(solver.structure)
-    pairs, _ = restrict(solver.structure, state, work)
-    rng = np.random.default_rng(0)
-    work.u[:] = rng.normal(size=work.u.shape) * 10.0 ** rng.uniform(-3, 3, (len(work.u), 1))
-    known, wrenches = work.u * work.force_scale[:, None], np.zeros((2, *work.load.shape))
-    add_wrenches(solver.structure, work, pairs, work.u, wrenches[0])
-    scale_units(work, pairs)
-    add_wrenches(solver.structure, work, pairs, work.u, wrenches[1])
-    assert np.ptp(work.unit[:pairs]) > 1.0
-    np.testing.assert_allclose(wrenches[1], wrenches[0], rtol=1e-9, atol=1e-9 * np.abs(wrenches).max())
-    np.testing.assert_allclose(work.u * work.force_scale[:, None], known, rtol=1e-12)
-
-
 def test_forces_of_another_state_do_not_mislead(vault: Assembly, released: tuple[NDArray, NDArray]) -> None:
     states, before = released
     oracle = Stability(vault, EQUILIBRIUM)
-    wrong = oracle.check(before[::-1].copy())
-    assert wrong.forces is not None
-    wrong.forces[:] *= 1.5
-    found = oracle.check_next(states, before, wrong)
-    assert (found.verdict == oracle.check(states).verdict).all()
+    oracle.verdicts(before, require_certificate=True)
+    found = oracle.verdicts(states, near=before[::-1].copy(), require_certificate=True)
+    assert (found.verdict == Stability(vault, EQUILIBRIUM).verdicts(states, require_certificate=True).verdict).all()
     assert verify_certificates(vault, states, found, EQUILIBRIUM.claim).all()
 
 
@@ -126,17 +104,19 @@ def test_forces_are_passed_on_by_holds(vault: Assembly) -> None:
     parts = np.flatnonzero(complete == INSTALLED)[[0, 5, 9]]
     for row in range(3):
         held[row, parts[: row + 1]] = HELD
-    assert oracle.judge(complete[None], parents=complete[None]).stable.all()
-    assert oracle.check_again(held).stable.all()
+    assert oracle.verdicts(complete[None], near=complete[None]).stable.all()
+    found = oracle.verdicts(held, near=held, require_certificate=True)
+    assert found.stable.all()
+    assert (found.iterations == 0).all()
 
 
 def test_forces_are_kept_as_they_were_accepted(vault: Assembly) -> None:
     oracle, complete = Stability(vault, EQUILIBRIUM), complete_state(vault.boundary)
-    assert oracle.judge(complete[None], parents=complete[None]).stable.all()
+    assert oracle.verdicts(complete[None], near=complete[None]).stable.all()
     kept = oracle._guesses._memory.get(complete.tobytes())
     assert kept is not None
     assert (kept != kept.astype(np.float32)).any()  # rounded, they may leave parts out of balance
-    again = oracle.check_again(complete[None])
+    again = oracle.verdicts(complete, near=complete, require_certificate=True)
     assert again.forces is not None
     assert again.iterations[0] == 0
     assert np.abs(again.forces[0] - kept).max() <= 1e-12 * np.abs(kept).max()

@@ -20,7 +20,7 @@ from falsework.stability import (
     StabilitySettings,
     Verdict,
     build_problem,
-    optional_solvers,
+    solvers,
     verify_certificates,
 )
 from falsework.stability.cpu.solver import CpuSolver
@@ -249,7 +249,7 @@ def test_compiles_for_a_gpu(kernel: str, tmp_path: Path, monkeypatch: pytest.Mon
 def test_oracle_sends_large_batches_to_the_gpu_and_small_ones_to_the_processor(monkeypatch, host_driver, criterion):
     assembly = library.build("arch:blocks=7")
     monkeypatch.setattr(
-        optional_solvers,
+        solvers,
         "GpuSolver",
         lambda assembly, problem, settings: GpuSolver(assembly, problem, settings, make_driver=host_driver),
     )
@@ -258,16 +258,16 @@ def test_oracle_sends_large_batches_to_the_gpu_and_small_ones_to_the_processor(m
     states[:, assembly.boundary] = 2
     states = np.unique(states, axis=0)
     auto = Stability(assembly, StabilitySettings(criterion, solver="auto"))
-    expected = Stability(assembly, StabilitySettings(criterion)).check(states)
-    np.testing.assert_array_equal(auto.judge(states).verdict, expected.verdict)
+    expected = Stability(assembly, StabilitySettings(criterion)).verdicts(states, require_certificate=True)
+    np.testing.assert_array_equal(auto.verdicts(states).verdict, expected.verdict)
     assert auto.counters.gpu == len(states)
     fresh = Stability(assembly, StabilitySettings(criterion, solver="auto"))
-    np.testing.assert_array_equal(fresh.judge(states[:2]).verdict, expected.verdict[:2])
+    np.testing.assert_array_equal(fresh.verdicts(states[:2]).verdict, expected.verdict[:2])
     assert (fresh.counters.gpu, fresh.counters.cpu) == (0, 2)
-    np.testing.assert_array_equal(fresh.check(states).verdict, expected.verdict)
+    np.testing.assert_array_equal(fresh.verdicts(states, require_certificate=True).verdict, expected.verdict)
     parents = np.where(assembly.boundary, 2, 1).astype(np.uint8)[None].repeat(len(states), axis=0)
     only = Stability(assembly, StabilitySettings(criterion, solver="gpu"))
-    np.testing.assert_array_equal(only.stable(states, parents=parents), expected.stable)
+    np.testing.assert_array_equal(only.verdicts(states, near=parents).stable, expected.stable)
     assert only.counters.cpu == 0
 
 
@@ -275,11 +275,11 @@ def test_oracle_without_a_gpu_says_so_or_takes_the_processor(monkeypatch):
     def missing(assembly, problem, settings):
         raise DependencyError("no torch here; pip install 'falsework[gpu]'")
 
-    monkeypatch.setattr(optional_solvers, "GpuSolver", missing)
+    monkeypatch.setattr(solvers, "GpuSolver", missing)
     assembly = library.build("arch:blocks=5")
     state = np.where(assembly.boundary, 2, 1).astype(np.uint8)[None].repeat(9, axis=0)
     auto = Stability(assembly, StabilitySettings(solver="auto"))
-    assert auto.stable(state).all()
+    assert auto.verdicts(state).stable.all()
     assert auto.counters.gpu == 0
     with pytest.raises(DependencyError, match=r"falsework\[gpu\]"):
         Stability(assembly, StabilitySettings(solver="gpu"))

@@ -14,7 +14,9 @@ from falsework.stability.margins.nearness import nearness_to_limit
 
 def nearness(assembly: Any) -> np.ndarray:
     state = complete_state(assembly.boundary)
-    verdicts = Stability(assembly, StabilitySettings(criterion="equilibrium", cone="quadratic")).check(state)
+    verdicts = Stability(assembly, StabilitySettings(criterion="equilibrium", cone="quadratic")).verdicts(
+        state, require_certificate=True
+    )
     assert verdicts.stable[0]
     assert verdicts.forces is not None
     return nearness_to_limit(assembly, state, verdicts.forces[0])

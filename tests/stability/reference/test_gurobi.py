@@ -33,7 +33,7 @@ def test_it_agrees_with_clarabel(scenes: Any, structure: str, cone: str) -> None
     settings = StabilitySettings(criterion="equilibrium", cone=cone, solver="gurobi")  # type: ignore[arg-type]
     states = np.unique(scenes.few_changes(assembly, 12, seed=31), axis=0)
     stability = Stability(assembly, settings)
-    verdicts = stability.check(states)
+    verdicts = stability.verdicts(states, require_certificate=True)
     np.testing.assert_array_equal(verdicts.verdict, ExactSolver(assembly, settings).check(states).verdict)
     assert verify_certificates(assembly, states, verdicts, settings.claim).all()
     assert (verdicts.decided_by == Solver.GUROBI).all()

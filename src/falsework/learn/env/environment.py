@@ -185,7 +185,7 @@ class Environment:
             if parents is not None:
                 return oracle(asked.contiguous(), parents[rows].contiguous())
             if isinstance(oracle, HostOracle):
-                return put(self.oracle.judge(asked.cpu().numpy()).verdict, self.device)
+                return put(self.oracle.verdicts(asked.cpu().numpy()).verdict, self.device)
             return oracle(asked, asked)
 
         with self.timed("seconds_verdicts"):

@@ -88,7 +88,7 @@ class NextSteps:
         """Return whether a state is stable, which follows another one."""
         key = state.tobytes()
         if key not in self._stable:
-            self._stable[key] = bool(self.oracle.stable(state[None], parents=before[None])[0])
+            self._stable[key] = bool(self.oracle.verdicts(state[None], near=before[None]).stable[0])
         return self._stable[key]
 
     def _replacement(self, partial: Partial, unit: Unit, robot: int) -> Unit | None:

@@ -147,14 +147,14 @@ class HoldingOracle:
         self.holds_keep_stable, self.replayer = oracle.holds_keep_stable, oracle.replayer
         self.keeps = getattr(oracle, "keeps", None)
 
-    def judge(self, states: States, *, parents: States | None = None) -> Verdicts:
+    def verdicts(self, states: States, *, near: States | None = None, require_certificate: bool = False) -> Verdicts:
         """Return verdicts as `falsework.search.problem.oracle.Oracle`; excluded states stay undecided."""
         rows = np.flatnonzero(self._joint.possible(states))
         if len(rows) == len(states):
-            return self._oracle.judge(states, parents=parents)
+            return self._oracle.verdicts(states, near=near, require_certificate=require_certificate)
         verdicts = Verdicts.blank(len(states))
         if len(rows):
-            verdicts.put(rows, self._oracle.judge(states[rows], parents=None if parents is None else parents[rows]))
+            verdicts.put(rows, self._oracle.verdicts(states[rows], near=None if near is None else near[rows]))
         return verdicts
 
     def plausible(self, states: States, parents: States) -> Mask:
@@ -162,10 +162,6 @@ class HoldingOracle:
         found = self._joint.possible(states)
         found[found] = self._oracle.plausible(states[found], parents[found])
         return found
-
-    def stable(self, states: States, *, parents: States | None = None) -> Mask:
-        """Return whether states are stable and can be held, shape (batch,)."""
-        return self.judge(states, parents=parents).stable
 
 
 def _compatible(

@@ -54,7 +54,7 @@ class JoiningSearch:
             # Holds rarely fail, and most searches reach nothing: holds are checked only on a path that was found.
             holds = way[1:][(way[1:] != REMOVED).sum(axis=1) == (way[:-1] != REMOVED).sum(axis=1)]
             if not self._oracle.holds_keep_stable and len(holds):
-                fallen = holds[~self._oracle.stable(holds)]
+                fallen = holds[~self._oracle.verdicts(holds).stable]
                 refused |= {state.tobytes() for state in fallen}
                 if len(fallen):
                     continue
@@ -123,7 +123,7 @@ class JoiningSearch:
             self.spent += len(asked)
             good = ~removal[batch]
             if len(asked):
-                good[~good] = self._oracle.stable(after[asked], parents=judged[asked])
+                good[~good] = self._oracle.verdicts(after[asked], near=judged[asked]).stable
             kept.append(batch[good])
             room -= int(good.sum())
         return np.concatenate([np.empty(0, np.intp), *kept])

@@ -252,7 +252,7 @@ class SolvabilityCheck:
         """Return which states are stable and not forbidden; a forbidden one costs no verdict."""
         allowed = np.array([state.tobytes() not in self._forbidden for state in states], dtype=bool)
         if allowed.any():
-            allowed[allowed] = self.oracle.stable(states[allowed], parents=parents[allowed])
+            allowed[allowed] = self.oracle.verdicts(states[allowed], near=parents[allowed]).stable
         return allowed
 
     def preferred(self, state: States, action: int) -> bool:
@@ -308,7 +308,7 @@ class SolvabilityCheck:
             return False
         release = action < len(state) and state[action] == HELD
         asked = release or self.task.needs_verdict(np.array([action]), Direction.DISASSEMBLY)[0]
-        if (asked and not self.oracle.stable(after[None], parents=state[None])[0]) or not self._join(after):
+        if (asked and not self.oracle.verdicts(after[None], near=state[None]).stable[0]) or not self._join(after):
             self._not_found.add(key)
             return False
         return True

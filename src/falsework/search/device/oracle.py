@@ -12,13 +12,9 @@ from falsework.utils.tensors import import_torch, put
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    import numpy as np
     import torch
-    from numpy.typing import NDArray
 
-    from falsework.assembly.state import States
     from falsework.stability.oracle import Stability
-    from falsework.stability.verdict import Verdicts
 
 
 class TensorOracle(Protocol):
@@ -49,7 +45,7 @@ class HostOracle:
 
     def __call__(self, states: torch.Tensor, parents: torch.Tensor) -> torch.Tensor:
         """See `TensorOracle`."""
-        verdicts = self._oracle.judge(states.cpu().numpy(), parents=parents.cpu().numpy())
+        verdicts = self._oracle.verdicts(states.cpu().numpy(), near=parents.cpu().numpy())
         return put(verdicts.verdict, states.device)
 
 
@@ -71,23 +67,23 @@ class DeviceOracle:
 
         self.holds_keep_stable = oracle.holds_keep_stable
         self._solver = GpuSolver(oracle.assembly, oracle.problem, oracle.settings, str(device))
-        self._settle: Callable[[States, NDArray[np.float64]], Verdicts] | None = oracle.settle
+        self._fallback: Stability | None = oracle
 
     def __call__(self, states: torch.Tensor, parents: torch.Tensor) -> torch.Tensor:
         """See `TensorOracle`."""
-        return self.begin(states)()
+        return self.begin(states, parents)()
 
-    def begin(self, states: torch.Tensor) -> Callable[[], torch.Tensor]:
+    def begin(self, states: torch.Tensor, parents: torch.Tensor) -> Callable[[], torch.Tensor]:
         """Queue the kernels for some states; what comes back waits for them and gives the verdicts."""
-        verdict, residual = self._solver.check_tensor(states)
+        verdict, _ = self._solver.check_tensor(states)
 
         def finish() -> torch.Tensor:
-            if self._settle is None:
+            if self._fallback is None:
                 return verdict
             rest = (verdict == 0).nonzero()[:, 0]
             if len(rest):
-                decided = self._settle(states[rest].cpu().numpy(), residual[rest].cpu().numpy()).verdict
-                verdict[rest] = put(decided, states.device)
+                left, near = (given[rest].cpu().numpy() for given in (states, parents))
+                verdict[rest] = put(self._fallback.verdicts(left, near=near).verdict, states.device)
             return verdict
 
         return finish
@@ -95,7 +91,7 @@ class DeviceOracle:
     def without_fallback(self) -> DeviceOracle:
         """Return the same solver alone: no waiting, and the few undecided states remain undecided."""
         alone = copy(self)
-        alone._settle = None
+        alone._fallback = None
         return alone
 
 
@@ -145,7 +141,7 @@ class BatchedTensorOracle:
             rows = slice(begin, begin + self._batch)
             try:
                 if meanwhile is not None and isinstance(self._oracle, DeviceOracle):
-                    finish = self._oracle.begin(states[rows])
+                    finish = self._oracle.begin(states[rows], parents[rows])
                     meanwhile()
                     meanwhile = None
                     own[rows] = finish()

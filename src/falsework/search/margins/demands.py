@@ -147,9 +147,9 @@ class Demands:
 class DemandingStability(Stability):
     """Stability oracle for searches in which states must keep margins, which count from the true friction.
 
-    `judge`, which searches call, counts a state that does not keep them as sliding, or as unstable where a velocity
-    proves it; `check` proves states as they are. Pushes and loads on single parts are checked near the parts in which a
-    state differs from its parent, which keeps the margins; `keeps` checks all of them.
+    `verdicts`, as searches ask, counts a state that does not keep them as sliding, or as unstable where a velocity
+    proves it; with certificates, it proves states as they are. Pushes and loads on single parts are checked near the
+    parts in which a state differs from a near one, which keeps the margins; `keeps` checks all of them.
     """
 
     def __init__(
@@ -170,15 +170,17 @@ class DemandingStability(Stability):
     def _pushes(self) -> Pushes:
         return Pushes.on(self.assembly)
 
-    def judge(self, states: ArrayLike, *, parents: ArrayLike | None = None) -> Verdicts:
-        """Check states without certificates; those that do not keep the margins do not count as stable.
+    def verdicts(
+        self, states: ArrayLike, *, near: ArrayLike | None = None, require_certificate: bool = False
+    ) -> Verdicts:
+        """Return verdicts on states; without certificates, those that do not keep the margins do not count as stable.
 
-        Arguments and errors as for `Stability.judge`.
+        Arguments and errors as for `Stability.verdicts`.
         """
         batch = as_states(states, self.assembly.boundary)
-        origins = None if parents is None else as_states(parents, self.assembly.boundary)
-        verdicts = super().judge(batch, parents=origins)
-        if not self.demands:
+        origins = None if near is None else as_states(near, self.assembly.boundary)
+        verdicts = super().verdicts(batch, near=origins, require_certificate=require_certificate)
+        if require_certificate or not self.demands:
             return verdicts
         known = [self._known.get(state.tobytes()) for state in batch]
         stable = np.flatnonzero(verdicts.stable).tolist()
@@ -209,7 +211,7 @@ class DemandingStability(Stability):
     def broken(self, state: States) -> str:
         """Return the first margin that a state does not keep, with the load that violates it; empty if it keeps all."""
         for name, oracle in self._variants:
-            if not oracle.stable(state[None])[0]:
+            if not oracle.verdicts(state[None]).stable[0]:
                 return str(Demands(**{name: getattr(self.demands, name)}))
         for name, part, normal, load in self._single(state, None):
             if not self._answer(state, load).stands:
@@ -225,7 +227,7 @@ class DemandingStability(Stability):
             rows = np.flatnonzero(found == Verdict.STABLE)
             if not len(rows):
                 break
-            verdicts = oracle.judge(states[rows], parents=None if parents is None else parents[rows])
+            verdicts = oracle.verdicts(states[rows], near=None if parents is None else parents[rows])
             # Tilts and accelerations are checked a little further out than required: no proof that they fail.
             failed = np.where(verdicts.unstable & (name == "friction"), Verdict.UNSTABLE, Verdict.SLIDES)
             found[rows] = np.where(verdicts.stable, Verdict.STABLE, failed)

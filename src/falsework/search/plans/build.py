@@ -110,7 +110,7 @@ def check_build(
         if not wrong and row + 1 < len(states):
             row, wrong = row + 1, f"the structure does not come to rest{under} at {_built(plan, row + 1)}"
         if wrong:
-            verdict = Stability(assembly, replace(case, reserve=1.0)).check(states[row])
+            verdict = Stability(assembly, replace(case, reserve=1.0)).verdicts(states[row], require_certificate=True)
             if verdict.unstable[0]:
                 wrong = unstable_in_words(plan, row, verdict)
             return replace(report, reason=wrong, checked=row, residual=largest, verdict=verdict)

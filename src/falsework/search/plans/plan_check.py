@@ -29,9 +29,12 @@ from falsework.search.plans.plan_rules import broken_rule
 from falsework.search.plans.plan_source import structure_of_plan
 from falsework.stability.certificate import StabilityCriterion, residuals_in_order, verify_certificates
 from falsework.stability.contact.build_verifier import BuildVerifier
-from falsework.stability.reference.clarabel import ExactSolver
+from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.state_arrays import StateArrays
+
+_SOLVED_AT_ONCE = 64
+"""States whose certificates are in memory together while they are found and checked."""
 
 
 def check_identity(plan: Plan, assembly: Assembly) -> None:
@@ -89,10 +92,10 @@ def validate_plan(
     plan that claims less than the caller requires is refused, and so is one without steps, unless no part can move.
 
     States are proven by the certificates that the plan carries, which the certificate checker evaluates; it shares no
-    code with the solvers. Without them, states are solved: under `equilibrium` by the exact solver; under `contact` the
-    plan is built anew, with its presses and for the robots that it names, and `BuildVerifier` evaluates every step. A
-    plan with a reserve must come to rest under the true friction too. A plan with a certificate that proves nothing is
-    not good, even if the state is stable.
+    code with the solvers. States without them are solved: under `equilibrium` each from the state before, and the
+    checker accepts what is found; under `contact` the plan is built anew, with its presses and for the robots that it
+    names, and `BuildVerifier` evaluates every step. A plan with a reserve must come to rest under the true friction
+    too. A plan with a certificate that proves nothing is not good, even if the state is stable.
 
     Args:
         plan: plan to check.
@@ -153,7 +156,7 @@ def _solve(
     assembly: Assembly,
     settings: StabilitySettings,
     count: int,
-    proven: NDArray[np.float64] | None,
+    carried: NDArray[np.float64] | None,
     progress: Callable[[int, int], None] | None,
 ) -> PlanReport:
     """Check under `equilibrium` the stability of states from the first on, up to the first bad one.
@@ -162,37 +165,36 @@ def _solve(
         report: report so far.
         plan, assembly, settings: as for `validate_plan`.
         count: states to check.
-        proven: residuals that the certificates in the plan leave, shape (states,), or None; states that they do not
-            settle are solved, so that the report says whether the state or only its certificate is at fault.
+        carried: residuals that the certificates in the plan leave, shape (states,), or None; states that they do not
+            prove are solved, so that the report says whether the state or only its certificate is at fault.
         progress: as for `validate_plan`.
     """
-    claim, largest, certified = settings.claim, 0.0, 0
-    solver: ExactSolver | None = None
-    for row in range(count):
-        if proven is not None and proven[row] <= _settled(claim):
-            residual, certified = float(proven[row]), certified + 1
-        else:
-            solver = solver or ExactSolver(assembly, settings)
-            here, wrong = plan.states[row : row + 1], ""
-            verdict = solver.check(here)
-            residual = float(verdict.residual[0])
-            if not (verdict.stable[0] and verify_certificates(assembly, here, verdict, claim)[0]):
-                wrong = unstable_in_words(plan, row, verdict)
-            elif proven is not None and not proven[row] <= claim.tolerance:
-                wrong, verdict = _unproven(plan, row, float(proven[row]), claim), None
-            if wrong:
-                report = replace(report, reason=wrong, verdict=verdict)
-                count = row
-                break
-        largest = max(largest, residual)
-        if progress is not None:
-            progress(row + 1, report.states)
-    return replace(report, checked=count, residual=largest, certified=certified)
-
-
-def _settled(claim: StabilityCriterion) -> float:
-    """Return the residual up to which a certificate in a plan settles a state, a share of gravity."""
-    return claim.tolerance
+    claim, largest, certified, oracle = settings.claim, 0.0, 0, None
+    for first in range(0, count, _SOLVED_AT_ONCE):
+        rows = np.arange(first, min(first + _SOLVED_AT_ONCE, count))
+        residual = np.full(len(rows), np.inf) if carried is None else carried[rows]
+        proven = residual <= claim.tolerance
+        left = rows[~proven] if carried is None else rows[~proven][:1]  # which is bad, one way or the other
+        if len(left):
+            oracle = oracle or Stability(assembly, settings)
+            states, near = plan.states[left], plan.states[np.maximum(left - 1, 0)]
+            found = oracle.verdicts(states, near=near, require_certificate=True)
+            residual[np.isin(rows, left)] = found.residual
+            accepted = found.stable & verify_certificates(assembly, states, found, claim)
+            bad = np.flatnonzero(~accepted | (carried is not None))
+            if len(bad):
+                at, count = int(bad[0]), int(left[bad[0]])
+                if carried is not None and accepted[at]:
+                    report = replace(report, reason=_unproven(plan, count, float(carried[count]), claim))
+                else:
+                    report = replace(report, reason=unstable_in_words(plan, count, found[at]), verdict=found[at])
+        done = rows < count
+        largest, certified = max(largest, residual[done].max(initial=0.0)), certified + int(proven[done].sum())
+        if progress is not None and done.any():
+            progress(int(rows[done][-1]) + 1, report.states)
+        if not done.all():
+            break
+    return replace(report, checked=count, residual=float(largest), certified=certified)
 
 
 def _proofs_under(plan: Plan, claim: StabilityCriterion) -> NDArray[np.float64] | StateArrays | None:

@@ -186,7 +186,7 @@ class HoldBound:
             for row, held in zip(rows, some, strict=True):
                 row[list(held)] = HELD
             self.asked += len(rows)
-            if not self._oracle.check(rows).unstable.all():
+            if not self._oracle.verdicts(rows, require_certificate=True).unstable.all():
                 return True
         return False
 
@@ -219,7 +219,7 @@ class HoldBound:
                 raise DeadlineExceeded
             if self.asked >= self._stop_at:
                 raise _BudgetSpent
-            verdicts = self._oracle.check(rows)
+            verdicts = self._oracle.verdicts(rows, require_certificate=True)
             self.asked += len(rows)
             if not verdicts.unstable.all():
                 return True

@@ -15,12 +15,13 @@ from falsework.stability.verdict import Verdicts
 class Oracle(Protocol):
     """Stability oracle for batches of states; `falsework.stability.Stability` is one."""
 
-    def judge(self, states: States, *, parents: States | None = None) -> Verdicts:
-        """Compute verdicts without certificates.
+    def verdicts(self, states: States, *, near: States | None = None, require_certificate: bool = False) -> Verdicts:
+        """Return verdicts on states.
 
         Args:
             states: shape (batch, parts).
-            parents: for each state a stable one that is one move away; solvers may start from its forces.
+            near: for each state a stable one that is one move away; solvers may start from its forces.
+            require_certificate: return certificates too, if the oracle has any.
         """
         ...
 
@@ -63,7 +64,7 @@ class CountingOracle:
             if self.screen is not None:
                 stable[rows] = self.screen(states[rows], parents[rows])
             else:
-                verdicts = self.oracle.judge(states[rows], parents=parents[rows])
+                verdicts = self.oracle.verdicts(states[rows], near=parents[rows])
                 stable[rows] = verdicts.stable
                 self.sliding += int((verdicts.slides | verdicts.tips).sum())
                 self.undecided += int(verdicts.undecided.sum())
@@ -80,7 +81,7 @@ class CountingOracle:
         """Return whether all of some states are proven unstable, however they are reached."""
         for begin in range(0, len(states), self._batch):
             rows = slice(begin, begin + self._batch)
-            found = self.oracle.judge(states[rows], parents=parents[rows])
+            found = self.oracle.verdicts(states[rows], near=parents[rows])
             self.asked += len(found)
             if not found.unstable.all():
                 return False

@@ -207,10 +207,9 @@ def progress_text(reached: int, steps: int, *, backwards: bool) -> str:
 def unstable_end(task: Task, oracle: Oracle) -> SearchResult | None:
     """Return the failed search if the start or the target of a task is not stable, else None."""
     ends = np.stack([task.start, task.target])
-    check, keeps = getattr(oracle, "check", None), getattr(oracle, "keeps", None)
-    if check is not None:
-        check(ends)  # asks whether they tip, which `judge` knows from then on
-    verdicts = oracle.judge(ends)
+    keeps = getattr(oracle, "keeps", None)
+    oracle.verdicts(ends, require_certificate=True)  # asks whether they tip, which is known from then on
+    verdicts = oracle.verdicts(ends)
     if keeps is not None and verdicts.stable.all():
         verdicts.verdict[~keeps(ends)] = Verdict.SLIDES
     if verdicts.stable.all():

@@ -36,16 +36,22 @@ class TimedOracle:
         self.replayer = replayer
         """Replays the routes of searches; None where there is no history to take into account."""
         self._oracle = oracle
-        self._screen: Screen = getattr(oracle, "plausible", lambda states, parents: oracle.judge(states).stable)
+        self._screen: Screen = getattr(oracle, "plausible", lambda states, near: oracle.verdicts(states).stable)
         self._clock = clock
         self._between = between or (lambda: None)
 
-    def judge(self, states: States, *, parents: States | None = None) -> Verdicts:
-        """See `falsework.search.problem.oracle.Oracle`.
+    def verdicts(self, states: States, *, near: States | None = None, require_certificate: bool = False) -> Verdicts:
+        """See `falsework.search.problem.oracle.Oracle`; verdicts with certificates are of a few states, at once.
 
         Raises:
             DeadlineExceeded: the deadline has passed.
         """
+        if require_certificate:
+            self._between()
+            if self._clock.passed:
+                raise DeadlineExceeded
+            with self._clock.timed("verdicts"):
+                return self._oracle.verdicts(states, near=near, require_certificate=True)
         verdicts = Verdicts.blank(len(states))
         pace = AdaptiveBatchSize(limited=self.limited)
         begin = 0
@@ -55,7 +61,7 @@ class TimedOracle:
                 raise DeadlineExceeded
             rows = np.arange(begin, min(begin + pace.batch, len(states)))
             with self._clock.timed("verdicts"), pace.measure():
-                found = self._oracle.judge(states[rows], parents=None if parents is None else parents[rows])
+                found = self._oracle.verdicts(states[rows], near=None if near is None else near[rows])
             verdicts.put(rows, found)
             verdicts.verdict[rows[self.rules_out(states[rows])]] = Verdict.SLIDES
             self.asked += len(rows)
@@ -75,18 +81,6 @@ class TimedOracle:
             found = self._screen(states, parents)
         self.asked += len(states)
         return found & ~self.rules_out(states)
-
-    def check(self, states: States) -> Verdicts:
-        """Check a few states as fully as the oracle can; see `Stability.check`.
-
-        Raises:
-            DeadlineExceeded: the deadline has passed.
-        """
-        self._between()
-        if self._clock.passed:
-            raise DeadlineExceeded
-        with self._clock.timed("verdicts"):
-            return getattr(self._oracle, "check", self._oracle.judge)(states)
 
     def keeps(self, states: States) -> Mask:
         """Return which states keep the margins that the oracle asks for; see `DemandingStability.keeps`."""

@@ -51,9 +51,9 @@ class PressingStability:
         """Settings of the verdicts."""
         return self.oracle.settings
 
-    def judge(self, states: States, *, parents: States | None = None) -> Verdicts:
-        """Compute verdicts without certificates; see `Stability.judge`."""
-        verdicts = self.oracle.judge(states, parents=parents)
+    def verdicts(self, states: States, *, near: States | None = None, require_certificate: bool = False) -> Verdicts:
+        """Return verdicts on states, see `Stability.verdicts`; those that robots press for have no certificate."""
+        verdicts = self.oracle.verdicts(states, near=near, require_certificate=require_certificate)
         for row in np.flatnonzero(verdicts.slides | verdicts.tips):
             if self.presses(states[row]):
                 verdicts.verdict[row], verdicts.proof[row] = Verdict.STABLE, Proof.HISTORY

@@ -43,6 +43,8 @@ class ContactSolver:
     state slides.
     """
 
+    starts_from_guesses = True
+
     def __init__(self, assembly: Assembly, problem: Problem, settings: StabilitySettings) -> None:
         self.problem = problem
         self.settings = settings

@@ -32,17 +32,17 @@ def factor_admm(structure, work, pairs, rho):
     panels, supernode, symmetric = work.panels, structure.elimination.supernode, pairs >= 0
     lay_out_panels(structure, work.free, panels)
     clear_panels(panels, rho, symmetric)
-    pair, slot_a, slot_b, unit = work.pair, work.slot_a, work.slot_b, work.unit
+    pair, slot_a, slot_b = work.pair, work.slot_a, work.slot_b
     upper, diagonal, block, width = panels.upper, panels.diagonal, panels.block, panels.width
     stiff_a, stiff_b, stiff_side = structure.stiffness_aa, structure.stiffness_bb, structure.stiffness_side
     for p in range(pairs):
-        q, a, b, factor = pair[p], slot_a[p], slot_b[p], unit[p] * unit[p]
+        q, a, b = pair[p], slot_a[p], slot_b[p]
         if a >= 0:
-            add_block(factor, stiff_a, q, upper, diagonal[a], width[supernode[a]])
+            add_block(stiff_a, q, upper, diagonal[a], width[supernode[a]])
         if b >= 0:
-            add_block(factor, stiff_b, q, upper, diagonal[b], width[supernode[b]])
+            add_block(stiff_b, q, upper, diagonal[b], width[supernode[b]])
         if a >= 0 and b >= 0:
-            add_block(factor, stiff_side, q, upper, block[q], width[supernode[min(a, b)]])
+            add_block(stiff_side, q, upper, block[q], width[supernode[min(a, b)]])
     return factor_panels(supernode, panels, symmetric)
 
 

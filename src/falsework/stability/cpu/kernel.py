@@ -9,9 +9,8 @@ import numpy as np
 
 from falsework.stability.cpu.admm import factor_admm, run_admm, try_bonded
 from falsework.stability.cpu.interior_point import run_interior
-from falsework.stability.cpu.layout import make_scratch, restrict, store_forces
+from falsework.stability.cpu.layout import load_forces, make_scratch, restrict, store_forces
 from falsework.stability.cpu.termination import STABLE, UNDECIDED
-from falsework.stability.cpu.units import start_forces
 from falsework.utils.kernels import njit
 
 
@@ -32,7 +31,11 @@ def solve_state(structure, state, options, work, forces, velocity, warm):
     pairs, count = restrict(structure, state, work)
     if count == 0:
         return STABLE, 0.0, 0, 0
-    start_forces(structure, work, pairs, forces, warm, options.scaled)
+    if warm:
+        load_forces(structure, work, pairs, forces, work.u)
+    else:
+        for j in range(work.start[pairs]):
+            work.u[j, 0], work.u[j, 1], work.u[j, 2] = work.pull[j], 0.0, 0.0
     verdict, residual, iterations, steps = UNDECIDED, np.nan, 0, 0
     if work.pulled[0] > 0.0:
         verdict, residual = try_bonded(structure, work, pairs, options)

@@ -132,8 +132,6 @@ class Scratch(NamedTuple):
     pull: NDArray[np.float64]
     stick: NDArray[np.float64]
     tears: NDArray[np.bool_]
-    unit: NDArray[np.float64]
-    """Unit of force of each acting pair, relative to `KernelArrays.force_scale`; 1 until `scale_units`."""
     pulled: NDArray[np.float64]
     """Sum of the tensile strengths of the acting points, N, shape (1,)."""
     load: NDArray[np.float64]
@@ -174,7 +172,6 @@ def make_scratch(structure):
         np.zeros(points),
         np.zeros(points),
         np.zeros(points, dtype=np.bool_),
-        np.ones(pairs),
         np.zeros(1),
         np.zeros((n, 6)),
         np.zeros((points, 3)),
@@ -206,7 +203,7 @@ def restrict(structure, state, work):
     """Copy the acting pairs and points of a state to the front of the scratch; return numbers of pairs and parts."""
     position, order = structure.elimination.position, structure.elimination.order
     parts, first, basis, scale = structure.pair_parts, structure.pair_start, structure.basis, structure.force_scale
-    free, pair, start, unit = work.free, work.pair, work.start, work.unit
+    free, pair, start = work.free, work.pair, work.start
     slot_a, slot_b, local, local_scale = work.slot_a, work.slot_b, work.basis, work.force_scale
     friction, pull, stick, tears = structure.friction, structure.pull, structure.stick, structure.tears
     local_friction, local_pull, local_stick, local_tears = work.friction, work.pull, work.stick, work.tears
@@ -226,7 +223,7 @@ def restrict(structure, state, work):
         pair[pairs] = q
         slot_a[pairs] = position[a] if state[a] == 1 else -1
         slot_b[pairs] = position[b] if state[b] == 1 else -1
-        start[pairs], unit[pairs] = points, 1.0
+        start[pairs] = points
         for c in range(first[q], first[q + 1]):
             for i in range(6):
                 for k in range(3):

@@ -31,12 +31,12 @@ def clear_panels(panels, shift, symmetric):
 
 
 @njit(inline="always", fastmath=True)
-def add_block(factor, block, q, out, place, width):
-    """Add the 6 x 6 block `block[q]`, times a factor, to a panel."""
+def add_block(block, q, out, place, width):
+    """Add the 6 x 6 block `block[q]` to a panel."""
     p = np.uint64(place)
     for r in range(6):
         for c in range(6):
-            out[p + np.uint64(c)] += factor * block[q, r, c]
+            out[p + np.uint64(c)] += block[q, r, c]
         p += np.uint64(width)
 
 

@@ -14,7 +14,6 @@ import numpy as np
 from falsework.stability.cpu.admm import factor_admm, run_admm
 from falsework.stability.cpu.centring import ATTEMPTS, run_centring
 from falsework.stability.cpu.cones import project_joint
-from falsework.stability.cpu.interior_point import run_interior
 from falsework.stability.cpu.layout import (
     FAST,
     add_pair_wrench,
@@ -26,21 +25,11 @@ from falsework.stability.cpu.layout import (
     store_forces,
 )
 from falsework.stability.cpu.neighbourhood import hold_beside_corridor, hold_far_parts
-from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED, UNSTABLE, residual_of_part
-from falsework.stability.cpu.units import start_forces
+from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED, residual_of_part
 from falsework.utils.kernels import njit
 
-REPAIR_RINGS = np.array([2, 4, 8])
-"""Distances from a changed part in contacts within which forces may change, tried in turn."""
-CORRIDORS = np.array([3, 9, 18])
-"""Contacts by which the ways from a changed part to a support may be longer than the shortest one, tried after that;
-forces as far from the part may change too."""
-_CENTRED_RINGS = np.array([3])
-"""The former where forces lie inside their cones. Wider regions around a change cost more than ways to a support."""
-_CENTRED_CORRIDORS = np.array([5, 10, 20])
-"""The latter."""
 _NEAR_STEPS, _ALL_STEPS = 12, 40
-"""Most steps in a region, and in the whole."""
+"""Most interior steps in a region, and in the whole. What a region balances takes up to ten."""
 _ROUNDING = 1e-12
 """Distance of forces from their cones, as a share of them, that is left to rounding."""
 
@@ -127,19 +116,32 @@ def _accept_forces(structure, state, options, residual, forces):
 
 
 @njit(cache=True)
-def repair_state(structure, state, parent, rings, corridors, options, along, warm, work, near, forces):
-    """Balance a state with forces of its parent that change only near their difference.
+def _balance(structure, work, pairs, options, interior, most, level, settings, forces):
+    """Balance forces on the parts in `work` from known ones, in N; return the verdict, ADMM iterations and steps."""
+    if interior:
+        load_forces(structure, work, pairs, forces, work.z)
+        verdict, steps = run_centring(structure, work, pairs, options, most, level, settings)
+        return verdict, 0, steps
+    load_forces(structure, work, pairs, forces, work.u)
+    if not factor_admm(structure, work, pairs, options.rho):
+        return UNDECIDED, 0, 0
+    verdict, _, iterations = run_admm(structure, work, pairs, options)
+    return verdict, iterations, 0
+
+
+@njit(cache=True)
+def repair_state(structure, state, parent, reaches, interior, options, work, near, forces):
+    """Balance a state with forces of its parent that change only near their difference, else everywhere.
 
     Args:
         structure, options, work: `KernelArrays`, `Options` and `Scratch`.
         state, parent: shape (parts,).
-        rings: distances from the difference, tried in turn.
-        corridors: detours of ways from there to a support, tried after those; see `hold_beside_corridor`.
-        along: options of these.
-        warm: whether to begin with the forces of the parent inside regions too, rather than with none.
+        reaches: contacts by which the regions that are tried in turn reach beyond the change. The first is around the
+            change alone; in the others are also the ways from there to a support that are longer than the shortest one
+            by no more than that.
+        interior: whether forces stay inside their cones, by `run_centring`; ADMM leaves them on the boundaries.
         near: scratch, shape (parts,).
-        forces: in: contact forces in N that balance the parent; out: of the state, or a guess at them if undecided.
-            Shape (points, 3).
+        forces: in: contact forces in N that balance the parent; out: of the state if it is stable. Shape (points, 3).
 
     Returns:
         `STABLE` or `UNDECIDED`; residual; ADMM iterations; interior-point steps.
@@ -148,74 +150,17 @@ def repair_state(structure, state, parent, rings, corridors, options, along, war
     residual = _accept_forces(structure, state, options, work.residual, forces)
     if residual < bound:
         return STABLE, residual, spent, taken
-    for k in range(len(rings) + len(corridors)):
-        around = k < len(rings)
-        if around:
-            kept, free = hold_far_parts(structure, state, parent, rings[k], near)
-        else:
-            kept, free = hold_beside_corridor(structure, state, parent, corridors[k - len(rings)], near)
-        if kept == 0:
-            break
-        if 2 * kept > free:
-            continue
-        pairs, _ = restrict(structure, near, work)
-        pairs, grounded = _keep_border(structure, state, near, work, pairs, forces)
-        if not grounded:
-            continue
-        chosen = options if around else along
-        start_forces(structure, work, pairs, forces, warm, chosen.scaled)
-        if not factor_admm(structure, work, pairs, chosen.rho):
-            break
-        verdict, _, iterations = run_admm(structure, work, pairs, chosen)
-        spent += iterations
-        if verdict == UNDECIDED and chosen.interior_steps > 0:
-            verdict, _, steps = run_interior(structure, work, pairs, chosen)
-            taken += steps
-        if verdict != UNSTABLE:  # a start for the next region, and for the whole
-            store_forces(structure, work, pairs, forces)
-        if verdict != STABLE:
-            continue
-        residual = _accept_forces(structure, state, options, work.residual, forces)
-        if residual < bound:
-            return STABLE, residual, spent, taken
-        # What smaller regions passed on may lie farther away than this one reaches.
-    return UNDECIDED, np.nan, spent, taken
-
-
-@njit(cache=True)
-def centre_state(structure, state, parent, options, work, near, forces):
-    """Balance a state with forces of its parent inside their cones, which change only near their difference.
-
-    Regions are tried in turn, the whole last and twice; each begins with the forces of the parent, or with those that
-    balance a region before.
-
-    Args:
-        structure, options, work: `KernelArrays`, `Options` and `Scratch`.
-        state, parent: shape (parts,).
-        near: scratch, shape (parts,).
-        forces: in: contact forces in N that balance the parent; out: of the state if it is stable. Shape (points, 3).
-
-    Returns:
-        `STABLE` or `UNDECIDED`; residual; steps.
-    """
-    bound, taken = (1.0 - MARGIN) * options.resolution, 0
-    residual = _accept_forces(structure, state, options, work.residual, forces)
-    if residual < bound:
-        return STABLE, residual, taken
     level = structure.weight / len(state)
-    rings, corridors = len(_CENTRED_RINGS), len(_CENTRED_CORRIDORS)
-    kept, free = 0, 0
-    for k in range(rings + corridors + len(ATTEMPTS)):
-        whole = k >= rings + corridors
-        most, settings = _ALL_STEPS if whole else _NEAR_STEPS, ATTEMPTS[max(0, k - rings - corridors)]
-        if k < rings:
-            kept, free = hold_far_parts(structure, state, parent, _CENTRED_RINGS[k], near)
-        elif not whole:
-            kept, free = hold_beside_corridor(structure, state, parent, _CENTRED_CORRIDORS[k - rings], near)
+    for k in range(len(reaches) + (len(ATTEMPTS) if interior else 1)):
+        whole = max(0, k - len(reaches) + 1)
+        most, settings = _ALL_STEPS if whole else _NEAR_STEPS, ATTEMPTS[max(whole - 1, 0)]
+        if whole:
+            near[:] = state
         else:
-            for part in range(len(state)):
-                near[part] = state[part]
-        if not whole:
+            if k == 0:
+                kept, free = hold_far_parts(structure, state, parent, reaches[k], near)
+            else:
+                kept, free = hold_beside_corridor(structure, state, parent, reaches[k], near)
             if kept == 0:
                 break
             if 2 * kept > free:
@@ -225,42 +170,26 @@ def centre_state(structure, state, parent, options, work, near, forces):
             pairs, grounded = _keep_border(structure, state, near, work, pairs, forces)
             if not grounded:
                 continue
-        load_forces(structure, work, pairs, forces, work.z)
-        verdict, steps = run_centring(structure, work, pairs, options, most, level, settings)
+        verdict, iterations, steps = _balance(structure, work, pairs, options, interior, most, level, settings, forces)
+        spent += iterations
         taken += steps
         if verdict != STABLE:
             continue
         store_forces(structure, work, pairs, forces)
         residual = _accept_forces(structure, state, options, work.residual, forces)
         if residual < bound:
-            return STABLE, residual, taken
-    return UNDECIDED, np.nan, taken
+            return STABLE, residual, spent, taken
+        # What smaller regions passed on may lie farther away than this one reaches.
+    return UNDECIDED, np.nan, spent, taken
 
 
 @njit(nogil=True, cache=True)
 def repair_range(
-    structure,
-    states,
-    parents,
-    known,
-    rings,
-    corridors,
-    options,
-    along,
-    warm,
-    centred,
-    forces,
-    verdict,
-    residual,
-    iterations,
-    steps,
+    structure, states, parents, known, reaches, interior, options, forces, verdict, residual, iterations, steps
 ):
     """Balance states whose `verdict` is `UNDECIDED` with the forces of their parents, where those are `known`.
 
     Arrays as in `solve_range`, other arguments as for `repair_state`.
-
-    Args:
-        centred: whether to keep forces inside their cones instead, by `centre_state`.
 
     Returns:
         Number of states left undecided.
@@ -272,14 +201,8 @@ def repair_range(
         if verdict[i] != UNDECIDED:
             continue
         if known[i]:
-            if centred:
-                v, r, s = centre_state(structure, states[i], parents[i], options, work, near, forces[i])
-                k = 0
-            else:
-                beside = states[i], parents[i], rings, corridors
-                v, r, k, s = repair_state(structure, *beside, options, along, warm, work, near, forces[i])
-            verdict[i] = v
-            residual[i] = r
+            beside = states[i], parents[i], reaches, interior
+            verdict[i], residual[i], k, s = repair_state(structure, *beside, options, work, near, forces[i])
             iterations[i] += k
             steps[i] += s
         left += verdict[i] == UNDECIDED

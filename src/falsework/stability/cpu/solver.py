@@ -12,8 +12,8 @@ from falsework.assembly.state import States
 from falsework.stability.cpu.kernel import solve_range
 from falsework.stability.cpu.layout import COMPILED_LAYOUT, build_structure
 from falsework.stability.cpu.neighbourhood import RINGS, fall_range
-from falsework.stability.cpu.repair import CORRIDORS, REPAIR_RINGS, repair_range
-from falsework.stability.cpu.termination import UNDECIDED, Options
+from falsework.stability.cpu.repair import repair_range
+from falsework.stability.cpu.termination import Options
 from falsework.stability.problem import Problem
 from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
 from falsework.stability.verdict import Solver, Verdicts, proof_of
@@ -21,27 +21,15 @@ from falsework.utils.cores import core_count
 
 _TASK = 16
 """States per task of a thread: few enough to balance the load, enough to hide the cost of a call."""
-_LARGE = 200
-"""Parts from which ADMM, where it begins with forces of a state near by, has these options ..."""
-_FROM_FORCES = {"rho": 1e-4, "relaxation": 1.5, "iterations": 150, "interior_steps": 0, "scaled": True}
-"""... so that interior point steps, each with a factorization, are mostly not needed. From there they often fail: they
-follow forces that grow beyond their bound."""
-_ALONG = {**_FROM_FORCES, "iterations": 100}
-"""Options of repairs along the ways to supports, in structures of any size."""
-_LARGER = 400
-"""Parts from which those take the place of the widest repair around a change and of interior point steps in the others:
-these regions are a small share then, and what they leave open is cheaper along the ways. A wider corridor is a small
-share too, and what the whole leaves open is begun again along the ways before it is begun again as a whole."""
-_CENTRED = 400
-"""Parts from which forces are kept inside their cones, where all contacts have friction and none has cohesion, so that
-they change near the difference only. In smaller structures that takes longer than ADMM on the whole."""
+FIRST_REACH = 2
+"""Contacts by which the first region of a repair reaches beyond a change. Each next one reaches twice as far, until it
+has more than half of the parts. From 2 on that takes no longer than reaches that were chosen one by one, on vaults and
+shells of 63 to 510 parts (decision 165)."""
 LEFT_OPEN = 1000
-"""Parts from which states that local repairs leave undecided stay undecided within a search: ADMM on the whole and the
-exact solver take seconds for one of them, and ADMM mostly decides nothing."""
+"""Parts from which states that repairs leave undecided stay undecided within a search: ADMM on the whole and the exact
+solver take seconds for one of them and mostly decide nothing, on vaults of 2,012 and 3,998 parts."""
 _LEAST_FRICTION = 1e-3
-"""Coefficient of friction below which cones are too narrow for that."""
-_FROM_REST = {"iterations": 10, "interior_steps": 60}
-"""Options of a second attempt, from zero forces: interior point steps from near the middle of the cones."""
+"""Coefficient of friction below which cones are too narrow for forces to be kept inside them."""
 
 
 def kernel_options(settings: StabilitySettings) -> Options:
@@ -56,7 +44,6 @@ def kernel_options(settings: StabilitySettings) -> Options:
         tolerance=settings.tolerance,
         resolution=settings.claim.well_below,
         force_bound=settings.force_bound,
-        scaled=False,
     )
 
 
@@ -89,32 +76,24 @@ class Workers:
 class CpuSolver:
     """Solver of batches of states of one structure with compiled code.
 
-    ADMM on the forces with one sparse factorisation per state, then an interior point method for undecided states
-    (`docs/decisions/0002`). Both stop at the first proof.
+    Attempts follow each other in the order of their work; each stops at the first proof. With a state near by: a
+    mechanism near the difference (`neighbourhood.py`), then forces that change in growing regions around it, then
+    everywhere (`repair.py`). Then, and without one, ADMM on the whole with one sparse factorisation per state, and an
+    interior point method (`docs/decisions/0002`). What they leave undecided is up to the exact solver.
     """
+
+    starts_from_guesses = True
 
     def __init__(self, problem: Problem, settings: StabilitySettings = EQUILIBRIUM) -> None:
         self.problem = problem
         self.settings = settings
         self.structure = build_structure(problem)
         self._options = kernel_options(settings)
-        large = problem.parts >= _LARGE
-        self._from_forces = self._options._replace(**_FROM_FORCES) if large else self._options
-        self._along = self._options._replace(**_ALONG)
-        self._around, self._rings, self._corridors = self._options, REPAIR_RINGS, CORRIDORS[:-1]
-        self._larger = problem.parts >= _LARGER
-        if self._larger:
-            self._around, self._rings = self._options._replace(interior_steps=0), REPAIR_RINGS[:-1]
-            self._corridors = CORRIDORS
         strength = problem.strength
         rough = bool((strength.friction > _LEAST_FRICTION).all())
-        self._centred = problem.parts >= _CENTRED and rough and not (strength.pull.any() or strength.stick.any())
-        self._from_rest = self._options._replace(**_FROM_REST) if large else self._options
+        self.reaches = FIRST_REACH << np.arange(max(problem.parts.bit_length() - 1, 1))
+        self._interior = rough and not (strength.pull.any() or strength.stick.any())
         self._workers = Workers(settings.cpu.threads)
-
-    def _options_for(self, resolution: float) -> tuple[Options, ...]:
-        options = self._options, self._from_forces, self._along, self._around, self._from_rest
-        return tuple(option._replace(resolution=resolution) for option in options)
 
     def check(
         self,
@@ -140,8 +119,7 @@ class CpuSolver:
             Verdicts; `UNDECIDED` where neither proof was found within the limits of the settings.
         """
         states = np.require(states, requirements=COMPILED_LAYOUT)
-        if parents is not None:
-            parents = np.require(parents, requirements=COMPILED_LAYOUT)
+        origins = states if parents is None else np.require(parents, requirements=COMPILED_LAYOUT)
         batch, problem = len(states), self.problem
         verdicts = Verdicts.blank(
             batch, points=problem.points if certificates else None, parts=problem.parts if certificates else None
@@ -152,42 +130,24 @@ class CpuSolver:
         velocity = verdicts.velocity if verdicts.velocity is not None else np.zeros((0, problem.parts, 6))
         steps = np.zeros(batch, np.int32)
         fine = certificates and parents is None
-        plain, from_forces, along_ways, around, from_rest = self._options_for(
-            self.settings.resolution if fine else self.settings.claim.well_below
-        )
+        options = self._options
+        options = options._replace(resolution=self.settings.resolution) if fine else options
         known = np.zeros(batch, bool) if guess is None or parents is None else np.asarray(guess.any(axis=(1, 2)))
+        # Proofs along a plan are requested for stable states.
+        falls = parents is not None and not (certificates and guess is not None)
+        open_at_last = parents is not None and not certificates and problem.parts >= LEFT_OPEN
 
         def work(rows: slice) -> None:
-            found = verdicts.verdict[rows], verdicts.residual[rows], verdicts.iterations[rows], steps[rows]
-            chosen, motion, force, warm = states[rows], velocity[rows], forces[rows], guess is not None
-            kernel, before = (self.structure, chosen), force
-            centred = self._centred and warm and parents is not None
-            left_open = centred and self.problem.parts >= LEFT_OPEN
-            only_centred = left_open and bool(known[rows].all())
-            if parents is not None:
-                beside = parents[rows]
-                # Proofs along a plan are requested for stable states.
-                along = certificates and guess is not None
-                if not along and not fall_range(*kernel, beside, RINGS, plain, motion, *found):
-                    return
-                before = force.copy() if self._larger and not only_centred else force  # repairs write to `force`
-                near = beside, known[rows], self._rings, self._corridors, around, along_ways, warm, centred
-                if known[rows].any() and not repair_range(*kernel, *near, force, *found):
-                    return
-            if only_centred:
+            tail = verdicts.verdict[rows], verdicts.residual[rows], verdicts.iterations[rows], steps[rows]
+            chosen, motion, force = states[rows], velocity[rows], forces[rows]
+            if falls and not fall_range(self.structure, chosen, origins[rows], RINGS, options, motion, *tail):
                 return
-            if not left_open:  # whose forces would lie on the boundaries of cones
-                solve_range(*kernel, from_forces if warm else plain, force, motion, warm, *found)
-            left = found[0] == UNDECIDED
-            # From no forces: first along the ways to supports, with the forces of the parent farther away.
-            if warm and parents is not None and self._larger and left.any():
-                near = parents[rows], known[rows], REPAIR_RINGS[:0], CORRIDORS[1:], around, from_rest
-                repair_range(*kernel, *near, not warm, False, before, *found)
-                repaired = left & (found[0] != UNDECIDED)
-                force[repaired] = before[repaired]
-                left &= ~repaired
-            if warm and left.any():
-                solve_range(*kernel, from_rest, force, motion, not warm, *found)
+            if known[rows].any():
+                beside = origins[rows], known[rows], self.reaches, self._interior
+                if not repair_range(self.structure, chosen, *beside, options, force, *tail):
+                    return
+            if not open_at_last or not known[rows].all():
+                solve_range(self.structure, chosen, options, force, motion, False, *tail)
 
         self._workers.run(work, batch)
         if verdicts.forces is not None and forces is not verdicts.forces:

@@ -30,8 +30,6 @@ class Options(NamedTuple):
     resolution: float
     """Residual below which forces prove a state stable; see `StabilitySettings.resolution`."""
     force_bound: float
-    scaled: bool
-    """Whether known forces set the units of force of ADMM; see `units.py`."""
 
 
 @njit(inline="always", fastmath=FAST)

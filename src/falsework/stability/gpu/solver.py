@@ -87,8 +87,7 @@ class GpuSolver:
     (`docs/decisions/0013`). Lists on the device pass states from one kernel to the next.
 
     Args:
-        assembly: the structure.
-        problem: its scaled equilibrium problem.
+        assembly, problem: the structure, and its scaled equilibrium problem.
         settings: stability criterion and numerical settings.
         device: a CUDA device, such as `cuda` or `cuda:1`.
         make_driver: creates another device driver, given the compile-time constants of the kernel.
@@ -119,6 +118,7 @@ class GpuSolver:
         self.settings = settings
         self.layout = build_layout(problem)
         self._contact = settings.criterion == "contact"
+        self.starts_from_guesses = not self._contact  # under which all states are loaded from rest
         if self._contact:
             ratio = settings.stiffness_ratio
             structure = build_contact_structure(assembly, problem, settings.gravity, ratio)
@@ -129,21 +129,26 @@ class GpuSolver:
         constants = {"QUADRATIC": quadratic, "GROUP": self.layout.group_size, "OWN_FRICTION": own}
         self.driver = CudaDriver(device, constants) if make_driver is None else make_driver(constants)
         self._arrays = {name: self.driver.put(array) for name, array in self.layout.arrays.items()}
-        self._structure = self.layout.kernel_structure(
-            {name: self.driver.address(array) for name, array in self._arrays.items()}
-        )
+        addresses = {name: self.driver.address(array) for name, array in self._arrays.items()}
+        self._structure = self.layout.kernel_structure(addresses)
         self._options = kernel_options(settings)
         self._chains: dict[bool, _Chain] = {}
         self._chunk = 1 << 20
 
-    def check(self, states: States, *, certificates: bool = True, guess: NDArray[np.float64] | None = None) -> Verdicts:
+    def check(
+        self,
+        states: States,
+        *,
+        certificates: bool = True,
+        parents: States | None = None,
+        guess: NDArray[np.float64] | None = None,
+    ) -> Verdicts:
         """Check a batch of states.
 
         Args:
             states: checked states, shape (batch, parts).
             certificates: return forces, velocity and, under `contact`, displacement too.
-            guess: contact forces in N to start from, shape (batch, points, 3); overwritten with the forces
-                that were found. None under `contact`, where all states are loaded from rest.
+            parents, guess: as for `CpuSolver.check`; parents are not used, guesses only under `equilibrium`.
 
         Returns:
             Verdicts; `UNDECIDED` where no proof was found within the limits of the settings.

@@ -9,20 +9,15 @@ import numpy as np
 
 from falsework.stability.margins.conditions import Answer, OutOfTime
 
-SHARE = 0.005
-"""Largest width of a bracket, as a share of the bound."""
+WIDTH = 0.009
+"""Largest width of a bracket, as a share of the bound: what is said to be exact to 1 % is, with some room."""
 OUTSIDE = 0.01
 """Distance from the bound at which a proof is sought where the outer end of the bracket could not be proven."""
-_BESIDE = 0.4
-"""Distance of the next probe below the value down to which a velocity proves failure, as a share of `SHARE`."""
 GROWTH = 4.0
 """Ratio of successive probes while only one end of a bracket is known."""
-WIDTH = 0.009
-"""The same as `SHARE` for families in which failing probes are costly."""
 STRIDES = (1.0 + 2.0 * WIDTH, 1.06, 1.4)
-"""Ratios of successive probes, starting from the bound of a nearby state, before `GROWTH` applies."""
-_BELOW = 1.3
-"""Ratio of a failing value to the next one below it."""
+"""Ratios of successive probes, starting from the bound of a nearby state, before `GROWTH` applies: bounds of successive
+states of a plan are mostly the same, or differ by a few per cent."""
 SLACK = 0.004
 """Share of the least bound so far by which a family must be weaker to be searched: of equal ones only one is."""
 _CHECKED = (0.4, 0.75)
@@ -40,7 +35,7 @@ class Bracket:
     """Last stable value."""
     stands: Answer
     outside: float | None
-    """A failing value within `SHARE` of `inside`; None where there is no bound."""
+    """A failing value within `WIDTH` of `inside`; None where there is no bound."""
     fails: Answer | None
     monotone: bool = True
     """Whether every probed value between the unmodified state and the bound is stable."""
@@ -54,70 +49,16 @@ def largest(
     *,
     guess: float,
     cap: float,
-    floor: float = 0.0,
-    cut: Callable[[Answer], float] | None = None,
-    known: tuple[float, Answer] | None = None,
-) -> Bracket:
-    """Find the largest stable value of a family from 0 up.
-
-    Args:
-        probe: the family.
-        start: the stable answer at 0.
-        guess: value to try first.
-        cap: value beyond which there is no bound.
-        floor: absolute width at which a bracket is narrow enough.
-        cut: value down to which the velocity of an answer proves failure.
-        known: a failing value and its answer, if known.
-    """
-    low, inside = 0.0, start
-    high, outside = known if known is not None else (None, None)
-    value, cut_last = min(guess, cap), False
-    if high is not None:
-        value = high * (1.0 - SHARE * _BESIDE)
-    while True:
-        try:
-            answer = probe(value, inside)
-        except OutOfTime:
-            return Bracket(low, inside, high, outside, finished=False)
-        shrunk = high
-        if answer.stands:
-            low, inside, cut_last = value, answer, False
-            if high is None and value >= cap:
-                return Bracket(low, inside, None, None)
-        else:
-            high, outside = value, answer
-            proven = np.inf if cut is None else cut(answer)
-            # Successive cuts may take ever shorter steps; then bisection takes over.
-            slow = cut_last and shrunk is not None and shrunk - min(proven, value) < 0.5 * (shrunk - low)
-            cut_last = low < proven < value and not slow
-            if proven < value:
-                high = max(proven, low * (1.0 + 1e-9))
-        if high is None:
-            value = min(GROWTH * value, cap)
-            continue
-        if high - low <= max(SHARE * low, floor):
-            return Bracket(low, inside, high, outside)
-        if cut_last:
-            value = high * (1.0 - SHARE * _BESIDE)
-        elif low > high / GROWTH:
-            value = 0.5 * (low + high)
-        else:
-            value = np.sqrt(low * high) if low > 0.0 else high / GROWTH
-
-
-def stride(
-    probe: Probe,
-    start: Answer,
-    *,
-    guess: float,
-    cap: float,
     low: float = 0.0,
     floor: float = 0.0,
     growth: float = GROWTH,
     near: bool = False,
     known: tuple[float, Answer] | None = None,
+    cut: Callable[[Answer], float] | None = None,
 ) -> Bracket:
-    """Find the largest stable value of a family in which a failing probe is costly and says nothing of other values.
+    """Find the largest stable value of a family: outwards in strides until one fails, then by halves.
+
+    Failing probes are costly, so a value that fails is followed by one not far below it.
 
     Args:
         probe: the family.
@@ -129,9 +70,10 @@ def stride(
         growth: ratio of successive probes while only one end is known.
         near: whether the guess is the bound of a nearby state, so that the first steps from it are short.
         known: a failing value and its answer, if known.
+        cut: value down to which the velocity of a failing answer proves failure, if it proves it for others.
     """
     inside, (high, outside) = start, known if known is not None else (None, None)
-    ratios = iter(STRIDES if near else (_BELOW,) if known is not None else ())
+    ratios, cut_last = iter(STRIDES if near else STRIDES[-1:] if known is not None else ()), False
     value = guess / (1.0 + WIDTH) if near else guess
     if high is not None and not low < value < high:
         value = high / next(ratios, growth)
@@ -141,56 +83,27 @@ def stride(
             answer = probe(value, inside)
         except OutOfTime:
             return Bracket(low, inside, high, outside, finished=False)
+        before = high
         if answer.stands:
-            low, inside = value, answer
+            low, inside, cut_last = value, answer, False
             if high is None and value >= cap:
                 return Bracket(low, inside, None, None)
         else:
-            high, outside = value, answer
+            proven = value if cut is None else min(cut(answer), value)
+            # Successive cuts may take ever shorter steps; then bisection takes over.
+            slow = cut_last and before is not None and before - proven < 0.5 * (before - low)
+            cut_last = low < proven < value and not slow
+            high, outside = max(proven, low * (1.0 + 1e-9)), answer
         if high is None:
             value = min(next(ratios, growth) * value, cap)
         elif high - low <= max(WIDTH * low, floor):
             return Bracket(low, inside, high, outside)
+        elif cut_last:
+            value = high - 0.25 * max(WIDTH * high, floor)
         elif low < high / growth:
             value = max(high / next(ratios, growth), float(np.sqrt(low * high)))
         else:
             value = 0.5 * (low + high)
-
-
-def least(probe: Probe, start: Answer, *, value: float, floor: float) -> Bracket:
-    """Find the least stable value of a family, starting from a stable one.
-
-    Args:
-        probe: the family.
-        start: the stable answer at `value`.
-        value: value to begin at.
-        floor: value at and below which 0 is tried instead.
-
-    Returns:
-        A bracket whose `outside` is below `inside`; `inside` is 0 where the family is stable at 0.
-    """
-    high, inside = value, start
-    low, outside = 0.0, None
-    try:
-        while outside is None:
-            trial = high / 2 if high / 2 > floor else 0.0
-            answer = probe(trial, inside)
-            if not answer.stands:
-                low, outside = trial, answer
-            elif trial == 0.0:
-                return Bracket(0.0, answer, None, None)
-            else:
-                high, inside = trial, answer
-        while high - low > max(SHARE * high, floor * SHARE):
-            trial = 0.5 * (low + high)
-            answer = probe(trial, inside)
-            if answer.stands:
-                high, inside = trial, answer
-            else:
-                low, outside = trial, answer
-    except OutOfTime:
-        return Bracket(high, inside, None if outside is None else low, outside, finished=False)
-    return Bracket(high, inside, low, outside)
 
 
 def checked(

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import States
-from falsework.stability.margins.brackets import Bracket, Probe, checked, largest, least, stride, weakest
+from falsework.stability.margins.brackets import Bracket, Probe, checked, largest, weakest
 from falsework.stability.margins.conditions import Answer, Condition, OutOfTime
 from falsework.stability.margins.prober import Prober
 from falsework.stability.margins.weakest import Weakest
@@ -46,7 +46,7 @@ def friction_bracket(prober: Prober, state: States, start: Answer, near: Near) -
         known: tuple[float, Answer] | None, low: float = own, stands: Answer = start, probe: Probe = from_rest
     ) -> Bracket:
         _, guess = near.get("friction", (0, 0.5 * own)) if low == own else (0, low)
-        found = stride(
+        found = largest(
             lambda inverse, nearby: probe(1.0 / inverse, nearby),
             stands,
             guess=1.0 / guess,
@@ -59,29 +59,33 @@ def friction_bracket(prober: Prober, state: States, start: Answer, near: Near) -
         if not found.finished:
             outside = None if found.outside is None else 1.0 / found.outside
             return Bracket(1.0 / found.inside, found.stands, outside, found.fails, finished=False)
-        if found.outside is None:
-            return least(from_rest, found.stands, value=1.0 / found.inside, floor=floor)
-        return Bracket(1.0 / found.inside, found.stands, 1.0 / found.outside, found.fails)
+        if found.outside is not None:
+            return Bracket(1.0 / found.inside, found.stands, 1.0 / found.outside, found.fails)
+        smooth = from_rest(0.0, None)
+        if smooth.stands:
+            return Bracket(0.0, smooth, None, None)
+        return Bracket(1.0 / found.inside, found.stands, 0.0, smooth)
 
     if not prober.assembly.has_common_friction:
         return None
     if own == 0.0:
         return Bracket(0.0, start, None, None)
-    if own <= floor or not prober.contact:
-        bracket = least(ask, start, value=own, floor=floor)
-    else:
-        bracket = find(None, probe=ask)
+    if own <= floor:
+        smooth = from_rest(0.0, None)
+        return Bracket(0.0, smooth, None, None) if smooth.stands else Bracket(own, start, 0.0, smooth)
+    found = find(None, probe=ask)
+    if prober.contact:
         try:
-            bracket = _from_rest_too(bracket, from_rest, lambda low, stands: find(None, low, stands))
+            found = _from_rest_too(found, from_rest, lambda low, stands: find(None, low, stands))
             # A check of the number starts from rest, and near the bound the start matters.
-            loaded = from_rest(bracket.inside, None)
-            bracket = replace(bracket, stands=loaded) if loaded.stands else find((bracket.inside, loaded))
-            bracket = checked(bracket, ask, start, lambda value, answer: find((value, answer)), origin=own)
+            loaded = from_rest(found.inside, None)
+            found = replace(found, stands=loaded) if loaded.stands else find((found.inside, loaded))
+            found = checked(found, ask, start, lambda value, answer: find((value, answer)), origin=own)
         except OutOfTime:
-            bracket = replace(bracket, finished=False)
-    if bracket.inside > floor and bracket.finished:
-        near["friction"] = 0, bracket.inside
-    return bracket
+            found = replace(found, finished=False)
+    if found.inside > floor and found.finished:
+        near["friction"] = 0, found.inside
+    return found
 
 
 class LoadFamily:
@@ -114,7 +118,7 @@ class LoadFamily:
         """Return the bracket by quick probes, from a stable multiple up or from a failing one down."""
         first, floor = low or self._guess, FLOOR * self._guess
         start = stands or self._start
-        return stride(self.probe, start, guess=first, cap=self._cap, low=low, floor=floor, near=low > 0.0, known=known)
+        return largest(self.probe, start, guess=first, cap=self._cap, low=low, floor=floor, near=low > 0.0, known=known)
 
     def settle(self, value: float, failed: Answer) -> tuple[float, Answer]:
         """Return the answer from rest at a multiple at which a quick probe failed.
@@ -126,20 +130,20 @@ class LoadFamily:
         answer = replace(answer, moves_away=not answer.stands and (answer.moves_away or failed.moves_away))
         return value, answer
 
-    def settled(self, bracket: Bracket) -> Bracket:
+    def settled(self, found: Bracket) -> Bracket:
         """Return a bracket whose outer end has no rest position from an unloaded start either."""
-        while bracket.outside is not None and bracket.fails is not None and bracket.fails.quick:
-            value, answer = self.settle(bracket.outside, bracket.fails)
+        while found.outside is not None and found.fails is not None and found.fails.quick:
+            value, answer = self.settle(found.outside, found.fails)
             if not answer.stands:
-                return replace(bracket, fails=answer)
-            bracket = self.quick(low=value, stands=answer)
-        return bracket
+                return replace(found, fails=answer)
+            found = self.quick(low=value, stands=answer)
+        return found
 
-    def checked(self, bracket: Bracket) -> Bracket:
+    def checked(self, found: Bracket) -> Bracket:
         """Return the bracket, or that of an earlier bound where a multiple well inside it fails."""
-        if bracket.fails is None:
-            return bracket
-        return checked(bracket, self.probe, self._start, lambda value, answer: self.quick((value, answer)))
+        if found.fails is None:
+            return found
+        return checked(found, self.probe, self._start, lambda value, answer: self.quick((value, answer)))
 
 
 def load_bracket(
@@ -158,13 +162,13 @@ def load_bracket(
     """
     if prober.contact:
         family = LoadFamily(prober, state, start, load, guess=guess, cap=cap)
-        bracket = family.quick(known)
+        found = family.quick(known)
         try:
-            return family.checked(family.settled(bracket))
+            return family.checked(family.settled(found))
         except OutOfTime:
-            return replace(bracket, finished=False)
+            return replace(found, finished=False)
     friction = start.condition.friction
-    bracket = largest(
+    found = largest(
         lambda value, nearby: prober.ask(state, Condition(friction, value * load), nearby),
         start,
         guess=guess,
@@ -173,10 +177,10 @@ def load_bracket(
         cut=lambda answer: prober.cut(state, answer, load),
         known=known,
     )
-    if bracket.fails is None or bracket.outside is None:
-        return bracket
+    if found.fails is None or found.outside is None:
+        return found
     # A velocity may prove failure below the value at which it was found.
-    return replace(bracket, fails=replace(bracket.fails, condition=Condition(friction, bracket.outside * load)))
+    return replace(found, fails=replace(found.fails, condition=Condition(friction, found.outside * load)))
 
 
 def weakest_load(
@@ -251,18 +255,18 @@ def weakest_load(
 
 
 def _from_rest_too(
-    bracket: Bracket, full: Callable[[float, Answer], Answer], find: Callable[[float, Answer], Bracket]
+    found: Bracket, full: Callable[[float, Answer], Answer], find: Callable[[float, Answer], Bracket]
 ) -> Bracket:
     """Return a bracket whose outer end has no rest position from an unloaded start either.
 
     Args:
-        bracket: the bracket found by quick probes.
+        found: the bracket found by quick probes.
         full: answer at a value, from a nearby answer and from rest.
         find: the bracket beyond a value that proves stable.
     """
-    while bracket.outside is not None and bracket.fails is not None and bracket.fails.quick:
-        answer = full(bracket.outside, bracket.stands)
+    while found.outside is not None and found.fails is not None and found.fails.quick:
+        answer = full(found.outside, found.stands)
         if not answer.stands:
-            return replace(bracket, fails=replace(answer, moves_away=answer.moves_away or bracket.fails.moves_away))
-        bracket = find(bracket.outside, answer)
-    return bracket
+            return replace(found, fails=replace(answer, moves_away=answer.moves_away or found.fails.moves_away))
+        found = find(found.outside, answer)
+    return found

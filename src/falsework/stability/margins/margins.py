@@ -7,14 +7,14 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.state import INSTALLED, REMOVED, States, as_states
 from falsework.errors import InputError
-from falsework.stability.margins.brackets import OUTSIDE, Bracket, largest, stride, weakest
+from falsework.stability.margins.brackets import OUTSIDE, Bracket, largest, weakest
 from falsework.stability.margins.conditions import Answer, Condition, OutOfTime
 from falsework.stability.margins.families import FLOOR, SMOOTH, Near, friction_bracket, load_bracket, weakest_load
 from falsework.stability.margins.prober import Prober
@@ -160,13 +160,14 @@ class MarginFinder:
             low = answer
         else:
             return StateMargins(False)
-        stands = answer
-        while stands.condition.friction - low.condition.friction > 0.01 * stands.condition.friction:
-            middle = 0.5 * (stands.condition.friction + low.condition.friction)
-            answer = prober.ask(state, Condition(middle, stands.condition.extra), stands)
-            stands, low = (answer, low) if answer.stands else (stands, answer)
-        bracket = Bracket(stands.condition.friction, stands, low.condition.friction, low)
-        return StateMargins(False, friction=self._bound(state, bracket, self._rough(start.condition), always=True))
+
+        def ask(inverse: float, near: Answer) -> Answer:
+            return prober.ask(state, Condition(1.0 / inverse, start.condition.extra), near)
+
+        cap = 1.0 / max(low.condition.friction, SMOOTH)
+        found = largest(ask, answer, guess=1.0 / high, low=1.0 / high, cap=cap, known=(cap, low))
+        turned = replace(found, inside=1.0 / found.inside, outside=(found.fails or low).condition.friction)
+        return StateMargins(False, friction=self._bound(state, turned, self._rough(start.condition), always=True))
 
     def _friction(self, state: States, start: Answer, near: Near) -> Bound | None:
         bracket = friction_bracket(self.prober, state, start, near)
@@ -233,13 +234,12 @@ class MarginFinder:
     def _tilt(self, state: States, start: Answer, order: Sequence[int]) -> Bound:
         """Return the largest tilt where other loads keep their direction."""
 
-        def probe(row: int, angle: float, near: Answer) -> Answer:
+        def probe(row: int, angle: float, near: Answer = start) -> Answer:
             return self.prober.ask(state, self._tilts(start.condition, row)(angle), near)
 
         def bound(row: int, known: tuple[float, Answer] | None) -> Bracket:
-            search = stride if self.prober.contact else largest
-            return search(
-                lambda angle, near: probe(row, angle, near),
+            return largest(
+                partial(probe, row),
                 start,
                 guess=float(np.arctan(max(self._assembly.friction, 0.1))),
                 cap=cap,
@@ -248,7 +248,7 @@ class MarginFinder:
             )
 
         cap = float(np.arctan(LARGEST_SHARE))
-        found = weakest(order, lambda row, angle: probe(row, angle, start), bound, cap, start)
+        found = weakest(order, probe, bound, cap, start)
         if found is None:
             return self._unbounded(state, start)
         row, bracket = found

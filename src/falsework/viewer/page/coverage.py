@@ -33,7 +33,7 @@ def visited_states(guide: PolicyGuide, oracle: Stability, start: States, robots:
     starts = np.repeat(task.start[None], rollouts, axis=0)
 
     def stable(_: NDArray[np.int64], states: States, parents: States) -> Mask:
-        return oracle.judge(states, parents=parents).stable
+        return oracle.verdicts(states, near=parents).stable
 
     seen = [starts[:1]]
     for several, rng in ((starts[:1], None), (starts[1:], np.random.default_rng(0))):
