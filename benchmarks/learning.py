@@ -35,13 +35,14 @@ from typing import Any, get_args
 import numpy as np
 import record
 from baselines.uniform import UniformPolicy
+from draws import Draw, Searches, by_distance, distances, learned_from, test_seeds
 from states import find
 
 from falsework.assembly import load_structure
 from falsework.assembly.symmetry import symmetries
 from falsework.errors import InputError
 from falsework.learn.config.policy import PolicySettings, recommended
-from falsework.learn.config.train import METHODS, Criterion, TrainSettings
+from falsework.learn.config.train import METHODS, Criterion, TrainSettings, from_dict, to_dict
 from falsework.learn.data.dataset import Dataset, build_dataset, search_states, task_for
 from falsework.learn.data.symmetry_augmentation import symmetric_images
 from falsework.learn.env.environment import Environment
@@ -49,7 +50,7 @@ from falsework.learn.env.rollout import roll_out
 from falsework.learn.networks.autocast import Network
 from falsework.learn.networks.factory import transfer
 from falsework.learn.networks.policy import Policy
-from falsework.learn.training.evaluate import GoalBlindPolicy, evaluate, sample
+from falsework.learn.training.evaluate import GoalBlindPolicy, evaluate, greedy_success, sample
 from falsework.learn.training.run_context import RunContext
 from falsework.learn.training.train import TrainResult, train
 from falsework.learn.training.training_data import find_pairs
@@ -77,7 +78,7 @@ TABLE_3: dict[str, tuple[float, float, float, float]] = {
 EVERYTHING = 1 << 14
 """Width of a search that finds all states of a small structure."""
 SMALL = 20
-"""Number of parts up to which a row is run with three seeds."""
+"""Number of parts up to which every test draw has a run of its own."""
 
 
 def rows_of(options: argparse.Namespace) -> Iterator[tuple[str, Any, int, tuple[int, ...]]]:
@@ -89,7 +90,7 @@ def rows_of(options: argparse.Namespace) -> Iterator[tuple[str, Any, int, tuple[
         if not options.rows and find(name) == name:
             continue  # the real structures are not on this machine
         assembly = load_structure(find(name))
-        seeds = tuple(options.seeds) or ((0, 1, 2) if assembly.part_count <= SMALL else (0,))
+        seeds = tuple(options.seeds) or (0, 1, 2)
         yield name, assembly, int(robots), seeds
 
 
@@ -105,12 +106,23 @@ def settings_of(options: argparse.Namespace, row: str, robots: int, seed: int, *
     if options.imitation_steps is not None:
         first, *others = given["phases"]
         given["phases"] = (replace(first, steps=options.imitation_steps), *others)  # type: ignore[call-arg]
+    if options.set:
+        *others, last = given["phases"]
+        changed = {name: json.loads(value) for name, _, value in (one.partition("=") for one in options.set)}
+        given["phases"] = (*others, from_dict(type(last), to_dict(last) | changed))
     given |= changes
     sizes = {name: getattr(options, name) for name in ("layers", "channels", "heads") if getattr(options, name)}
     return TrainSettings(**{**given, "policy": replace(given.get("policy", PolicySettings()), **sizes)})
 
 
-def run(options: argparse.Namespace, name: str, assembly: Any, settings: TrainSettings, label: str) -> TrainResult:
+def run(
+    options: argparse.Namespace,
+    name: str,
+    assembly: Any,
+    settings: TrainSettings,
+    label: str,
+    dataset: Dataset | None = None,
+) -> TrainResult:
     """Train, with progress on standard error."""
     last = time.perf_counter()
 
@@ -132,6 +144,7 @@ def run(options: argparse.Namespace, name: str, assembly: Any, settings: TrainSe
         device=options.device,
         resume=folder is not None and (folder / "run.json").exists(),
         report=show,
+        dataset=dataset,
     )
 
 
@@ -183,17 +196,14 @@ def line(
     """Print one row."""
     paper = TABLE_3.get(f"{name}:{settings.robots}")
     known: dict[str, Any] = {}
-    if paper and benchmark == "table3":
+    if paper and benchmark == "draws":
         known["paper"] = {"train": paper[0] / 100, "test": paper[1] / 100, "hours": paper[2]}
     if not ProcessGroup.of_group().is_main_process:
         return
+    about = {"structure": name, "robots": settings.robots, "seeds": (settings.seed,), "data": settings.data}
     record.report(
         f"learning {benchmark}",
-        structure=name,
-        robots=settings.robots,
-        seeds=(settings.seed,),
-        data=settings.data,
-        criterion=settings.criterion,
+        **{**about, "criterion": settings.criterion, **more},
         phases=[phase.algorithm for phase in settings.phases],
         policy=result.policy.settings.kind,
         goal_conditioned=settings.policy.goal_conditioned,
@@ -210,18 +220,97 @@ def line(
         processes=result.processes,
         environment=result.throughput,
         notes=result.notes,
-        **more,
     )
 
 
 def table3(options: argparse.Namespace) -> None:
-    """Measure greedy success from unseen states."""
+    """Measure greedy success from the unseen states of several draws of the searches; finished runs are skipped."""
+    device = choose_device(options.device)
     for name, assembly, robots, seeds in rows_of(options):
+        oracle = tensor_oracle(Stability(assembly, StabilitySettings(criterion=options.criterion)), device)
+        folder = Path(options.searches) if options.searches else None
+        searches = Searches(assembly, robots, False, oracle, device, folder)
         for seed in seeds:
-            kind = recommended(assembly.part_count, kind=options.policy or None)
-            settings = settings_of(options, name, robots, seed, policy=kind)
-            result = run(options, name, assembly, settings, f"{name}:{robots} {settings.data} seed {seed}")
-            line("table3", name, settings, result, evaluated(options, result, settings, assembly))
+            # Of a small structure five test draws would hold out most of the solvable states.
+            several = test_seeds(seed) if assembly.part_count > SMALL else ()
+            for tests in (several,) if several else tuple((one,) for one in test_seeds(seed)):
+                settings = settings_of(options, name, robots, seed, policy=kind_of(options, assembly))
+                about = {"structure": name, "robots": robots, "seeds": [seed], "data": settings.data}
+                about |= {"criterion": settings.criterion, "tests": list(tests), "label": options.label}
+                if finished(options.out, about):
+                    continue
+                begun = time.perf_counter()
+                filled = settings.resolved(assembly.part_count, device.type)
+                draw = searches.draw(seed, tests, filled.widths if settings.data == "wide" else ())
+                label = f"{name}:{robots} {settings.data} {settings.criterion} seed {seed} {options.label}"
+                label += "" if several else f" test {tests[0]}"
+                searched = time.perf_counter() - begun
+                result = run(options, name, assembly, settings, label, draw.dataset)
+                if result.interrupted:
+                    return
+                found = draws_evaluated(options, result, settings, assembly, draw)
+                line("draws", name, settings, result, found, **about, search_seconds=round(searched, 1))
+
+
+def kind_of(options: argparse.Namespace, assembly: Any) -> PolicySettings:
+    """Return the network of the command line, or the one recommended."""
+    return recommended(assembly.part_count, kind=options.policy or None)
+
+
+def finished(out: Path | None, about: dict[str, Any]) -> bool:
+    """Return whether the file of records has a run."""
+    if out is None or not out.exists():
+        return False
+    records = (json.loads(text) for text in out.read_text(encoding="utf-8").splitlines())
+    return any(all(one.get(key) == value for key, value in about.items()) for one in records)
+
+
+def draws_evaluated(
+    options: argparse.Namespace, result: TrainResult, settings: TrainSettings, assembly: Any, draw: Draw
+) -> dict[str, Any]:
+    """Return greedy success on each test draw, with the distance of its states to the nearest one learned from."""
+    device = next(result.policy.parameters()).device
+    filled = settings.resolved(assembly.part_count, device.type)
+    oracle = Stability(assembly, StabilitySettings(criterion=settings.criterion))
+    environment = Environment(assembly, settings.robots, oracle=oracle, device=device)
+    network = Network(result.policy, filled.precision)
+    known = learned_from(assembly, draw)
+    draws = []
+    for seed, states in draw.tests.items():
+        chosen = sample(states, options.states)
+        success, each = greedy_success(environment, network, put(chosen, device))
+        far = distances(chosen, known, device)
+        draws.append(
+            {
+                "seed": seed,
+                "published_pairing": seed == draw.pairing,
+                "states": len(states),
+                "evaluated": success.states,
+                "success": success.share,
+                "distance": round(float(far.mean()), 3),
+                "by_distance": by_distance(far, each.cpu().numpy()),
+            }
+        )
+    train, _ = greedy_success(environment, network, put(sample(draw.dataset.train, options.states), device))
+    mean = {name: float(np.mean([one[name] for one in draws])) for name in ("success", "distance")}
+    return {
+        "draws": draws,
+        "test": {"success": mean["success"], "states": sum(one["states"] for one in draws)},
+        "distance": round(mean["distance"], 3),
+        "train": train.to_dict(),
+        "training_states": len(known),
+        "training_states_found": len(draw.dataset.train) + len(draw.dataset.more),
+    }
+
+
+def searched(options: argparse.Namespace) -> None:
+    """Search for the states of all draws of the rows, into the folder of --searches."""
+    device = choose_device(options.device)
+    for _, assembly, robots, seeds in rows_of(options):
+        oracle = tensor_oracle(Stability(assembly, StabilitySettings(criterion=options.criterion)), device)
+        searches = Searches(assembly, robots, False, oracle, device, Path(options.searches or "searches"))
+        for width, seed in searches.all_seeds(seeds):
+            searches.states(width, seed)
 
 
 def table4(options: argparse.Namespace) -> None:
@@ -320,12 +409,12 @@ def plot(options: argparse.Namespace) -> None:
 def main() -> None:
     """Read the command line and run a benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    whats = {"table3": table3, "table4": table4, "table5": table5, "transfer": carry_over}
+    whats = {"table3": table3, "searches": searched, "table4": table4, "table5": table5, "transfer": carry_over}
     whats |= {"methods": methods, "plot": plot, "solvable": solvable}
     parser.add_argument("what", choices=list(whats))
     parser.add_argument("--rows", nargs="*", default=[], help="structure:robots; all of the table if not given")
     parser.add_argument(
-        "--seeds", nargs="*", type=int, default=[], help="default: three for small structures, else one"
+        "--seeds", nargs="*", type=int, default=[], help="default: 0 1 2"
     )
     parser.add_argument("--minutes", type=float, default=0.0, help="default: the budget of the table")
     parser.add_argument("--steps", type=int, default=0, help="in place of minutes")
@@ -334,12 +423,15 @@ def main() -> None:
     parser.add_argument("--widths", nargs="*", type=int, default=[], help="widths of the wide searches")
     parser.add_argument("--method", choices=METHODS, default="default")
     parser.add_argument("--imitation-steps", type=int, help="imitation steps before PPO; 0 for no limit")
+    parser.add_argument("--set", nargs="*", default=[], help="settings of PPO in JSON, such as epochs=2")
     parser.add_argument("--policy", choices=("resmlp", "transformer", "gat", "mlp"), default="")
     parser.add_argument("--layers", type=int, default=0, help="layers of the network; 0 for the default")
     parser.add_argument("--channels", type=int, default=0, help="channels of the network; 0 for the default")
     parser.add_argument("--heads", type=int, default=0, help="attention heads; 0 for the default")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--states", type=int, default=0, help="states evaluated of each set; 0 for all")
+    parser.add_argument("--searches", default="", help="folder that keeps the searches of table3")
+    parser.add_argument("--label", default="", help="name of a variant in the records of table3")
     parser.add_argument("--goals", choices=("both", "yes", "no"), default="both", help="which policies table4 trains")
     parser.add_argument("--search", action="store_true", help="search where the policy fails")
     parser.add_argument("--keep", default="", help="folder for the runs; existing ones are resumed")

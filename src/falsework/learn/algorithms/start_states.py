@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import torch
 
@@ -11,7 +11,11 @@ from falsework.learn.algorithms.hindsight import relabel
 from falsework.learn.algorithms.rollout_storage import Transitions
 from falsework.learn.data.random_walks import GoalSampler
 from falsework.learn.data.solvable_states import SolvableStates
+from falsework.learn.env.assembly_walks import AssemblyWalks
 from falsework.search.device.rules import TensorRules
+
+if TYPE_CHECKING:
+    from falsework.learn.algorithms.curriculum import Curriculum
 
 _FROM_DATA = 0.5
 """Share of rollouts that start where searches found states."""
@@ -164,6 +168,75 @@ class MixedStarts:
         moved = {name: tensor.to(self._starts.device) for name, tensor in local.items()}
         self._failed = StartBatch(moved["failed"], moved.get("failed_targets"))
         self._passed = StartBatch(moved["passed"], moved.get("passed_targets"))
+
+
+class BlendedStarts:
+    """States of a curriculum, any solvable states within its horizon, and random walks backwards from these."""
+
+    def __init__(
+        self, curriculum: Curriculum, solved: SolvableStates, walks: AssemblyWalks, *, anywhere: float, walked: float
+    ) -> None:
+        """Begin with the curriculum as it is.
+
+        Args:
+            curriculum: states of searches.
+            solved: states known to be solvable, which grow.
+            walks: draws the others.
+            anywhere: share of the starts that is drawn from `solved`.
+            walked: share that is drawn from `walks`.
+        """
+        self._curriculum, self._solved, self._walks = curriculum, solved, walks
+        self._anywhere, self._walked = anywhere, walked
+
+    @property
+    def mean_steps(self) -> float:
+        """See `StartSampler`."""
+        return self._curriculum.mean_steps
+
+    def sample(self, count: int, generator: torch.Generator) -> StartBatch:
+        """See `StartSampler`."""
+        anywhere, walked = round(count * self._anywhere), round(count * self._walked)
+        own = self._curriculum.sample(count - anywhere - walked, generator)
+        horizon = self._curriculum.horizon
+        others = torch.cat(
+            [
+                self._solved.within(horizon, anywhere, generator),
+                self._walks.draw(walked, horizon, generator),
+            ]
+        )
+        assert own.entropy is not None and own.weight is not None and own.rows is not None
+        more = len(others)
+        return StartBatch(
+            torch.cat([own.states, others]),
+            None,
+            torch.cat([own.entropy, own.entropy.new_full((more,), self._curriculum.settings.entropy)]),
+            torch.cat([own.weight, own.weight.new_full((more,), float(own.weight.mean()))]),
+            own.rows,
+        )
+
+    def record(
+        self, batch: StartBatch, transitions: Transitions, surrogate: torch.Tensor, generator: torch.Generator
+    ) -> None:
+        """See `StartSampler`."""
+        assert batch.rows is not None
+        own = len(batch.rows)
+        self._curriculum.record_outcomes(batch.rows, transitions.success[:own], surrogate[:own])
+
+    def report(self) -> dict[str, float]:
+        """See `StartSampler`."""
+        return self._curriculum.report()
+
+    def state_dict(self) -> dict[str, torch.Tensor]:
+        """See `StartSampler`."""
+        return self._curriculum.state_dict()
+
+    def local_state_dict(self) -> dict[str, torch.Tensor]:
+        """See `StartSampler`."""
+        return self._curriculum.local_state_dict()
+
+    def load_state_dict(self, tensors: dict[str, torch.Tensor], local: dict[str, torch.Tensor] | None) -> None:
+        """See `StartSampler`."""
+        self._curriculum.load_state_dict(tensors, local)
 
 
 def _take(batch: StartBatch, rows: torch.Tensor | slice) -> StartBatch:

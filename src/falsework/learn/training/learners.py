@@ -10,9 +10,10 @@ from falsework.learn.algorithms.curriculum import Curriculum
 from falsework.learn.algorithms.imitation import Imitation
 from falsework.learn.algorithms.learner import Learner
 from falsework.learn.algorithms.ppo import PPO
-from falsework.learn.algorithms.start_states import MixedStarts, StartSampler
+from falsework.learn.algorithms.start_states import BlendedStarts, MixedStarts, StartSampler
 from falsework.learn.config.imitation import ImitationPhase
 from falsework.learn.config.train import Phase
+from falsework.learn.env.assembly_walks import AssemblyWalks
 from falsework.learn.data.solvable_states import SolvableStates
 from falsework.learn.env.environment import Environment
 from falsework.learn.networks.policy import Policy
@@ -64,6 +65,9 @@ def make_learner(
         if phase.starts == "complete":
             starts, targets = rules.complete(), None
         sampler = Curriculum(starts, rules, phase.curriculum, targets=targets, shards=run.shards)
+        if phase.anywhere or phase.walks:
+            walks = AssemblyWalks(environment, solved)
+            sampler = BlendedStarts(sampler, solved, walks, anywhere=phase.anywhere, walked=phase.walks)
     return PPO(environment, policy, sampler, phase, solved=solved, begin=begin, **options)
 
 
