@@ -175,5 +175,3 @@ def by_distance(found: NDArray[np.float64], success: NDArray[np.bool_]) -> dict[
 def _without(states: States, others: States) -> States:
     """Return the states that are not among some others."""
     return states[StateIndex(np.unique(others, axis=0)).find(states) < 0] if len(others) else states
-
-

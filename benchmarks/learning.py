@@ -232,8 +232,9 @@ def table3(options: argparse.Namespace) -> None:
         searches = Searches(assembly, robots, False, oracle, device, folder)
         for seed in seeds:
             # Of a small structure five test draws would hold out most of the solvable states.
-            several = test_seeds(seed) if assembly.part_count > SMALL else ()
-            for tests in (several,) if several else tuple((one,) for one in test_seeds(seed)):
+            several = assembly.part_count > SMALL
+            numbers = options.tests or range(len(test_seeds(seed)))
+            for tests in (test_seeds(seed),) if several else tuple((test_seeds(seed)[n],) for n in numbers):
                 settings = settings_of(options, name, robots, seed, policy=kind_of(options, assembly))
                 about = {"structure": name, "robots": robots, "seeds": [seed], "data": settings.data}
                 about |= {"criterion": settings.criterion, "tests": list(tests), "label": options.label}
@@ -413,9 +414,7 @@ def main() -> None:
     whats |= {"methods": methods, "plot": plot, "solvable": solvable}
     parser.add_argument("what", choices=list(whats))
     parser.add_argument("--rows", nargs="*", default=[], help="structure:robots; all of the table if not given")
-    parser.add_argument(
-        "--seeds", nargs="*", type=int, default=[], help="default: 0 1 2"
-    )
+    parser.add_argument("--seeds", nargs="*", type=int, default=[], help="default: 0 1 2")
     parser.add_argument("--minutes", type=float, default=0.0, help="default: the budget of the table")
     parser.add_argument("--steps", type=int, default=0, help="in place of minutes")
     parser.add_argument("--data", choices=("wide", "width64"), default="wide")
@@ -431,6 +430,9 @@ def main() -> None:
     parser.add_argument("--device", default="auto")
     parser.add_argument("--states", type=int, default=0, help="states evaluated of each set; 0 for all")
     parser.add_argument("--searches", default="", help="folder that keeps the searches of table3")
+    parser.add_argument(
+        "--tests", nargs="*", type=int, default=[], help="numbers of the test draws of small structures; default: all"
+    )
     parser.add_argument("--label", default="", help="name of a variant in the records of table3")
     parser.add_argument("--goals", choices=("both", "yes", "no"), default="both", help="which policies table4 trains")
     parser.add_argument("--search", action="store_true", help="search where the policy fails")

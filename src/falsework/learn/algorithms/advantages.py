@@ -59,9 +59,7 @@ def normalized(advantage: torch.Tensor, shards: ProcessGroup = ProcessGroup(), *
     return (advantage - mean * centered) / scale
 
 
-def explained_variance(
-    advantage: torch.Tensor, returns: torch.Tensor, shards: ProcessGroup = ProcessGroup()
-) -> float:
+def explained_variance(advantage: torch.Tensor, returns: torch.Tensor, shards: ProcessGroup = ProcessGroup()) -> float:
     """Return the share of the variance of the returns that the value head explains; 0 where returns are all equal.
 
     Args:

@@ -11,7 +11,6 @@ from falsework.learn.algorithms.hindsight import relabel
 from falsework.learn.algorithms.rollout_storage import Transitions
 from falsework.learn.data.random_walks import GoalSampler
 from falsework.learn.data.solvable_states import SolvableStates
-from falsework.learn.env.assembly_walks import AssemblyWalks
 from falsework.search.device.rules import TensorRules
 
 if TYPE_CHECKING:
@@ -171,22 +170,17 @@ class MixedStarts:
 
 
 class BlendedStarts:
-    """States of a curriculum, any solvable states within its horizon, and random walks backwards from these."""
+    """States of a curriculum, and any solvable states within its horizon, those that rollouts passed included."""
 
-    def __init__(
-        self, curriculum: Curriculum, solved: SolvableStates, walks: AssemblyWalks, *, anywhere: float, walked: float
-    ) -> None:
+    def __init__(self, curriculum: Curriculum, solved: SolvableStates, anywhere: float) -> None:
         """Begin with the curriculum as it is.
 
         Args:
             curriculum: states of searches.
             solved: states known to be solvable, which grow.
-            walks: draws the others.
             anywhere: share of the starts that is drawn from `solved`.
-            walked: share that is drawn from `walks`.
         """
-        self._curriculum, self._solved, self._walks = curriculum, solved, walks
-        self._anywhere, self._walked = anywhere, walked
+        self._curriculum, self._solved, self._anywhere = curriculum, solved, anywhere
 
     @property
     def mean_steps(self) -> float:
@@ -195,15 +189,9 @@ class BlendedStarts:
 
     def sample(self, count: int, generator: torch.Generator) -> StartBatch:
         """See `StartSampler`."""
-        anywhere, walked = round(count * self._anywhere), round(count * self._walked)
-        own = self._curriculum.sample(count - anywhere - walked, generator)
-        horizon = self._curriculum.horizon
-        others = torch.cat(
-            [
-                self._solved.within(horizon, anywhere, generator),
-                self._walks.draw(walked, horizon, generator),
-            ]
-        )
+        anywhere = round(count * self._anywhere)
+        own = self._curriculum.sample(count - anywhere, generator)
+        others = self._solved.within(self._curriculum.horizon, anywhere, generator)
         assert own.entropy is not None and own.weight is not None and own.rows is not None
         more = len(others)
         return StartBatch(

@@ -92,8 +92,6 @@ class PpoPhase:
     so that the policy explores first and decides at last. 0: none."""
     anywhere: float = 0.0
     """Share of the rollouts that starts at any state known to be solvable, those that rollouts passed included."""
-    walks: float = 0.0
-    """Share of the rollouts that starts at the end of a random walk backwards from such a state (`AssemblyWalks`)."""
     imitation: float = 0.1
     """Weight of imitating states known to be solvable, or paths to goals, which preserves what imitation learned."""
     hindsight: float = 0.0
@@ -112,13 +110,11 @@ class PpoPhase:
             raise InputError("sizes and learning rate of PPO are not negative; 0 stands for the default")
         if self.epochs < 1:
             raise InputError(f"epochs is {self.epochs}; give at least 1")
-        for name in ("discount", "gae_lambda", "anywhere", "walks"):
+        for name in ("discount", "gae_lambda", "anywhere"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InputError(f"{name} is {getattr(self, name):g}; give a number between 0 and 1")
         if not 0 <= self.average < 1:
             raise InputError(f"average is {self.average:g}; give 0 or more, and less than 1")
-        if self.anywhere + self.walks > 1:
-            raise InputError(f"anywhere and walks are {self.anywhere + self.walks:g} of the rollouts; give at most 1")
         for name in ("weight_decay", "entropy", "entropy_floor", "imitation", "hindsight", "target_divergence"):
             if not getattr(self, name) >= 0:
                 raise InputError(f"{name} is {getattr(self, name):g}; give 0 or more")

@@ -29,7 +29,7 @@ METHODS: dict[Method, tuple[Phase, ...]] = {
 }
 """Presets of `TrainSettings.phases` by the name that `falsework train --method` takes."""
 
-_EVALUATE_EVERY = 20.0
+_EVALUATE_EVERY = 25.0
 """Seconds between two evaluations."""
 
 T = TypeVar("T")
@@ -65,11 +65,11 @@ class TrainSettings:
     block: int = 0
     """Steps between two checks of the time; 0: 200 on a GPU, 20 on a processor."""
     evaluations: int = 0
-    """Evaluations on the validation set, in equal shares of the budget; 0: one every 20 s, but at least ten. The best
+    """Evaluations on the validation set, in equal shares of the budget; 0: one every 25 s, but at least ten. The best
     weights of these are the result."""
     patience: float = 0.25
     """Share of the budget after whose passing without a rise of validation the training ends; 0: never."""
-    evaluation_states: int = 1024
+    evaluation_states: int = 512
     """Validation states of the curve, at most, and a quarter as many training states; a fixed sample."""
     checkpoint_every: float = 30.0
     """Seconds between two checkpoints, as near as blocks allow."""

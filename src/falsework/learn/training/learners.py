@@ -13,7 +13,6 @@ from falsework.learn.algorithms.ppo import PPO
 from falsework.learn.algorithms.start_states import BlendedStarts, MixedStarts, StartSampler
 from falsework.learn.config.imitation import ImitationPhase
 from falsework.learn.config.train import Phase
-from falsework.learn.env.assembly_walks import AssemblyWalks
 from falsework.learn.data.solvable_states import SolvableStates
 from falsework.learn.env.environment import Environment
 from falsework.learn.networks.policy import Policy
@@ -65,9 +64,8 @@ def make_learner(
         if phase.starts == "complete":
             starts, targets = rules.complete(), None
         sampler = Curriculum(starts, rules, phase.curriculum, targets=targets, shards=run.shards)
-        if phase.anywhere or phase.walks:
-            walks = AssemblyWalks(environment, solved)
-            sampler = BlendedStarts(sampler, solved, walks, anywhere=phase.anywhere, walked=phase.walks)
+        if phase.anywhere:
+            sampler = BlendedStarts(sampler, solved, phase.anywhere)
     return PPO(environment, policy, sampler, phase, solved=solved, begin=begin, **options)
 
 
