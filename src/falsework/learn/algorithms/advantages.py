@@ -44,19 +44,17 @@ def generalized_advantages(
     return found[::-1]
 
 
-def normalized(advantage: torch.Tensor, shards: ProcessGroup = ProcessGroup(), *, centered: bool) -> torch.Tensor:
+def normalized(advantage: torch.Tensor, shards: ProcessGroup = ProcessGroup()) -> torch.Tensor:
     """Divide advantages by their deviation over all processes.
 
     Args:
         advantage: of this process, shape (actions,).
         shards: processes.
-        centered: subtract the mean, too.
     """
     count, total = summed([float(len(advantage)), float(advantage.sum())], shards, advantage.device)
     mean = total / max(count, 1.0)
     (squares,) = summed([float((advantage - mean).square().sum())], shards, advantage.device)
-    scale = (squares / max(count, 1.0)) ** 0.5 + _EPSILON
-    return (advantage - mean * centered) / scale
+    return advantage / ((squares / max(count, 1.0)) ** 0.5 + _EPSILON)
 
 
 def explained_variance(advantage: torch.Tensor, returns: torch.Tensor, shards: ProcessGroup = ProcessGroup()) -> float:

@@ -39,6 +39,11 @@ class Learner(ABC):
         """Steps of the optimizer taken."""
         return self._optimizer.steps
 
+    @property
+    def widening(self) -> bool:
+        """Whether tasks still get harder, so that success on all of them says little of what is learned."""
+        return False
+
     @abstractmethod
     def block(self, steps: int, progress: tuple[float, float]) -> dict[str, float]:
         """Take some steps of the optimizer.

@@ -1,8 +1,8 @@
 """Proximal policy optimisation (Schulman et al. 2017) on batches of whole rollouts.
 
 By default it fine-tunes a policy that imitation has prepared: rollouts from mixed start states, no discount, a value
-head that estimates the probability of success, and an additional imitation loss on known states. `config.ppo.PAPER` has
-the settings of the paper (section 5.2).
+head that estimates the probability of success, and an additional imitation loss on known states.
+`config.ppo.REINFORCEMENT` trains from scratch, as the paper does (section 5.2).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from falsework.utils.tensors import below
 _IMITATED = 0.25
 """States imitated per step, as a share of the batch."""
 _FINAL_LEARNING_RATE = 0.1
-"""Learning rate at the end of a phase without milestones, as a share of the initial one."""
+"""Learning rate at the end of a phase, as a share of the initial one."""
 _FEWEST_ROLLOUTS = 16
 """Rollouts per collection, at least."""
 _ENTROPY_STEP, _ENTROPY_MOST = 1.5, 20.0
@@ -105,6 +105,11 @@ class PPO(Learner):
         self._share = max(settings.batch // shards.size, 1)
         """Transitions per step of this process."""
 
+    @property
+    def widening(self) -> bool:
+        """See `Learner.widening`."""
+        return self._sampler.widening
+
     def block(self, steps: int, progress: tuple[float, float]) -> dict[str, float]:
         """See `Learner.block`; where there are several epochs, an update that begins is finished."""
         left, numbers = steps, {}
@@ -149,15 +154,12 @@ class PPO(Learner):
             self._generator,
             discount=settings.discount,
             gae_lambda=settings.gae_lambda,
-            probabilities=settings.value_loss == "bce",
         )
         if batch.targets is None and len(self._solved) < _MOST_SOLVED:
             self._solved.add(transitions.states[transitions.success[transitions.rollout]])
         explained = explained_variance(transitions.advantage, transitions.returns, self._shards)
         learnable = transitions.take((~self._solved.is_held_out(transitions.states)).nonzero()[:, 0])
-        learnable = replace(
-            learnable, advantage=normalized(learnable.advantage, self._shards, centered=settings.centered)
-        )
+        learnable = replace(learnable, advantage=normalized(learnable.advantage, self._shards))
         count = len(learnable)
         if count == 0:  # zero weight: other processes average their gradients with this one
             learnable = _padding(batch, self._environment.part_count)
@@ -200,10 +202,7 @@ class PPO(Learner):
 
     def learning_rate(self, progress: float) -> float:
         """Return the learning rate of the next update."""
-        settings = self._settings
-        if settings.milestones:
-            return settings.learning_rate * 0.1 ** sum(milestone <= self.updates for milestone in settings.milestones)
-        return settings.learning_rate * (1.0 - (1.0 - _FINAL_LEARNING_RATE) * self._through(progress))
+        return self._settings.learning_rate * (1.0 - (1.0 - _FINAL_LEARNING_RATE) * self._through(progress))
 
     def _through(self, progress: float) -> float:
         """Return the share of this phase that is done."""
@@ -299,7 +298,6 @@ class PPO(Learner):
             batch,
             weight=weight,
             entropy_weight=entropy_weight,
-            probabilities=self._settings.value_loss == "bce",
         )
         total = loss.total
         for (share, (known, goals, valid)), answer in zip(shown, others, strict=True):

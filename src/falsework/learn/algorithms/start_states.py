@@ -52,6 +52,11 @@ class StartSampler(Protocol):
         """Steps from a start to its target, on average."""
         ...
 
+    @property
+    def widening(self) -> bool:
+        """Whether farther states will still be drawn."""
+        ...
+
     def sample(self, count: int, generator: torch.Generator) -> StartBatch:
         """Draw the starts of `count` rollouts of this process."""
         ...
@@ -115,6 +120,7 @@ class MixedStarts:
         self._most = _REMEMBERED * collection
         some = slice(None, None, max(len(starts) // _MEASURED, 1))
         left = rules.steps_left(starts[some], None if targets is None else targets[some])
+        self.widening = False
         self.mean_steps = max(float(left.double().mean()), 1.0) if len(left) else 1.0
 
     def sample(self, count: int, generator: torch.Generator) -> StartBatch:
@@ -187,12 +193,18 @@ class BlendedStarts:
         """See `StartSampler`."""
         return self._curriculum.mean_steps
 
+    @property
+    def widening(self) -> bool:
+        """See `StartSampler`."""
+        return self._curriculum.widening
+
     def sample(self, count: int, generator: torch.Generator) -> StartBatch:
         """See `StartSampler`."""
         anywhere = round(count * self._anywhere)
         own = self._curriculum.sample(count - anywhere, generator)
         others = self._solved.within(self._curriculum.horizon, anywhere, generator)
-        assert own.entropy is not None and own.weight is not None and own.rows is not None
+        assert own.entropy is not None
+        assert own.weight is not None
         more = len(others)
         return StartBatch(
             torch.cat([own.states, others]),

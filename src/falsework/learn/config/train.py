@@ -11,11 +11,11 @@ from falsework.assembly.state import check_robots
 from falsework.errors import InputError
 from falsework.learn.config.imitation import ImitationPhase
 from falsework.learn.config.policy import PolicySettings
-from falsework.learn.config.ppo import COMPLETE, PAPER, PpoPhase
+from falsework.learn.config.ppo import REINFORCEMENT, PpoPhase
 from falsework.utils.quantity import check_seed
 
 Phase = ImitationPhase | PpoPhase
-Method = Literal["default", "imitation", "paper", "complete"]
+Method = Literal["default", "reinforcement"]
 Data = Literal["wide", "width64"]
 Criterion = Literal["contact", "equilibrium"]
 """As `falsework.stability.verdict.Criterion`, which would load more than the command line needs to show its help."""
@@ -23,9 +23,7 @@ Criterion = Literal["contact", "equilibrium"]
 METHODS: dict[Method, tuple[Phase, ...]] = {
     # More imitation overfits the states of the searches, which makes the fine-tuning slower and worse (decision 20).
     "default": (ImitationPhase(until=0.5, steps=1000), PpoPhase()),
-    "imitation": (ImitationPhase(),),
-    "paper": (PAPER,),
-    "complete": (COMPLETE,),
+    "reinforcement": (REINFORCEMENT,),
 }
 """Presets of `TrainSettings.phases` by the name that `falsework train --method` takes."""
 

@@ -63,9 +63,10 @@ def make_learner(
     else:
         if phase.starts == "complete":
             starts, targets = rules.complete(), None
-        sampler = Curriculum(starts, rules, phase.curriculum, targets=targets, shards=run.shards)
-        if phase.anywhere:
-            sampler = BlendedStarts(sampler, solved, phase.anywhere)
+        curriculum = Curriculum(starts, rules, phase.curriculum, targets=targets, shards=run.shards)
+        sampler = curriculum
+        if phase.anywhere and targets is None:
+            sampler = BlendedStarts(curriculum, solved, phase.anywhere)
     return PPO(environment, policy, sampler, phase, solved=solved, begin=begin, **options)
 
 

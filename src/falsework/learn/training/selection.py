@@ -32,7 +32,7 @@ class BestWeights:
         self._risen = 0.0
         self._weights: dict[str, torch.Tensor] = {}
 
-    def consider(self, policy: Policy, success: Success, step: int, progress: float) -> None:
+    def consider(self, policy: Policy, success: Success, step: int, progress: float, *, waiting: bool = False) -> None:
         """Keep the weights of a policy if they are as good as the best so far.
 
         Without validation states the latest weights are kept.
@@ -42,11 +42,12 @@ class BestWeights:
             success: on the validation set.
             step: optimizer steps so far.
             progress: share of the run that is done.
+            waiting: the patience begins later.
         """
+        if waiting or success.succeeded > self.success.succeeded:
+            self._risen = progress
         if self._weights and success.states and success.succeeded < self.success.succeeded:
             return
-        if success.succeeded > self.success.succeeded:
-            self._risen = progress
         self.success, self.step = success, step
         self._weights = {name: tensor.detach().clone() for name, tensor in policy.state_dict().items()}
 

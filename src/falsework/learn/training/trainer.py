@@ -6,6 +6,7 @@ import platform
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -212,14 +213,14 @@ class Trainer:
             if self._phase_is_over(progress[0]):
                 learner = self._next_phase(learner, progress[0])
             known = len(self._solved)
-            learner.listener = lambda numbers, at=self.steps - learner.steps: self._lines(journal, learner, numbers, at)
+            learner.listener = partial(self._lines, journal, learner, self.steps - learner.steps)
             numbers = learner.block(steps, progress)
             share_solved(self._solved, known, self.shards)
             self.steps += steps
             blocks += 1
             if self._evaluation_is_due():
                 success, evaluated = self._evaluate(learner, self._data.curve), self.steps
-                self._best.consider(self._exported, success["validation"], self.steps, self.budget.progress(self.steps))
+                self._consider(learner, success["validation"])
                 self._log(journal, numbers, success)
             self.report(self.budget.progress(self.steps), self._message(numbers, success["validation"]))
             since = decided(time.perf_counter() - self._saved, self.shards, self.device)
@@ -227,7 +228,7 @@ class Trainer:
                 self._save(learner)
         if evaluated != self.steps:
             success = self._evaluate(learner, self._data.curve)
-            self._best.consider(self._exported, success["validation"], self.steps, self.budget.progress(self.steps))
+            self._consider(learner, success["validation"])
             self._log(journal, numbers, success)
         self._best.write(self._exported)
         success |= self._succeeded({"train": self._data.curve["train"], **self._data.test})
@@ -243,6 +244,11 @@ class Trainer:
         """Return whether the budget is used up, or validation has not risen for long."""
         progress = self.budget.progress(self.steps)
         return progress >= 1.0 or self._best.over(progress)
+
+    def _consider(self, learner: Learner, validation: Success) -> None:
+        """Keep the evaluated weights if they are the best; a plateau while tasks still get harder is none."""
+        progress = self.budget.progress(self.steps)
+        self._best.consider(self._exported, validation, self.steps, progress, waiting=learner.widening)
 
     def _evaluation_is_due(self) -> bool:
         """Return whether the run has passed the next of its equally spaced evaluations, alike in all processes."""
@@ -319,14 +325,14 @@ class Trainer:
         if journal is not None:
             journal.write(self.steps, line)
 
-    def _lines(self, journal: Journal | None, learner: Learner, numbers: dict[str, float], before: int) -> None:
+    def _lines(self, journal: Journal | None, learner: Learner, before: int, numbers: dict[str, float]) -> None:
         """Write the numbers of a running block, at most once a second, with the speeds since the last time.
 
         Args:
             journal: log of the run.
             learner: at work.
-            numbers: its figures.
             before: steps of earlier phases.
+            numbers: its figures.
         """
         now, played = time.perf_counter(), self._environment.counters.steps
         if journal is None or now - self._line[0] < _LINE_EVERY:
