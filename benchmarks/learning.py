@@ -1,23 +1,22 @@
 """Train policies and evaluate them by the paper's protocols: one JSON object per line.
 
-    python benchmarks/learning.py table3                             # all rows, three seeds for the small ones
-    python benchmarks/learning.py table3 --rows vault-62:2 --data width64 --seeds 0
-    python benchmarks/learning.py table3 --rows vault-62:2 --search --keep runs
+    python benchmarks/learning.py table3 --method reinforcement --data width64 --criterion equilibrium --out FILE
+    python benchmarks/learning.py table3 --rows vault-62:2 --seeds 0 --keep runs
     python benchmarks/learning.py table4 --rows bottle-12:2 dome-37:2
     python benchmarks/learning.py table5 --rows bottle-12:2
     python benchmarks/learning.py transfer
-    python benchmarks/learning.py methods --rows bottle-12:2 --minutes 1 > curves.jsonl
-    python benchmarks/learning.py plot --curves curves.jsonl --picture curves.png
+    python benchmarks/learning.py searches --searches folder         # all draws of table3, once for many runs
     torchrun --nproc-per-node 4 benchmarks/learning.py table3 --rows vault-62:6
 
 A row is a structure, by the name of a real one (FALSEWORK_DATA, else the folder `shared` beside the repository), of a
-built-in one or by its path, and a number of robots. `table3`: greedy success on the training and the test set, all
-states of them, `random` beside it for uniformly random legal actions, `paper` where the paper has the row; `--data
-width64` learns from the paper's data alone, `--search` adds the share of test states with a proven plan. `table4`: a
+built-in one or by its path, and a number of robots. `table3`: greedy success on the
+test states of five searches (`draws.py`), all of them or `--states` of each, with their distance to the states learned
+from, and `paper` where the paper has the row; `--data width64` learns from the paper's data alone. Runs whose records
+are in the file of `--out` are skipped, those in the folder of `--keep` are resumed. `table4`: a
 goal-conditioned policy, a goal-blind one, or both (`--goals`). `table5`: `gat`, `transformer`, `resmlp` and `mlp` with
-the same budget. `transfer`: a policy of the bottle evaluated on the dog. `methods`: curves of all presets of training.
+the same budget. `transfer`: a policy of the bottle evaluated on the dog.
 `solvable`: how many states of a small structure are solvable, and how many of them no run may learn from.
-`minutes` is the total budget, data included, `seconds` the time used; evaluation of all states is not included. Rows
+`minutes` is the total budget, `seconds` the time used; data are included but for `table3`, evaluation is not. Rows
 are independent: run them as processes of their own, each with its CUDA_VISIBLE_DEVICES.
 """
 
@@ -276,7 +275,7 @@ def draws_evaluated(
     environment = Environment(assembly, settings.robots, oracle=oracle, device=device)
     network = Network(result.policy, filled.precision)
     known = learned_from(assembly, draw)
-    draws = []
+    draws: list[dict[str, Any]] = []
     for seed, states in draw.tests.items():
         chosen = sample(states, options.states)
         success, each = greedy_success(environment, network, put(chosen, device))
@@ -373,45 +372,11 @@ def solvable(options: argparse.Namespace) -> None:
         )  # fmt: skip
 
 
-def methods(options: argparse.Namespace) -> None:
-    """Record curves of all training presets."""
-    for name, assembly, robots, seeds in rows_of(options):
-        for seed in seeds[:1]:
-            for method in METHODS:
-                settings = settings_of(options, name, robots, seed, method=method)
-                result = run(options, name, assembly, settings, f"{name}:{robots} {method} seed {seed}")
-                points = [[one["seconds"], one["success/train"], one["success/validation"]] for one in result.curve]
-                found = {"train": result.train.to_dict(), "test": result.test.to_dict()}
-                line("methods", name, settings, result, found, method=method, curve=points)
-
-
-def plot(options: argparse.Namespace) -> None:
-    """Draw the output of `methods`."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    lines = [json.loads(text) for text in Path(options.curves).read_text(encoding="utf-8").splitlines()]
-    structures = list(dict.fromkeys(one["structure"] for one in lines))
-    figure, axes = pyplot.subplots(1, len(structures), figsize=(6 * len(structures), 4), squeeze=False)
-    for axis, structure in zip(axes[0], structures, strict=True):
-        for one in (one for one in lines if one["structure"] == structure):
-            seconds, _, test = zip(*one["curve"], strict=True)
-            axis.plot(seconds, [100 * share for share in test], marker=".", label=one["method"])
-        axis.set(title=structure, xlabel="seconds, data included", ylabel="validation states, greedy success in %")
-        axis.set_ylim(0, 101)
-        axis.grid(alpha=0.3)
-        axis.legend(loc="lower right")
-    figure.tight_layout()
-    figure.savefig(options.picture, dpi=150)
-
-
 def main() -> None:
     """Read the command line and run a benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     whats = {"table3": table3, "searches": searched, "table4": table4, "table5": table5, "transfer": carry_over}
-    whats |= {"methods": methods, "plot": plot, "solvable": solvable}
+    whats["solvable"] = solvable
     parser.add_argument("what", choices=list(whats))
     parser.add_argument("--rows", nargs="*", default=[], help="structure:robots; all of the table if not given")
     parser.add_argument("--seeds", nargs="*", type=int, default=[], help="default: 0 1 2")
@@ -437,14 +402,9 @@ def main() -> None:
     parser.add_argument("--goals", choices=("both", "yes", "no"), default="both", help="which policies table4 trains")
     parser.add_argument("--search", action="store_true", help="search where the policy fails")
     parser.add_argument("--keep", default="", help="folder for the runs; existing ones are resumed")
-    parser.add_argument("--curves", default="curves.jsonl", help="output of methods, for plot")
-    parser.add_argument("--picture", default="curves.png", help="file for plot")
     parser.add_argument("--out", type=Path, help="file to which the records are appended")
     parser.add_argument("--quiet", action="store_true", help="no progress on standard error")
     options = parser.parse_args()
-    if options.what == "plot":
-        plot(options)
-        return
     record.write_to(options.out)
     with init_distributed(options.device):
         whats[options.what](options)

@@ -181,7 +181,7 @@ def test_blended_starts_are_a_curriculum_and_any_solvable_states_within_its_hori
     assert curriculum.widening
     solved = SolvableStates(environment.rules, states)
     starts = BlendedStarts(curriculum, solved, 0.25)
-    batch = starts.sample(40, generator)
+    batch: Any = starts.sample(40, generator)
     assert len(batch.states) == 40
     assert len(batch.rows) == 30
     assert torch.equal(batch.states[:30], curriculum._starts[batch.rows])
@@ -189,7 +189,7 @@ def test_blended_starts_are_a_curriculum_and_any_solvable_states_within_its_hori
     assert solved.contains(batch.states).all()
     assert len(batch.entropy) == len(batch.weight) == 40
     assert (batch.weight > 0).all()
-    transitions = SimpleNamespace(success=torch.arange(40) < 30)
+    transitions: Any = SimpleNamespace(success=torch.arange(40) < 30)
     starts.record(batch, transitions, torch.ones(40), generator)
     assert curriculum._visited.sum() == len(batch.rows.unique())
     assert curriculum._far[1] == curriculum._far[0]  # of its own, all succeeded

@@ -425,7 +425,7 @@ def test_weights_and_biases_gets_the_same_numbers(arch: Any, tmp_path: Path, mon
 def test_nothing_is_kept_where_no_folder_is_named(arch: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "safetensors", None)  # not needed then
-    result = train(arch, replace(SMALL, steps=20), folder=None, device="cpu")
+    result = train(arch, replace(SMALL, steps=20, evaluations=2), folder=None, device="cpu")
     assert not list(tmp_path.iterdir())
     assert [one["step"] for one in result.curve] == [10, 20]
     kept = train(arch, SMALL, folder=None, device="cpu")
