@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from falsework.assembly import Assembly
 from falsework.assembly.state import States
 from falsework.assembly.symmetry import symmetries
+from falsework.learn.config.train import TrainSettings
 from falsework.learn.data.dataset import (
     VALIDATION_STATES,
     Dataset,
@@ -28,10 +30,15 @@ from falsework.learn.data.dataset import (
     task_for,
 )
 from falsework.learn.data.symmetry_augmentation import symmetric_images
-from falsework.learn.training.evaluate import sample
+from falsework.learn.env.environment import Environment
+from falsework.learn.networks.autocast import Network
+from falsework.learn.networks.policy import Policy
+from falsework.learn.training.evaluate import greedy_success, sample
 from falsework.search.device.oracle import TensorOracle, without_fallback
 from falsework.search.problem.hashing import StateIndex
 from falsework.search.problem.task import Direction
+from falsework.stability import Stability, StabilitySettings
+from falsework.utils.tensors import put
 
 TRAIN_WIDTH, TEST_WIDTH = 64, 128
 TEST_SEEDS, VALIDATION_SEEDS = (1, 11, 21, 31), (2, 12, 22)
@@ -169,6 +176,51 @@ def by_distance(found: NDArray[np.float64], success: NDArray[np.bool_]) -> dict[
     return {
         str(one): [int((rounded == one).sum()), round(float(success[rounded == one].mean()), 4)]
         for one in np.unique(rounded)
+    }
+
+
+def success_on_draws(
+    assembly: Assembly, settings: TrainSettings, policy: Policy, draw: Draw, *, most: int = 0
+) -> dict[str, Any]:
+    """Return greedy success on each test draw, with the distance of its states to the nearest one learned from.
+
+    Args:
+        assembly: the structure.
+        settings: of the run.
+        policy: as it was trained.
+        draw: searches of the run.
+        most: states of each test draw that are tried; 0: all.
+    """
+    device = next(policy.parameters()).device
+    oracle = Stability(assembly, StabilitySettings(criterion=settings.criterion))
+    environment = Environment(assembly, settings.robots, oracle=oracle, device=device)
+    network = Network(policy, settings.resolved(assembly.part_count, device.type).precision)
+    known = learned_from(assembly, draw)
+    found: list[dict[str, Any]] = []
+    for seed, states in draw.tests.items():
+        chosen = sample(states, most)
+        success, each = greedy_success(environment, network, put(chosen, device))
+        far = distances(chosen, known, device)
+        found.append(
+            {
+                "seed": seed,
+                "published_pairing": seed == draw.pairing,
+                "states": len(states),
+                "evaluated": success.states,
+                "success": success.share,
+                "distance": round(float(far.mean()), 3) if len(far) else 0.0,
+                "by_distance": by_distance(far, each.cpu().numpy()),
+            }
+        )
+    train, _ = greedy_success(environment, network, put(sample(draw.dataset.train, most), device))
+    mean = {name: float(np.mean([one[name] for one in found])) for name in ("success", "distance")}
+    return {
+        "draws": found,
+        "test": {"success": mean["success"], "states": sum(one["states"] for one in found)},
+        "distance": round(mean["distance"], 3),
+        "train": train.to_dict(),
+        "training_states": len(known),
+        "training_states_found": len(draw.dataset.train) + len(draw.dataset.more),
     }
 
 

@@ -34,7 +34,7 @@ from typing import Any, get_args
 import numpy as np
 import record
 from baselines.uniform import UniformPolicy
-from draws import Draw, Searches, by_distance, distances, learned_from, test_seeds
+from draws import Searches, success_on_draws, test_seeds
 from states import find
 
 from falsework.assembly import load_structure
@@ -49,7 +49,7 @@ from falsework.learn.env.rollout import roll_out
 from falsework.learn.networks.autocast import Network
 from falsework.learn.networks.factory import transfer
 from falsework.learn.networks.policy import Policy
-from falsework.learn.training.evaluate import GoalBlindPolicy, evaluate, greedy_success, sample
+from falsework.learn.training.evaluate import GoalBlindPolicy, evaluate, sample
 from falsework.learn.training.run_context import RunContext
 from falsework.learn.training.train import TrainResult, train
 from falsework.learn.training.training_data import find_pairs
@@ -199,10 +199,13 @@ def line(
         known["paper"] = {"train": paper[0] / 100, "test": paper[1] / 100, "hours": paper[2]}
     if not ProcessGroup.of_group().is_main_process:
         return
-    about = {"structure": name, "robots": settings.robots, "seeds": (settings.seed,), "data": settings.data}
     record.report(
         f"learning {benchmark}",
-        **{**about, "criterion": settings.criterion, **more},
+        structure=name,
+        robots=settings.robots,
+        seeds=(settings.seed,),
+        data=settings.data,
+        criterion=settings.criterion,
         phases=[phase.algorithm for phase in settings.phases],
         policy=result.policy.settings.kind,
         goal_conditioned=settings.policy.goal_conditioned,
@@ -219,6 +222,7 @@ def line(
         processes=result.processes,
         environment=result.throughput,
         notes=result.notes,
+        **more,
     )
 
 
@@ -248,8 +252,9 @@ def table3(options: argparse.Namespace) -> None:
                 result = run(options, name, assembly, settings, label, draw.dataset)
                 if result.interrupted:
                     return
-                found = draws_evaluated(options, result, settings, assembly, draw)
-                line("draws", name, settings, result, found, **about, search_seconds=round(searched, 1))
+                found = success_on_draws(assembly, settings, result.policy, draw, most=options.states)
+                more = {"tests": list(tests), "label": options.label, "search_seconds": round(searched, 1)}
+                line("draws", name, settings, result, found, **more)
 
 
 def kind_of(options: argparse.Namespace, assembly: Any) -> PolicySettings:
@@ -263,44 +268,6 @@ def finished(out: Path | None, about: dict[str, Any]) -> bool:
         return False
     records = (json.loads(text) for text in out.read_text(encoding="utf-8").splitlines())
     return any(all(one.get(key) == value for key, value in about.items()) for one in records)
-
-
-def draws_evaluated(
-    options: argparse.Namespace, result: TrainResult, settings: TrainSettings, assembly: Any, draw: Draw
-) -> dict[str, Any]:
-    """Return greedy success on each test draw, with the distance of its states to the nearest one learned from."""
-    device = next(result.policy.parameters()).device
-    filled = settings.resolved(assembly.part_count, device.type)
-    oracle = Stability(assembly, StabilitySettings(criterion=settings.criterion))
-    environment = Environment(assembly, settings.robots, oracle=oracle, device=device)
-    network = Network(result.policy, filled.precision)
-    known = learned_from(assembly, draw)
-    draws: list[dict[str, Any]] = []
-    for seed, states in draw.tests.items():
-        chosen = sample(states, options.states)
-        success, each = greedy_success(environment, network, put(chosen, device))
-        far = distances(chosen, known, device)
-        draws.append(
-            {
-                "seed": seed,
-                "published_pairing": seed == draw.pairing,
-                "states": len(states),
-                "evaluated": success.states,
-                "success": success.share,
-                "distance": round(float(far.mean()), 3),
-                "by_distance": by_distance(far, each.cpu().numpy()),
-            }
-        )
-    train, _ = greedy_success(environment, network, put(sample(draw.dataset.train, options.states), device))
-    mean = {name: float(np.mean([one[name] for one in draws])) for name in ("success", "distance")}
-    return {
-        "draws": draws,
-        "test": {"success": mean["success"], "states": sum(one["states"] for one in draws)},
-        "distance": round(mean["distance"], 3),
-        "train": train.to_dict(),
-        "training_states": len(known),
-        "training_states_found": len(draw.dataset.train) + len(draw.dataset.more),
-    }
 
 
 def searched(options: argparse.Namespace) -> None:

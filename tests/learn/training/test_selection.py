@@ -17,6 +17,7 @@ from falsework.learn.config.policy import PolicySettings  # noqa: E402
 from falsework.learn.config.ppo import PpoPhase  # noqa: E402
 from falsework.learn.config.train import TrainSettings  # noqa: E402
 from falsework.learn.networks.factory import make_policy  # noqa: E402
+from falsework.learn.training import progress_lines  # noqa: E402
 from falsework.learn.training import trainer as module  # noqa: E402
 from falsework.learn.training.checkpoint import load_run  # noqa: E402
 from falsework.learn.training.evaluate import Success  # noqa: E402
@@ -142,7 +143,7 @@ def test_progress_is_written_between_evaluations(
     arch: Assembly, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With speed, divergence, explained variance and success of rollouts; at most one line in the given time."""
-    monkeypatch.setattr(module, "_LINE_EVERY", 0.0)
+    monkeypatch.setattr(progress_lines, "LINE_EVERY", 0.0)
     train(arch, SETTINGS, folder=tmp_path / "run", device="cpu", logs=())
     between = [line for line in read_progress(tmp_path / "run") if "success/validation" not in line]
     assert len(between) >= 10
@@ -150,6 +151,6 @@ def test_progress_is_written_between_evaluations(
     wanted |= {f"train/{name}" for name in ("divergence", "explained_variance", "rollout_success", "entropy")}
     assert all(wanted < set(line) for line in between)
     assert all(line["steps_per_second"] > 0 for line in between)
-    monkeypatch.setattr(module, "_LINE_EVERY", 1e9)
+    monkeypatch.setattr(progress_lines, "LINE_EVERY", 1e9)
     train(arch, SETTINGS, folder=tmp_path / "other", device="cpu", logs=())
     assert all("success/validation" in line for line in read_progress(tmp_path / "other"))

@@ -29,6 +29,7 @@ from falsework.learn.training.checkpoint import CheckpointFile, describe_structu
 from falsework.learn.training.evaluate import Sets, Success, greedy_success, throughput
 from falsework.learn.training.learners import gather_local, local_of, make_learner, share_solved
 from falsework.learn.training.logger import Journal
+from falsework.learn.training.progress_lines import ProgressLines
 from falsework.learn.training.run_context import RunContext
 from falsework.learn.training.selection import BestWeights
 from falsework.learn.training.training_data import collect_training_data
@@ -44,8 +45,6 @@ Report = Callable[[float, str], None]
 
 _SEARCHED_BY = 0.25
 """Share of the training time after which no further search for tasks with targets begins."""
-_LINE_EVERY = 1.0
-"""Seconds between two lines of progress within a block, at least."""
 _COMPILE_FROM = 4.0
 """Minutes of training from which compiling the network pays."""
 
@@ -154,8 +153,6 @@ class Trainer:
         self._best = BestWeights(settings.patience)
         self._evaluations = settings.evaluations
         self._evaluated = 0
-        self._line = (time.perf_counter(), 0, 0)
-        """Time, optimizer and environment steps of the last line of progress within a block."""
 
     def run(self, begun: float, *, resume: bool, logs: Sequence[str], dataset: Dataset | None) -> TrainResult:
         """Collect data, train in blocks, and return the result."""
@@ -205,6 +202,7 @@ class Trainer:
         numbers: dict[str, float] = {}
         blocks = interrupted = 0
         here = time.perf_counter()
+        lines = ProgressLines(journal, self._environment, self.budget)
         while not self._over():
             if self.budget.stop_requested():
                 interrupted = 1
@@ -213,7 +211,7 @@ class Trainer:
             if self._phase_is_over(progress[0]):
                 learner = self._next_phase(learner, progress[0])
             known = len(self._solved)
-            learner.listener = partial(self._lines, journal, learner, self.steps - learner.steps)
+            learner.listener = partial(lines.write, learner, self.steps - learner.steps)
             numbers = learner.block(steps, progress)
             share_solved(self._solved, known, self.shards)
             self.steps += steps
@@ -324,26 +322,6 @@ class Trainer:
         self._curve.append({"step": self.steps, **line})
         if journal is not None:
             journal.write(self.steps, line)
-
-    def _lines(self, journal: Journal | None, learner: Learner, before: int, numbers: dict[str, float]) -> None:
-        """Write the numbers of a running block, at most once a second, with the speeds since the last time.
-
-        Args:
-            journal: log of the run.
-            learner: at work.
-            before: steps of earlier phases.
-            numbers: its figures.
-        """
-        now, played = time.perf_counter(), self._environment.counters.steps
-        if journal is None or now - self._line[0] < _LINE_EVERY:
-            return
-        at = before + learner.steps
-        seconds = now - self._line[0]
-        line = {"seconds": round(self.budget.seconds, 3)}
-        line["steps_per_second"] = (at - self._line[1]) / seconds
-        line["environment_steps_per_second"] = (played - self._line[2]) / seconds
-        journal.write(at, line | {f"train/{name}": value for name, value in numbers.items()})
-        self._line = (now, at, played)
 
     def _message(self, numbers: dict[str, float], held_out: Success) -> str:
         loss = f"loss {numbers['loss']:.3f}" if "loss" in numbers else ""
