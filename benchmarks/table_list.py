@@ -52,6 +52,18 @@ def over_draws(key: str, form: str = "", *, pairing: bool = False) -> Callable[[
     return write
 
 
+def at_distance(least: int, most: int) -> Callable[[Runs, Runs], str]:
+    """Return a column with the share of success on states of all draws at some distances, and their number."""
+
+    def write(runs: Runs, _: Runs) -> str:
+        bins = [one for run in runs for draw in run["draws"] for one in draw["by_distance"].items()]
+        chosen = [(count, share) for far, (count, share) in bins if least <= int(far) <= most]
+        states = sum(count for count, _ in chosen)
+        return f"{number(sum(n * share for n, share in chosen) / states, '%')} of {states:,}" if states else ""
+
+    return write
+
+
 def draws(runs: Runs, _: Runs) -> str:
     """Write the number of training and of test draws."""
     trained = {run["seeds"][0] for run in runs}
@@ -600,6 +612,22 @@ TABLES = {
         benchmark="learning draws",
         where=lambda record: (
             record["data"] == "width64" and record["label"] == "reinforcement" and record["rollouts"] == 8192
+        ),
+    ),
+    "policies-distance": Table(
+        "learning",
+        STRUCTURE_AND_ROBOTS,
+        (
+            ("distance 1, %", at_distance(1, 1)),
+            ("2 to 4", at_distance(2, 4)),
+            ("5 to 7", at_distance(5, 7)),
+            ("8 to 11", at_distance(8, 11)),
+            ("12 and more", at_distance(12, 1000)),
+        ),
+        benchmark="learning draws",
+        where=lambda record: (
+            (record["data"], record["label"], record["rollouts"]) == ("width64", "reinforcement", 8192)
+            and record["policy"] == "transformer"
         ),
     ),
     "policies-recipes": Table(

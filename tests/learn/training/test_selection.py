@@ -13,8 +13,9 @@ pytest.importorskip("filelock", reason="filelock is not installed: pip install '
 
 from falsework.assembly import Assembly, load_structure  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
+from falsework.learn.config.imitation import ImitationPhase  # noqa: E402
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
-from falsework.learn.config.ppo import PpoPhase  # noqa: E402
+from falsework.learn.config.ppo import REINFORCEMENT, PpoPhase  # noqa: E402
 from falsework.learn.config.train import TrainSettings  # noqa: E402
 from falsework.learn.networks.factory import make_policy  # noqa: E402
 from falsework.learn.training import progress_lines  # noqa: E402
@@ -144,9 +145,12 @@ def test_progress_is_written_between_evaluations(
 ) -> None:
     """With speed, divergence, explained variance and success of rollouts; at most one line in the given time."""
     monkeypatch.setattr(progress_lines, "LINE_EVERY", 0.0)
-    train(arch, SETTINGS, folder=tmp_path / "run", device="cpu", logs=())
+    several = (ImitationPhase(steps=8, batch=16), replace(REINFORCEMENT, rollouts=8, batch=16))
+    train(arch, replace(SETTINGS, phases=several), folder=tmp_path / "run", device="cpu", logs=())
+    every = [line["step"] for line in read_progress(tmp_path / "run")]
+    assert every == sorted(every)
     between = [line for line in read_progress(tmp_path / "run") if "success/validation" not in line]
-    assert len(between) >= 10
+    assert len(between) >= 7
     wanted = {"steps_per_second", "environment_steps_per_second", "seconds"}
     wanted |= {f"train/{name}" for name in ("divergence", "explained_variance", "rollout_success", "entropy")}
     assert all(wanted < set(line) for line in between)

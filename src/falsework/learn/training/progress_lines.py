@@ -26,25 +26,28 @@ class ProgressLines:
             budget: clock of the run.
         """
         self._journal, self._environment, self._budget = journal, environment, budget
-        self._last = (time.perf_counter(), 0, environment.counters.steps)
-        """Time, optimizer steps and environment steps of the last line."""
+        self._time, self._steps, self._played = time.perf_counter(), 0, environment.counters.steps
+        self._learner: Learner | None = None
 
-    def write(self, learner: Learner, before: int, numbers: Mapping[str, float]) -> None:
+    def write(self, learner: Learner, before: int, most: int, numbers: Mapping[str, float]) -> None:
         """Write a line, if the last one is old enough.
 
         Args:
             learner: at work.
-            before: optimizer steps of earlier phases.
+            before: steps of the run less those of the learner, where the block begins.
+            most: steps of the run where the block ends; a learner that finishes an update takes more.
             numbers: its figures.
         """
-        now, steps, played = time.perf_counter(), before + learner.steps, self._environment.counters.steps
-        seconds = now - self._last[0]
+        now, played = time.perf_counter(), self._environment.counters.steps
+        seconds = now - self._time
         if self._journal is None or seconds < LINE_EVERY:
             return
+        taken = learner.steps - (self._steps if learner is self._learner else 0)
         line = {
             "seconds": round(self._budget.seconds, 3),
-            "steps_per_second": (steps - self._last[1]) / seconds,
-            "environment_steps_per_second": (played - self._last[2]) / seconds,
+            "steps_per_second": taken / seconds,
+            "environment_steps_per_second": (played - self._played) / seconds,
         }
-        self._journal.write(steps, line | {f"train/{name}": value for name, value in numbers.items()})
-        self._last = now, steps, played
+        step = min(before + learner.steps, most)
+        self._journal.write(step, line | {f"train/{name}": value for name, value in numbers.items()})
+        self._time, self._steps, self._played, self._learner = now, learner.steps, played, learner

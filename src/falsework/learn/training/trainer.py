@@ -211,7 +211,7 @@ class Trainer:
             if self._phase_is_over(progress[0]):
                 learner = self._next_phase(learner, progress[0])
             known = len(self._solved)
-            learner.listener = partial(lines.write, learner, self.steps - learner.steps)
+            learner.listener = partial(lines.write, learner, self.steps - learner.steps, self.steps + steps)
             numbers = learner.block(steps, progress)
             share_solved(self._solved, known, self.shards)
             self.steps += steps
