@@ -151,9 +151,10 @@ def test_progress_is_written_between_evaluations(
     assert every == sorted(every)
     between = [line for line in read_progress(tmp_path / "run") if "success/validation" not in line]
     assert len(between) >= 7
-    wanted = {"steps_per_second", "environment_steps_per_second", "seconds"}
-    wanted |= {f"train/{name}" for name in ("divergence", "explained_variance", "rollout_success", "entropy")}
+    wanted = {"steps_per_second", "environment_steps_per_second", "seconds", "train/loss"}
     assert all(wanted < set(line) for line in between)
+    wanted = {f"train/{name}" for name in ("divergence", "explained_variance", "rollout_success", "entropy")}
+    assert [wanted < set(line) for line in between] == [line["step"] > 8 for line in between]
     assert all(line["steps_per_second"] > 0 for line in between)
     monkeypatch.setattr(progress_lines, "LINE_EVERY", 1e9)
     train(arch, SETTINGS, folder=tmp_path / "other", device="cpu", logs=())
