@@ -12,9 +12,9 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 
 from falsework.assembly import load_structure  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
+from falsework.learn.algorithms.blended_starts import BlendedStarts  # noqa: E402
 from falsework.learn.algorithms.curriculum import _CORRECTED_AFTER, Curriculum  # noqa: E402
 from falsework.learn.algorithms.ppo import PPO  # noqa: E402
-from falsework.learn.algorithms.start_states import BlendedStarts  # noqa: E402
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
 from falsework.learn.config.ppo import REINFORCEMENT, CurriculumSettings  # noqa: E402
 from falsework.learn.data.solvable_states import SolvableStates  # noqa: E402

@@ -6,11 +6,12 @@ from typing import Any
 
 import torch
 
+from falsework.learn.algorithms.blended_starts import BlendedStarts
 from falsework.learn.algorithms.curriculum import Curriculum
 from falsework.learn.algorithms.imitation import Imitation
 from falsework.learn.algorithms.learner import Learner
 from falsework.learn.algorithms.ppo import PPO
-from falsework.learn.algorithms.start_states import BlendedStarts, MixedStarts, StartSampler
+from falsework.learn.algorithms.start_states import MixedStarts, StartSampler
 from falsework.learn.config.imitation import ImitationPhase
 from falsework.learn.config.train import Phase
 from falsework.learn.data.solvable_states import SolvableStates
