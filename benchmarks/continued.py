@@ -83,7 +83,7 @@ def _command(name: str, plan: RobotPlan, now: Interruption, seed: int, folder: P
     ]
     held = ",".join(f"{arm}={part}" for arm, part in zip(arms, now.held, strict=True) if part is not None)
     command += ["--holding", held] if held else []
-    command += ["--grips", str(folder / "plan.json"), "--sequential", "--robots-seed", str(seed), "--out", str(out)]
+    command += ["--grips", str(folder / "plan.json"), "--sequential", "--seed", str(seed), "--out", str(out)]
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     subprocess.run(command, check=False, capture_output=True, env=os.environ)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)

@@ -107,7 +107,7 @@ def search(case: Case, history: bool, options: Options) -> None:
     beam = BeamSearch(
         task_of(assembly, options.robots, start=full, target=empty),
         oracle if history else FromRest(oracle),
-        BeamSettings(width=_WIDTH, direction=direction, diversity="none", lookahead=_WIDTH, retries=0),
+        BeamSettings(width=_WIDTH, direction=direction, diversity="none", lookahead=_WIDTH),
         guide=SupportGuide(assembly),
     )
     begun, closes = time.process_time(), False

@@ -1,7 +1,7 @@
 """Rules of the search for plans, each with what switches it off, and the comparison of searches without one of them.
 
-Most of these rules were made when robots could only hold still. `luck.py --without` makes the same searches with the
-rules and without one of them; a rule whose absence changes nothing can go. A rule is switched off by a patch of classes
+`luck.py --without` makes the same searches with the rules and without one of them; a rule whose absence changes nothing
+can go. A rule is switched off by a patch of classes
 or module constants in the process of the search, and a probe notes whether it took effect there. Where it took none,
 the search without it is the same, step by step, and is not made.
 
@@ -11,10 +11,9 @@ Not among them: moves to supports and props, which none of these searches has.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import wraps
 from importlib import import_module
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -30,12 +29,8 @@ Pair = tuple[Run, Run]
 ALL, EACH = "all", "each"
 """Names of all rules at once, and of one after the other."""
 LEFT_OUT = {
-    ("vault:parts=250", 3, "contact"),
     ("armadillo-399", 3, "contact"),
     ("armadillo-399", 4, "contact"),
-    ("armadillo-399", 4, "equilibrium"),
-    ("pavilion-vault-387", 2, "contact"),
-    ("pavilion-vault-387", 3, "contact"),
     ("vault:parts=480,span=6,rise=1.5,thickness=0.15", 3, "contact"),
     ("vault:parts=480,span=6,rise=1.5,thickness=0.15", 4, "contact"),
 }
@@ -82,21 +77,6 @@ def _watch(kind: Any, name: str, note: Note, shows: Callable[..., Any]) -> None:
     _wrap(kind, name, around)
 
 
-def _constant(module: str, name: str, value: Any) -> Callable[[], None]:
-    """Return a patch of a constant of a module.
-
-    Raises:
-        AttributeError: when patching, if the module has no such constant.
-    """
-
-    def patch() -> None:
-        found = import_module(f"falsework.{module}")
-        getattr(found, name)
-        setattr(found, name, value)
-
-    return patch
-
-
 def _answers(module: str, kind: str, name: str, value: Any) -> Callable[[], None]:
     """Return a patch that has a method always return one value."""
     return lambda: _answer(_kind(module, kind), name, value)
@@ -111,32 +91,8 @@ def _kind(module: str, name: str) -> Any:
     return getattr(import_module(f"falsework.{module}"), name)
 
 
-_ADAPTIVE, _BEAM, _SELECTION = "search.beam.adaptive", "search.beam.beam", "search.beam.selection"
+_JUMPS, _CONFLICTS = "search.beam.backjumping", "search.beam.conflicts"
 _GUIDE, _MEMORY, _SOLVER = "search.problem.guide", "search.beam.failures", "stability.cpu.solver"
-
-
-def _without_parts(name: str) -> Callable[[], None]:
-    """Return a patch that leaves the parts of one setting out of the settings of all beams."""
-
-    def patch() -> None:
-        def around(call: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
-            return replace(call(*arguments, **named), **{name: ()})
-
-        _wrap(_kind(_ADAPTIVE, "AdaptiveSettings"), "beam", around)
-
-    return patch
-
-
-def _beam_has(shows: Callable[[Any], Any]) -> Callable[[Note], None]:
-    """Return a probe that looks at the settings of each beam."""
-    return _shown_by(_ADAPTIVE, "AdaptiveSettings", "beam", lambda beam, *_, **__: shows(beam))
-
-
-def _patch_compact() -> None:
-    def around(call: Callable[..., Any], this: Any, *stage: Any, **named: Any) -> Any:
-        return call(this, *stage, **{**named, "compact": False})
-
-    _wrap(_kind("search.settings", "PlannerSettings"), "attempts", around)
 
 
 def _patch_failures() -> None:
@@ -145,28 +101,29 @@ def _patch_failures() -> None:
     _answer(beam, "FailureMemory", None)
 
 
-def _patch_hopeless() -> None:
-    def around(_: Any, __: Any, first: Callable[[int], Any], wanted: int, ___: int) -> Any:
-        return first(wanted)[:wanted]
+def _patch_refuted() -> None:
+    nothing = np.empty(0, dtype=np.int64)
+    _answer(_kind(_CONFLICTS, "Conflicts"), "barred", (nothing, nothing))
 
-    _wrap(_kind(_SELECTION, "Selector"), "_hopeful_first", around)
+
+def _patch_jumps() -> None:
+    _answer(import_module(f"falsework.{_JUMPS}"), "luby", 1)
+
+
+def _probe_jumps(note: Note) -> None:
+    _watch(import_module(f"falsework.{_JUMPS}"), "luby", note, lambda distance, _: distance > 1)
 
 
 def _patch_few_ahead() -> None:
-    def around(call: Callable[..., Any], this: Any, *arguments: Any, **named: Any) -> Any:
-        return call(replace(this, few_ahead=False), *arguments, **named)
+    from falsework.search import strategies
+    from falsework.search.beam.backjumping import BackjumpingSettings
 
-    _wrap(_kind(_ADAPTIVE, "AdaptiveSettings"), "beam", around)
+    vars(strategies)["_ROWS_AHEAD"] = BackjumpingSettings().lookahead
 
 
 def _probe_few_ahead(note: Note) -> None:
-    from falsework.search.beam import adaptive
-
-    _beam_has(lambda beam: beam.lookahead < vars(adaptive)["_LOOKAHEAD_STATES"])(note)
-
-
-def _patch_in_turn() -> None:
-    _wrap(_kind(_SELECTION, "Selector"), "_in_turn", lambda _, __, fixed: fixed)
+    most = _kind(_JUMPS, "BackjumpingSettings")().lookahead
+    _shown_by(_JUMPS, "BackjumpingSettings", "beam", lambda beam, *_, **__: beam.lookahead < most)(note)
 
 
 def _patch_supports() -> None:
@@ -175,122 +132,36 @@ def _patch_supports() -> None:
     vars(solver)["CORRIDORS"] = solver.CORRIDORS[:0]
 
 
-def last_fixed(beam: Any) -> tuple[int, int]:
-    """Return the last level before a part was fixed on the way to the best scored state, and this part.
-
-    -1 as the part, where none was.
-    """
-    from falsework.assembly.state import HELD
-
-    for (after, row), (number, _) in pairwise(beam._way_back()):
-        level = beam.levels[after]
-        part = int(level.action[row]) % beam.task.part_count
-        if level.states[row, part] == HELD:
-            return number, part
-    return 0, -1
-
-
-def _patch_chain_start() -> None:
-    _wrap(_kind(_BEAM, "BeamSearch"), "chain", lambda _, beam: last_fixed(beam))
-
-
-def _trial_of(retreats: int) -> int:
-    """Return which trial of one width comes after so many retreats."""
-    return int(_kind(_ADAPTIVE, "AdaptiveSettings").trial(retreats)[1])
-
-
 RULES: dict[str, Rule] = {
     "edges": Rule(
         "A beam closes free edges first, before all others; without it, the others begin.",
         _answers(_GUIDE, "SupportGuide", "edges_first", None),
         _shown_by(_GUIDE, "SupportGuide", "edges_first", lambda guide, *_: guide is not None),
     ),
-    "compact": Rule(
-        "A beam whose robots work in one place takes over after 16 deaths of the first; without it, that goes on.",
-        _patch_compact,
-        _beam_has(lambda beam: beam.compact),
-    ),
     "beside-held": Rule(
         "Under `contact`, parts beside held ones are preferred.",
         _answers(_GUIDE, "SupportGuide", "beside_held", None),
         _shown_by(_GUIDE, "SupportGuide", "beside_held", lambda guide, *_: guide is not None),
     ),
-    "gaps": Rule(
-        "The beam of free edges comes back to place parts that filled gaps before those around them.",
-        _answers(_ADAPTIVE, "AdaptiveBeam", "_close_gaps", False),
-        _shown_by(_ADAPTIVE, "AdaptiveBeam", "_close_gaps", lambda came_back, *_: came_back),
-    ),
-    "early": Rule(
-        "Parts that filled gaps are placed before those around them; without it, the beam only comes back for them.",
-        _without_parts("early"),
-        _beam_has(lambda beam: beam.early),
-    ),
     "failures": Rule(
-        "Moves that failed with the same surroundings are tried last, and so is what leaves nothing but such moves.",
+        "Moves that failed with the same surroundings are tried last, a few of them at a level.",
         _patch_failures,
         _shown_by(_MEMORY, "FailureMemory", "failed", lambda failed, *_: failed.any()),
     ),
-    "hopeless": Rule(
-        "What leaves nothing but moves that failed before is tried last; without it, such moves themselves still are.",
-        _patch_hopeless,
-        _shown_by(_MEMORY, "FailureMemory", "hopeless", lambda hopeless, *_: hopeless.any()),
+    "refuted": Rule(
+        "A choice that led to a dead end is not made again; without it, only random numbers differ.",
+        _patch_refuted,
+        _shown_by(_CONFLICTS, "Conflicts", "barred", lambda found, *_: len(found[0])),
     ),
-    "chain-start": Rule(
-        "A beam that died comes back to where the chain of held parts began; without it, to where one was fixed last.",
-        _patch_chain_start,
-        _shown_by(_BEAM, "BeamSearch", "chain", lambda found, beam: found != last_fixed(beam)),
-    ),
-    "chains": Rule(
-        "It begins another chain there eight times; without it, it comes back from farther at once.",
-        _constant(_ADAPTIVE, "_CHAINS", 0),
-        _shown_by(_ADAPTIVE, "AdaptiveBeam", "_widen", lambda on, beam, _: on and beam._failures > 0),
-    ),
-    "turns": Rule(
-        "The end of each chain goes another way twice, from before the part that no robot lets go of.",
-        _constant(_ADAPTIVE, "_TURNS", 0),
-        _shown_by(_ADAPTIVE, "AdaptiveBeam", "_widen", lambda on, beam, _: on and beam._turns > 0),
-    ),
-    "trials": Rule(
-        "The beam comes back from farther three times before it is widened; without it, it is widened at once.",
-        _constant(_ADAPTIVE, "_TRIALS", 0),
-        _shown_by(
-            _ADAPTIVE, "AdaptiveSettings", "beam", lambda _, __, retreats=0, *___, **____: _trial_of(retreats) > 0
-        ),
-    ),
-    "disorder": Rule(
-        "It then has random preferences.",
-        _constant(_ADAPTIVE, "_DISORDER", 0.0),
-        _beam_has(lambda beam: beam.disorder > 0),
-    ),
-    "avoided": Rule(
-        "Parts that led nowhere from a state are fixed there after all others, and those beside them late.",
-        _without_parts("avoided"),
-        _beam_has(lambda beam: beam.avoided),
-    ),
-    "doubt": Rule(
-        "Parts beside those that led nowhere are fixed late.",
-        _answers(_BEAM, "BeamSearch", "_beside", np.empty(0, dtype=np.intp)),
-        _shown_by(_BEAM, "BeamSearch", "_beside", lambda parts, *_: len(parts)),
-    ),
-    "preferred": Rule(
-        "A beam that comes back from farther fixes the parts first in which the chains began that led nowhere.",
-        _without_parts("preferred"),
-        _beam_has(lambda beam: beam.preferred),
-    ),
-    "episodes": Rule(
-        "Where a part binds a robot in four hard places, the beam comes back from far before the first of them.",
-        _answers(_ADAPTIVE, "AdaptiveBeam", "_left_too_long", -1),
-        _shown_by(_ADAPTIVE, "AdaptiveBeam", "_left_too_long", lambda level, *_: level >= 0),
+    "jumps": Rule(
+        "Jumps back are of Luby's lengths; without it, each is as short as possible.",
+        _patch_jumps,
+        _probe_jumps,
     ),
     "few-ahead": Rule(
-        "Under `equilibrium`, the beam of free edges keeps 16 states ahead instead of 64 until it dies.",
+        "Under `equilibrium`, the beam of free edges keeps 16 states ahead instead of 64.",
         _patch_few_ahead,
         _probe_few_ahead,
-    ),
-    "in-turn": Rule(
-        "After a death, states in which all robots hold parts are taken in turn, parts beside held ones first.",
-        _patch_in_turn,
-        _shown_by(_SELECTION, "Selector", "_in_turn", lambda rows, _, fixed: not np.array_equal(rows, fixed)),
     ),
     "supports": Rule(
         "Verdicts under `equilibrium` change forces along ways to supports; without it, near the change, or anywhere. "

@@ -10,6 +10,7 @@ os.environ.setdefault("MPLBACKEND", "agg")
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "pictures"))
 
+import cell_pictures  # noqa: E402
 import commands  # noqa: E402
 import diagrams  # noqa: E402
 import exits  # noqa: E402
@@ -40,6 +41,8 @@ def main() -> None:
         **{f"real-{name}": commands.real for name in (*commands.REAL, *commands.PUBLIC)},
         "arch-plan.gif": commands.film,
         "page": screen.page,
+        "cell": cell_pictures.cell,
+        "cell-page": cell_pictures.cell_page,
     }
     for name in sys.argv[1:] or pictures:
         path = folder / (name if "." in name else f"{name}.png")

@@ -49,13 +49,14 @@ SUBPACKAGES = {
         "cells",
         "grasping",
         "plans",
+        "exports",
         "checks",
         "schedule",
         "keyframes",
         "interleaving",
         "planning",
     ),
-    "viewer": ("pictures", "page"),
+    "viewer": ("pictures", "page", "cells"),
 }
 MOST_MODULES = 16
 """In one folder; `cli` has a module for each command."""

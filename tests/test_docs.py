@@ -38,6 +38,7 @@ def blocks(page: Path, language: str) -> list[str]:
 def nobody_waits(monkeypatch: pytest.MonkeyPatch) -> None:
     """A page in the browser is served, and closed at once."""
     monkeypatch.setattr("falsework.viewer.page.page.Page.wait", lambda _: None)
+    monkeypatch.setattr("falsework.viewer.cells.cell_page.CellPage.wait", lambda _: None)
     monkeypatch.setattr("webbrowser.open", lambda *_: True)
 
 

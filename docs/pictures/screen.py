@@ -17,13 +17,7 @@ FLAGS = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox
 
 
 def page(path: Path) -> None:
-    """The page with a vault half built and one part selected; without Chromium the picture stays as it was."""
-    chromium = shutil.which("chromium")
-    if chromium is None:
-        print(f"{path} is left as it is: there is no Chromium")
-        return
-    from playwright.sync_api import sync_playwright
-
+    """The page with a vault half built and one part selected."""
     vault = load_structure("vault")
     plan = find_plans(vault, task_of(vault)).plans[0].reverse()
     model = ViewerState(Timeline.of(plan, vault), plan=plan)
@@ -33,13 +27,24 @@ def page(path: Path) -> None:
     model.selected = int(np.argmax(np.where(model.state == 1, vault.mass.center[:, 1], -np.inf)))
     shown = Page(model, port=8191)
     shown.refresh()
+    shoot(shown.address, "Step", path)
+    shown.close()
+
+
+def shoot(address: str, text: str, path: Path) -> None:
+    """Write a screenshot of a page that has a text; without Chromium the picture stays as it was."""
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        print(f"{path} is left as it is: there is no Chromium")
+        return
+    from playwright.sync_api import sync_playwright
+
     with sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=chromium, args=FLAGS)
         tab = browser.new_page(viewport={"width": 1200, "height": 780})
-        tab.goto(shown.address)
-        tab.get_by_text("Step", exact=True).wait_for()
+        tab.goto(address)
+        tab.get_by_text(text, exact=True).wait_for()
         tab.add_style_tag(content=".mantine-Notifications-root { display: none }")
         tab.wait_for_timeout(12_000)
         tab.screenshot(path=str(path))
         browser.close()
-    shown.close()

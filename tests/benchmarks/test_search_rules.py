@@ -9,29 +9,23 @@ from pathlib import Path
 from typing import Any
 from zlib import crc32
 
-import numpy as np
 import pytest
 from luck import Options, apart, cases, compared, key_of, main, table_of
 from search_rules import ALL, EACH, LEFT_OUT, RULES, acts_in, each_of, parts_of, probe_all, switch_off
 
 from falsework.assembly import load_structure
-from falsework.assembly.state import HELD, States
-from falsework.search import PlannerSettings, SupportGuide, Task
-from falsework.search.beam import adaptive, beam, failures, selection
-from falsework.search.beam.adaptive import AdaptiveBeam, AdaptiveSettings
-from falsework.search.beam.beam import BeamSearch
-from falsework.search.beam.frontier import Level
-from falsework.search.beam.settings import BeamSettings
+from falsework.assembly.state import States
+from falsework.search import SupportGuide, Task, strategies
+from falsework.search.beam import backjumping, beam, conflicts, failures
+from falsework.search.beam.backjumping import BackjumpingBeam, BackjumpingSettings
 from falsework.search.problem import guide
-from falsework.search.settings import COMPACT
 from falsework.stability import Stability, StabilitySettings, Verdicts
 from falsework.stability.cpu import solver
 from falsework.stability.settings import EQUILIBRIUM
 
 PATCHED = (
-    *(adaptive, beam, selection, solver),
-    *(AdaptiveBeam, AdaptiveSettings, BeamSearch, PlannerSettings),
-    *(selection.Selector, guide.SupportGuide, failures.FailureMemory, solver.CpuSolver),
+    *(backjumping, beam, strategies, solver, BackjumpingSettings),
+    *(conflicts.Conflicts, guide.SupportGuide, failures.FailureMemory, solver.CpuSolver),
 )
 """Modules and classes that patches and probes change."""
 
@@ -60,35 +54,17 @@ class Chance:
         return verdicts
 
 
-def dying_beam(name: str = "dome:rings=2,blocks=6") -> AdaptiveBeam:
+def dying_beam(name: str = "dome:rings=2,blocks=6") -> BackjumpingBeam:
     """Return a beam that dies again and again."""
     assembly = load_structure(name)
     task = Task.create(assembly.boundary, 3, contacts=assembly.contacts.parts)
-    return AdaptiveBeam(task, Chance(0.3), AdaptiveSettings(gaps=True), guide=SupportGuide(assembly))
+    return BackjumpingBeam(task, Chance(0.3), guide=SupportGuide(assembly))
 
 
 def die() -> None:
-    """Have a beam die, and come back, until it is given up."""
-    assert not dying_beam().run(4, deaths=60).found
-
-
-def fill_a_gap() -> None:
-    """Have a beam come back since a part filled a gap."""
-    found = dying_beam()
-    vars(found.search)["gaps"] = lambda: {int(np.flatnonzero(~found.search.task.boundary)[0]): 0}
-    found._close_gaps()
-
-
-def leave_too_long() -> None:
-    """Have a part bind a robot in the fourth hard place."""
-    found = dying_beam()
-    part = int(np.flatnonzero(~found.search.task.boundary)[0])
-    level = found.search.levels[-1]
-    states = level.states.copy()
-    states[0, part] = HELD
-    found.search.levels[-1] = Level(states, level.parent, level.action, level.score, level.grounded)
-    found._left, found._episode = {part: [(0, 0), (1, 1), (2, 2)]}, 3
-    found._left_too_long(3)
+    """Have a beam die, and jump back, some times: without rules it would never give up."""
+    levels = iter(range(300))
+    assert not dying_beam().run(4, stop=lambda: next(levels, None) is None).found
 
 
 def begin(what: str, name: str) -> None:
@@ -98,27 +74,15 @@ def begin(what: str, name: str) -> None:
     getattr(SupportGuide(assembly), what)(task.judged_by(Stability(assembly, StabilitySettings())))
 
 
-def step() -> None:
-    """Take a step in the order of assembly under `contact`."""
-    assembly = load_structure("dome:rings=2,blocks=6")
-    task = Task.create(assembly.boundary, 2, contacts=assembly.contacts.parts)
-    BeamSearch(task, Stability(assembly, StabilitySettings()), BeamSettings(width=1, lookahead=4)).step()
-
-
-def settings_of_attempts() -> None:
-    """Ask for the settings of the beams of all attempts."""
-    for attempt in PlannerSettings().attempts(compact=True):
-        AdaptiveSettings(compact=attempt.beam == COMPACT).beam()
+def few_ahead() -> None:
+    """Ask for the settings of a beam of free edges under `equilibrium`."""
+    BackjumpingSettings(lookahead=vars(strategies)["_ROWS_AHEAD"]).beam(1)
 
 
 USES: dict[str, Callable[[], Any]] = {
     "edges": lambda: begin("edges_first", "vault:parts=120"),
-    "compact": settings_of_attempts,
     "beside-held": lambda: begin("beside_held", "dome:rings=2,blocks=6"),
-    "gaps": fill_a_gap,
-    "early": fill_a_gap,
-    "episodes": leave_too_long,
-    "few-ahead": lambda: AdaptiveSettings(few_ahead=True).beam(),
+    "few-ahead": few_ahead,
     "supports": lambda: solver.CpuSolver(Stability(load_structure("arch:blocks=5"), EQUILIBRIUM).problem),
 }
 """What rules take effect in; all others do in a beam that dies."""
@@ -147,7 +111,7 @@ def test_all_rules_are_switched_off_at_once() -> None:
 def test_probes_change_no_search() -> None:
     def ways() -> list[bytes]:
         found = dying_beam()
-        result = found.run(4, deaths=60)
+        result = found.run(4)
         return [found.search.states().tobytes(), result.deepest.tobytes(), bytes(str(result.counters), "ascii")]
 
     before = ways()
@@ -158,24 +122,24 @@ def test_probes_change_no_search() -> None:
 def test_names_of_rules() -> None:
     assert parts_of("") == ()
     assert parts_of(ALL) == tuple(RULES)
-    assert parts_of("gaps+early") == ("gaps", "early")
-    assert each_of(["early", EACH, "gaps+early", ALL]) == [
-        "early",
-        *(name for name in RULES if name != "early"),
-        "gaps+early",
+    assert parts_of("refuted+jumps") == ("refuted", "jumps")
+    assert each_of(["jumps", EACH, "refuted+jumps", ALL]) == [
+        "jumps",
+        *(name for name in RULES if name != "jumps"),
+        "refuted+jumps",
         ALL,
     ]
-    with pytest.raises(ValueError, match="no rule is called luck; there are edges, compact"):
+    with pytest.raises(ValueError, match="no rule is called luck; there are edges, beside-held"):
         each_of(["luck"])
-    assert acts_in("gaps+early", {"acts": ["early"]})
-    assert not acts_in("gaps", {"acts": ["early"]})
-    assert acts_in("gaps", {})
+    assert acts_in("refuted+jumps", {"acts": ["jumps"]})
+    assert not acts_in("refuted", {"acts": ["jumps"]})
+    assert acts_in("refuted", {})
 
 
 def run_of(name: str, number: int, cost: int, without: str = "", **more: Any) -> dict[str, Any]:
-    """Return a made-up run that is solved, unless `more` says otherwise; with all rules, `gaps` takes effect."""
+    """Return a made-up run that is solved, unless `more` says otherwise; with all rules, `refuted` takes effect."""
     run = {"structure": name, "half": "tuned", "robots": 2, "criterion": "contact", "perturbation": number}
-    run |= {"source": "here", "budget": 50.0, "limit": 20.0, "without": without, "acts": [] if without else ["gaps"]}
+    run |= {"source": "here", "budget": 50.0, "limit": 20.0, "without": without, "acts": [] if without else ["refuted"]}
     run |= {"ended": "found", "solved": True, "reserve": 1.1, "cost": cost, "verdicts": cost - 10, "replayed": 10}
     return run | {"processor_seconds": 1.0} | more
 
@@ -187,14 +151,14 @@ def test_a_rule_is_compared_with_the_same_searches() -> None:
         run_of("b", 1, 210, solved=False, reserve=None, ended="budget"),
         run_of("c", 0, 50, acts=[]),
     ]
-    others = [run_of("a", number, cost, "gaps") for number, cost in enumerate((200, 230, 300))]
+    others = [run_of("a", number, cost, "refuted") for number, cost in enumerate((200, 230, 300))]
     others[2] |= {"solved": False, "reserve": 1.0}
-    others += [run_of("b", 0, 110, "gaps", processor_seconds=3.0), run_of("b", 1, 200, "gaps")]
+    others += [run_of("b", 0, 110, "refuted", processor_seconds=3.0), run_of("b", 1, 200, "refuted")]
     known = {key_of(run): run for run in (*bases, *others)}
-    rows = list(compared(known, bases, ["gaps", "early"]))
+    rows = list(compared(known, bases, ["refuted", "jumps"]))
     assert [(row["without"], row["half"], row["criterion"]) for row in rows] == [
-        ("gaps", "tuned", "contact"),
-        ("early", "tuned", "contact"),
+        ("refuted", "tuned", "contact"),
+        ("jumps", "tuned", "contact"),
     ]
     row, none = rows
     assert (row["runs"], row["acts"], row["cases"], row["both"]) == (6, 5, 2, 3)
@@ -209,17 +173,17 @@ def test_a_rule_is_compared_with_the_same_searches() -> None:
     assert row["gained"] == "b, 2 robots, contact: 1 to 2 of 2"
     assert (none["runs"], none["acts"], none["solved"], none["cost"]) == (6, 0, None, None)
     lines = table_of(rows).splitlines()
-    assert lines[2].startswith("| gaps | contact | 5 of 6 | 80 | 80 | 1 | 1 | 0 | 20 |")
-    assert lines[3].startswith("| early | contact | 0 of 6 | | | 0 | 0 |")
+    assert lines[2].startswith("| refuted | contact | 5 of 6 | 80 | 80 | 1 | 1 | 0 | 20 |")
+    assert lines[3].startswith("| jumps | contact | 0 of 6 | | | 0 | 0 |")
     del known[key_of(others[0])]
-    assert next(compared(known, bases, ["gaps"]))["acts"] == 4  # what is not there yet is left out
+    assert next(compared(known, bases, ["refuted"]))["acts"] == 4  # what is not there yet is left out
 
 
 def test_long_cases_are_left_out_of_sweeps_only() -> None:
     every = {(run["structure"], run["robots"], run["criterion"]) for run in cases(Options(perturbations=1))}
     swept = {
         (run["structure"], run["robots"], run["criterion"])
-        for run in cases(Options(perturbations=1, without=("gaps",)))
+        for run in cases(Options(perturbations=1, without=("refuted",)))
     }
     assert every - swept == LEFT_OUT
     assert swept < every
@@ -247,7 +211,7 @@ def test_a_sweep_goes_on_and_makes_no_run_where_a_rule_takes_no_effect(
         robots=(2,),
         criterion=("contact",),
         perturbations=1,
-        without=("beside-held", "gaps"),
+        without=("beside-held", "refuted"),
     )
     main(asked)
     made = [json.loads(line) for line in runs.read_text(encoding="utf-8").splitlines()]

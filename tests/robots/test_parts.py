@@ -14,7 +14,7 @@ from falsework.cli.main import main
 from falsework.errors import StateError
 from falsework.geometry.mesh.collision import inside
 from falsework.geometry.mesh.mesh import TriangleMesh
-from falsework.robots.grasping.grasp import grasps
+from falsework.robots.grasping.grasp import grasp_fault, grasps
 from falsework.robots.model.builtin_robots import builtin_robot
 from falsework.robots.model.cell import CellRobot, Gripper, Placement
 from falsework.robots.model.convex_decomposition import convex_pieces
@@ -182,6 +182,25 @@ def test_payload_and_cup_decide(arch, cup: Gripper) -> None:
         grasps(assembly, parts, 99, there, strong(cup))
 
 
+def test_a_part_without_a_grasp_is_told_with_its_size_and_that_of_the_gripper(cup: Gripper) -> None:
+    """The circle on the largest face of a box, and its narrowest width."""
+    from dataclasses import replace
+
+    from falsework.assembly.library.blocks import box, gather
+    from falsework.assembly.model import Assembly
+
+    made = gather([box("slab", (0, 0, 0), (0.3, 0.2, 0.05)), box("ground", (0, 0, -1), (1, 1, 0), fixed=True)])
+    parts = place_parts(Assembly.from_meshes(made.meshes, boundary=made.boundary, density=100.0), Placement())
+    text = grasp_fault(parts, 0, replace(cup, cup=0.12), blocked=False)
+    assert text == (
+        "no face that the gripper can grasp: its cup has a radius of 120 mm, the largest face takes one of 100 mm"
+    )
+    jaw = Gripper("jaw", "jaw", cup.pieces, np.eye(4), 10.0, opening=0.04, depth=0.03)
+    text = grasp_fault(parts, 0, jaw, blocked=False)
+    assert text.endswith("its jaws open to 40 mm and are 30 mm deep, the part is at least 50 mm wide")
+    assert "among the other parts, which leave it no room: its cup" in grasp_fault(parts, 0, cup, blocked=True)
+
+
 def test_jaws_close_on_opposite_faces() -> None:
     """The part is between the jaws, no wider than they open, and the palm stays outside."""
     assembly = load_structure("stack")
@@ -241,6 +260,7 @@ def test_cell_check_prints_reach_and_proposes_bases(tmp_path: Path, capsys: pyte
     said = capsys.readouterr()
     assert "out of reach" in said.out
     assert "better bases" in said.out
+    assert "grippers without force and moment bear fifty weights of the heaviest part in planning: cup" in said.out
     assert "no robot reaches" in said.err
 
 

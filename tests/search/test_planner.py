@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +23,8 @@ from falsework.search import (
     validate_plan,
     validate_proofs,
 )
-from falsework.search.planner import insertion_steps
-from falsework.search.settings import COMPACT
+from falsework.search.problem.result import insertion_steps
+from falsework.search.strategies import EDGES, EVERYWHERE, Portfolio
 from falsework.stability import Stability
 
 
@@ -96,10 +95,10 @@ def test_resuming_changes_nothing(rules: Any, tmp_path: Path, seed: int, alterna
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_resuming_a_search_in_one_place_changes_nothing(
+def test_resuming_strategies_that_take_turns_changes_nothing(
     rules: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int
 ) -> None:
-    monkeypatch.setattr("falsework.search.settings._FREE_DEATHS", 0)
+    monkeypatch.setattr("falsework.search.strategies._FIRST_SHARE", 0.125)
     oracle, _ = rules.random(seed, 8)
     row = np.stack([np.arange(7), np.arange(1, 8)], axis=1)
     task = Task.create(rules.ground(8), 2, contacts=row)
@@ -117,16 +116,25 @@ def test_resuming_a_search_in_one_place_changes_nothing(
     assert result.counters == expected.counters
 
 
-def test_a_beam_in_one_place_has_its_turn_where_the_first_died_often() -> None:
-    attempts = PlannerSettings().attempts(compact=True)
-    first, second, third = attempts[:3]
-    assert (first.direction, first.width, first.beam) == (Direction.ASSEMBLY, 1, "assembly")
-    assert second == replace(first, beam=COMPACT, deaths=second.deaths)
-    assert third == replace(first, deaths=None)
-    assert attempts[2:] == PlannerSettings().attempts()
-    backwards = PlannerSettings(directions=(Direction.DISASSEMBLY,))
-    assert backwards.attempts(compact=True) == backwards.attempts()
-    assert not any(attempt.beam == COMPACT for attempt in PlannerSettings().attempts("alternatives", compact=True))
+def test_each_strategy_has_twice_as_many_verdicts_in_each_round() -> None:
+    def portfolio(stage: str = "plan", parts: int = 100, *, edges: bool = False, support: bool = False, **how: Any):
+        task = Task.create(np.arange(parts) == 0, 2, support=support)
+        return Portfolio.of(PlannerSettings(**how), stage, task, edges=edges)
+
+    both = portfolio()
+    assert both.names == (Direction.ASSEMBLY, Direction.DISASSEMBLY)
+    turns = np.diff([0, *(both.allowance(number) for number in range(4))])
+    assert turns[0] > 0
+    assert (turns[1:] == 2 * turns[:-1]).all()
+    assert portfolio(parts=200).allowance(0) == 2 * both.allowance(0)
+    assert portfolio(edges=True).names == (EDGES, *both.names)
+    backwards = {"directions": (Direction.DISASSEMBLY,)}
+    assert portfolio(edges=True, **backwards) == portfolio(**backwards)
+    others = portfolio("alternatives", edges=True)
+    assert others.names == (Direction.DISASSEMBLY, Direction.ASSEMBLY)
+    assert others.allowance(0) == np.inf
+    assert portfolio("postpone", width=2).widest == 2
+    assert EVERYWHERE in portfolio(support=True).names
 
 
 def test_a_checkpoint_of_another_search_is_refused(rules: Any, tmp_path: Path) -> None:
@@ -196,14 +204,14 @@ def test_says_how_far_it_came(rules: Any) -> None:
 
 def test_no_plan_found_is_not_no_plan(rules: Any) -> None:
     """With width one and no choice ahead of a hard place the planner gives up, and says that it did."""
-    oracle = rules.blocks(400)
-    # Everything needs part 399, which the guide tries last; 256 candidates ahead do not reach it.
-    oracle.supports[1:] = [[frozenset({399})] if part != 399 else [frozenset()] for part in range(1, 400)]
+    oracle = rules.blocks(100)
+    # Everything needs part 99, which the guide tries last; 64 candidates ahead do not reach it.
+    oracle.supports[1:] = [[frozenset({99})] if part != 99 else [frozenset()] for part in range(1, 100)]
 
     def guide(states: Any, actions: Any, direction: Direction) -> Any:
-        return np.tile(-np.arange(400.0), 2)[None].repeat(len(states), axis=0)
+        return np.tile(-np.arange(100.0), 2)[None].repeat(len(states), axis=0)
 
-    task = Task.create(rules.ground(400), 1)
+    task = Task.create(rules.ground(100), 1)
     settings = PlannerSettings(width=1, directions=(Direction.ASSEMBLY,))
     result = Planner(task, oracle, settings, guide=guide).run()
     assert result.outcome is Outcome.NOT_FOUND

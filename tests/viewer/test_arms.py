@@ -36,8 +36,9 @@ def test_links_are_where_forward_kinematics_puts_them(robot_plan: RobotPlan, cel
     for link, found in zip(arms.links, arm_poses.poses, strict=True):
         robot = cell.robots[link.robot]
         frames = link_poses(robot.model, robot_plan.keyframes[3].configurations[link.robot], robot.base)
-        frame = frames[-1] @ robot.model.flange if link.gripper else frames[link.frame]
-        pieces = robot.gripper.pieces if link.gripper else robot.model.pieces[link.frame]
+        gripper = link.frame == robot.model.joints + 1
+        frame = frames[-1] @ robot.model.flange if gripper else frames[link.frame]
+        pieces = robot.gripper.pieces if gripper else robot.model.pieces[link.frame]
         world = np.concatenate(pieces) @ frame[:3, :3].T + frame[:3, 3]
         seen = link.vertices @ found[:3, :3].T + found[:3, 3]
         np.testing.assert_allclose(seen, to_structure(cell, world), atol=1e-9)

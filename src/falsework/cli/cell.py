@@ -77,6 +77,7 @@ class CheckCell(Command):
 
     def _say(self, output: Output, assembly: Assembly, cell: Cell, parts: PartShapes, table: ReachTable) -> None:
         """Print one row per part."""
+        from falsework.robots.cells.home import missing_homes
         from falsework.robots.grasping.reachability import Reachability
 
         shown: list[tuple[str, ...]] = []
@@ -100,6 +101,13 @@ class CheckCell(Command):
         reached = (table.levels == Reachability.REACHED).sum(axis=0)
         counts = ", ".join(f"{name} {count}" for name, count in zip(table.robots, reached, strict=True))
         output.say(f"{cell.name}: of {len(table.parts)} parts within reach: {counts}")
+        for text in missing_homes(cell, parts):
+            output.say(text)
+        if boundless := sorted({robot.gripper.name for robot in cell.robots if not robot.gripper.has_limits}):
+            names = ", ".join(boundless)
+            output.say(
+                f"grippers without force and moment bear fifty weights of the heaviest part in planning: {names}"
+            )
 
     def _propose(self, output: Output, proposal: BaseProposal | None) -> None:
         """Propose better robot bases."""

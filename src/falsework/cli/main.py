@@ -49,12 +49,22 @@ COMMANDS = {
     "view": "View",
     "picture": "MakePicture",
     "animate": "Animate",
+    "cell new": "NewCell",
     "cell check": "CheckCell",
     "robots plan": "PlanRobots",
     "robots check": "CheckRobots",
     "robots export": "ExportRobots",
 }
-"""Module of each subcommand in this package, named like the first word, and its class there."""
+"""Class of each subcommand; its module in this package is named like the first word, or listed in `_MODULES`."""
+_GROUPS = {
+    "cell": """Write and check cells: the robots, their bases and grippers, and the obstacles around them.
+
+Built-in cells: bottle-12, dome-37, dome-72, vault-62-a, vault-62-b.
+Built-in arms: crb15000-5/0.95, irb2600-12/1.65, ur10e.""",
+    "robots": "Plan motions of robot arms, check them, and export them to controllers.",
+}
+"""Descriptions of commands of two words."""
+_MODULES = {"robots export": "robots_export", "cell new": "new_cell"}
 
 _ABOUT = """Plan assembly sequences for rigid-block structures, with robots as temporary supports.
 
@@ -147,7 +157,8 @@ def _parse(arguments: list[str]) -> Command | None:
             for name, kind in ((name, _command_class(name)) for name in group or COMMANDS)
         ]
         program, rest = ("falsework", arguments) if not group else (f"falsework {arguments[0]}", arguments[1:])
-        kind, about = Union[tuple(classes)], _ABOUT  # noqa: UP007  # type: ignore[valid-type]
+        about = _GROUPS.get(arguments[0], _ABOUT)
+        kind = Union[tuple(classes)]  # noqa: UP007  # type: ignore[valid-type]
     markers = (tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone, tyro.conf.OmitArgPrefixes)
     complaint = io.StringIO()
     try:
@@ -190,7 +201,7 @@ def _command_class(name: str) -> type[Command]:
 
 
 def _module(name: str) -> str:
-    return name.split()[0].replace("-", "_")
+    return _MODULES.get(name, name.split()[0].replace("-", "_"))
 
 
 @cache

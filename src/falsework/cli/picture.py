@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class MakePicture(JudgingCommand):
-    """Draw a contact sheet of a plan, one step of it, a structure, or a state graph.
+    """Draw a contact sheet of a plan, one step of it, a structure, a state graph, or a cell.
 
     Needs no display and no graphics driver. A two-dimensional structure, such as an arch, can be drawn as lines
     (--svg). --forces draws the certificate of a state: contact forces in blue, friction in red, gravity in orange and,
@@ -68,6 +68,7 @@ class MakePicture(JudgingCommand):
 
     def run(self, output: Output) -> Exit:
         """Open, draw, write."""
+        from falsework.viewer.cells.cell_sight import is_cell
         from falsework.viewer.pictures.contact_sheet import check_suffix
         from falsework.viewer.show import check_sizes, picture
 
@@ -78,6 +79,8 @@ class MakePicture(JudgingCommand):
         check_sizes(self.width, self.frames, self.columns)
         if self.gantt:
             return self._gantt(out, output)
+        if is_cell(self.subject.spec):
+            return self._cell(out, output)
         check_suffix(out, ".png", ".svg")
         subject = self.subject.open().with_policy(self.policy)
         drawn = picture(
@@ -104,6 +107,25 @@ class MakePicture(JudgingCommand):
             record["visited"] = drawn.visited
         output.record(record)
         output.say(f"{out}: {drawn.shows}")
+        return Exit.DONE
+
+    def _cell(self, out: Path, output: Output) -> Exit:
+        from falsework.viewer.cells.cell_picture import picture_cell
+
+        others = {"step": self.step is not None, "svg": self.svg, "forces": self.forces, "verdicts": self.verdicts}
+        others |= {"limits": self.limits, "policy": self.policy is not None}
+        if wrong := [f"--{name}" for name, given in others.items() if given]:
+            raise InputError(f"a cell has no states; leave out {' and '.join(wrong)}")
+        look: dict[str, Any] = {"width": self.width, "azimuth": self.azimuth, "elevation": self.elevation}
+        drawn = picture_cell(
+            self.subject.spec, out, self.subject.structure, title=self.title, **look, **self.subject.given()
+        )
+        output.record(
+            {"out": str(out), "kind": "cell", "shows": drawn.shows, "faults": drawn.faults, "too_near": drawn.pairs}
+        )
+        output.say(f"{out}: {drawn.shows}")
+        for fault in drawn.faults:
+            output.note(f"falsework: {fault}")
         return Exit.DONE
 
     def _gantt(self, out: Path, output: Output) -> Exit:

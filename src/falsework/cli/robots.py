@@ -57,7 +57,7 @@ class PlanRobots(Command):
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework robots plan my-folder --cell cell.toml --out robot_plan.json",
-        "falsework robots plan my-folder --cell cell.toml --policy my-run --robots-seed 3 --deadline 60",
+        "falsework robots plan my-folder --cell cell.toml --policy my-run --seed 3 --deadline 60",
         "falsework robots plan my-folder --cell cell.toml --state 2210 --joints now.json --holding left=3 --support",
         "falsework robots plan my-folder --cell cell.toml --direction assembly --state 2110 --joints now.json "
         "--holding left=2,right=3 --grips robot_plan.json --out rest.json",
@@ -70,7 +70,7 @@ class PlanRobots(Command):
     """File to write."""
     policy: Annotated[Path | None, arg(metavar="RUN", help_behavior_hint=UNSET)] = None
     """Trained run whose policy proposes the actions."""
-    robots_seed: int = 0
+    seed: int = 0
     """Random seed; results are reproducible on one machine."""
     deadline: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint=UNSET)] = None
     """Time limit."""
@@ -99,7 +99,7 @@ class PlanRobots(Command):
     assembly_order: bool = False
     """Write the motions in the order of assembly."""
     sequential: bool = False
-    """One robot moves at a time."""
+    """One robot moves at a time; without this, robots move together wherever that is proven safe."""
     proofs: bool = False
     """Write the contact forces that prove each state into the plan."""
     holds: HoldOptions
@@ -120,7 +120,7 @@ class PlanRobots(Command):
         writable(self.out)
         cell = load_cell(self.cell)
         together = not self.sequential and cell.robot_count > 1 and can_schedule(output)
-        settings = HybridSettings(seed=self.robots_seed, deadline=self.deadline, forces=self.proofs)
+        settings = HybridSettings(seed=self.seed, deadline=self.deadline, forces=self.proofs)
         assembly = self.structure.load()
         building = self.direction == "assembly"
         held = parse_holding(self.holding, cell, assembly)
@@ -335,60 +335,3 @@ class CheckRobots(Command):
         for claim in open_claims:
             output.say(f"not verified: {claim}")
         return exit_of_good(self.plan, overrides, output, accepted=self.accept_overrides)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ExportRobots(Command):
-    """Write the motions of a robot plan for robot controllers.
-
-    ROS 2 joint trajectories as JSON or YAML and tables as CSV, each one file per step and one for the plan; ABB RAPID
-    and URScript as one program per robot, which wait for each other; an MCAP bag of ROS 2 messages with the times of
-    the schedule, and with the shapes of the parts if the structure is found. The robots must be those of the cell, and
-    the motions within its limits; `falsework robots check` checks everything else.
-    """
-
-    examples: ClassVar[tuple[str, ...]] = (
-        "falsework robots export robot_plan.json --format ros2-json --out motions",
-        "falsework robots export robot_plan.json --format rapid --assembly-order --out rapid",
-    )
-
-    plan: Annotated[Positional[Path], arg(metavar="ROBOT_PLAN")]
-    """Plan to export, as `falsework robots plan` wrote it."""
-    format: Literal["ros2-json", "ros2-yaml", "csv", "rapid", "urscript", "mcap"] = "ros2-json"
-    """Output format."""
-    out: Annotated[Path, arg(metavar="FOLDER")]
-    """Folder to write into."""
-    structure: Annotated[str | None, arg(metavar="STRUCTURE", help_behavior_hint=UNSET)] = None
-    """Structure whose shapes a bag has, and whose parts robots press, instead of the one that the plan names."""
-    cell: Annotated[str | None, arg(metavar="CELL", help_behavior_hint=UNSET)] = None
-    """Cell that the programs are for, instead of the one that the plan names."""
-    rate: float = 50.0
-    """Rows per second, for csv and urscript."""
-    assembly_order: bool = False
-    """Write the motions in assembly order, even if the plan is a disassembly."""
-
-    def run(self, output: Output) -> Exit:
-        """Load and write."""
-        from falsework.robots.cells.cell_file import load_cell
-        from falsework.robots.plans.export import export_plan
-        from falsework.robots.plans.presses import has_presses
-        from falsework.robots.plans.robot_plan_file import load_robot_plan
-        from falsework.search.plans.plan_source import structure_of_plan
-        from falsework.search.problem.task import Direction
-
-        plan = load_robot_plan(self.plan)
-        if self.assembly_order and plan.direction is Direction.DISASSEMBLY:
-            plan = plan.reverse()
-        cell, shapes = load_cell(self.cell or plan.cell_place(self.plan)), None
-        pressed = has_presses(plan)
-        if self.format == "mcap" or pressed:
-            try:
-                shapes = structure_of_plan(plan.plan, self.plan, self.structure)
-            except InputError as error:
-                if self.structure is not None or pressed:
-                    raise
-                output.note(f"falsework: the bag has no shapes of parts: {error}")
-        paths = export_plan(plan, self.out, self.format, rate=self.rate, structure=shapes, cell=cell)
-        output.record({"folder": str(self.out), "files": [path.name for path in paths]})
-        output.say(f"{counted(len(paths), 'file')} in {self.out}")
-        return Exit.DONE

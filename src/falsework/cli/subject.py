@@ -18,9 +18,9 @@ class ViewableOptions(LoadOptions):
     """Options that name the file or structure to show."""
 
     spec: Annotated[Positional[str], arg(metavar="WHAT")]
-    """Plan, run, robot plan, state graph, or a structure: built-in, folder or file of meshes."""
+    """Plan, run, robot plan, state graph, a cell, or a structure: built-in, folder or file of meshes."""
     structure: Annotated[str | None, arg(metavar="STRUCTURE", help_behavior_hint=UNSET)] = None
-    """Structure of the plan or graph, where the file does not name it or it has moved."""
+    """Structure of the plan or graph, where the file does not name it or it has moved; structure in a cell."""
     cell: Annotated[str | None, arg(metavar="CELL", help_behavior_hint=UNSET)] = None
     """Cell of a robot plan, where the file does not name it or it has moved."""
     order: Literal["assembly", "disassembly"] = "assembly"

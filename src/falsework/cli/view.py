@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import signal
+import webbrowser
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from tyro.conf import arg
 
@@ -15,19 +16,23 @@ from falsework.cli.subject import ViewableOptions
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output
+    from falsework.viewer.cells.cell_page import CellPage
+    from falsework.viewer.page.page import Page
 
 
 @dataclass(frozen=True, kw_only=True)
 class View(JudgingCommand):
-    """Show a plan, run, robot plan, state graph or structure in the browser.
+    """Show a plan, run, robot plan, state graph, structure or cell in the browser.
 
-    The page plays the steps, shows data of clicked parts and contact forces, and replans after marked disruptions. It
-    is served to this machine only, unless --host is given, until Ctrl-C.
+    The page plays the steps, shows data of clicked parts and contact forces, and replans after marked disruptions. That
+    of a cell moves the arms by sliders, colours bodies that are too near, shows what is wrong with the cell, and reads
+    its file again when that changes. It is served to this machine only, unless --host is given, until Ctrl-C.
     """
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework view plan.json",
         "falsework view vault --robots 3 --browser",
+        "falsework view cell.toml --structure my-folder",
     )
 
     subject: ViewableOptions
@@ -50,29 +55,35 @@ class View(JudgingCommand):
 
     def run(self, output: Output) -> Exit:
         """Open, serve until interrupted."""
+        from falsework.viewer.cells.cell_page import view_cell
+        from falsework.viewer.cells.cell_sight import is_cell
         from falsework.viewer.page.page import check_host, serve
         from falsework.viewer.show import check_view, view
 
         host = "127.0.0.1" if self.host is None else self.host
         warning = check_host(host)
         check_view(self.robots, host, self.port, self.deadline)
-        subject = self.subject.open(self.robots).with_policy(self.policy)
-        page = view(
-            subject,
-            criterion=self.criterion,
-            deadline=self.deadline,
-            host=host,
-            port=self.port,
-            allowed_hosts=(self.allow_host or "").split(","),
-            browser=self.browser,
-            wait=False,
-        )
+        place: dict[str, Any] = {"host": host, "port": self.port}
+        place["allowed_hosts"] = (self.allow_host or "").split(",")
+        page: Page | CellPage
+        if is_cell(self.subject.spec):
+            page = view_cell(self.subject.spec, self.subject.structure, **place, **self.subject.given())
+            kind, name, record = "cell", self.subject.spec, {"faults": list(page.sight.faults)}
+            for fault in page.sight.faults:
+                output.note(f"falsework: {fault}")
+            if self.browser:
+                webbrowser.open(page.address)
+        else:
+            subject = self.subject.open(self.robots).with_policy(self.policy)
+            options: dict[str, Any] = {"criterion": self.criterion, "deadline": self.deadline, "browser": self.browser}
+            page = view(subject, **options, **place, wait=False)
+            kind, name, record = subject.kind, subject.assembly.name, {"parts": subject.assembly.part_count}
         if warning is not None:
             output.note(f"falsework: warning: {warning}")
-        output.record({"address": page.address, "kind": subject.kind, "parts": subject.assembly.part_count})
+        output.record({"address": page.address, "kind": kind, **record})
         # A shell makes commands ignore Ctrl-C that it starts in the background of a script.
         ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
         end = f"kill {os.getpid()}" if ignored else "Ctrl-C"
-        output.say(f"{subject.kind} of {subject.assembly.name} at {page.address}; {end} ends it")
+        output.say(f"{kind} {'' if kind == 'cell' else 'of '}{name} at {page.address}; {end} ends it")
         serve(page)
         return Exit.DONE

@@ -14,7 +14,7 @@ from falsework.interop.compas_write import CompasKind, write_compas
 from falsework.interop.gltf import write_gltf
 from falsework.interop.usd import write_usd
 from falsework.robots.cells.cell_file import AnyCell
-from falsework.robots.plans.export import export_plan
+from falsework.robots.exports.export import export_plan
 from falsework.robots.plans.presses import has_presses
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import load_robot_plan
@@ -100,8 +100,8 @@ def export(
         path: file to write, or folder, which must be new or empty.
         structure: structure of a plan that does not name it; of a robot plan only where robots press.
         format: `folder` (one mesh a part), `glb`, `gltf`, `usd`, `compas`, `compas-assembly` or `compas-dem`; for a
-            robot plan `ros2-json`, `ros2-yaml`, `csv`, `rapid`, `urscript` or `mcap`. By the name of the file if not
-            given.
+            robot plan `ros2-json`, `ros2-yaml`, `ros2-goals`, `csv`, `rapid`, `urscript` or `mcap`. By the name of
+            the file if not given.
         step_seconds: length of a step of a plan; 1 s if not given.
         cell: cell of a robot plan, as for `export_plan`; that of a file is the one that the file names, if not given.
         options: as for `load_structure`.

@@ -205,7 +205,7 @@ class _Widening:
         while True:
             if self._beam is None:
                 width, seed = widths[self._number], self._session.request.seed
-                settings = BeamSettings(width, Direction.DISASSEMBLY, "none", retries=0, seed=seed)
+                settings = BeamSettings(width, Direction.DISASSEMBLY, "none", seed=seed)
                 self._beam = BeamSearch(self._session.task, self._session.oracle, settings, guide=self._guide)
             result = self._beam.run(stop=stop)
             if result.found and not self._session.stands(result.routes[0], Stage.GUIDED):

@@ -15,11 +15,10 @@ from falsework.replanning.policy_guide import PolicyGuide
 from falsework.replanning.proving import Prover
 from falsework.replanning.request import Request
 from falsework.replanning.result import ReplanResult, Stage
-from falsework.search.planner import insertion_steps
 from falsework.search.plans.alternatives import Alternatives, choose_alternatives
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.deadline import Deadline
-from falsework.search.problem.result import Outcome, Route, SearchResult
+from falsework.search.problem.result import Outcome, Route, SearchResult, insertion_steps
 from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.task import Direction, Task
 from falsework.search.problem.timed_oracle import TimedOracle

@@ -1,11 +1,15 @@
 from falsework.robots.cells.cell_file import builtin_cells as builtin_cells
 from falsework.robots.cells.cell_file import load_cell as load_cell
+from falsework.robots.cells.home import propose_home as propose_home
 from falsework.robots.cells.urdf import load_urdf as load_urdf
 from falsework.robots.cells.urdf_review import CellWarning as CellWarning
 from falsework.robots.cells.validate import check_cell as check_cell
 from falsework.robots.checks.check import CheckReport as CheckReport
 from falsework.robots.checks.check import check_robot_plan as check_robot_plan
 from falsework.robots.checks.delays import DelayReport as DelayReport
+from falsework.robots.exports.export import export_notes as export_notes
+from falsework.robots.exports.export import export_plan as export_plan
+from falsework.robots.exports.ros2 import joint_trajectory as joint_trajectory
 from falsework.robots.grasping.reachability import BaseProposal as BaseProposal
 from falsework.robots.grasping.reachability import ReachTable as ReachTable
 from falsework.robots.grasping.reachability import propose_bases as propose_bases
@@ -20,6 +24,7 @@ from falsework.robots.model.cell import Gripper as Gripper
 from falsework.robots.model.cell import Margins as Margins
 from falsework.robots.model.cell import Obstacle as Obstacle
 from falsework.robots.model.cell import Placement as Placement
+from falsework.robots.model.cell import Signals as Signals
 from falsework.robots.model.cell import cell_identity as cell_identity
 from falsework.robots.model.robot_model import RobotModel as RobotModel
 from falsework.robots.planning.end_motions import Continuation as Continuation
@@ -28,8 +33,6 @@ from falsework.robots.planning.hybrid_result import HybridProgress as HybridProg
 from falsework.robots.planning.hybrid_result import HybridResult as HybridResult
 from falsework.robots.planning.hybrid_result import HybridSettings as HybridSettings
 from falsework.robots.planning.plan_together import plan_together as plan_together
-from falsework.robots.plans.export import export_plan as export_plan
-from falsework.robots.plans.export import joint_trajectory as joint_trajectory
 from falsework.robots.plans.grip_loads import GripLoad as GripLoad
 from falsework.robots.plans.grip_loads import grip_loads as grip_loads
 from falsework.robots.plans.plan_problem import PlanProblem as PlanProblem

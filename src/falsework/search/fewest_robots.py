@@ -22,7 +22,6 @@ from falsework.search.problem.result import Outcome, Progress, SearchResult, uns
 from falsework.search.problem.task import Direction, Task
 from falsework.search.problem.timed_oracle import timed
 from falsework.search.settings import PlannerSettings
-from falsework.search.support.planner import SupportPlanner, planner_for
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
 
@@ -154,7 +153,7 @@ class _Inquiry:
         self._most = max(int((~task.boundary).sum()), self._least)
         self._timed = timed(oracle, clock)
         self._bound = HoldBound(assembly, task, oracle.settings, clock)
-        self._planners: dict[int, Planner | SupportPlanner] = {}
+        self._planners: dict[int, Planner] = {}
         self._reasons = dict.fromkeys(range(1, self._least), "the start or the target has more parts held")
         self._barrier: Barrier | None = None
         self._plan: Plan | None = None
@@ -256,7 +255,7 @@ class _Inquiry:
         if robots not in self._planners:
             task = replace(self._task, robots=robots)
             guide = SupportGuide(self._assembly)
-            self._planners[robots] = planner_for(task, self._timed, self._settings, guide=guide)
+            self._planners[robots] = Planner(task, self._timed, self._settings, guide=guide)
         planner, end, told = self._planners[robots], time.perf_counter() + seconds, False
 
         def stop() -> bool:

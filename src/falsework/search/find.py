@@ -43,7 +43,6 @@ from falsework.search.problem.support_route import SupportRoute
 from falsework.search.problem.task import Task
 from falsework.search.problem.timed_oracle import timed
 from falsework.search.settings import PlannerSettings
-from falsework.search.support.planner import SupportPlanner, planner_for
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
 
@@ -183,7 +182,7 @@ def find_plans(
         progress=_saving(planner, checkpoint, progress),
         stop=lambda: clock.passed or (stop is not None and stop()),
     )
-    if checkpoint is not None and isinstance(planner, Planner):
+    if checkpoint is not None:
         if result.interrupted:
             planner.save(checkpoint)
         else:
@@ -298,7 +297,7 @@ def plan_of(
 
 
 def _choose(
-    planner: Planner | SupportPlanner,
+    planner: Planner,
     result: SearchResult,
     settings: PlannerSettings,
     assembly: Assembly,
@@ -309,7 +308,7 @@ def _choose(
 
     Other plans than those of the planner are proved first, and replaced where a state tips or has no proof.
     """
-    if settings.alternatives == 1 or isinstance(planner, SupportPlanner):
+    if settings.alternatives == 1:
         return Alternatives.of(list(result.routes))
     task = planner.task.postpone(planner.postponed)
     states = np.concatenate([planner.states, *(route.states for route in planner.routes)])
@@ -337,7 +336,7 @@ def _weak_states(route: States, oracle: Stability) -> States:
 
 
 def _run(
-    planner: Planner | SupportPlanner, bound: Callable[[], HoldBound], progress: Progress | None, stop: Stop | None
+    planner: Planner, bound: Callable[[], HoldBound], progress: Progress | None, stop: Stop | None
 ) -> SearchResult:
     """Run a planner; where it finds nothing for some seconds, first try to refute its number of robots."""
     task, begun, paused = planner.task, time.process_time(), False
@@ -372,20 +371,16 @@ def _run(
 
 def _resume(
     checkpoint: Path | str | None, task: Task, oracle: Oracle, settings: PlannerSettings, guide: Guide
-) -> Planner | SupportPlanner:
-    if task.support:
-        if checkpoint is not None:
-            raise InputError("a search with repeated holds cannot be saved; leave out the checkpoint")
-        return planner_for(task, oracle, settings, guide=guide)
+) -> Planner:
+    if task.support and checkpoint is not None:
+        raise InputError("a search with repeated holds cannot be saved; leave out the checkpoint")
     if checkpoint is not None and Path(checkpoint).exists():
         return Planner.load(checkpoint, task, oracle, settings, guide=guide)
     return Planner(task, oracle, settings, guide=guide)
 
 
-def _saving(
-    planner: Planner | SupportPlanner, checkpoint: Path | str | None, progress: Progress | None
-) -> Progress | None:
-    if checkpoint is None or isinstance(planner, SupportPlanner):
+def _saving(planner: Planner, checkpoint: Path | str | None, progress: Progress | None) -> Progress | None:
+    if checkpoint is None:
         return progress
     saved = time.perf_counter()
 

@@ -18,7 +18,6 @@ from falsework.search.problem.guide import SupportGuide
 from falsework.search.problem.result import Outcome, Progress, SearchProgress, SearchResult, Stop
 from falsework.search.problem.task import Task
 from falsework.search.settings import PlannerSettings
-from falsework.search.support.planner import SupportPlanner, planner_for
 from falsework.stability.settings import StabilitySettings
 
 Maximised = Literal["friction", "tilt", "push"]
@@ -90,7 +89,7 @@ def maximise_margin(
             break
         level = _next(reached, missed, bound)
         trial = DemandingStability(assembly, stability, replace(demands, **{kind: level}))
-        planner = planner_for(task, trial, settings, guide=SupportGuide(assembly))
+        planner = Planner(task, trial, settings, guide=SupportGuide(assembly))
         budget = _Budget(max(_EFFORT * effort, _LEAST_EFFORT), progress, stop)
         found = planner.run(progress=budget.note, stop=budget.is_spent)
         seconds += found.seconds
@@ -138,7 +137,7 @@ class _Stronger:
 
     level: float
     oracle: DemandingStability
-    planner: Planner | SupportPlanner
+    planner: Planner
     result: SearchResult
 
     def prove(self, assembly: Assembly, task: Task, *, forces: bool) -> Planning:

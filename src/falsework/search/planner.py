@@ -1,4 +1,4 @@
-"""Planner: adaptive beams from both ends, postponement of missing parts, and alternative plans."""
+"""Planner: a portfolio of beams from both ends, postponement of missing parts, and alternative plans."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import REMOVED
 from falsework.errors import InputError
-from falsework.search.beam.adaptive import AdaptiveBeam, AdaptiveSettings
+from falsework.search.beam.backjumping import BackjumpingBeam
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.plans.route_tests import RouteTests
@@ -26,19 +25,20 @@ from falsework.search.problem.result import (
     SearchProgress,
     SearchResult,
     Stop,
+    insertion_steps,
     unstable_end,
 )
 from falsework.search.problem.task import Direction, Task
-from falsework.search.settings import COMPACT, EDGES, Attempt, PlannerSettings
+from falsework.search.settings import PlannerSettings
+from falsework.search.strategies import EDGES, Portfolio, Strategy, regrasps, start
+from falsework.search.support.everywhere import SupportEverywhere
 from falsework.utils.archive import read_archive, write_archive
 from falsework.utils.files.damage import blamed_on
 
-FORMAT = "falsework.planner/9"
+FORMAT = "falsework.planner/10"
 
 _MOST_FALLS = 64
 """Number of routes with a failing replay before an attempt is given up."""
-_NOVEL_WIDTH = 4
-"""Narrowest beam for a plan unlike others: one state a level leaves no choice."""
 
 
 class Planner:
@@ -63,29 +63,34 @@ class Planner:
             task: rules between start and target.
             oracle: decides stability.
             settings: effort of the search.
-            guide: scores actions; `SupportGuide` is a good one.
+            guide: scores actions; `SupportGuide` is a good one. Repeated holds need one.
+
+        Raises:
+            InputError: a judge or alternatives, where parts are held again.
         """
+        self.regrasps = regrasps(task, settings)
+        """Whether plans may hold parts again."""
         self.task = task.judged_by(oracle)
         self.settings = settings
         self.routes: list[Route] = []
         """Plans found so far; the first keeps missing parts out longest."""
         self.states = np.empty((0, task.part_count), dtype=np.uint8)
         """States found by the searches for alternative plans, shape (count, parts)."""
-        self._oracle = oracle
+        self._oracle, self._falls = oracle, 0
         self._tests = RouteTests(oracle, settings, task.part_count)
-        self._falls = 0
         self._edge_guide = self._preferring("edges_first", guide)
         self._guide = self._preferring("beside_held", guide) or guide
         self._stage = "plan"
-        self._attempt = 0
-        self._beams: dict[str, AdaptiveBeam] = {}
-        self._rank = 0
+        self._left = list(self._portfolio.names)
+        """Strategies of the present search that have not given up."""
+        self._round = self._turn = 0
+        self._beams: dict[str, Strategy] = {}
+        self._last: dict[str, SearchResult] = {}
+        """How far each of these came."""
+        self._rank, self._high, self._trial_reached = 0, 0, -1
         self._trial: tuple[int, ...] = (0,) * len(task.missing)
-        self._trial_reached = -1
-        self._high = 0
         self._failure: SearchResult | None = None
-        self._counters = SearchCounters()
-        self._seconds = 0.0
+        self._counters, self._seconds = SearchCounters(), 0.0
 
     @property
     def done(self) -> bool:
@@ -105,7 +110,7 @@ class Planner:
     @property
     def counters(self) -> SearchCounters:
         """Work done so far by all attempts."""
-        return sum((beam.search.counters for beam in self._beams.values()), self._counters)
+        return sum((beam.counters for beam in self._beams.values()), self._counters)
 
     @property
     def postponed(self) -> tuple[int, ...]:
@@ -142,13 +147,12 @@ class Planner:
         def report(event: SearchProgress) -> None:
             if progress is not None:
                 seconds = self._seconds + time.perf_counter() - begun
-                asked = self._counters.asked + sum(beam.search.asked for beam in self._beams.values())
+                asked = self._counters.asked + sum(beam.asked for beam in self._beams.values())
                 progress(replace(event, asked=asked, seconds=seconds))
 
         interrupted = False
         try:
-            unstable = unstable_end(self.task, self._oracle)
-            if unstable is not None:
+            if (unstable := unstable_end(self.task, self._oracle)) is not None:
                 return unstable
             for route in self.routes if self.settings.judge else ():  # given, or of a search that was resumed
                 if route.states.tobytes() not in self.replays:
@@ -161,16 +165,25 @@ class Planner:
         return self._result(interrupted)
 
     def save(self, path: Path | str) -> None:
-        """Write the current search, to be resumed by `load`."""
+        """Write the current search, to be resumed by `load`.
+
+        Raises:
+            InputError: plans may hold parts again.
+        """
+        if self.regrasps:
+            raise InputError("a search with repeated holds cannot be saved; leave out the checkpoint")
         beams, arrays = {}, {}
         for key, beam in self._beams.items():
+            assert isinstance(beam, BackjumpingBeam)
             beams[key], packed = beam.pack()
             arrays |= {f"{key}_{name}": array for name, array in packed.items()}
         header = {
             "task": self.task.to_dict(),
             "settings": _settings_header(self.settings),
             "stage": self._stage,
-            "attempt": self._attempt,
+            "left": self._left,
+            "round": self._round,
+            "turn": self._turn,
             "rank": self._rank,
             "trial": list(self._trial),
             "high": self._high,
@@ -208,7 +221,8 @@ class Planner:
         return planner
 
     def _restore(self, header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
-        self._stage, self._attempt = str(header["stage"]), int(header["attempt"])
+        self._stage, self._left = str(header["stage"]), [str(name) for name in header["left"]]
+        self._round, self._turn = int(header["round"]), int(header["turn"])
         self._rank, self._high = int(header["rank"]), int(header["high"])
         self._trial = tuple(int(steps) for steps in header["trial"])
         self._trial_reached = int(header["trial_reached"])
@@ -220,29 +234,33 @@ class Planner:
         task = self.task.postpone(self._trial)
         for name, packed in header["beams"].items():
             inner = {key.removeprefix(f"{name}_"): array for key, array in arrays.items() if key.startswith(f"{name}_")}
-            beam = AdaptiveBeam.unpack(packed, inner, task, self._oracle, guide=self._beam_guide(name))
+            beam = BackjumpingBeam.unpack(packed, inner, task, self._oracle, guide=self._beam_guide(name))
             self._beams[name] = beam
 
     def _advance(self, report: Progress, stop: Stop | None) -> bool:
-        """Run the current attempt to its end and decide on the next; True if it was interrupted."""
-        attempt = self._attempts[self._attempt]
-        name = attempt.beam
+        """Run the strategy whose turn it is, and decide on the next; True if it was interrupted."""
+        portfolio, name = self._portfolio, self._left[self._turn]
         if name not in self._beams:
-            narrowest = min(_NOVEL_WIDTH if self._stage == "alternatives" else 1, self.settings.width)
-            base, edges = (narrowest, name == COMPACT, self.settings.seed), name == EDGES
-            task = self.task.postpone(self._trial)
-            settings = AdaptiveSettings(attempt.direction, *base, edges, edges and task.holds_keep_stable)
-            self._beams[name] = AdaptiveBeam(task, self._oracle, settings, guide=self._beam_guide(name))
-        beam = self._beams[name]
-        result = beam.run(attempt.width, deaths=attempt.deaths, progress=report, stop=stop)
-        if result.interrupted:
+            rules = self.task.postpone(self._trial), self._oracle, portfolio, self.settings.seed
+            self._beams[name] = start(name, *rules, self._beam_guide)
+        beam, paused = self._beams[name], False
+
+        def halt() -> bool:
+            nonlocal paused
+            paused = beam.asked >= portfolio.allowance(self._round)
+            return paused or (stop is not None and stop())
+
+        result = self._last[name] = beam.run(portfolio.widest, progress=report, stop=halt)
+        if paused and not result.found:
+            self._turn += 1
+        elif result.interrupted:
             return True
-        if self._stage == "alternatives":
+        elif self._stage == "alternatives":
             self._gather(beam, result, stop)
-        elif result.found and not self._tests.passes(result.routes[0], beam.search, stop):
+        elif result.found and not self._tests.passes(result.routes[0], beam.replay_summary(), stop):
             self._falls += 1
             if self._falls < _MOST_FALLS:
-                beam.search.forbid(self._tests.forbidden)
+                beam.forbid(self._tests.forbidden)
             else:
                 limit = f"{self._falls} plans were found, and in each a state tips or the replay fails"
                 self._failed(replace(result, outcome=Outcome.NOT_FOUND, routes=(), limit=limit))
@@ -252,42 +270,56 @@ class Planner:
             self._next_trial(begin=begin)
         else:
             self._failed(result)
+        if self._turn >= len(self._left):
+            self._round, self._turn = self._round + 1, 0
         return False
 
     def _drop_beams(self) -> None:
-        """Forget the beams of an attempt that is over, but not the work that they did."""
+        """Forget the beams of a search that is over, but not the work that they did."""
         self._counters = self.counters
-        self._beams = {}
-        self._attempt = self._falls = 0
+        self._beams, self._last = {}, {}
+        self._left = list(self._portfolio.names)
+        self._round = self._turn = self._falls = 0
 
-    def _gather(self, beam: AdaptiveBeam, result: SearchResult, stop: Stop | None) -> None:
+    def _give_up(self) -> bool:
+        """Leave the present strategy out from now on; return whether it was the last."""
+        del self._left[self._turn]
+        self._falls = 0
+        return not self._left
+
+    def _gather(self, beam: Strategy, result: SearchResult, stop: Stop | None) -> None:
         """Keep the states of a search for another plan, and continue with the next."""
-        self.states = np.concatenate([self.states, *([beam.search.states()] if result.found else [])])
-        if result.found and self._tests.passes(result.routes[0], beam.search, stop):
+        if result.found and isinstance(beam, BackjumpingBeam):
+            self.states = np.concatenate([self.states, beam.search.states()])
+        if result.found and self._tests.passes(result.routes[0], beam.replay_summary(), stop):
             self.routes.append(result.routes[0])
             self._drop_beams()
         elif result.found and self._falls < _MOST_FALLS:
             self._falls += 1
-            beam.search.forbid(self._tests.forbidden)
-        else:
-            self._attempt, self._falls = self._attempt + 1, 0
-        if len(self.routes) == self.settings.alternatives or self._last_attempt_failed():
+            beam.forbid(self._tests.forbidden)
+        elif self._give_up():
+            self._finish()
+        if len(self.routes) == self.settings.alternatives:
             self._finish()
 
     def _failed(self, result: SearchResult) -> None:
         """Try the next attempt, or give this trial up."""
-        proved = result.outcome is Outcome.PROVED_IMPOSSIBLE and not len(self._tests.forbidden)
-        self._attempt += 1
-        self._falls = 0
+        decided = result.outcome is Outcome.PROVED_IMPOSSIBLE and not len(self._tests.forbidden)
+        if self.regrasps:  # beams in which parts are held once prove nothing; even without a proof, nothing is left
+            everywhere = self._beams[self._left[self._turn]]
+            decided = isinstance(everywhere, SupportEverywhere) and everywhere.examined_all
+            if not decided:
+                result = replace(result, outcome=Outcome.NOT_FOUND)
+        over = self._give_up() or decided
         if self._stage == "plan":
-            if proved or self._failure is None or result.reached >= self._failure.reached:
+            if decided or self._failure is None or result.reached >= self._failure.reached:
                 self._failure = result
-            if proved or self._last_attempt_failed():
+            if over:
                 self._finish()
             return
         if result.direction is Direction.ASSEMBLY:
             self._trial_reached = max(self._trial_reached, result.reached)
-        if proved or self._last_attempt_failed():
+        if over:
             self._high = self._trial[self._rank]
             if self._trial_reached >= 0:
                 # Without this part assembly got no further, so it is needed by then.
@@ -295,24 +327,18 @@ class Planner:
             self._next_trial(begin=False)
 
     @property
-    def _attempts(self) -> tuple[Attempt, ...]:
-        # A single robot is nowhere near another, and what is near is known from the contacts.
-        compact = self.task.robots > 1 and self.task.neighbours is not None
-        return self.settings.attempts(self._stage, compact=compact, edges=self._edge_guide is not None)
-
-    def _last_attempt_failed(self) -> bool:
-        return self._attempt == len(self._attempts)
+    def _portfolio(self) -> Portfolio:
+        return Portfolio.of(self.settings, self._stage, self.task, edges=self._edge_guide is not None)
 
     def _finish(self) -> None:
         self._drop_beams()
-        self._stage = "done"
+        self._stage, self._left = "done", []
 
     def _next_trial(self, *, begin: bool) -> None:
         """Choose the next search, now that a plan is known; `begin` with the first missing part."""
         count = len(self.task.missing)
+        self._stage, self._trial_reached = "postpone", -1
         self._drop_beams()
-        self._trial_reached = -1
-        self._stage = "postpone"
         if begin:
             self._rank, self._high = 0, self.task.steps - count + 1
         ambitious = begin
@@ -327,6 +353,7 @@ class Planner:
             ambitious, self._high = True, self.task.steps - count + self._rank + 1
         self._trial = self.postponed
         self._stage = "alternatives"
+        self._drop_beams()
         if self.settings.alternatives == 1:
             self._finish()
 
@@ -362,18 +389,11 @@ class Planner:
                 notes=notes,
             )
         best = self._failure
-        for beam in self._beams.values():
-            running = beam.search.result(interrupted=True)
+        for running in self._last.values():
             best = running if best is None or running.reached > best.reached else best
         if best is None:  # interrupted before the first search began
             best = BeamSearch(self.task, self._oracle).result(interrupted=True)
         return replace(best, counters=counters, seconds=self._seconds, interrupted=interrupted)
-
-
-def insertion_steps(route: Route, task: Task) -> tuple[int, ...]:
-    """Return the steps of assembly of a route before the first, second, ... missing part is inserted. Ascending."""
-    present = route.states[::-1][:, list(task.missing)] != REMOVED
-    return tuple(sorted(int(steps) for steps in present.argmax(axis=0) - 1))
 
 
 def _settings_header(settings: PlannerSettings) -> dict[str, Any]:

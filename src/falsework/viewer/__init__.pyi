@@ -1,3 +1,7 @@
+from falsework.viewer.cells.cell_page import CellPage as CellPage
+from falsework.viewer.cells.cell_page import view_cell as view_cell
+from falsework.viewer.cells.cell_picture import CellPicture as CellPicture
+from falsework.viewer.cells.cell_picture import picture_cell as picture_cell
 from falsework.viewer.pictures.render import Camera as Camera
 from falsework.viewer.proof import StateProof as StateProof
 from falsework.viewer.show import animate as animate

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.geometry.mesh.mesh import triangle_normals
+from falsework.robots.cells.visuals import VisualShape, link_visuals, shape_of_pieces
 from falsework.robots.plans.loads import Load, load_of, loads_at, loads_beside
 from falsework.robots.plans.timeline import activities_at
 from falsework.search.problem.task import Direction
@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-ARM = (0.80, 0.81, 0.83)
-"""Colour of the links; the gripper has that of its robot."""
+TINT = 0.22
+"""Share of the colour of a robot in that of its links; its gripper has the whole of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,12 +45,8 @@ class Link:
     """In its own frame, in lengths of the structure, shape (vertices, 3)."""
     faces: NDArray[np.int64]
     """Shape (faces, 3)."""
-    gripper: bool
-
-    @property
-    def color(self) -> tuple[float, float, float]:
-        """Red, green, blue from 0 to 1."""
-        return unit_rgb(robot_color(self.robot)) if self.gripper else ARM
+    color: tuple[float, float, float]
+    """Red, green, blue from 0 to 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +92,7 @@ class Arms:
         self.scale = scale
         self.clock = Clock.of(self._plan)
         """Times of the schedule, in the order shown; None if one motion comes after the other."""
-        self.links = [link for number, robot in enumerate(cell.robots) for link in _links(number, robot, 1 / scale)]
+        self.links = [link for number, robot in enumerate(cell.robots) for link in links_of(number, robot, 1 / scale)]
 
     @property
     def plan(self) -> RobotPlan:
@@ -277,25 +273,20 @@ def _similar(pose: Array, scale: float) -> Array:
     return made
 
 
-def _links(number: int, robot: CellRobot, size: float) -> list[Link]:
-    """Return links that have a shape, base first, gripper last."""
-    from scipy.spatial import ConvexHull
+def links_of(number: int, robot: CellRobot, size: float = 1.0) -> list[Link]:
+    """Return what a robot looks like, base first, gripper last; a link of several colours is several pieces.
 
-    links = []
-    for frame in range(robot.model.joints + 2):
-        gripper = frame == robot.model.joints + 1
-        pieces = robot.gripper.pieces if gripper else robot.model.pieces[frame]
-        vertices, faces, start = [], [], 0
-        for piece in pieces:
-            points = np.asarray(piece, dtype=float)
-            hull = ConvexHull(points)
-            corners = points[hull.simplices]
-            normal = triangle_normals(corners)
-            inwards = (normal * hull.equations[:, :3]).sum(axis=1) < 0
-            turned = np.where(inwards[:, None], hull.simplices[:, ::-1], hull.simplices)
-            vertices.append(points * size)
-            faces.append(turned + start)
-            start += len(points)
-        if vertices:
-            links.append(Link(number, frame, np.concatenate(vertices), np.concatenate(faces).astype(np.int64), gripper))
-    return links
+    Args:
+        number: index of the robot, which gives its colour.
+        robot: the robot.
+        size: factor on lengths.
+    """
+    own = np.array(unit_rgb(robot_color(number)))
+
+    def link(frame: int, shape: VisualShape, share: float) -> Link:
+        red, green, blue = ((1 - share) * np.array(shape.color) + share * own).tolist()
+        return Link(number, frame, shape.vertices * size, shape.faces, (red, green, blue))
+
+    found = [link(frame, shape, TINT) for frame, shapes in enumerate(link_visuals(robot.model)) for shape in shapes]
+    gripper = shape_of_pieces(robot.gripper.pieces)
+    return found if gripper is None else [*found, link(robot.model.joints + 1, gripper, 1.0)]

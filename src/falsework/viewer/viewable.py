@@ -115,6 +115,10 @@ def open_file(
         return _graph(load_state_graph(file), str(file), structure, direction, options)
     elif file.is_dir() and (file / "run.json").is_file():
         return _run(file, structure, options)
+    elif file.suffix.lower() == ".toml":
+        raise InputError(
+            f"{path} is a cell, which has no steps; falsework view and picture show it (view_cell in Python)"
+        )
     if structure is not None:
         raise InputError(f"{path} is a structure itself; leave --structure out")
     assembly = load_structure(path, **options)

@@ -15,41 +15,9 @@ from falsework.robots.cells.validate import check_cell
 from falsework.robots.model.cell import Cell, CellRobot, Gripper
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.model.shapes import block, pose
+from tests.robots.cells.cell_texts import ONE_ARM as GOOD
 
 pytestmark = pytest.mark.filterwarnings("ignore::falsework.robots.cells.urdf_review.CellWarning")
-
-GOOD = """
-format = "falsework.cell/1"
-name = "one arm"
-
-[structure]
-position = [0.9, 0.0, 0.0]
-scale = 0.5
-
-[margins]
-free = 0.004
-
-[grippers.cup]
-kind = "suction"
-payload = 5.0
-mass = 1.0
-cup = 0.02
-tool = { position = [0.0, 0.0, 0.1], rpy = [0, 0, 90] }
-shapes = [{ cylinder = { radius = 0.03, low = 0.0, high = 0.099 } }]
-
-[[robots]]
-name = "arm"
-model = "irb2600-12/1.65"
-gripper = "cup"
-base = { position = [0.0, 0.0, 0.0], yaw = 90 }
-home = [0, -40, 30, 0, 60, 0]
-places = [{ position = [0.1, -0.9, 0.5] }]
-
-[[obstacles]]
-name = "table"
-box = { low = [-0.3, -0.3, 0.0], high = [0.3, 0.3, 0.4] }
-position = [2.0, 0.0, 0.0]
-"""
 
 
 def read(text: str) -> Cell:
@@ -90,8 +58,14 @@ def test_built_in_cells_can_work(name: str, shared_assembly) -> None:
         (('gripper = "cup"', 'gripper = "claw"'), r"robots\[0\]\.gripper is 'claw'.*there are: cup"),
         (('gripper = "cup"\n', ""), r"cell\.toml: robots\[0\]\.gripper is missing"),
         (("home = [0, -40, 30, 0, 60, 0]", "home = { joint_9 = 3 }"), r"home names joint 'joint_9'.*it has joint_1"),
-        (("home = [0, -40, 30, 0, 60, 0]", "home = [0, -40]"), r"robots\[0\]\.home is \[0, -40\]; give 6 numbers"),
-        (("home = [0, -40, 30, 0, 60, 0]", "home = [0, 170, 0, 0, 0, 0]"), r"home cannot be reached: home: joint_2"),
+        (
+            ("home = [0, -40, 30, 0, 60, 0]", "home = [0, -40]"),
+            r"\[0\]\.home has 2 values, but irb2600.* has 6 joints: joint_1,",
+        ),
+        (
+            ("home = [0, -40, 30, 0, 60, 0]", "home = [0, 170, 0, 0, 0, 0]"),
+            r"home cannot be reached: joint_2 is 170 degrees, outside its limits -95 to 155",
+        ),
         (("cup = 0.02\n", ""), r"grippers\.cup\.cup is missing"),
         (('kind = "suction"', 'kind = "magnet"'), r"grippers\.cup\.kind is 'magnet'; give suction or jaw"),
         (("payload = 5.0", "payload = -1"), r"grippers\.cup\.payload is -1; give a number at least 0"),

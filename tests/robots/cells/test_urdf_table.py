@@ -17,9 +17,11 @@ from falsework.errors import CellError
 from falsework.robots.cells.cell_file import parse_cell
 from falsework.robots.cells.urdf import load_urdf
 from falsework.robots.cells.urdf_review import CellWarning
+from falsework.robots.cells.visuals import link_visuals
 from falsework.robots.kinematics.forward import flange_pose
 from falsework.robots.model.robot_model import RobotModel
 from tests.robots.cells.arm_description import urdf_text
+from tests.robots.cells.cell_texts import TWO_JOINTS as CELL
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "cells.md"
 TABLE = PAGE.read_text(encoding="utf-8").partition("## URDF files")[2]
@@ -29,6 +31,7 @@ BOX = '<collision><geometry><box size="0.1 0.1 0.1"/></geometry></collision>'
 TURN = '<limit lower="-1" upper="1" velocity="2"/>'
 MESH = '<sphere radius="0.05"/>'
 END = "</robot>"
+GREY = '<material name="grey"/>'
 
 
 def finger(extra: str = "", shape: str = BOX) -> str:
@@ -49,6 +52,7 @@ class Case:
     holds: Callable[[RobotModel], bool] = lambda model: True
     """What is true of the arm that is read."""
     srdf: str = ""
+    limits: str = ""
 
 
 def changed(old: str, new: str, said: str = "", **more: object) -> Case:
@@ -267,7 +271,47 @@ CASES = {
         '<collision><origin xyz="0 0 -0.5"/><geometry><box size="1 1 1"/>',
         "not checked against each other: base and two",
     ),
-    "material": changed(END, f'<material name="grey"/>{END}'),
+    "visual shapes beside collision shapes": changed(
+        '<link name="two">',
+        '<link name="two"><visual><geometry><box size="0.3 0.2 0.1"/></geometry></visual>',
+        holds=lambda m: (
+            np.allclose(np.ptp(link_visuals(m)[2][0].vertices, axis=0), [0.3, 0.2, 0.1]) and m.pieces[2][0].max() < 0.1
+        ),
+    ),
+    "material": Case(
+        (
+            ('<link name="two">', f'<link name="two"><visual><geometry>{MESH}</geometry>{GREY}</visual>'),
+            (END, f'<material name="grey"><color rgba="0.5 0.5 0.25 1"/></material>{END}'),
+        ),
+        holds=lambda m: link_visuals(m)[2][0].color == (0.5, 0.5, 0.25),
+    ),
+    "acceleration that Drake adds to limits": Case(
+        (
+            (TURN, TURN.replace("/>", ' drake:acceleration="3"/>')),
+            (' velocity="1"', ' velocity="1" drake:acceleration="2"'),
+        ),
+        holds=lambda m: m.acceleration.tolist() == [3, 2] and m.assumed == (),
+    ),
+    "prefix that is not declared": changed(
+        '<link name="one">', '<link name="one" drake:role="arm">', holds=lambda m: m.joints == 2
+    ),
+    "limits in a joint_limits.yaml": Case(
+        limits="joint_limits: {turn: {has_acceleration_limits: true, max_acceleration: 3.0}}",
+        holds=lambda m: m.acceleration[0] == 3.0,
+    ),
+    "other entries of a joint_limits.yaml": Case(
+        said=r"not used: jerk limits, default_velocity_scaling_factor",
+        limits="default_velocity_scaling_factor: 0.1\njoint_limits: {turn: {has_jerk_limits: true, max_jerk: 3.0}}",
+    ),
+    "state `home` in an SRDF": Case(
+        srdf='<robot><group_state name="home" group="arm"><joint name="turn" value="0.5"/>'
+        '<joint name="slide" value="0.1"/></group_state></robot>',
+        holds=lambda m: m.home.tolist() == [0.5, 0.1],
+    ),
+    "state in an SRDF without a value for every joint": Case(
+        said="state ready has no value for slide",
+        srdf='<robot><group_state name="ready" group="arm"><joint name="turn" value="0.5"/></group_state></robot>',
+    ),
 }
 
 
@@ -281,6 +325,8 @@ def written(folder: Path, case: Case) -> Path:
     file.write_text(text)
     if case.srdf:
         file.with_suffix(".srdf").write_text(case.srdf)
+    if case.limits:
+        (folder / "joint_limits.yaml").write_text(case.limits)
     return file
 
 
@@ -308,7 +354,7 @@ def test_a_row_of_the_table(tmp_path: Path, row: str, does: str) -> None:
     assert all("\n" not in text for text in said)
     if does == "warns":
         assert any(re.search(case.said, text) for text in said), said
-        assert all("arm.urdf" in text or "arm.srdf" in text or "cell.toml" in text for text in said)
+        assert all(re.search(r"arm\.(urdf|srdf)|cell\.toml|joint_limits\.yaml", text) for text in said)
     else:
         assert said == []
     assert case.holds(model)
@@ -316,23 +362,6 @@ def test_a_row_of_the_table(tmp_path: Path, row: str, does: str) -> None:
     from falsework.robots.checks.descriptions import description_fault
 
     assert description_fault(model) == ""
-
-
-CELL = """
-format = "falsework.cell/1"
-name = "cell"
-[grippers.cup]
-kind = "suction"
-payload = 5.0
-cup = 0.02
-tool = { position = [0.0, 0.0, 0.1] }
-shapes = [{ cylinder = { radius = 0.03, low = 0.0, high = 0.099 } }]
-[[robots]]
-name = "arm"
-model = "arm.urdf"
-gripper = "cup"
-base = { position = [0.0, 0.0, 0.2] }
-"""
 
 
 def test_accelerations_of_a_cell(tmp_path: Path) -> None:

@@ -403,7 +403,7 @@ def test_joint_values_in_a_file_are_numbers(run: Callable, cell_file: Path, tmp_
         (("--joints", "arm=1,2,x"), "give joint values in rad"),
         (("--joints", "arm=home;arm=0,0,0,0,0,0"), "name each robot once"),
         (("--joints", "arm=9,0,0,0,0,0"), "outside its limits"),
-        (("--joints", "arm=0,2.6,0,0,0,0"), "at the start"),
+        (("--joints", "arm=0,2.6,0,0,0,0"), "m into each other; move arm away first"),
         (("--joints", "nowhere.json"), "no JSON file"),
     ],
 )

@@ -16,11 +16,11 @@ pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'fal
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError, PlanError, StateError
 from falsework.robots.checks.check import check_robot_plan
+from falsework.robots.exports.commands import Grip, events_of
 from falsework.robots.model.cell import Cell
 from falsework.robots.planning.end_motions import Continuation
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridSettings
-from falsework.robots.plans.commands import Grip, events_of
 from falsework.robots.plans.loads import load_of, loads_at
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import (
@@ -187,8 +187,8 @@ def test_arms_that_move_at_the_same_time(
 ) -> None:
     """Another arm keeps clear of a part that waits in a gripper, whatever the delays."""
     pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'falsework[schedule]'")
+    from falsework.robots.exports.mcap_bag import write_bag
     from falsework.robots.planning.plan_together import plan_together
-    from falsework.robots.plans.mcap_bag import write_bag
     from falsework.robots.schedule.simulation import simulate
 
     step = inserting(building)[0]

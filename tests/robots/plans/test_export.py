@@ -15,11 +15,11 @@ import yaml
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError, PlanError
 from falsework.interop import export
+from falsework.robots.exports.commands import Grip, events_of
+from falsework.robots.exports.export import FORMATS, export_plan
 from falsework.robots.kinematics.forward import flange_pose
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
-from falsework.robots.plans.commands import Grip, events_of
-from falsework.robots.plans.export import FORMATS, export_plan
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import save_robot_plan
 from tests.robots.plans.bag_reading import corners, planning_scenes
@@ -110,8 +110,8 @@ def test_tables_hold_samples_of_all_robots(robot_plan: RobotPlan, tmp_path: Path
     assert [row for step in steps for row in step] == rows
 
 
-def test_rapid_modules_are_whole_and_hold_the_knots(robot_plan: RobotPlan, tmp_path: Path) -> None:
-    paths = export_plan(robot_plan, tmp_path, "rapid")
+def test_rapid_modules_are_whole_and_hold_the_knots(robot_plan: RobotPlan, cell: Cell, tmp_path: Path) -> None:
+    paths = export_plan(robot_plan, tmp_path, "rapid", cell=cell)
     assert [path.name for path in paths] == ["arm_1.mod", "arm_2.mod"]
     for robot, path in enumerate(paths):
         text = path.read_text()
@@ -183,10 +183,10 @@ def run_programs(paths: list[Path], seed: int) -> list[tuple[str, int]]:
 
 
 @pytest.mark.parametrize("form", ["rapid", "urscript"])
-def test_programs_keep_the_order_of_the_states(robot_plan: RobotPlan, tmp_path: Path, form: str) -> None:
+def test_programs_keep_the_order_of_the_states(robot_plan: RobotPlan, cell: Cell, tmp_path: Path, form: str) -> None:
     """However fast each controller is, motions that the plan has in one order come in that order."""
     for plan in (robot_plan, robot_plan.reverse()):
-        paths = export_plan(plan, tmp_path / plan.direction.value, form)
+        paths = export_plan(plan, tmp_path / plan.direction.value, form, cell=cell, force=True)
         events = [(paths[step.robot].stem, event) for k, step in enumerate(plan.steps) for event in events_of(plan, k)]
         names, wanted = dict.fromkeys((path.stem for path in paths), 0), []
         for name, _ in events:
@@ -199,8 +199,8 @@ def test_programs_keep_the_order_of_the_states(robot_plan: RobotPlan, tmp_path: 
             assert [entry for entry in done if entry in set(moves)] == moves
 
 
-def test_urscript_holds_the_motions(robot_plan: RobotPlan, tmp_path: Path) -> None:
-    paths = export_plan(robot_plan, tmp_path, "urscript", rate=20.0)
+def test_urscript_holds_the_motions(robot_plan: RobotPlan, cell: Cell, tmp_path: Path) -> None:
+    paths = export_plan(robot_plan, tmp_path, "urscript", rate=20.0, cell=cell, force=True)
     assert [path.name for path in paths] == ["arm_1.script", "arm_2.script"]
     for robot, path in enumerate(paths):
         text = path.read_text()
@@ -220,7 +220,7 @@ def test_urscript_holds_the_motions(robot_plan: RobotPlan, tmp_path: Path) -> No
 
 
 def test_what_cannot_be_exported(robot_plan: RobotPlan, tmp_path: Path) -> None:
-    assert FORMATS == ("ros2-json", "ros2-yaml", "csv", "rapid", "urscript", "mcap")
+    assert FORMATS == ("ros2-json", "ros2-yaml", "ros2-goals", "csv", "rapid", "urscript", "mcap")
     with pytest.raises(InputError, match="no export format 'krl'; choose ros2-json"):
         export_plan(robot_plan, tmp_path, "krl")
     with pytest.raises(InputError, match="rate of 0 positions"):

@@ -17,9 +17,9 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED
 from falsework.errors import PlanError, StateError
 from falsework.robots.checks.check import CheckReport, check_robot_plan
+from falsework.robots.exports.commands import Begin, Grip, PublishCount, Wait, commands_of
+from falsework.robots.exports.export import export_plan
 from falsework.robots.model.cell import Cell, cell_identity
-from falsework.robots.plans.commands import Begin, Grip, PublishCount, Wait, commands_of
-from falsework.robots.plans.export import export_plan
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import (
     load_robot_plan,
@@ -256,7 +256,9 @@ def test_a_schedule_in_which_the_first_arm_may_leave_early_is_refused(
     assert not report.good
 
 
-def test_controllers_close_the_second_gripper_before_they_open_the_first(plan: RobotPlan, tmp_path: Path) -> None:
+def test_controllers_close_the_second_gripper_before_they_open_the_first(
+    plan: RobotPlan, roofed: Cell, tmp_path: Path
+) -> None:
     take, leave = halves(plan)
     assert [plan.grip(take), plan.grip(leave)] == ["close", "open"]
     export_plan(plan, tmp_path, "ros2-json")
@@ -272,7 +274,7 @@ def test_controllers_close_the_second_gripper_before_they_open_the_first(plan: R
     closed = others.index(Grip(close=True), others.index(Begin(take)))
     assert next(command for command in others[closed:] if isinstance(command, PublishCount)).count == waits[0].count
     for kind in ("rapid", "urscript", "csv"):
-        export_plan(plan, tmp_path / kind, kind)
+        export_plan(plan, tmp_path / kind, kind, cell=roofed, force=True)
         text = "".join(path.read_text() for path in sorted((tmp_path / kind).rglob("*")) if path.is_file())
         assert "take near-0 over from arm 1" in text
 
@@ -280,7 +282,7 @@ def test_controllers_close_the_second_gripper_before_they_open_the_first(plan: R
 def test_a_bag_has_the_motions_of_both_arms(plan: RobotPlan, tmp_path: Path) -> None:
     pytest.importorskip("mcap", reason="bags need mcap; pip install 'falsework[schedule]'")
     pytest.importorskip("rosbags", reason="bags need rosbags; pip install 'falsework[schedule]'")
-    from falsework.robots.plans.mcap_bag import write_bag
+    from falsework.robots.exports.mcap_bag import write_bag
 
     moves = sum(len(step.trajectories) for step in plan.steps)
     carried = sum(action >= len(plan.plan.boundary) for action in plan.actions.tolist())

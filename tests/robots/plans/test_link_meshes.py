@@ -12,7 +12,8 @@ pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'fal
 pytest.importorskip("yourdfpy", reason="reading URDF files needs yourdfpy; pip install 'falsework[robots]'")
 
 from falsework.assembly.model import Assembly
-from falsework.robots.cells.urdf import hull_mesh, load_urdf
+from falsework.robots.cells.urdf import load_urdf
+from falsework.robots.cells.urdf_meshes import hull_mesh
 from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.model.cell import Cell, CellRobot, Gripper, Obstacle, cell_identity

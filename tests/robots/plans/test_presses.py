@@ -21,14 +21,14 @@ from falsework.assembly.state import HELD, REMOVED, complete_state
 from falsework.cli.main import main
 from falsework.errors import CellError, PlanError
 from falsework.interop import export
+from falsework.robots.exports.commands import Begin, Grip, Pressing, PublishCount, Wait, commands_of
+from falsework.robots.exports.export import export_plan
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.kinematics.forward import flange_pose, tool_pose
 from falsework.robots.model.cell import Cell, Placement, cell_identity
 from falsework.robots.model.cell_holds import CellScale, stability_in
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridSettings
-from falsework.robots.plans.commands import Begin, Grip, Pressing, PublishCount, Wait, commands_of
-from falsework.robots.plans.export import export_plan
 from falsework.robots.plans.grip_loads import grip_loads, overloads
 from falsework.robots.plans.presses import timed_presses
 from falsework.robots.plans.robot_plan import RobotPlan
@@ -161,7 +161,7 @@ def test_no_export_exceeds_a_gripper_or_lacks_what_a_press_needs(
     for given in missing:
         with pytest.raises(PlanError, match=r"robots press in this plan.*give its (structure|cell)"):
             export_plan(pressed, tmp_path, form, **given)
-    assert export_plan(pressed.reverse(), tmp_path, form)  # in disassembly no robot presses
+    assert export_plan(pressed.reverse(), tmp_path, form, cell=cell, force=True)  # in disassembly no robot presses
 
 
 def test_presses_that_no_robot_can_carry_out(pressed: RobotPlan, column: Assembly, cell: Cell, tmp_path: Path) -> None:
@@ -262,7 +262,7 @@ def test_a_script_controls_the_force(pressed: RobotPlan, column: Assembly, cell:
     """Along z of a frame at the tool that points where the press does, relative to what was measured before."""
     from scipy.spatial.transform import Rotation
 
-    paths = export_plan(pressed, tmp_path, "urscript", structure=column, cell=cell)
+    paths = export_plan(pressed, tmp_path, "urscript", structure=column, cell=cell, force=True)
     text = paths[1].read_text()
     form = r"force_mode\(pose_trans\(get_target_tcp_pose\(\), p\[([^\]]*)\]\), \[0, 0, 1, 0, 0, 0\], "
     ((pose, force),) = re.findall(form + r"\[0, 0, ([\d.]+), 0, 0, 0\], 2, \[[^\]]*\]\)", text)
@@ -294,7 +294,7 @@ def test_a_gripper_opens_only_while_the_other_arm_presses(
     opens = next(k for k in range(place, len(other)) if isinstance(other[k], Grip))
     assert Wait(1, told.count) in other[place:opens]
     assert other[opens + 1] == PublishCount(waited.count)
-    paths = export_plan(pressed, tmp_path, form, structure=column, cell=cell)
+    paths = export_plan(pressed, tmp_path, form, structure=column, cell=cell, force=True)
     for seed in range(5):
         assert run_programs(paths, seed)
 

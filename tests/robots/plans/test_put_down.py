@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +22,8 @@ from falsework.robots.checks.check import CheckReport, check_robot_plan
 from falsework.robots.checks.delays import check_delays
 from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.checks.put_down import unrest
+from falsework.robots.exports.commands import Grip, events_of
+from falsework.robots.exports.export import export_plan
 from falsework.robots.kernels.coordination import conflicts, still
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.putting_down import _downwards
@@ -32,8 +35,6 @@ from falsework.robots.model.shapes import block, move
 from falsework.robots.motion.collision_world import CollisionWorld
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
-from falsework.robots.plans.commands import Grip, events_of
-from falsework.robots.plans.export import export_plan
 from falsework.robots.plans.loads import Load, load_of, lying_motions
 from falsework.robots.plans.robot_plan import RobotPlan, RobotStep
 from falsework.robots.plans.robot_plan_file import (
@@ -412,7 +413,9 @@ def test_a_part_in_the_way_of_another_arm_is_found_whatever_the_delays(
     assert len(choices(rows)) > len(choices(Itineraries(timed, CollisionWorld(two, parts))))
 
 
-def test_controllers_open_and_close_the_gripper_on_the_way(plan: RobotPlan, tmp_path: Path) -> None:
+def test_controllers_open_and_close_the_gripper_on_the_way(
+    plan: RobotPlan, alone: Assembly, one: Cell, tmp_path: Path
+) -> None:
     def grips(given: RobotPlan, index: int) -> list[bool | None]:
         events = events_of(given, index)
         return [event.close if isinstance(event, Grip) else None for event in events]
@@ -428,9 +431,12 @@ def test_controllers_open_and_close_the_gripper_on_the_way(plan: RobotPlan, tmp_
     export_plan(plan, tmp_path, "ros2-json")
     sequence = json.loads((tmp_path / "step-002.json").read_text())["sequence"]
     assert [entry.get("gripper") for entry in sequence if "gripper" in entry] == ["open", "close", "open"]
-    export_plan(plan, tmp_path / "rapid", "rapid")
+    export_plan(plan, tmp_path / "rapid", "rapid", cell=one, structure=alone)
     program = (tmp_path / "rapid" / "arm_1.mod").read_text()
     body = program[program.index("PROC arm_1_step2()") : program.index("PROC arm_1_run()")]
+    loads = re.findall(r"GripLoad (\w+);", body)
+    assert loads == ["arm_1_load1", "load0", "arm_1_load2", "load0"]  # gripped in two ways, so with two centres
+    assert len(set(re.findall(r"PERS loaddata \w+ := (.*);", program))) == 2
     assert [line.split()[-1] for line in body.splitlines() if "_gripper " in line] == ["FALSE;", "TRUE;", "FALSE;"]
     export_plan(plan, tmp_path / "csv", "csv")
 

@@ -16,6 +16,8 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, complete_state
 from falsework.errors import InputError, PlanError, StateError
 from falsework.robots.checks.check import check_robot_plan
+from falsework.robots.exports.commands import Begin, Grip, Wait, commands_of
+from falsework.robots.exports.export import export_plan
 from falsework.robots.keyframes.failure_report import fall_in_words
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.model.cell import Cell, Obstacle
@@ -23,8 +25,6 @@ from falsework.robots.model.shapes import block
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridSettings
 from falsework.robots.planning.solvability import SolvabilityCheck
-from falsework.robots.plans.commands import Begin, Grip, Wait, commands_of
-from falsework.robots.plans.export import export_plan
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import (
     load_robot_plan,

@@ -332,9 +332,9 @@ def test_the_best_are_the_first_of_all(
     level = task.origin(direction)[None]
     for step in range(9):
         frontier = expand(task, direction, level, StateHash.for_parts(9))
-        shapes = (len(level),), (len(level), 18), (9,), (9,)
-        before, guide, fixed, moved = (random.random(shape).round(0 if ties else 9) for shape in shapes)
-        scores = Scores(frontier, before, guide, (fixed,), moved)
+        shapes = (len(level),), (len(level), 18)
+        before, guide = (random.random(shape).round(0 if ties else 9) for shape in shapes)
+        scores = Scores(frontier, before, guide)
         promise = Promise(scores, np.random.default_rng(step))
         rows = np.flatnonzero(frontier.fixing)
         everything = scores.of(frontier.candidates())

@@ -10,15 +10,13 @@ import pytest
 from falsework.assembly import load_structure
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
-from falsework.search import PlannerSettings, find_plans
-from falsework.search.beam.adaptive import AdaptiveSettings
+from falsework.search import find_plans
 from falsework.search.find import Planning, task_of
 from falsework.search.planner import Planner
 from falsework.search.problem import guide as guides
 from falsework.search.problem.edge_rows import edge_rows
 from falsework.search.problem.guide import SupportGuide
 from falsework.search.problem.task import Direction
-from falsework.search.settings import EDGES
 from falsework.stability import Stability
 from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
 
@@ -126,23 +124,6 @@ def test_under_equilibrium_most_parts_wait_for_the_rows_before() -> None:
     order = rows[free[np.argsort(placed[free])]]
     behind = np.maximum.accumulate(order) - order
     assert (behind <= 1).mean() > 0.6  # 0.4 with four times as many states ahead
-
-
-def test_few_states_ahead_are_kept_until_a_beam_dies() -> None:
-    few, many = (AdaptiveSettings(few_ahead=few) for few in (True, False))
-    assert few.beam().lookahead < many.beam().lookahead
-    assert few.beam(number=1).lookahead == many.beam(number=1).lookahead > many.beam().lookahead
-
-
-def test_the_beam_that_closes_edges_comes_first_and_dies_a_few_times_at_most() -> None:
-    first, *rest = PlannerSettings().attempts(compact=True, edges=True)
-    assert first.beam == EDGES
-    assert first.deaths
-    assert tuple(rest) == PlannerSettings().attempts(compact=True)
-    assert first.direction is Direction.ASSEMBLY
-    backwards = PlannerSettings(directions=(Direction.DISASSEMBLY,))
-    assert backwards.attempts(edges=True) == backwards.attempts()
-    assert PlannerSettings().attempts("alternatives", edges=True) == PlannerSettings().attempts("alternatives")
 
 
 def test_three_robots_build_a_vault_from_its_edges(vault: Assembly) -> None:

@@ -136,7 +136,7 @@ def test_fixed_parts_stay_as_they_are(rules: Any) -> None:
         ({"missing": [0]}, "missing part 0 is boundary"),
         ({"missing": [1, 1]}, "missing part 1 is listed twice"),
         ({"fixed": [1], "target": [2, 0, 0, 0]}, "part 1 is fixed but differs"),
-        ({"missing": [1], "target": [2, 1, 0, 0]}, "part 1 is missing but in the target"),
+        ({"missing": [1], "target": [2, 1, 0, 0]}, "part 1 is missing but already in place where assembly starts"),
         ({"missing": [1], "start": [2, 0, 1, 1]}, "part 1 is missing but not in the start"),
         ({"start": [2, 0, 1, 1], "target": [2, 1, 0, 0]}, "disassembly never puts a part back"),
         ({"start": [2, 2, 1, 1], "target": [2, 1, 0, 0]}, "a held part is never released"),

@@ -19,9 +19,9 @@ from falsework.search import (
     SupportEverywhere,
     Task,
 )
+from falsework.search.planner import Planner
 from falsework.search.problem.support_moves import SupportMoves
 from falsework.search.support.beam import SupportBeam
-from falsework.search.support.planner import SupportPlanner
 
 State = tuple[int, ...]
 
@@ -79,7 +79,7 @@ def test_agrees_with_plain_recursion(rules: Any, seed: int, robots: int) -> None
     if not result.found and start_stands and not search.judge.sliding:
         assert result.outcome is Outcome.PROVED_IMPOSSIBLE
         assert {tuple(np.frombuffer(key, np.uint8).tolist()) for key in search.parent} == reachable
-    planner = SupportPlanner(task, oracle, PlannerSettings(width=4), guide=level_guide)
+    planner = Planner(task, oracle, PlannerSettings(width=4), guide=level_guide)
     found = planner.run()
     assert found.found == result.found
     if found.found:
@@ -186,7 +186,7 @@ def test_holding_again_saves_a_robot(rules: Any, seed: int) -> None:
     oracle = SeesawOracle.random(rules, seed, 8)
     task = Task.create(rules.ground(8), 2, support=True)
     assert ExhaustiveSearch(replace(task, support=False), oracle).run().result.outcome is Outcome.PROVED_IMPOSSIBLE
-    result = SupportPlanner(task, oracle, guide=level_guide).run()
+    result = Planner(task, oracle, guide=level_guide).run()
     assert_legal(task, oracle, result.routes[0])
     states = result.routes[0].states
     assert ((states[:-1] == 2) & (states[1:] == 1)).any()
@@ -197,6 +197,6 @@ def test_seesaws_that_do_not_come_apart(rules: Any, seed: int) -> None:
     """A plan is found where the enumeration has one, and is refuted where it has none."""
     oracle = SeesawOracle.random(rules, seed, 7)
     task = Task.create(rules.ground(7), 2, support=True)
-    result = SupportPlanner(task, oracle, PlannerSettings(width=4), guide=level_guide).run()
+    result = Planner(task, oracle, PlannerSettings(width=4), guide=level_guide).run()
     possible = tuple(task.target.tolist()) in all_reachable(task, oracle)
     assert result.outcome is (Outcome.FOUND if possible else Outcome.PROVED_IMPOSSIBLE)

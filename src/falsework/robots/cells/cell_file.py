@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
-from functools import lru_cache
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.errors import CellError, InputError
-from falsework.robots.cells.urdf import load_urdf
+from falsework.errors import CellError, DependencyError, InputError
+from falsework.robots.cells.cell_robot import read_pose, read_robot
 from falsework.robots.cells.urdf_review import CellWarning
 from falsework.robots.cells.validate import check_cell
-from falsework.robots.model.builtin_robots import BUILTIN, builtin_robot
-from falsework.robots.model.cell import Cell, CellRobot, Gripper, Margins, Obstacle, Placement
-from falsework.robots.model.robot_model import ACCELERATION_TIME, RobotModel
-from falsework.robots.model.shapes import block, cylinder, move, pose
+from falsework.robots.model.cell import Cell, Gripper, Margins, Obstacle, Placement
+from falsework.robots.model.shapes import block, cylinder, move
 from falsework.utils.toml_table import Table, read_text
 
 Array = NDArray[np.float64]
@@ -27,8 +25,6 @@ AnyCell = Cell | str | Path
 """Cell as it is, or what `load_cell` takes."""
 
 FORMAT = "falsework.cell/1"
-PLACE_TURNS = 8
-"""Rotations about the vertical in which a part may be put down at a drop-off pose."""
 
 
 def builtin_cells() -> tuple[str, ...]:
@@ -48,18 +44,57 @@ def load_cell(name: str | Path, *, check: bool = True) -> Cell:
         CellError: no such cell, a key that is missing, unknown or wrong, or an invalid arrangement of robots.
         DependencyError: the cell names a URDF file and yourdfpy is missing.
     """
-    path = Path(name)
-    if path.suffix == ".toml" or path.is_file():
-        cell = parse_cell(read_text(path), str(path), path.parent)
-    elif str(name) in builtin_cells():
-        text = (files("falsework.robots.cells") / f"{name}.toml").read_text(encoding="utf-8")
-        cell = parse_cell(text, f"{name}.toml", Path())
-    else:
-        known = ", ".join(builtin_cells())
-        raise CellError(f"unknown cell {name}; give a TOML file, or one of the built-in cells {known}")
+    cell = parse_cell(*_text_of(name))
     if check:
         check_cell(cell)
     return cell
+
+
+def load_faulty_cell(name: str | Path) -> tuple[Cell | None, list[str]]:
+    """Read as much of a cell as can be read, to show it while it is still wrong.
+
+    A robot, gripper or obstacle with a fault is left out; a home with a fault is that of the arm.
+
+    Args:
+        name: as for `load_cell`.
+
+    Returns:
+        The cell, None if it has no robot that can be read, and the faults, each one line.
+
+    Raises:
+        DependencyError: as `load_cell`.
+    """
+    faults: list[str] = []
+    cell: Cell | None = None
+    with _noted(faults):
+        cell = parse_cell(*_text_of(name), faults=faults)
+    if cell is not None:
+        with _noted(faults):
+            check_cell(cell)
+    return cell, faults
+
+
+def _text_of(name: str | Path) -> tuple[str, str, Path]:
+    """Return the text of a cell, its name in messages, and the folder of its paths."""
+    path = Path(name)
+    if path.suffix == ".toml" or path.is_file():
+        return read_text(path), str(path), path.parent
+    if str(name) in builtin_cells():
+        text = (files("falsework.robots.cells") / f"{name}.toml").read_text(encoding="utf-8")
+        return text, f"{name}.toml", Path()
+    known = ", ".join(builtin_cells())
+    raise CellError(f"unknown cell {name}; give a TOML file, or one of the built-in cells {known}")
+
+
+@contextmanager
+def _noted(faults: list[str] | None) -> Iterator[None]:
+    """Note an error of a cell instead of raising it, if there is a list for it; a missing package is none."""
+    try:
+        yield
+    except InputError as error:
+        if faults is None or isinstance(error, DependencyError):
+            raise
+        faults.append(" ".join(str(error).split()))
 
 
 def as_cell(cell: AnyCell) -> Cell:
@@ -76,13 +111,14 @@ def as_cell(cell: AnyCell) -> Cell:
     raise InputError(f"a cell is a Cell, a name or a file, not {type(cell).__name__}")
 
 
-def parse_cell(text: str, source: str, folder: Path) -> Cell:
+def parse_cell(text: str, source: str, folder: Path, *, faults: list[str] | None = None) -> Cell:
     """Return a cell from the text of a TOML file.
 
     Args:
         text: TOML.
         source: name of the text in messages.
         folder: folder that relative paths start from.
+        faults: takes errors of single entries, which are then left out; None raises the first one.
 
     Raises:
         CellError: as `load_cell`.
@@ -92,15 +128,28 @@ def parse_cell(text: str, source: str, folder: Path) -> Cell:
     if form != FORMAT:
         raise file.fail("format", f"is {form!r}; this version reads {FORMAT}")
     grippers_table = file.table("grippers")
-    grippers = {name: _gripper(name, grippers_table.table(name)) for name in grippers_table.names()}
-    robots = [_robot(entry, grippers, folder) for entry in file.tables("robots")]
+    grippers: dict[str, Gripper] = {}
+    for name in grippers_table.names():
+        if faults is not None:
+            grippers[name] = Gripper(name, "suction", (), np.eye(4), 0.0)
+        with _noted(faults):
+            grippers[name] = _gripper(name, grippers_table.table(name))
+    robots, entries = [], file.tables("robots")
+    for entry in entries:
+        with _noted(faults):
+            robots.append(read_robot(entry, grippers, folder, faults))
+    if not robots and entries:
+        raise CellError(f"{source}: none of its robots can be read")
     if not robots:
         raise CellError(f"{source}: robots is missing; write each robot as [[robots]]")
     names = [robot.name for robot in robots]
     for name in names:
         if names.count(name) > 1:
             raise CellError(f"{source}: two robots are called {name!r}; give every robot its own name")
-    obstacles = tuple(_obstacle(entry) for entry in file.tables("obstacles"))
+    obstacles: list[Obstacle] = []
+    for entry in file.tables("obstacles"):
+        with _noted(faults):
+            obstacles.append(_obstacle(entry))
     floor = None
     if not file.has("floor"):
         floor = 0.0
@@ -123,101 +172,19 @@ def parse_cell(text: str, source: str, folder: Path) -> Cell:
     cell = Cell(
         name=file.text("name", Path(source).stem),
         robots=tuple(robots),
-        obstacles=obstacles,
+        obstacles=tuple(obstacles),
         floor=floor,
         placement=placement,
         margins=kept,
         speed=file.number("speed", 1.0, low=0.001, high=1.0),
     )
-    for table in (structure, margins, file):
-        table.done()
+    with _noted(faults):
+        for table in (structure, margins, file):
+            table.done()
     idle = sorted(set(grippers) - {robot.gripper.name for robot in robots})
     if idle:
         warnings.warn(f"{source}: no robot has the gripper {', '.join(idle)}", CellWarning, stacklevel=3)
     return cell
-
-
-def _robot(table: Table, grippers: dict[str, Gripper], folder: Path) -> CellRobot:
-    name = table.text("name")
-    model = _model(table, folder)
-    if table.has("acceleration"):
-        given = table.numbers("acceleration", model.joints)
-        if not (given > 0).all():
-            raise table.fail("acceleration", f"is {given.tolist()}; give numbers above 0, in degrees (or m) per s2")
-        model = replace(model, acceleration=given * _units(model))
-    elif model.source != "built-in":
-        warnings.warn(
-            f"{table.source}: robot {name} has no acceleration, which a URDF does not state; its joints are taken to "
-            f"reach full speed in {ACCELERATION_TIME:g} s",
-            CellWarning,
-            stacklevel=4,
-        )
-    wanted = table.text("gripper")
-    if wanted not in grippers:
-        known = ", ".join(grippers) or "none"
-        raise table.fail("gripper", f"is {wanted!r}, which [grippers] does not have; there are: {known}")
-    base = _pose(table.table("base"))
-    home = _home(table, model)
-    local = np.array([place.numbers("position", 3) for place in table.tables("places")]).reshape(-1, 3)
-    for place in table.tables("places"):
-        place.numbers("position", 3)
-        place.done()
-    places = [base @ _down(at, 2 * np.pi * turn / PLACE_TURNS) for at in local for turn in range(PLACE_TURNS)]
-    table.done()
-    return CellRobot(name, model, base, grippers[wanted], home, np.array(places).reshape(-1, 4, 4))
-
-
-def _model(table: Table, folder: Path) -> RobotModel:
-    """Return the arm of a robot entry."""
-    name = table.text("model")
-    base = table.text("base_link") if table.has("base_link") else None
-    tip = table.text("tip_link") if table.has("tip_link") else None
-    if name in BUILTIN:
-        return _builtin(name)
-    if not name.lower().endswith((".urdf", ".xml")):
-        known = ", ".join(sorted(BUILTIN))
-        raise table.fail("model", f"is {name!r}; give the path of a URDF file or one of {known}")
-    try:
-        return _from_file(str(folder / name), base, tip)
-    except CellError as error:
-        raise CellError(f"{table.source}: {table.name('model')}: {error}") from error
-
-
-@lru_cache(maxsize=16)
-def _builtin(name: str) -> RobotModel:
-    return builtin_robot(name)
-
-
-@lru_cache(maxsize=16)
-def _from_file(path: str, base: str | None, tip: str | None) -> RobotModel:
-    return load_urdf(path, base=base, tip=tip)
-
-
-def _units(model: RobotModel) -> Array:
-    """Return the factors from the units of a cell file to those of joints, shape (joints,)."""
-    return np.where(model.prismatic, 1.0, np.pi / 180)
-
-
-def _home(table: Table, model: RobotModel) -> Array:
-    """Return the home joint values, given in degrees as a list or a table by joint; by default those of the model."""
-    if not table.has("home"):
-        return model.home
-    given = table.take("home")
-    units = _units(model)
-    if isinstance(given, dict):
-        values = np.array(model.home)
-        for joint in given:
-            if joint not in model.joint_names:
-                known = ", ".join(model.joint_names)
-                raise table.fail("home", f"names joint {joint!r}, which {model.name} does not have; it has {known}")
-            number = table.table("home").number(joint)
-            values[model.joint_names.index(joint)] = number * units[model.joint_names.index(joint)]
-    else:
-        values = table.numbers("home", model.joints) * units
-    try:
-        return model.check_configuration(values, "home")
-    except InputError as error:
-        raise table.fail("home", f"cannot be reached: {error}") from None
 
 
 def _gripper(name: str, table: Table) -> Gripper:
@@ -227,7 +194,8 @@ def _gripper(name: str, table: Table) -> Gripper:
     pieces = tuple(piece for entry in table.tables("shapes") for piece in _shapes(entry))
     if not pieces:
         raise table.fail("shapes", "is missing; give at least one box or cylinder, for collision checks")
-    tool = _pose(table.table("tool"))
+    tool = read_pose(table.table("tool"))
+    center = table.numbers("center_of_mass", 3) if table.has("center_of_mass") else None
     made = Gripper(
         name=name,
         kind="suction" if kind == "suction" else "jaw",
@@ -240,8 +208,34 @@ def _gripper(name: str, table: Table) -> Gripper:
         depth=table.number("depth", low=1e-4) if kind == "jaw" else 0.0,
         force=table.number("force", low=0.0) if table.has("force") else np.inf,
         moment=table.number("moment", low=0.0) if table.has("moment") else np.inf,
+        center_of_mass=center,
+        inertia=_inertia(table) if table.has("inertia") else None,
     )
     table.done()
+    return made
+
+
+def _inertia(table: Table) -> Array:
+    """Return the inertia of a gripper about its centre of mass, shape (3, 3).
+
+    Raises:
+        CellError: other than three or six numbers, or moments of inertia that no body has.
+    """
+    given = table.take("inertia")
+    xx, yy, zz, xy, xz, yz = [
+        *table.numbers("inertia", 6 if isinstance(given, list) and len(given) == 6 else 3),
+        0,
+        0,
+        0,
+    ][:6]
+    made = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    moments = np.linalg.eigvalsh(made)
+    if not (moments[0] >= 0 and moments[2] <= moments[0] + moments[1] + 1e-12):
+        raise table.fail(
+            "inertia",
+            f"is {given}, which no body has; give Ixx, Iyy, Izz, and if needed Ixy, Ixz, Iyz, in kg m2 about the "
+            "centre of mass",
+        )
     return made
 
 
@@ -257,13 +251,16 @@ def _obstacle(table: Table) -> Obstacle:
 def _shapes(table: Table) -> list[Array]:
     """Return the shapes of the box and the cylinder of an entry."""
     found = []
-    at = _pose(table)
+    at = read_pose(table)
     if table.has("box"):
         shape = table.table("box")
         low, high = shape.numbers("low", 3), shape.numbers("high", 3)
         if not (low < high).all():
             raise shape.fail("high", f"is {high.tolist()}; every coordinate must be above that of low")
-        found.append(move(at, block(low, high)))
+        try:
+            found.append(move(at, block(low, high)))
+        except InputError as error:
+            raise CellError(f"{shape.source}: {shape.where}: {error}") from error
         shape.done()
     if table.has("cylinder"):
         shape = table.table("cylinder")
@@ -275,31 +272,3 @@ def _shapes(table: Table) -> list[Array]:
     if not table.where.startswith("obstacles"):
         table.done()
     return found
-
-
-def _pose(table: Table) -> Array:
-    """Return the pose of a position and rotation (roll, pitch, yaw about fixed axes, or yaw alone), degrees."""
-    made = np.array(pose(table.numbers("position", 3, (0, 0, 0))))
-    turned = table.numbers("rpy", 3, (0, 0, 0))
-    if table.has("yaw"):
-        if table.has("rpy"):
-            raise table.fail("yaw", "is given beside rpy; give one of them")
-        turned = np.array([0.0, 0.0, table.number("yaw")])
-    roll, pitch, yaw = np.radians(turned)
-    cx, sx, cy, sy, cz, sz = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
-    made[:3, :3] = [
-        [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
-        [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
-        [-sy, cy * sx, cy * cx],
-    ]
-    if table.where.endswith((".base", ".tool")):
-        table.done()
-    return made
-
-
-def _down(position: Array, turn: float) -> Array:
-    """Return a tool frame whose z points down, rotated about the vertical."""
-    made = np.eye(4)
-    made[:3, :3] = [[np.cos(turn), np.sin(turn), 0], [np.sin(turn), -np.cos(turn), 0], [0, 0, -1]]
-    made[:3, 3] = position
-    return made

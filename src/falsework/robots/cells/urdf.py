@@ -5,8 +5,8 @@ What a file states and is not used, or used in another way than written, is a `C
 
 from __future__ import annotations
 
+import io
 import warnings
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -14,15 +14,16 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
-from falsework.errors import CellError, DependencyError, InputError
-from falsework.geometry.mesh.bounds import check_growth
-from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
+from falsework.errors import CellError, DependencyError
+from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.robots.cells.joint_limits import JointLimits, read_joint_limits
+from falsework.robots.cells.srdf import excluded_pairs, group_states, read_srdf
+from falsework.robots.cells.urdf_meshes import collision_shapes
 from falsework.robots.cells.urdf_review import (
     CellWarning,
+    accelerations,
     coupling_fault,
-    excluded_pairs,
     read_xml,
     soft_range,
     unused_text,
@@ -32,32 +33,46 @@ from falsework.robots.kernels.kernel_arrays import make_bodies, make_chain, make
 from falsework.robots.kernels.rrt_connect import check_many
 from falsework.robots.model.cell import CellRobot, Gripper
 from falsework.robots.model.robot_model import ACCELERATION_TIME, RobotModel
-from falsework.robots.model.shapes import cylinder, move
+from falsework.robots.model.shapes import move
 from falsework.robots.model.simplify import outer_hull
 from falsework.utils.files.damage import blamed_on
+from falsework.utils.files.xml_text import read_xml_text
 
 Array = NDArray[np.float64]
 
 COLLISION_SAMPLES = 1000
 """Random configurations in which pairs of links are tested where no SRDF lists the pairs to ignore."""
-_MESHES = (".stl", ".obj", ".dae", ".ply", ".off", ".glb", ".gltf")
-"""Formats of meshes: archives among those that the library reads unpack to any size."""
+LIMITS_FILE = "joint_limits.yaml"
+"""File beside a description that is read with it."""
+HOME_STATE = "home"
+"""Name of the state of an SRDF that is the home configuration."""
 _TIPS = ("tool0", "flange")
 """Usual names of the link that a gripper is mounted on, in this order."""
 ALWAYS_SHARE = 0.95
 """Pairs that touch in this share of them are ignored: their hulls overlap at their common joint."""
 
 
-def load_urdf(path: str | Path, *, base: str | None = None, tip: str | None = None) -> RobotModel:
-    """Read an arm. Ignored pairs of links come from an SRDF beside it, else from random configurations.
+def load_urdf(
+    path: str | Path,
+    *,
+    base: str | None = None,
+    tip: str | None = None,
+    srdf: str | Path | None = None,
+    joint_limits: str | Path | None = None,
+) -> RobotModel:
+    """Read an arm. Ignored pairs of links come from an SRDF, else from random configurations.
 
-    A URDF has no accelerations: joints are taken to reach full speed in `ACCELERATION_TIME`.
+    Acceleration limits come from MoveIt's `joint_limits.yaml`, or the attribute `acceleration` of Drake in the URDF;
+    other joints are taken to reach full speed in `ACCELERATION_TIME`.
 
     Args:
         path: URDF file; mesh paths are relative to it.
         base: name of the base link; by default the root of the file.
         tip: name of the link that a gripper is mounted on; by default `tool0` or `flange`, else the end of the
             longest chain.
+        srdf: SRDF with ignored pairs and named configurations, of which `home` is the home configuration; by default
+            the file of the same name beside the URDF, if there is one.
+        joint_limits: limits that narrow those of the URDF; by default `joint_limits.yaml` beside it, if there is one.
 
     Warns:
         CellWarning: entries that are not used, shapes and pairs of links that are replaced or left out.
@@ -70,13 +85,18 @@ def load_urdf(path: str | Path, *, base: str | None = None, tip: str | None = No
     file = Path(path)
     if not file.is_file():
         raise CellError(f"no robot description {file}; give a URDF file or a built-in robot")
+    for given, what in ((srdf, "SRDF"), (joint_limits, "joint limits")):
+        if given is not None and not Path(given).is_file():
+            raise CellError(f"{file}: no {what} {given}; give a file, or leave it out")
+    states = file.with_suffix(".srdf") if srdf is None else Path(srdf)
+    limits = file.parent / LIMITS_FILE if joint_limits is None else Path(joint_limits)
     with blamed_on(file, "mend the description"):
-        return _load(file, base, tip)
+        return _load(file, base, tip, states, limits)
 
 
-def _load(file: Path, base: str | None, tip: str | None) -> RobotModel:
-    """Read an arm, as `load_urdf` does."""
-    document, robot = read_xml(file), _parse(file)
+def _load(file: Path, base: str | None, tip: str | None, srdf: Path, limits_file: Path) -> RobotModel:
+    """Read an arm, as `load_urdf` does; the SRDF and the limits need not exist."""
+    document, robot = read_xml(file), parse_urdf(file)
     links = {link.name: link for link in robot.links}
     below = {joint.child: joint for joint in robot.joints}
     for name, which in ((base, "base"), (tip, "tip")):
@@ -104,7 +124,7 @@ def _load(file: Path, base: str | None, tip: str | None) -> RobotModel:
     beside: dict[str, Any] = {}
     left_out = []
     for name, link in links.items():
-        at, shown = _carrier(name, below, frame_of), list(_shapes(file, link))
+        at, shown = carrier_of(name, below, frame_of), list(collision_shapes(file, link))
         if not shown:
             continue
         if at is None:
@@ -115,12 +135,16 @@ def _load(file: Path, base: str | None, tip: str | None) -> RobotModel:
         beside |= {joint.name: joint for joint in _off_chain(name, below, frame_of) if joint.type != "fixed"}
     if fault := coupling_fault(robot.joints, chain, beside):
         raise CellError(f"{file}: {fault}")
+    joints, notes = tuple(joint.name for joint in moving), []
     limits = np.array([_limits(file, joint) for joint in moving])
+    stated = accelerations(file, document, joints)
+    if limits_file.is_file():
+        limits, stated, notes = _narrowed(limits_file, joints, limits, stated)
     names = (root, *(joint.child for joint in moving))
     middle = np.clip(np.zeros(len(moving)), limits[:, 0], limits[:, 1])
     model = RobotModel(
         name=str(robot.name),
-        joint_names=tuple(joint.name for joint in moving),
+        joint_names=joints,
         link_names=names,
         origins=np.array(origins),
         axes=np.array([_axis(file, joint) for joint in moving]),
@@ -128,25 +152,38 @@ def _load(file: Path, base: str | None, tip: str | None) -> RobotModel:
         lower=limits[:, 0],
         upper=limits[:, 1],
         velocity=limits[:, 2],
-        acceleration=limits[:, 2] / ACCELERATION_TIME,
+        acceleration=np.where(np.isnan(stated), limits[:, 2] / ACCELERATION_TIME, stated),
         pieces=tuple(tuple(outer_hull(shape.vertices) for shape in of_link) for of_link in shapes),
         ignored=frozenset((link, link + 1) for link in range(len(moving))),
         flange=pose,
         home=middle,
         meshes=tuple(map(tuple, shapes)),
         source=str(file),
+        assumed=tuple(joint for joint, limit in zip(joints, stated, strict=True) if np.isnan(limit)),
     )
     ignored = set(model.ignored)
-    srdf, notes = file.with_suffix(".srdf"), []
     if srdf.is_file():
-        pairs, notes = excluded_pairs(srdf, carried, links)
+        content = read_srdf(srdf)
+        pairs, partly = excluded_pairs(srdf, content, carried, links)
+        states, incomplete = group_states(srdf, content, joints)
+        notes += [*partly, *incomplete]
+        model = replace(model, srdf=str(srdf), group_states=tuple(states.items()))
+        if HOME_STATE in states:
+            outside = [
+                joint
+                for joint, home, low, high in zip(joints, states[HOME_STATE], model.lower, model.upper, strict=True)
+                if not low <= home <= high
+            ]
+            if outside:
+                raise CellError(f"{srdf}: state home has joint {outside[0]} outside its limits; correct one of them")
+            model = replace(model, home=states[HOME_STATE])
     else:
-        pairs = always_touching(model) - ignored
+        pairs = always_touching(model) - ignored if any(shapes) else set()
         said = ", ".join(f"{names[a]} and {names[b]}" for a, b in sorted(pairs))
         if pairs:
-            notes = [
+            notes.append(
                 f"{file}: links that touch in nearly all configurations are not checked against each other: {said}"
-            ]
+            )
     ignored |= pairs
     stood_in = [name for of_link in carried.values() for name in of_link if not links[name].collisions]
     for what, named in (
@@ -196,14 +233,23 @@ def always_touching(model: RobotModel) -> set[tuple[int, int]]:
     return found
 
 
-def _parse(file: Path) -> Any:
+def parse_urdf(file: Path) -> Any:
+    """Return the robot of a URDF as yourdfpy reads it, without meshes.
+
+    Raises:
+        CellError: the file is not readable.
+        DependencyError: yourdfpy is missing.
+    """
     try:
         import yourdfpy
     except ImportError as error:
         raise DependencyError("reading URDF files needs yourdfpy: pip install 'falsework[robots]'") from error
     try:
         return yourdfpy.URDF.load(
-            str(file), build_scene_graph=False, load_meshes=False, build_collision_scene_graph=False
+            io.BytesIO(read_xml_text(file)),
+            build_scene_graph=False,
+            load_meshes=False,
+            build_collision_scene_graph=False,
         ).robot
     except Exception as error:  # the reader passes on any error of its XML parser
         text = " ".join(str(error).split()) or type(error).__name__
@@ -238,8 +284,14 @@ def _chain(file: Path, below: dict[str, Any], root: str, end: str) -> list[Any]:
     return found[::-1]
 
 
-def _carrier(name: str, below: dict[str, Any], frame_of: dict[str, tuple[int, Array]]) -> tuple[int, Array] | None:
-    """Return the frame that carries a link and the pose of the link in it; joints off the chain stay at zero."""
+def carrier_of(name: str, below: dict[str, Any], frame_of: dict[str, tuple[int, Array]]) -> tuple[int, Array] | None:
+    """Return the frame that carries a link and the pose of the link in it; joints off the chain stay at zero.
+
+    Args:
+        name: the link.
+        below: joint above each link, by its name.
+        frame_of: frame of the links of the chain, and their poses in it.
+    """
     pose = np.eye(4)
     while name not in frame_of:
         if name not in below:
@@ -287,93 +339,18 @@ def _limits(file: Path, joint: Any) -> tuple[float, float, float]:
     return low, high, float(limit.velocity)
 
 
+def _narrowed(
+    file: Path, joints: tuple[str, ...], limits: Array, acceleration: Array
+) -> tuple[Array, Array, list[str]]:
+    """Return limits as (lower, upper, velocity) and accelerations that also keep those of a file, and its notes."""
+    more: JointLimits = read_joint_limits(file, joints)
+    lower, upper = np.fmax(limits[:, 0], more.lower), np.fmin(limits[:, 1], more.upper)
+    if not (lower < upper).all():
+        joint = joints[int(np.argmin(upper - lower))]
+        raise CellError(f"{file}: joint {joint} has no range within the limits of the URDF; correct one of them")
+    narrowed = np.stack([lower, upper, np.fmin(limits[:, 2], more.velocity)], axis=1)
+    return narrowed, np.fmin(acceleration, more.acceleration), list(more.notes)
+
+
 def _turns_far(joint: Any) -> bool:
     return max(abs(joint.limit.lower), abs(joint.limit.upper)) > 4 * np.pi
-
-
-def _shapes(file: Path, link: Any) -> Iterable[TriangleMesh]:
-    """Yield every collision shape of a link in the frame of the link, or without any every visual shape.
-
-    Spheres and cylinders become polytopes around them.
-    """
-    for collision in link.collisions or link.visuals:
-        pose = np.eye(4) if collision.origin is None else np.asarray(collision.origin, float)
-        shape = collision.geometry
-        if shape.box is not None:
-            half = np.asarray(shape.box.size, float) / 2
-            made = hull_mesh(half * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]))
-        elif shape.cylinder is not None:
-            half_length = shape.cylinder.length / 2
-            made = hull_mesh(cylinder(shape.cylinder.radius, -half_length, half_length))
-        elif shape.sphere is not None:
-            made = hull_mesh(_ball(shape.sphere.radius))
-        else:
-            made = _read_mesh(file, shape.mesh)
-        yield replace(made, name=link.name, vertices=move(pose, made.vertices))
-
-
-def _ball(radius: float) -> Array:
-    """Return vertices of a polytope around a sphere: an icosahedron, scaled up to contain the sphere."""
-    golden = (1 + 5**0.5) / 2
-    corners = [(0, a, b * golden) for a in (-1, 1) for b in (-1, 1)]
-    points = np.array([np.roll(corner, k) for corner in corners for k in range(3)], float)
-    return points / np.linalg.norm(points[0]) * radius * 1.2585  # ratio of circumscribed to inscribed radius
-
-
-def hull_mesh(points: Array) -> TriangleMesh:
-    """Return the convex hull of points as triangles with outward normals."""
-    found = ConvexHull(points)
-    corners = points[found.simplices]
-    normals = triangle_normals(corners)
-    inwards = np.einsum("ij,ij->i", normals, found.equations[:, :3]) < 0
-    faces = np.where(inwards[:, None], found.simplices[:, ::-1], found.simplices)
-    return TriangleMesh.from_arrays("", points, faces)
-
-
-def _read_mesh(file: Path, mesh: Any) -> TriangleMesh:
-    import trimesh
-
-    found = find_mesh(file, str(mesh.filename))
-    scale = np.ones(3) if mesh.scale is None else np.broadcast_to(np.asarray(mesh.scale, float), 3)
-    if not (np.isfinite(scale) & (scale != 0)).all():
-        raise CellError(f"{file}: mesh {mesh.filename} has scale {scale.tolist()}; give numbers other than zero")
-    if found is None:
-        raise CellError(f"{file}: mesh {mesh.filename} does not exist; keep it beside the description")
-    if found.suffix.lower() not in _MESHES:
-        raise CellError(f"{file}: mesh {mesh.filename} is no {', '.join(_MESHES)}; convert it to one of these")
-    try:
-        scene: Any = trimesh.load(found, force="scene")
-        shapes = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
-        check_growth(found, sum(len(shape.vertices) + len(getattr(shape, "faces", ())) for shape in shapes))
-        loaded: Any = trimesh.load(found, force="mesh")
-        points, faces = np.asarray(loaded.vertices, float), np.asarray(loaded.faces)
-        if len(points) < 4:
-            raise InputError("too few vertices")
-    except Exception as error:
-        raise CellError(f"{file}: mesh {found.name} cannot be read: {' '.join(str(error).split())}") from error
-    # A mirror image has its triangles the other way round.
-    faces = faces[:, ::-1] if np.prod(scale) < 0 else faces
-    return TriangleMesh.from_arrays(found.name, points * scale * _unit(found), np.ascontiguousarray(faces))
-
-
-def find_mesh(file: Path, name: str) -> Path | None:
-    """Return the mesh that a URDF names; None if it does not exist.
-
-    `package://name/path` is looked for below folders around the description, with and without the name of the package,
-    the nearest first; other paths from the folder of the description on.
-    """
-    name = name.removeprefix("file://")
-    tried = [name]
-    if name.startswith("package://"):
-        whole = name.removeprefix("package://")
-        tried = [whole, whole.split("/", 1)[-1]]
-    places = (file.parent, *file.absolute().parents)
-    return next((place / one for place in places for one in tried if (place / one).is_file()), None)
-
-
-def _unit(mesh: Path) -> float:
-    """Return the metres of a unit of a mesh file; of the formats that URDF files name only COLLADA states it."""
-    if mesh.suffix.lower() != ".dae":
-        return 1.0
-    unit = next((entry for entry in ElementTree.parse(mesh).iter() if entry.tag.endswith("unit")), None)
-    return 1.0 if unit is None else float(unit.get("meter", "1"))

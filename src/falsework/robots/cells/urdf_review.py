@@ -9,11 +9,15 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from falsework.errors import CellError
+from falsework.utils.files.xml_text import read_xml_text
 
 Element = ElementTree.Element
 
@@ -41,7 +45,7 @@ def read_xml(file: Path) -> Element:
             message names them.
     """
     try:
-        root = ElementTree.parse(file).getroot()
+        root = ElementTree.fromstring(read_xml_text(file))
     except (ElementTree.ParseError, OSError, ValueError) as error:
         raise CellError(f"{file} is not a readable URDF: {' '.join(str(error).split())}") from error
     for entry in root.iter():
@@ -130,6 +134,36 @@ def unused_text(root: Element) -> str:
     return ", ".join(f"{tag} ({count})" for tag, count in sorted(counts.items()) if count)
 
 
+def accelerations(file: Path, root: Element, joints: Sequence[str]) -> NDArray[np.float64]:
+    """Return the acceleration limits that `<limit>` of joints has, as Drake writes them; NaN where it has none.
+
+    Args:
+        file: the file, for messages.
+        root: its content.
+        joints: names of joints.
+
+    Returns:
+        rad/s2 or m/s2, shape (joints,).
+
+    Raises:
+        CellError: one is no number above zero.
+    """
+    found = dict.fromkeys(joints, math.nan)
+    for joint in root.findall("joint"):
+        name = joint.get("name", "")
+        for limit in joint.findall("limit"):
+            for key, text in limit.attrib.items():
+                if _plain(key) != "acceleration" or name not in found:
+                    continue
+                try:
+                    found[name] = float(text)
+                except ValueError:
+                    found[name] = -1.0
+                if not 0 < found[name] < math.inf:
+                    raise CellError(f"{file}: joint {name} has acceleration {text!r}; give a number above zero")
+    return np.array([found[joint] for joint in joints])
+
+
 def coupling_fault(joints: Iterable[Any], chain: Iterable[Any], moved: Iterable[str]) -> str:
     """Return which joint follows another one with an effect on the arm; empty if there is none.
 
@@ -176,53 +210,6 @@ def soft_range(joint: Any) -> tuple[float, float]:
     low = 0.0 if control is None else float(control.soft_lower_limit or 0.0)
     high = 0.0 if control is None else float(control.soft_upper_limit or 0.0)
     return (low, high) if low or high else (-math.inf, math.inf)
-
-
-def excluded_pairs(
-    srdf: Path, carried: Mapping[int, list[str]], links: Iterable[str]
-) -> tuple[set[tuple[int, int]], list[str]]:
-    """Return pairs of moving links that an SRDF excludes from collision checking, and what of it is not used.
-
-    Links that move together are one body of the arm. Two bodies are excluded only if every shape of one is excluded
-    against every shape of the other.
-
-    Args:
-        srdf: the file.
-        carried: for each moving link, the links with shapes that move with it.
-        links: names of all links of the URDF.
-
-    Raises:
-        CellError: the file cannot be read.
-    """
-    try:
-        root = ElementTree.parse(srdf).getroot()
-    except (ElementTree.ParseError, OSError, ValueError) as error:
-        raise CellError(f"{srdf} cannot be read: {' '.join(str(error).split())}") from error
-    known = set(links)
-    named = [(entry.get("link1", ""), entry.get("link2", "")) for entry in root.iter("disable_collisions")]
-    unknown = sorted({link for pair in named for link in pair} - known)
-    pairs = {frozenset(pair) for pair in named} - enabled_pairs(root)
-    found, partly = set(), []
-    for a, mine in carried.items():
-        for b, theirs in carried.items():
-            if not a < b or not mine or not theirs:
-                continue
-            excluded = [frozenset((one, other)) in pairs for one in mine for other in theirs]
-            if all(excluded):
-                found.add((a, b))
-            elif any(excluded) and b > a + 1:  # neighbours are not checked against each other anyway
-                partly.append(f"{mine[0]} and {theirs[0]}")
-    notes = [f"{srdf}: there are no links {', '.join(unknown)}"] if unknown else []
-    if partly:
-        notes.append(
-            f"{srdf} excludes some links only of bodies that move as one; they stay checked: {', '.join(partly)}"
-        )
-    return found, notes
-
-
-def enabled_pairs(root: Element) -> set[frozenset[str]]:
-    """Return the pairs of links that an SRDF lets be checked, whatever else it says of them."""
-    return {frozenset((entry.get("link1", ""), entry.get("link2", ""))) for entry in root.iter("enable_collisions")}
 
 
 def _name(file: Path, entry: Element, root: str) -> str:

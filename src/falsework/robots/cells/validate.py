@@ -6,11 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import CellError
-from falsework.robots.kernels.collision import CLEAR, distance_between
-from falsework.robots.model.cell import Cell
+from falsework.robots.cells.home import home_faults, proposal_text
+from falsework.robots.kernels.collision import distance_between
+from falsework.robots.model.cell import Cell, CellRobot
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.shapes import Pieces, move
-from falsework.robots.motion.collision_world import CollisionWorld, Scene
+from falsework.robots.motion.near_pairs import millimetres, separation
 
 Array = NDArray[np.float64]
 
@@ -38,6 +39,8 @@ def check_cell(cell: Cell, parts: PartShapes | None = None) -> None:
 def check_bases(cell: Cell, parts: PartShapes | None = None) -> None:
     """Validate that bases stand clear of obstacles, parts, other bases and the floor.
 
+    A base whose own frame is upright on the floor stands on it, whatever its shapes do below that frame.
+
     Raises:
         CellError: one does not; the message names both.
     """
@@ -48,37 +51,41 @@ def check_bases(cell: Cell, parts: PartShapes | None = None) -> None:
     for index, (robot, base) in enumerate(zip(cell.robots, bases, strict=True)):
         others = [(f"the base of {cell.robots[k].name}", bases[k]) for k in range(index)]
         for name, pieces in (*stands, *others):
-            if any(overlap(a, b) for a in base for b in pieces):
-                raise CellError(f"{cell.name}: the base of robot {robot.name} is inside {name}; move one of them")
+            depth = max((-separation(a, b) for a in base for b in pieces if overlap(a, b)), default=None)
+            if depth is not None:
+                raise CellError(
+                    f"{cell.name}: the base of robot {robot.name} is inside {name} by "
+                    f"{millimetres(depth + BASE_DEPTH)}; move one of them"
+                )
         lowest = min((float(piece[:, 2].min()) for piece in base), default=np.inf) - BASE_DEPTH
-        if cell.floor is not None and cell.floor - lowest > BASE_DEPTH:
+        if cell.floor is not None and cell.floor - lowest > BASE_DEPTH and not _stands_on(robot, cell.floor):
+            depth = cell.floor - lowest
             raise CellError(
-                f"{cell.name}: the base of robot {robot.name} is {1000 * (cell.floor - lowest):.1f} mm below the "
-                f"floor; raise it by that, or set floor to {lowest:.4g}"
+                f"{cell.name}: the base of robot {robot.name} is {millimetres(depth)} below the floor; raise it to "
+                f"z = {round(robot.base[2, 3] + depth, 4) + 0.0:g}, or set floor to {round(lowest, 4):g}"
             )
+
+
+def _stands_on(robot: CellRobot, floor: float) -> bool:
+    """Return whether the frame of a base is upright on the floor, which is how descriptions have it."""
+    return bool(abs(robot.base[2, 3] - floor) <= BASE_DEPTH and robot.base[2, 2] > 1 - 1e-6)
 
 
 def _check_homes(cell: Cell, parts: PartShapes | None) -> None:
     shown = parts or no_parts()
-    world = CollisionWorld(cell, shown)
-    scene = Scene.at_home(cell, shown)
     for index, robot in enumerate(cell.robots):
-        view = world.view(scene, index, margin=0.0)
-        hit = int(view.hits(robot.home)[0])
-        if hit == CLEAR:
-            view = world.view(scene, index)
-            hit = int(view.hits(robot.home)[0])
-        if hit == CLEAR:
+        pairs = home_faults(cell, shown, index)
+        if not pairs:
             continue
-        a, b = view.pair(hit)
-        if a.startswith(f"{robot.name} ") and b.startswith(f"{robot.name} "):
-            what = "its tool collides with its own arm" if "gripper" in a + b else "it collides with itself"
-            raise CellError(
-                f"{cell.name}: robot {robot.name} at home: {what} ({a} and {b}); change home or the gripper's shapes"
-            )
-        raise CellError(
-            f"{cell.name}: robot {robot.name} at home is too near: {a} and {b}; change home or move the base"
-        )
+        own = [pair for pair in pairs if pair.second.startswith(f"{robot.name} ")]
+        worst, proposal = (own or pairs)[0], proposal_text(cell, shown, index)
+        if own:
+            tool = "gripper" in worst.first + worst.second
+            what = "its tool collides with its own arm" if tool else "it collides with itself"
+            cure = proposal or "change home or the gripper's shapes"
+            raise CellError(f"{cell.name}: robot {robot.name} at home: {what} ({worst.words}); {cure}")
+        cure = proposal or "change home or move the base"
+        raise CellError(f"{cell.name}: robot {robot.name} at home is too near: {worst.words}; {cure}")
 
 
 def _check_payload(cell: Cell, parts: PartShapes) -> None:

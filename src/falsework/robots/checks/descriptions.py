@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from falsework.robots.checks.libraries import import_pinocchio
 from falsework.robots.model.robot_model import RobotModel
+from falsework.utils.files.xml_text import read_xml_text
 
 Array = NDArray[np.float64]
 
@@ -35,7 +36,7 @@ def description_fault(model: RobotModel) -> str:
         return f"its description {file} is gone; nothing proves that the cell has this arm"
     pinocchio, _ = import_pinocchio()
     try:
-        root = ElementTree.parse(file).getroot()
+        root = ElementTree.fromstring(read_xml_text(file))
         for limit in root.iter("limit"):  # which is not used, and without which Pinocchio reads nothing
             limit.attrib.setdefault("effort", "0")
         read = pinocchio.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"), True)
@@ -108,7 +109,7 @@ def _shape_fault(model: RobotModel, root: ElementTree.Element, file: Path) -> st
 
 def _pair_fault(model: RobotModel, root: ElementTree.Element, file: Path) -> str:
     """Return which links are not checked against each other, although no SRDF says so, and they can keep apart."""
-    srdf, carried = file.with_suffix(".srdf"), _carried(model, root)
+    srdf, carried = Path(model.srdf or file.with_suffix(".srdf")), _carried(model, root)
     apart = sorted((a, b) for a, b in model.ignored if b > a + 1 and carried[a] and carried[b])
     excluded = set()
     if srdf.is_file():

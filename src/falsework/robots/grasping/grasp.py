@@ -38,6 +38,8 @@ APPROACH_LENGTH = 0.1
 """Length of the straight approach on which the gripper alone is checked, metres."""
 APPROACH_SAMPLES = 6
 """Positions on the approach at which the gripper is checked."""
+_OPPOSITE = -float(np.cos(np.radians(5.0)))
+"""Largest cosine of the angle between the normals of two faces that count as opposite."""
 _BATCH = 256
 """Grasps that are checked in one call."""
 
@@ -116,6 +118,48 @@ def candidates(assembly: Assembly, parts: PartShapes, part: int, gripper: Grippe
     return [grasp for turn in itertools.zip_longest(*groups) for grasp in turn if grasp is not None]
 
 
+def grasp_fault(parts: PartShapes, part: int, gripper: Gripper, *, blocked: bool) -> str:
+    """Return in words why a gripper has no grasp of a part, with its own size and that of the part.
+
+    Args:
+        parts: the parts in the cell.
+        part: index of the part.
+        gripper: the gripper.
+        blocked: whether it has grasps of the part alone.
+    """
+    what = "no face that the gripper can grasp"
+    if blocked:
+        what = f"{what} among the other parts, which leave it no room"
+    faces = faces_of(parts.meshes[part])
+    if gripper.kind == "suction":
+        largest = max((_radius(face) for face in faces), default=0.0)
+        return (
+            f"{what}: its cup has a radius of {1000 * gripper.cup:.3g} mm, the largest face takes one of "
+            f"{1000 * largest:.3g} mm"
+        )
+    widths = [
+        width
+        for first, face in enumerate(faces)
+        for other in faces[first + 1 :]
+        if face.normal @ other.normal <= _OPPOSITE and (width := _width(face, other)) > 0
+    ]
+    narrow = f"the part is at least {1000 * min(widths):.3g} mm wide" if widths else "the part has no opposite faces"
+    jaws = f"its jaws open to {1000 * gripper.opening:.3g} mm and are {1000 * gripper.depth:.3g} mm deep"
+    return f"{what}: {jaws}, {narrow}"
+
+
+def _radius(face: Face) -> float:
+    """Return the radius of the largest circle on a face, metres."""
+    outline = max(shapely.get_parts(face.outline), key=shapely.area)
+    return float(shapely.length(shapely.maximum_inscribed_circle(outline)))
+
+
+def _width(face: Face, other: Face) -> float:
+    """Return the distance between two opposite faces, from the farthest points of each, metres."""
+    ends = (face.triangles.reshape(-1, 3) @ face.normal).max(), (other.triangles.reshape(-1, 3) @ face.normal).min()
+    return float(ends[0] - ends[1])
+
+
 def clear_grasps(
     tried: Sequence[Grasp], parts: PartShapes, part: int, there: NDArray[np.bool_], gripper: Gripper, *, limit: int
 ) -> list[Grasp]:
@@ -186,12 +230,9 @@ def _between_faces(
     groups = []
     for first, face in enumerate(faces):
         for other in faces[first + 1 :]:
-            if face.normal @ other.normal > -np.cos(np.radians(5.0)):
+            if face.normal @ other.normal > _OPPOSITE:
                 continue
-            width = float(
-                (face.triangles.reshape(-1, 3) @ face.normal).max()
-                - (other.triangles.reshape(-1, 3) @ face.normal).min()
-            )
+            width = _width(face, other)
             if width > gripper.opening:
                 continue
             shared = shapely.intersection(_level(face, face), _level(other, face))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED, States
-from falsework.robots.grasping.grasp import Grasp, candidates, clear_grasps
+from falsework.robots.grasping.grasp import Grasp, candidates, clear_grasps, grasp_fault
 from falsework.robots.kernels.coordination import Swept, sweep
 from falsework.robots.kernels.kernel_arrays import make_bodies, make_chain
 from falsework.robots.keyframes.failure_report import FailureLog
@@ -45,6 +45,7 @@ class GraspConfigurations:
         self._grips: dict[tuple[int, int, bytes], list[GraspConfiguration]] = {}
         self._places: dict[int, Array] = {}
         self._candidates: dict[tuple[int, str, float, float, float], list[Grasp]] = {}
+        self._faults: dict[tuple[int, str, float, float, float], str] = {}
 
     def of(self, robot: int, part: int, state: States) -> list[GraspConfiguration]:
         """Return all grasps of a part by a robot among the parts of a state; other robots are ignored."""
@@ -126,7 +127,7 @@ class GraspConfigurations:
             return []
         found = self._grasps(part, present, entry.gripper)
         if not found:
-            self.reasons.add("hold", part, robot, "no face that the gripper can grasp")
+            self.reasons.add("hold", part, robot, self._fault(part, entry.gripper))
             return []
         branches = inverse(entry, np.array([grasp.tool for grasp in found]))
         if not sum(len(solutions) for solutions in branches):
@@ -143,12 +144,24 @@ class GraspConfigurations:
             self.reasons.add("hold", part, robot, "every grasp collides", view.pair(int(hits[-1])))
         return [GraspConfiguration(robot, found[which[row]], values[row]) for row in clear]
 
+    def _fault(self, part: int, gripper: Gripper) -> str:
+        """Return why a gripper has no grasp of a part among others."""
+        key = _size(part, gripper)
+        if key not in self._faults:
+            self._faults[key] = grasp_fault(self.parts, part, gripper, blocked=bool(self._candidates[key]))
+        return self._faults[key]
+
     def _grasps(self, part: int, present: NDArray[np.bool_], gripper: Gripper) -> list[Grasp]:
         """Return grasps of a part among the present parts, best first; the arm is not considered."""
-        key = (part, gripper.kind, gripper.cup, gripper.opening, gripper.depth)
+        key = _size(part, gripper)
         if key not in self._candidates:
             self._candidates[key] = candidates(self.assembly, self.parts, part, gripper)
         return clear_grasps(self._candidates[key], self.parts, part, present, gripper, limit=self.limit)
+
+
+def _size(part: int, gripper: Gripper) -> tuple[int, str, float, float, float]:
+    """Return a part, and what of a gripper its grasps depend on."""
+    return part, gripper.kind, gripper.cup, gripper.opening, gripper.depth
 
 
 def _spread(grips: list[GraspConfiguration], count: int) -> list[GraspConfiguration]:

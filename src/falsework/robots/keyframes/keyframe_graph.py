@@ -31,6 +31,7 @@ from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes, place_parts
 from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, CollisionWorld, Scene, grasp_contact
 from falsework.robots.motion.motion_cache import MotionCache
+from falsework.robots.motion.near_pairs import NearPair, nearest_pair
 from falsework.robots.motion.path_planner import follow_line
 
 Array = NDArray[np.float64]
@@ -189,10 +190,10 @@ class KeyframeGraph:
         """Height of the structure, metres."""
         return float(np.ptp(self.parts.center[:, 2])) + 1e-9
 
-    def collision(self, node: Node, robot: int) -> tuple[str, str] | None:
-        """Return the names of two bodies that collide at a robot's configuration, or None."""
+    def collision(self, node: Node, robot: int) -> NearPair | None:
+        """Return two bodies that collide at a robot's configuration, those that overlap most, or None."""
         # Robots at the start of a plan are where they are: absence of contact suffices.
-        return self._view(node, robot, 0.0).explain(node.configurations[robot])
+        return nearest_pair(self._view(node, robot, 0.0), node.configurations[robot])
 
     # Holding
 

@@ -57,6 +57,10 @@ class Gripper:
     """Largest force on a part that it holds in place, in any direction, N."""
     moment: float = np.inf
     """Largest moment about the origin of the tool frame, about any axis, Nm."""
+    center_of_mass: Array | None = None
+    """In the frame of the flange, metres, shape (3,); None: unknown."""
+    inertia: Array | None = None
+    """About the centre of mass, along the axes of the flange, kg m2, shape (3, 3); None: unknown."""
 
     @property
     def grip_distance(self) -> float:
@@ -74,6 +78,20 @@ class Gripper:
         return bool(np.isfinite(self.force) or np.isfinite(self.moment))
 
 
+@dataclass(frozen=True)
+class Signals:
+    """Settings of a robot's controller that programs refer to."""
+
+    grip: str | None = None
+    """Digital output that closes the gripper; None: that of the language of the program."""
+    closed: bool = True
+    """Level of this output at which the gripper is closed."""
+    seconds: float = 0.5
+    """Time that the gripper takes to close or open."""
+    address: str | None = None
+    """Network address of the controller; None: `NAME.local`."""
+
+
 @dataclass(frozen=True, eq=False)
 class CellRobot:
     """Robot of a cell: arm, base, gripper, home configuration and drop-off poses."""
@@ -88,6 +106,9 @@ class CellRobot:
     places: Array
     """Tool frames in the world where a carried part is handed over, shape (places, 4, 4): drop-off in disassembly,
     pick-up in assembly. The orientation of the part is free; z points into the part."""
+    maker: str | None = None
+    """Maker of the arm, as the cell states it; None: it does not."""
+    signals: Signals = field(default_factory=Signals)
 
     @property
     def payload(self) -> float:
@@ -163,10 +184,18 @@ class Cell:
         return tuple(robot.home for robot in self.robots)
 
 
+_NO_MOTION = {
+    *("source", "path", "meshes", "assumed", "srdf", "group_states"),
+    *("maker", "signals", "center_of_mass", "inertia"),
+}
+"""Fields that motions do not depend on."""
+
+
 def cell_identity(cell: Cell) -> str:
     """Return the SHA-256 digest, hexadecimal, of everything in a cell that motions depend on.
 
-    File names and the source of a description do not count, nor do meshes that only the check uses.
+    What motions do not depend on does not count: file names, the source of a description, meshes that only the check
+    uses, and settings that only exports use.
     """
     digest = hashlib.sha256(b"falsework.cell/1")
     _feed(digest, cell)
@@ -178,7 +207,7 @@ def _feed(digest, value: Any) -> None:
         for entry in fields(value):
             # A limit that is not given was unknown to earlier versions, whose digests stay valid.
             absent = entry.name in ("force", "moment") and np.isinf(getattr(value, entry.name))
-            if entry.name not in ("source", "path", "meshes") and not absent:
+            if entry.name not in _NO_MOTION and not absent:
                 digest.update(entry.name.encode())
                 _feed(digest, getattr(value, entry.name))
     elif isinstance(value, np.ndarray):

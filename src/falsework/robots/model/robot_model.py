@@ -58,6 +58,12 @@ class RobotModel:
     use `pieces`; None: there are only the pieces."""
     source: str = field(default="built-in")
     """Source of the description: `built-in` or the path of a URDF file."""
+    assumed: tuple[str, ...] = ()
+    """Joints whose acceleration limit no file states."""
+    srdf: str = ""
+    """Path of the SRDF that was read with it; empty without one."""
+    group_states: tuple[tuple[str, Array], ...] = ()
+    """Named configurations from the SRDF, each of shape (joints,)."""
 
     @property
     def joints(self) -> int:

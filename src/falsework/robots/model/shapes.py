@@ -30,6 +30,9 @@ def block(low: ArrayLike, high: ArrayLike, **bevels: tuple[float, float, float, 
 
     Returns:
         Its vertices, shape (8 or more, 3).
+
+    Raises:
+        InputError: it is too thin.
     """
     low, high = np.asarray(low, float), np.asarray(high, float)
     planes = [np.append(-np.eye(3)[k], low[k]) for k in range(3)] + [
@@ -44,7 +47,12 @@ def block(low: ArrayLike, high: ArrayLike, **bevels: tuple[float, float, float, 
                 corner = right * (high if right > 0 else low)[u] + up * (high if up > 0 else low)[v]
                 plane[3] = size - corner
                 planes.append(plane)
-    inner = HalfspaceIntersection(np.array(planes), (low + high) / 2).intersections
+    try:
+        inner = HalfspaceIntersection(np.array(planes), (low + high) / 2).intersections
+    except QhullError:
+        raise InputError(
+            f"a box from {low.tolist()} to {high.tolist()} is too thin for a collision shape; make it thicker"
+        ) from None
     return hull(np.unique(np.round(inner, 9), axis=0))
 
 

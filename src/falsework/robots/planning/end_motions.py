@@ -23,6 +23,7 @@ from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.keyframes import CarriedLoad, Edge, Node, PathSegment, accept_all
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, Scene, grasp_contact, withdrawal_contact
+from falsework.robots.motion.near_pairs import nearest_pair
 from falsework.robots.motion.path_planner import follow_line
 from falsework.search.problem.task import Task
 
@@ -128,7 +129,8 @@ class Ends:
         graph.accepts = self.accepts
         for robot, part in enumerate(node.held):
             values = node.configurations[robot]
-            pair = self._clear(node, robot).explain(values)
+            clear = self._clear(node, robot)
+            pair = clear.explain(values)
             arms = tuple(f"{entry.name} " for entry in graph.cell.robots)
             if (
                 part is None
@@ -137,8 +139,9 @@ class Ends:
                 and not pair[1].startswith(arms)
                 and self._line(node, robot, values) is None
             ):
-                name = graph.cell.robots[robot].name
-                raise InputError(f"{pair[0]} is too near {pair[1]} for a motion; move {name} away first")
+                name, near = graph.cell.robots[robot].name, nearest_pair(clear, values)
+                assert near is not None
+                raise InputError(f"bodies are too near for a motion: {near.words}; move {name} away first")
 
     def reached(self, task: Task) -> Task:
         """Return the task of the search: its target has the parts that are inserted first at their places."""

@@ -108,7 +108,7 @@ def given_keyframe(
     for robot in range(len(robots)):
         pair = graph.collision(node, robot)
         if pair is not None:
-            raise InputError(f"at the start {pair[0]} is too near {pair[1]}; move {robots[robot].name} away first")
+            raise InputError(f"at the start bodies are too near: {pair.words}; move {robots[robot].name} away first")
     return node
 
 

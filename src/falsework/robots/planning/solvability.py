@@ -22,7 +22,7 @@ from falsework.assembly.state import HELD, Mask, States
 from falsework.robots.keyframes.joint_holds import HoldingOracle, JointHolds
 from falsework.robots.keyframes.keyframes import state_after
 from falsework.robots.planning.joining_search import JoiningSearch
-from falsework.search.beam.adaptive import AdaptiveBeam, AdaptiveSettings
+from falsework.search.beam.backjumping import BackjumpingBeam, BackjumpingSettings
 from falsework.search.planner import Planner
 from falsework.search.plans.plan_replay import Acceptance
 from falsework.search.problem.guide import Guide, SupportGuide
@@ -30,7 +30,6 @@ from falsework.search.problem.result import Route, SearchResult, Stop
 from falsework.search.problem.rollout import roll_out
 from falsework.search.problem.task import Direction, Task
 from falsework.search.settings import PlannerSettings
-from falsework.search.support.planner import SupportPlanner, planner_for
 from falsework.stability.oracle import Stability
 
 ActionScore = Callable[[States, Mask], NDArray[np.floating]]
@@ -109,8 +108,8 @@ class SolvabilityCheck:
             self.task = self.task.postpone(planner.postponed)
             self._follow(planner.routes)
         elif self.task.support:
-            again = planner_for(self.task, self.oracle, settings, guide=self._guide)
-            if isinstance(again, SupportPlanner):
+            again = Planner(self.task, self.oracle, settings, guide=self._guide)
+            if again.regrasps:
                 result, self.fallen = again.run(stop=stop).unless_interrupted(stop), again.fallen
                 self._follow(again.routes)
         return result
@@ -129,7 +128,7 @@ class SolvabilityCheck:
 
         directions = [Direction.DISASSEMBLY, Direction.ASSEMBLY]
         for direction in reversed(directions) if seed % 2 else directions:
-            beam = AdaptiveBeam(self.task, self.oracle, AdaptiveSettings(direction, seed=seed), guide=disturbed)
+            beam = BackjumpingBeam(self.task, self.oracle, BackjumpingSettings(direction, seed=seed), guide=disturbed)
             routes = self._search(beam, _VARIED_BEAM_WIDTH, _VARIED_VERDICTS)
             if routes:
                 self._follow(routes)
@@ -180,7 +179,7 @@ class SolvabilityCheck:
             return False
         task = replace(self.task, start=state)
         for _ in range(_MAX_FALLEN_REPLAYS):
-            beam = AdaptiveBeam(task, self.oracle, AdaptiveSettings(seed=self._seed), guide=self._guide)
+            beam = BackjumpingBeam(task, self.oracle, BackjumpingSettings(seed=self._seed), guide=self._guide)
             routes = self._search(beam, _VARIED_BEAM_WIDTH, _VARIED_VERDICTS)
             if not routes or not any(self.joint.learn_from(route.states) for route in routes):
                 self._follow(routes)
@@ -204,7 +203,7 @@ class SolvabilityCheck:
         self._solvable = left
         self._preferred = {state: place for state, place in self._preferred.items() if state in left}
 
-    def _search(self, beam: AdaptiveBeam, widest: int, verdicts: float = np.inf) -> Sequence[Route]:
+    def _search(self, beam: BackjumpingBeam, widest: int, verdicts: float = np.inf) -> Sequence[Route]:
         """Return routes of a beam search with successful replays; none if time or verdicts do not suffice."""
 
         def stop() -> bool:
@@ -274,7 +273,7 @@ class SolvabilityCheck:
         self._moves.clear()
         self._not_found.clear()
         # The known states surround the plan with the latest parts: add one for the new rules.
-        beam = AdaptiveBeam(self.task, self.oracle, AdaptiveSettings(seed=self._seed), guide=self._guide)
+        beam = BackjumpingBeam(self.task, self.oracle, BackjumpingSettings(seed=self._seed), guide=self._guide)
         self._follow(self._search(beam, _FIRST_BEAM_WIDTH))
 
     def legal(self, state: States) -> list[int]:

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict, replace
-from itertools import islice, pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, held_count
+from falsework.assembly.state import HELD, States, held_count
 from falsework.errors import InputError
+from falsework.search.beam.conflicts import Conflicts
 from falsework.search.beam.failures import FailureMemory
 from falsework.search.beam.frontier import Frontier, Level, expand, pack
+from falsework.search.beam.histories import ReplaySummary
 from falsework.search.beam.level_search import LevelSearch
 from falsework.search.beam.scores import Scores
 from falsework.search.beam.selection import Selector
@@ -24,17 +25,7 @@ from falsework.search.problem.hashing import StateHash
 from falsework.search.problem.oracle import CountingOracle, Oracle
 from falsework.search.problem.result import Outcome, SearchCounters, SearchResult, beam_failure
 from falsework.search.problem.task import Direction, Task
-from falsework.stability.holds import Press
 
-_RETREAT_LEVELS = 8
-"""Levels that a beam goes back when it is tried again ..."""
-_RETREAT_FACTOR = 4
-"""... and this many times more each further time."""
-_RELUCTANCE, _DOUBT, _PREFERENCE = 1.0, 0.5, 0.5
-"""Scores of a guide are shares of 1; fixing a part that is avoided counts so much less, one beside it that much less,
-one preferred so much more."""
-_CHAIN_LEVELS = 128
-"""Levels back from the last at most to where a chain of held parts began."""
 _REPORTED_STATES = 64
 """States handed back as deepest and as rejected, at most."""
 
@@ -69,12 +60,13 @@ class BeamSearch(LevelSearch):
         self._ways = BeamWays(self.levels, self._judge, replayer)
         self._failures = None if task.neighbours is None else FailureMemory(task.neighbours)
         self._guide = guide
+        self.conflicts = Conflicts()
+        """Dead ends, which a search that jumps back adds to."""
         self._hash = StateHash.for_parts(task.part_count)
         self._candidates = 0
         self._farthest = 0
         self._deepest = np.empty((0, task.part_count), dtype=np.uint8)
         self._rejected = np.empty((0, task.part_count), dtype=np.uint8)
-        self._retried = 0
         self._before = SearchCounters()
         self._undecided = self._sliding = 0
         origin = task.origin(settings.direction)[None]
@@ -109,8 +101,9 @@ class BeamSearch(LevelSearch):
             return False
         settings, level = self.settings, self.levels[-1]
         frontier = expand(self.task, settings.direction, level.states, self._hash)
+        refuted = frontier.without(*self.conflicts.barred(level.states)) if settings.lookahead > 0 else False
         scores = self._scores(frontier, level.score)
-        rng = np.random.default_rng((settings.seed, self._retried, len(self.levels)))
+        rng = np.random.default_rng((settings.seed, settings.number, len(self.levels)))
         how = settings.diversity == "k-means", settings.pool, rng
         selector = Selector(frontier, scores, *how, self._ways.stable_before(), self._failures)
         confirmed, sliding = self._ways.confirmation(frontier), self._judge.sliding
@@ -121,9 +114,6 @@ class BeamSearch(LevelSearch):
                 settings.lookahead,
                 confirmed,
                 commit=settings.commit,
-                in_turn=settings.number > 0,
-                compact=settings.compact,
-                early=settings.early,
             )
         else:
             choice = selector.all_judged(self._judge, settings.width)
@@ -135,7 +125,7 @@ class BeamSearch(LevelSearch):
             self._rejected = frontier.states(choice.rejected[:_REPORTED_STATES])
         # A state refused because of the way to it may be reached by another, which was merged with this one, unless it
         # is unstable however it is reached.
-        whole = choice.exhaustive and all(self._whole[: len(self.levels) - 1])
+        whole = choice.exhaustive and not refuted and all(self._whole[: len(self.levels) - 1])
         if whole and confirmed.refused:
             rejected = choice.rejected
             whole = self._judge.unstable(frontier.states(rejected), level.states[frontier.parent(rejected)])
@@ -158,88 +148,37 @@ class BeamSearch(LevelSearch):
         return True
 
     def _scores(self, frontier: Frontier, before: NDArray[np.float64]) -> Scores:
-        """Return the scores of candidates, by the guide and by what the settings say of parts."""
-        settings, guide, moved = self.settings, None, None
+        """Return the scores of candidates."""
+        guide = None
         if self._guide is not None:
-            guide = np.asarray(self._guide(frontier.level, frontier.legal, settings.direction))
+            guide = np.asarray(self._guide(frontier.level, frontier.legal, self.settings.direction))
             if guide.shape != frontier.moves.shape:
                 raise InputError(f"the guide returned scores of shape {guide.shape}; expected {frontier.moves.shape}")
-        fixed = []
-        avoided, preferred = settings.avoided, settings.preferred
-        weights = (avoided, -_RELUCTANCE), (self._beside(avoided), -_DOUBT), (preferred, _PREFERENCE)
-        for parts, weight in weights:
-            if len(parts):
-                fixed.append(np.zeros(self.task.part_count))
-                fixed[-1][list(parts)] = weight
-        if settings.disorder > 0:
-            draw = np.random.default_rng((settings.seed, settings.number))
-            moved = draw.uniform(-settings.disorder, settings.disorder, self.task.part_count)
-        return Scores(frontier, before, guide, tuple(fixed), moved)
+        return Scores(frontier, before, guide)
 
-    def replay_summary(self) -> tuple[float, int, None, tuple[tuple[Press, ...], ...]] | None:
+    def replay_summary(self) -> ReplaySummary | None:
         """Return the replay of the route found, see `Histories.summary`; None where no histories are kept."""
         replays = self._ways.replays
         return None if replays is None or not self.found else replays.histories.summary(0)
 
-    def _beside(self, parts: tuple[int, ...]) -> NDArray[np.intp]:
-        """Return the parts in contact with some others, those left out."""
-        if self.task.neighbours is None or not parts:
-            return np.empty(0, dtype=np.intp)
-        return np.setdiff1d(np.flatnonzero(self.task.neighbours[list(parts)].any(axis=0)), parts)
+    def choices(self) -> Iterator[tuple[int, int]]:
+        """Yield the choices on the way to the best scored state of the last level that led to a dead end, latest first.
 
-    def binding(self) -> list[tuple[int, int]]:
-        """Return where the parts were fixed that all states of the last level hold.
-
-        Returns:
-            The level before and the part, of each on the way to the best scored state; that held longest comes first.
+        Yields:
+            Level and the action chosen there: first those that fixed the parts that robots hold in all states of the
+            last level, then the first of each chain of held parts before.
         """
-        held = (self.levels[-1].states == HELD) & (self.task.origin(self.settings.direction) != HELD)
-        common, found = held.all(axis=0), []
-        for number, row in islice(self._way_back(), 1, None):
-            still = common & (self.levels[number].states[row] == HELD)
-            found += [(number, int(part)) for part in np.flatnonzero(common & ~still)]
-            common = still
-        return found[::-1]
-
-    def chain(self) -> tuple[int, int]:
-        """Return where the last chain of parts began that were held one after the other until the next ones carried it.
-
-        Returns:
-            The last level near the end at which robots held fewest parts, and the part fixed there on the way to the
-            best scored state, -1 where the beam did not leave its origin.
-        """
-        last = len(self.levels) - 1
-        begun, part, fewest, action = last, -1, np.inf, -1
-        for number, row in islice(self._way_back(), _CHAIN_LEVELS):
-            level = self.levels[number]
-            held = int(held_count(level.states[row][None], self.task.boundary)[0])
-            if number < last and held < fewest:
-                begun, part, fewest = number, action % self.task.part_count, held
-            action = int(level.action[row])
-        return begun, part
-
-    def gaps(self) -> dict[int, int]:
-        """Return the parts that robots hold though all parts around them were there before and stand without them.
-
-        Returns:
-            For each of them, on the way to the best scored state of the last level of an assembly, the level before the
-            first of those around it was placed.
-        """
-        neighbours = self.task.neighbours
-        if neighbours is None or self.settings.direction is not Direction.ASSEMBLY:
-            return {}
-        last, placed = self.levels[-1].states[0], np.full(self.task.part_count, -1)
-        for (after, to), (number, row) in pairwise(self._way_back()):
-            part = int(self.levels[after].action[to]) % self.task.part_count
-            if self.levels[number].states[row, part] == REMOVED:
-                placed[part] = number
-        found = {}
-        for part in np.flatnonzero((last == HELD) & (placed >= 0)).tolist():
-            around = neighbours[part]
-            when = placed[around]
-            if (last[around] == INSTALLED).all() and (when < placed[part]).all() and (when >= 0).any():
-                found[part] = int(when[when >= 0].min())
-        return found
+        bound = (self.levels[-1].states == HELD).all(axis=0) & (self.task.origin(self.settings.direction) != HELD)
+        fewest, held_after, action = self.task.robots, 0, -1
+        for number, row in self._way_back():
+            state = self.levels[number].states[row]
+            held = int(held_count(state[None], self.task.boundary)[0])
+            bound, binds = bound & (state == HELD), (bound & (state != HELD)).any()
+            if binds or (not bound.any() and held <= fewest and held < held_after):
+                yield number, action
+            if not bound.any():
+                fewest = min(fewest, held)
+            held_after, action = held, int(self.levels[number].action[row])
 
     def before(self, number: int) -> States:
         """Return the state at a level on the way to the best scored one, shape (parts,)."""
@@ -269,8 +208,7 @@ class BeamSearch(LevelSearch):
         self._dead = False
 
     def _advance(self) -> None:
-        if not self.step():
-            self._retry()
+        self.step()
 
     @property
     def _asked(self) -> int:
@@ -290,15 +228,6 @@ class BeamSearch(LevelSearch):
                 self.rewind(max(number - 1, 0), self.settings)
                 return
 
-    def _retry(self) -> None:
-        """Go back and choose again, unless nothing was left out or it was tried often enough."""
-        if self.exhaustive or self.found or self._retried >= self.settings.retries:
-            return
-        self._retried += 1
-        self.rewind(
-            max(len(self.levels) - 1 - _RETREAT_LEVELS * _RETREAT_FACTOR ** (self._retried - 1), 0), self.settings
-        )
-
     def pack(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Return the state of the search: plain values, and arrays."""
         header: dict[str, Any] = {
@@ -310,8 +239,9 @@ class BeamSearch(LevelSearch):
             "sliding": self._judge.sliding + self._sliding,
             "whole": self._whole,
             "dead": self._dead,
-            "retried": self._retried,
             "farthest": self._farthest,
+            "conflicts": self.conflicts.count,
+            "refuted": self.conflicts.refuted,
         }
         arrays: dict[str, NDArray[Any]] = {
             "states": self.states(),
@@ -359,7 +289,9 @@ class BeamSearch(LevelSearch):
         search._sliding = int(header["sliding"])
         search._dead, search._whole = bool(header["dead"]), [bool(flag) for flag in header["whole"]]
         search._deepest, search._rejected = arrays["deepest"], arrays["rejected"]
-        search._farthest, search._retried = int(header["farthest"]), int(header["retried"])
+        search._farthest = int(header["farthest"])
+        search.conflicts.count = int(header["conflicts"])
+        search.conflicts.refuted = {state: [int(one) for one in some] for state, some in header["refuted"].items()}
         return search
 
     def result(self, *, interrupted: bool = False) -> SearchResult:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import HELD, Mask, States
+from falsework.assembly.state import Mask, States
 
 _CHUNK_MOVES = 16_384
 
@@ -55,45 +55,6 @@ class FailureMemory:
             keys[rows] = np.bitwise_xor.reduce(self._around[ring, values], axis=1)
             keys[rows] ^= self._moved[part[rows], states[rows][np.arange(len(ring)), part[rows]]]
         return keys
-
-    def hopeless(
-        self,
-        level: States,
-        held: Mask,
-        parent: NDArray[np.int64],
-        part: NDArray[np.int64],
-        value: States,
-        loosened: int,
-    ) -> Mask:
-        """Return after which moves every robot holds a part that, when last tried, failed once it was let go of.
-
-        Args:
-            level: states before, shape (level, parts).
-            held: parts that robots hold in them, shape (level, parts).
-            parent: row of the state that each move starts from, shape (batch,).
-            part: that moves, shape (batch,).
-            value: that the move gives it, shape (batch,).
-            loosened: value of a part that is let go of.
-
-        Returns:
-            Shape (batch,).
-        """
-        row, holding = np.nonzero(held)
-        begin = np.searchsorted(row, np.arange(len(level) + 1))
-        count = (begin[1:] - begin[:-1])[parent]
-        move = np.repeat(np.arange(len(parent)), count)
-        place = np.arange(len(move)) - np.repeat(np.cumsum(count) - count, count)
-        other = holding[begin[parent[move]] + place]
-        move, other = move[other != part[move]], other[other != part[move]]
-        fixed = np.flatnonzero(value == HELD)
-        move, other = np.concatenate([move, fixed]), np.concatenate([other, part[fixed]])
-        ring = self._ring[other]
-        values = level[parent[move][:, None], np.minimum(ring, level.shape[1] - 1)]
-        values = np.where(ring == part[move][:, None], value[move][:, None], values)
-        keys = np.bitwise_xor.reduce(self._around[ring, values], axis=1) ^ self._moved[other, loosened]
-        hopeless = np.ones(len(parent), dtype=bool)
-        hopeless[move[~self.failed(keys)]] = False
-        return hopeless
 
     def failed(self, keys: NDArray[np.uint64]) -> Mask:
         """Return which moves failed when they were last tried. Shape (batch,)."""

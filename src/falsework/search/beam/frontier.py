@@ -98,6 +98,13 @@ class Frontier:
         """Return all candidates, ascending."""
         return np.flatnonzero(self.moves)
 
+    def without(self, rows: NDArray[np.int64], actions: NDArray[np.int64]) -> bool:
+        """Leave some moves of states of the level out; return whether there were any."""
+        self.fixing[rows, actions] = False
+        left_out = self.moves[rows, actions].any()
+        self.moves[rows, actions] = False
+        return bool(left_out)
+
     def parent(self, rows: Rows) -> NDArray[np.int64]:
         """Return the rows of `level` that candidates come from, shape (rows,)."""
         return rows // self.moves.shape[1]

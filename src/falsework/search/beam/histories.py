@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from falsework.stability.contact.varied_replay import AnyReplayer
     from falsework.stability.problem import Problem
 
+ReplaySummary = tuple[float, int, None, tuple[tuple[Press, ...], ...]]
+"""Replay of a route that comes to rest: the largest movement of a part in m, that part, no state at which it fails, and
+the presses of the step to each state, as `PlanReplay` takes them."""
 _HISTORY_BYTES = 256 << 20
 """Memory for histories; the earliest are computed anew where they are needed again."""
 
@@ -84,7 +87,7 @@ class Histories:
         """Forget all levels after `level`."""
         del self._known[level + 1 :], self._known_steps[level + 1 :]
 
-    def summary(self, row: int) -> tuple[float, int, None, tuple[tuple[Press, ...], ...]] | None:
+    def summary(self, row: int) -> ReplaySummary | None:
         """Return the replay of the way to a state of the last level.
 
         Returns:

@@ -27,20 +27,14 @@ class Scores:
     """Scores of the states of the level, shape (level,)."""
     guide: NDArray[np.floating] | None = None
     """Scores of moves, shape (level, 2 parts)."""
-    fixed: tuple[Array, ...] = ()
-    """What is added where a part is fixed, shape (parts,) each."""
-    moved: Array | None = None
-    """What is added where a part moves, shape (parts,)."""
 
     def of(self, rows: Rows) -> Array:
         """Return the scores of candidates, shape (rows,)."""
-        parent, part, fixing = self.frontier.parent(rows), self.frontier.part(rows), self.frontier.fixes(rows)
+        parent = self.frontier.parent(rows)
         score = self.before[parent]
         if self.guide is not None:
             score = score + self.guide[parent, self.frontier.action(rows)].astype(np.float64)
-        for weight in self.fixed:
-            score = score + weight[part] * fixing
-        return score if self.moved is None else score + self.moved[part]
+        return score
 
 
 class Promise:
@@ -131,10 +125,6 @@ class Promise:
         table = np.repeat(scores.before[:, None], parts, axis=1)
         if scores.guide is not None:
             table += scores.guide[:, self._begin : self._begin + parts]
-        for weight in scores.fixed:
-            table += weight
-        if scores.moved is not None:
-            table += scores.moved
         return table
 
     def _random_place(self) -> NDArray[np.int64]:

@@ -9,13 +9,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import HELD, INSTALLED, REMOVED, Mask, States
+from falsework.assembly.state import Mask, States
 from falsework.search.beam.failures import FailureMemory
 from falsework.search.beam.frontier import Frontier, Rows
 from falsework.search.beam.k_means import k_means
 from falsework.search.beam.scores import Promise, Scores
 from falsework.search.problem.oracle import CountingOracle
-from falsework.search.problem.task import Direction
 
 
 class Confirmation(Protocol):
@@ -26,22 +25,8 @@ class Confirmation(Protocol):
         ...
 
 
-_ENOUGH = 4
-"""Moves that failed before are tried where fewer than one in so many of the states wanted is found without them."""
-_THOROUGH_WIDTH = 64
-"""States wanted from which all moves are tried: beams so wide are to prove that there is no plan."""
 _TRIED_AGAIN = 16
-"""Moves that failed before which a beam of width 1 tries at a level at most."""
-_NEAR_CONTACTS = 2
-"""Contacts, one after the other, between two parts that are near each other."""
-_FEW_ROBOTS = 4
-"""With more robots than these, repeated trials of failed moves would take most of the time ..."""
-_TRIED_AGAIN_EVERY = 8
-"""... so failed moves are repeated only every so many levels, or where no other part can be fixed instead."""
-_TURN = 4
-"""Candidates that come from one state in a turn."""
-_FARTHER = 4
-"""So many times more candidates are looked up where too few of the first are left."""
+"""Moves that failed before which are tried again at a level, for each state wanted."""
 _VERDICT_BATCH = 2
 """Candidates asked for at once at least, once the first were not enough: enough to share two cores. The first mostly
 are, and a stable state costs ten times the verdict of one that falls."""
@@ -114,9 +99,6 @@ class Selector:
         confirmed: Confirmation,
         *,
         commit: bool,
-        in_turn: bool = False,
-        compact: bool = False,
-        early: tuple[int, ...] = (),
     ) -> Selection:
         """Ask only until `width` states are found stable; keep `lookahead` more that a fixed part leads to.
 
@@ -129,118 +111,37 @@ class Selector:
                 kept.
             confirmed: second test of candidates with a stable verdict.
             commit: once `width` are found, drop states that keep more robots busy than these.
-            in_turn: take those in which every robot holds a part in turn over the states of the level.
-            compact: fix only parts near those that robots hold, wherever they hold any.
-            early: parts around these are fixed only once they are there.
         """
         frontier, promise = self.frontier, Promise(self.scores, self.rng)
         loose = self.order(promise.loose, promise.of, width)
-        fixed = None
-        if promise.few or self.clustered or in_turn or compact or early:
-            fixing = self._not_around(np.flatnonzero(frontier.fixing), early)
-            fixed = self.order(self._near_held(fixing) if compact else fixing, promise.of, lookahead)
-        later = bool(frontier.fixing.any()) if fixed is None else len(fixed) > 0
-        proven, rejected = self._likely_ones(judge, loose, width, confirmed, later=later)
+        proven, rejected = self._likely_ones(judge, loose, width, confirmed)
         most_held = np.inf
         if commit and len(proven) >= width:
             most_held = float(frontier.held(proven).max())
-        if fixed is None:
-            fixed = self._hopeful_first(lambda count: promise.best_fixing(count, most_held), lookahead, width)
+        if promise.few or self.clustered:
+            fixed = self.order(np.flatnonzero(frontier.fixing), promise.of, lookahead)
+            fixed = fixed[frontier.held(fixed) <= most_held][:lookahead]
         else:
-            ordered = fixed[frontier.held(fixed) <= most_held]
-            if in_turn and len(ordered) > lookahead:
-                ordered = self._in_turn(ordered)
-            fixed = self._hopeful_first(lambda count: ordered[:count], lookahead, width)
+            fixed = promise.best_fixing(lookahead, most_held)
         return self._selection(np.concatenate([proven, fixed]), rejected)
 
-    def _not_around(self, fixing: Rows, early: tuple[int, ...]) -> Rows:
-        """Return candidates without those in which a part is fixed beside an absent one that is to be there before."""
-        task = self.frontier.task
-        if not early or task.neighbours is None:
-            return fixing
-        absent = self.frontier.level[:, early] == REMOVED
-        barred = absent @ task.neighbours[list(early)]
-        barred[:, early] = False
-        return fixing[~barred[self.frontier.parent(fixing), self.frontier.part(fixing)]]
-
-    def _near_held(self, fixing: Rows) -> Rows:
-        """Return candidates in which a part is fixed near one that robots hold, or that none is held before."""
-        task = self.frontier.task
-        if task.neighbours is None:
-            return fixing
-        held = near = (self.frontier.level == HELD) & ~task.boundary
-        for _ in range(_NEAR_CONTACTS):
-            near = near | _beside(near, task.neighbours)
-        near = near | ~held.any(axis=1)[:, None]
-        return fixing[near[self.frontier.parent(fixing), self.frontier.part(fixing)]]
-
-    def _in_turn(self, fixed: Rows) -> Rows:
-        """Return candidates in which every robot holds a part in turn over the states that they come from.
-
-        What is held already is mostly released with the help of a part beside it, so such parts come first.
-        """
-        task, full = self.frontier.task, self.frontier.held(fixed) == self.frontier.task.robots
-        rows = fixed[full]
-        parent, beside = self.frontier.parent(rows), np.zeros(len(rows), dtype=bool)
-        if task.neighbours is not None:
-            holding = (self.frontier.level == HELD) & ~task.boundary
-            beside = _beside(holding, task.neighbours)[parent, self.frontier.part(rows)]
-        order = _stable_order(2 * parent + ~beside)
-        begin = np.flatnonzero(np.diff(parent[order], prepend=-1))
-        rank = np.empty(len(rows), dtype=np.int64)
-        rank[order] = np.arange(len(rows)) - np.repeat(begin, np.diff(np.append(begin, len(rows))))
-        return np.concatenate([fixed[~full], rows[_stable_order(rank // _TURN)]])
-
-    def _hopeful_first(self, first: Callable[[int], Rows], wanted: int, width: int) -> Rows:
-        """Return candidates that fixing a part leads to, those first from which a move is left that has not failed.
-
-        Args:
-            first: returns so many of them in order, or all if there are no more.
-            wanted: number of candidates.
-            width: of the beam.
-        """
-        task, count = self.frontier.task, wanted
-        held = (self.frontier.level == HELD) & ~task.boundary
-        loosened = INSTALLED if self.frontier.direction is Direction.ASSEMBLY else REMOVED
-        while True:
-            fixed = first(count)
-            if self.failures is None or width >= _THOROUGH_WIDTH or not len(fixed):
-                return fixed[:wanted]
-            moves = self.frontier.parent(fixed), self.frontier.part(fixed)
-            value = task.moved_value(self.frontier.action(fixed), self.frontier.direction)
-            bad = self.failures.hopeless(self.frontier.level, held, *moves, value, loosened)
-            if len(fixed) < count or len(fixed) - int(bad.sum()) >= wanted:
-                return np.concatenate([fixed[~bad], fixed[bad]])[:wanted]
-            count *= _FARTHER
-
     def _likely_ones(
-        self, judge: CountingOracle, waiting: Rows, wanted: int, confirmed: Confirmation, *, later: bool
+        self, judge: CountingOracle, waiting: Rows, wanted: int, confirmed: Confirmation
     ) -> tuple[Rows, Rows]:
-        """As `_stable_ones`; moves that failed before are tried only where too few of the others are stable.
-
-        With many robots that is at some levels only, unless it is not `later` possible.
-        """
+        """As `_stable_ones`; moves that failed before are tried last."""
         if self.failures is None or not len(waiting):
             return self._stable_ones(judge, waiting, wanted, confirmed)
         frontier = self.frontier
         keys = self.failures.keys(frontier.states(waiting), frontier.part(waiting))
         failed = self.failures.failed(keys)
-        kept, rejected = self._stable_ones(judge, waiting[~failed], wanted, confirmed)
-        enough = wanted if wanted >= _THOROUGH_WIDTH else -(-wanted // _ENOUGH)
-        if len(kept) < enough and failed.any():
-            again = waiting[failed] if wanted > 1 else waiting[failed][: 0 if later and self._waits else _TRIED_AGAIN]
-            more, bad = self._stable_ones(judge, again, enough - len(kept), confirmed)
-            kept, rejected = np.concatenate([kept, more]), np.concatenate([rejected, bad])
+        again = np.flatnonzero(failed)[: _TRIED_AGAIN * wanted]
+        order = np.concatenate([np.flatnonzero(~failed), again])
+        waiting, keys = waiting[order], keys[order]
+        kept, rejected = self._stable_ones(judge, waiting, wanted, confirmed)
         for rows, stable in ((kept, True), (rejected, False)):
             place = np.isin(waiting, rows)
             self.failures.learn(keys[place], np.full(int(place.sum()), stable))
         return kept, rejected
-
-    @property
-    def _waits(self) -> bool:
-        """Whether a beam of width 1 tries no move again at this level."""
-        state, many = self.frontier.level[0], self.frontier.task.robots > _FEW_ROBOTS
-        return many and int((state != REMOVED).sum() + (state == INSTALLED).sum()) % _TRIED_AGAIN_EVERY > 0
 
     def _stable_ones(
         self, judge: CountingOracle, waiting: Rows, wanted: int, confirmed: Confirmation
@@ -264,14 +165,3 @@ class Selector:
     def _selection(self, kept: Rows, rejected: Rows) -> Selection:
         best_first = kept[np.argsort(-self.scores.of(kept), kind="stable")]
         return Selection(best_first, rejected, exhaustive=len(kept) + len(rejected) == len(self.frontier))
-
-
-def _beside(some: Mask, neighbours: Mask) -> Mask:
-    """Return which parts are in contact with at least one of some others, mostly few. Shapes (states, parts)."""
-    parts = np.flatnonzero(some.any(axis=0))
-    return some[:, parts].astype(np.float32) @ neighbours[parts].astype(np.float32) > 0
-
-
-def _stable_order(keys: NDArray[np.int64]) -> Rows:
-    """Return the order that sorts non-negative integers, equal ones as they were; NumPy sorts short ones faster."""
-    return np.argsort(keys.astype(np.min_scalar_type(keys.max(initial=0))), kind="stable")

@@ -28,37 +28,18 @@ class BeamSettings:
     this many more that need no verdict, so that the next level has a choice. Narrow beams then need few verdicts."""
     commit: bool = False
     """With `lookahead`: drop states that keep more robots busy than the `width` states found stable."""
-    compact: bool = False
-    """With `lookahead`: while robots hold parts, fix only parts near those, so that robots work in one place."""
-    retries: int = 3
-    """Times that a beam which died goes back some levels to choose again with other random numbers."""
-    disorder: float = 0.0
-    """Spread of a random preference for each part, which is added to the scores of the guide; above 0 where the order
-    of the guide led to a dead end."""
-    avoided: tuple[int, ...] = ()
-    """Parts that are fixed after all others where the guide would fix them: robots could not let go of them again."""
-    preferred: tuple[int, ...] = ()
-    """Parts that are fixed before all others: what is there without them has no room for them."""
-    early: tuple[int, ...] = ()
-    """Parts that are placed before those around them; none of these is fixed while one of the former is absent."""
     number: int = 0
-    """Draws the preferences, together with the seed."""
+    """Draws random numbers, together with the seed."""
     seed: int = 0
     """Same seed, same machine, same result."""
     pool: int = 8_000_000
     """Bound on candidates times parts that are written down and clustered at once; beyond it a random sample is."""
 
     def __post_init__(self) -> None:
-        for name in ("avoided", "preferred", "early"):  # lists where they were read from a file
-            object.__setattr__(self, name, tuple(getattr(self, name)))
         if self.width < 1:
             raise InputError(f"a beam of width {self.width} keeps nothing; give at least 1")
         if self.lookahead < 0:
             raise InputError(f"a beam cannot keep {self.lookahead} states ahead; give 0 or more")
-        if self.retries < 0:
-            raise InputError(f"a beam cannot be tried again {self.retries} times; give 0 or more")
-        if self.disorder < 0:
-            raise InputError(f"random preferences cannot spread by {self.disorder}; give 0 or more")
         if self.pool < 1:
             raise InputError("the pool of a beam search must hold at least one number")
         check_seed(self.seed)

@@ -48,20 +48,17 @@ class TensorRules:
         boundary = np.asarray(task.boundary)
         touchable = ~boundary
         touchable[list(task.fixed)] = False
-        # Assembly mirrors disassembly: installed and removed change places, and so do insert and remove.
-        self._from, self._into = (REMOVED, INSTALLED) if backward else (INSTALLED, REMOVED)
         self._loose = put(~boundary, device)
         self._touchable = put(touchable, device)
         self._goal = put(goal, device)
-        self._keeps = bool(((goal == HELD) & ~boundary).any())
         self._stage = put(-STAGE if backward else STAGE, device)
         self._origin = put(task.origin(direction), device)
         self._to_come = put(task.start != REMOVED, device)
         self._words = put(StateHash.for_parts(task.part_count).words, device)
-        self._postponed = put(np.asarray(task.postponed, dtype=np.int64), device)
-        self._missing = put(np.asarray(task.missing, dtype=np.int64), device)
         self._values = put(np.array([INSTALLED, HELD] if backward else [HELD, REMOVED], dtype=np.uint8), device)
         self._ways = WaysOut(task.clearance, task.part_count, device)
+        can_leave = None if task.clearance is None else self._ways.can_leave
+        self._legal = task.legal_moves(import_torch(), lambda array: put(array, device), direction, can_leave)
 
     def origin(self) -> torch.Tensor:
         """Return the state that the search begins with, shape (1, parts)."""
@@ -82,32 +79,7 @@ class TensorRules:
         Returns:
             `bool`, shape (batch, 2 parts); `[:, i]` hold part `i`, `[:, parts + i]` remove part `i`, or undo that.
         """
-        torch = import_torch()
-        goal = self._goal if goals is None else goals
-        held = (states == HELD) & self._loose
-        idle = held.sum(dim=1) < self.task.robots
-        take = (states == self._from) & idle[:, None] & self._touchable & (goal != self._from)
-        goes = goal == self._into
-        give = held & self._touchable & goes
-        if goals is not None or self._keeps:
-            # A robot that holds a part to the end is not available for the rest: the last robot must stay free.
-            kept = (goal == HELD) & self._loose
-            last = (held & kept).sum(dim=1) + 1 >= self.task.robots
-            waiting = (goes & (states != self._into)).any(dim=1)
-            take &= ~(kept & (last & waiting)[:, None])
-        forward = self.direction is Direction.DISASSEMBLY
-        hold, remove = (take, give) if forward else (give, take)
-        if self.task.clearance is not None:
-            remove &= self._ways.can_leave(states)
-        mask = torch.cat([hold, remove], dim=1)
-        if any(self.task.postponed):
-            moved = torch.zeros_like(mask[0])
-            moved[self.part_count + self._missing] = True
-            step = -1 if forward else 1
-            present = (states[:, self._missing] != REMOVED).sum(dim=1)
-            after = present[:, None] + step * moved.long()
-            mask &= after <= self._missing_allowed(states, step)[:, None]
-        return mask
+        return self._legal.legal(states, goals)
 
     def goals(self, states: torch.Tensor) -> torch.Tensor:
         """Return the default goals: that of the task, with boundary and fixed parts as in each state.
@@ -225,13 +197,6 @@ class TensorRules:
         index = moves.view(-1).nonzero()[:, 0]
         parent, action = index // moves.shape[1], index % moves.shape[1]
         return parent, action, self.hashes_after(states, hashes, action, parent)
-
-    def _missing_allowed(self, states: torch.Tensor, offset: int) -> torch.Tensor:
-        """Return how many missing parts may be present `offset` assembly steps after each state, shape (batch,)."""
-        stage = 2 * (states == REMOVED).sum(dim=1) + (states == HELD).sum(dim=1)
-        start = self.task.start
-        done = stage - int(2 * (start == REMOVED).sum() + (start == HELD).sum())
-        return (self._postponed[None] < (self.task.steps - done + offset)[:, None]).sum(dim=1)
 
 
 class WaysOut:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from falsework.search.beam.beam import BeamSearch
+from falsework.search.beam.histories import ReplaySummary
 from falsework.search.plans.plan_replay import Acceptance, PlanReplay, replayer_of
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import Route, Stop
@@ -34,14 +34,14 @@ class RouteTests:
         self._acceptance = Acceptance(getattr(oracle, "replayer", None), judge=settings.judge)
         self._keeps = getattr(oracle, "keeps", None)
 
-    def passes(self, route: Route, search: BeamSearch | None = None, stop: Stop | None = None) -> bool:
+    def passes(self, route: Route, known: ReplaySummary | None = None, stop: Stop | None = None) -> bool:
         """Return whether the replay of a route comes to rest in every state; exclude the first state that fails.
 
         An oracle that requires margins first checks every state in full. The judge, which is slow, comes last.
 
         Args:
             route: the route.
-            search: that found it; in the order of assembly it has replayed the route along the way.
+            known: its replay, where the search has made it along the way.
             stop: asked before every state that is judged.
 
         Raises:
@@ -55,8 +55,8 @@ class RouteTests:
         if self.replayer is None:
             return True
         states = route.states[::-1]
-        known = None if search is None or self._settings.robust else search.replay_summary()
-        found = PlanReplay.of(self.replayer.replay(states)) if known is None else PlanReplay(True, *known)
+        found = PlanReplay(True, *known) if known and not self._settings.robust else None
+        found = found or PlanReplay.of(self.replayer.replay(states))
         if found.stands:
             found = self._acceptance.failure(states, found.presses) or found
         if found.stands:

@@ -9,7 +9,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import HELD, States
+from falsework.assembly.state import HELD, REMOVED, States
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Verdict
@@ -52,6 +52,12 @@ class Route:
         rank = np.full(parts, -1, dtype=np.int64)
         rank[removed] = np.arange(len(removed))
         return rank
+
+
+def insertion_steps(route: Route, task: Task) -> tuple[int, ...]:
+    """Return the steps of assembly of a route before the first, second, ... missing part is inserted. Ascending."""
+    present = route.states[::-1][:, list(task.missing)] != REMOVED
+    return tuple(sorted(int(steps) for steps in present.argmax(axis=0) - 1))
 
 
 def beam_failure(

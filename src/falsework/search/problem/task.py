@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
 from operator import index
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,16 +18,15 @@ from falsework.assembly.state import (
     REMOVED,
     Mask,
     States,
-    action_mask,
     apply_actions,
     as_states,
     check_robots,
     complete_state,
     held_count,
     undo_actions,
-    undo_mask,
 )
 from falsework.errors import InputError, StateError
+from falsework.search.problem.legal_moves import LegalMoves
 
 STAGE = np.array([2, 0, 1], dtype=np.int64)
 """Steps of disassembly that a part has behind it, indexed by its value: installed 0, held 1, removed 2."""
@@ -154,7 +153,8 @@ class Task:
                 )
             if last[part] != REMOVED:
                 raise StateError(
-                    f"part {part} is missing but in the target, which is what assembly starts from; remove it there"
+                    f"part {part} is missing but already in place where assembly starts; take it out of that state, or "
+                    "out of the missing parts"
                 )
         _check_order(first, last, support)
         for name, state in (("start", first), ("target", last)):
@@ -221,7 +221,7 @@ class Task:
         inside = between & (held_count(states, self.boundary) <= self.robots)
         if any(self.postponed):
             present = (states[:, list(self.missing)] != REMOVED).sum(axis=1)
-            inside &= present <= self._missing_allowed(states, 0)
+            inside &= present <= self._legal[Direction.DISASSEMBLY].missing_allowed(states, 0)
         return inside
 
     def moves(self, states: States, direction: Direction) -> Mask:
@@ -234,9 +234,7 @@ class Task:
         Returns:
             Shape (batch, 2 parts), indexed like `action_mask`.
         """
-        if direction is Direction.DISASSEMBLY:
-            return self._forward(states)
-        return self._backward(states)
+        return self._legal[direction].legal(states)
 
     def dead_ends(self, states: States, direction: Direction) -> Mask:
         """Return states from which the goal is certainly out of reach, stability aside. Shape (batch,).
@@ -289,50 +287,44 @@ class Task:
             "holds_keep_stable": self.holds_keep_stable,
         }
 
-    def _forward(self, states: States) -> Mask:
-        mask = action_mask(states, self.boundary, self.robots)
-        hold, remove = mask[:, : self.part_count], mask[:, self.part_count :]
-        hold &= self.target != INSTALLED
-        remove &= self.target == REMOVED
-        # A robot that holds a part to the end is not available for the rest: the last robot must stay free for
-        # removals.
-        kept = (self.target == HELD) & ~self.boundary
-        busy = (kept & (states == HELD)).sum(axis=1)
-        waiting = ((self.target == REMOVED) & (states != REMOVED)).any(axis=1)
-        hold &= ~(kept & ((busy + 1 >= self.robots) & waiting)[:, None])
-        if self.clearance is not None:
-            remove &= self.clearance.can_leave(states)
-        if any(self.postponed):
-            present = states[:, list(self.missing)] != REMOVED
-            leaves = np.zeros_like(mask)
-            leaves[:, [self.part_count + part for part in self.missing]] = True
-            after = present.sum(axis=1)[:, None] - leaves
-            mask &= after <= self._missing_allowed(states, -1)[:, None]
-        return mask
+    @cached_property
+    def _legal(self) -> dict[Direction, LegalMoves]:
+        can_leave = None if self.clearance is None else self.clearance.can_leave
+        return {direction: self.legal_moves(np, np.asarray, direction, can_leave) for direction in Direction}
 
-    def _backward(self, states: States) -> Mask:
-        mask = undo_mask(states, self.boundary, self.robots)
-        release, insert = mask[:, : self.part_count], mask[:, self.part_count :]
-        release &= self.start == INSTALLED
-        insert &= self.start != REMOVED
-        # Mirror image of the rule in `_forward`: parts held at the start are never released in assembly.
-        kept = (self.start == HELD) & ~self.boundary
-        busy = (kept & (states == HELD)).sum(axis=1)
-        waiting = ((self.start == INSTALLED) & (states != INSTALLED)).any(axis=1)
-        insert &= ~(kept & ((busy + 1 >= self.robots) & waiting)[:, None])
-        if self.clearance is not None:
-            insert &= self.clearance.can_leave(states)
-        if any(self.postponed):
-            enters = np.zeros_like(mask)
-            enters[:, [self.part_count + part for part in self.missing]] = True
-            after = (states[:, list(self.missing)] != REMOVED).sum(axis=1)[:, None] + enters
-            mask &= after <= self._missing_allowed(states, 1)[:, None]
-        return mask
+    def legal_moves(
+        self,
+        space: Any,
+        put: Callable[[NDArray[Any]], Any],
+        direction: Direction,
+        can_leave: Callable[[Any], Any] | None,
+    ) -> LegalMoves:
+        """Return the rules of moves for arrays of some kind.
 
-    def _missing_allowed(self, states: States, offset: int) -> NDArray[np.int64]:
-        """Return how many missing parts may be present `offset` assembly steps after each state, shape (batch,)."""
-        assembled = self.steps - self.steps_done(states) + offset
-        return (np.asarray(self.postponed)[None] < assembled[:, None]).sum(axis=1)
+        Args:
+            space: `numpy` or `torch`.
+            put: turns an array of numpy into one of these.
+            direction: of the moves.
+            can_leave: which parts have a free exit; None where that does not matter.
+        """
+        touchable = ~self.boundary
+        touchable[list(self.fixed)] = False
+        postponed = self.postponed if any(self.postponed) else ()
+        goal = self.goal(direction)
+        return LegalMoves(
+            space,
+            direction is Direction.ASSEMBLY,
+            self.robots,
+            put(~self.boundary),
+            put(touchable),
+            goal=put(goal),
+            keeps=bool(((goal == HELD) & ~self.boundary).any()),
+            can_leave=can_leave,
+            missing=put(np.asarray(self.missing, dtype=np.int64)),
+            postponed=put(np.asarray(postponed, dtype=np.int64)),
+            steps=self.steps,
+            begun=int(2 * (self.start == REMOVED).sum() + (self.start == HELD).sum()),
+        )
 
 
 def _one_state(state: ArrayLike, boundary: Mask, name: str) -> States:

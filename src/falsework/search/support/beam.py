@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from falsework.assembly.state import REMOVED, States
+from falsework.search.beam.backjumping import WIDENING
+from falsework.search.beam.conflicts import luby
 from falsework.search.problem.deadline import DeadlineExceeded
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.oracle import CountingOracle, Oracle
@@ -31,10 +33,6 @@ from falsework.search.support.histories import WayHistories
 if TYPE_CHECKING:
     from falsework.stability.contact.replay import History
 
-_RETREATS = (8, 16, 32, 8, 16, 32)
-"""Levels by which a beam that died out backtracks, one after the other, before it gives up."""
-_DISORDER = 0.3
-"""Spread of the random preference for each part in a trial; each further trial adds as much."""
 _NEW_HOLDS = 8
 """Number of other holds to find for a level before the next level is tried again."""
 _REJECTED = 64
@@ -59,13 +57,12 @@ class SupportBeam:
 
     From a level to the next a part is removed, or in assembly placed, with the present holds, or with one hold or prop
     changed. Only if none of these is stable are other holds searched for, by releasing parts and holding others, a few
-    at a time. If that does not help either, the beam backtracks some levels and prefers other parts at random. In the
-    order of assembly, states come with their contact history, and those that do not come to rest are dropped.
+    at a time. If that does not help either, the beam jumps back over levels as `BackjumpingBeam` does over choices, and
+    does not come to the same sets of parts again until it restarts wider. In the order of assembly, states come with
+    their contact history, and those that do not come to rest are dropped.
     """
 
-    def __init__(
-        self, task: Task, oracle: Oracle, direction: Direction, *, guide: Guide, width: int = 1, seed: int = 0
-    ) -> None:
+    def __init__(self, task: Task, oracle: Oracle, direction: Direction, *, guide: Guide, width: int = 1) -> None:
         """Begin at the origin of a direction.
 
         Args:
@@ -74,7 +71,6 @@ class SupportBeam:
             direction: end to begin at.
             guide: scores actions.
             width: sets of parts kept a level.
-            seed: of the random preferences.
         """
         self.task = task = task.judged_by(oracle)
         self.width, self.direction = width, direction
@@ -87,30 +83,44 @@ class SupportBeam:
         if replayer is not None and direction is Direction.ASSEMBLY:
             self._histories = WayHistories(replayer, self.parent)
         self._known: dict[bytes, bool] = {}
-        self._rng = np.random.default_rng(seed)
-        self._taste = np.zeros(task.part_count)
         self._levels: list[list[bytes]] = [[task.origin(direction).tobytes()]]
-        self._farthest, self._trials = 0, 0
+        self._farthest = self._reached = self._since = 0
+        """Farthest level, the same since the last restart, and dead ends since it was reached."""
+        self._refuted: set[bytes] = set()
+        """Sets of parts that led to dead ends."""
         self._last: list[bytes] = []
-        self._wrong: list[States] = []
-        self._rejected: list[States] = []
+        self._wrong, self._rejected = list[States](), list[States]()
         self._pending: list[History] | None = None
         self._seconds = 0.0
 
-    def forbid(self, state: States) -> None:
-        """Exclude a state, such as one in which the replay of a route fails, and restart; verdicts are kept."""
-        self.judge.forbidden.add(state.tobytes())
-        self._known.pop(state.tobytes(), None)
+    @property
+    def asked(self) -> int:
+        """Verdicts requested so far."""
+        return self.judge.asked
+
+    @property
+    def counters(self) -> SearchCounters:
+        """Work done so far."""
+        return SearchCounters(len(self.parent), len(self._known), self.judge.asked, self.judge.rejected)
+
+    def forbid(self, states: States) -> None:
+        """Exclude states, such as one in which the replay of a route fails, and restart; verdicts are kept."""
+        for state in states:
+            self.judge.forbidden.add(state.tobytes())
+            self._known.pop(state.tobytes(), None)
         origin = self.task.origin(self.direction).tobytes()
         self.parent.clear()
         self.parent[origin] = b""
-        self._levels, self._trials = [[origin]], 0
-        self._taste[:] = 0.0
+        self._restart(self.width)
 
-    def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
-        """Search until the goal is reached, the beam has died out too often, or `stop` or the keyboard ends it.
+    def replay_summary(self) -> None:
+        """Return None: the replay of the route found is not kept."""
+
+    def run(self, widest: int = 1, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
+        """Search until the goal is reached, a wider beam would be needed, or `stop` or the keyboard ends it.
 
         Args:
+            widest: limit on the width; run again with a larger one to go on.
             progress: called after every level.
             stop: called before every level; true ends the search, which can then be run on.
         """
@@ -125,7 +135,7 @@ class SupportBeam:
                     break
                 if len(self._levels) > self._moves.removals:
                     route = self._to_goal()
-                if route is None and not self._advance(stop) and not self._retreat():
+                if route is None and not self._advance(stop) and not self._jump_back(widest):
                     break
                 if progress is not None:
                     seconds = self._seconds + time.perf_counter() - begun
@@ -144,7 +154,7 @@ class SupportBeam:
             reached=2 * self._farthest,
             deepest=np.array([_array(key) for key in self._last], dtype=np.uint8).reshape(-1, parts),
             rejected=np.array(self._rejected, dtype=np.uint8).reshape(-1, parts),
-            counters=SearchCounters(len(self.parent), len(self._known), self.judge.asked, self.judge.rejected),
+            counters=self.counters,
             seconds=self._seconds,
             interrupted=interrupted,
             limit=f"beams of width {self.width} with holding again died" if route is None else "",
@@ -166,7 +176,12 @@ class SupportBeam:
         ring, seen = list(level), set(level)
         within: list[_Way] = []
         while ring:
-            ways = self._sorted(w for key in ring for w in self._across(key))
+            ways = self._sorted(
+                way
+                for key in ring
+                for way in self._across(key)
+                if not self._refuted or self._presence(way.states[-1]) not in self._refuted
+            )
             for place in self._stable(ways, found):
                 found.setdefault(self._presence(ways[place].states[-1]), self._take(ways[place]))
                 if len(found) == self.width:
@@ -274,10 +289,10 @@ class SupportBeam:
 
     def _way(self, origin: bytes, action: int, *states: States) -> _Way:
         """Return a path with its score: free robots first, then few props, then the guide, then few moves."""
-        before, part = _array(origin), action % self._moves.parts
+        before = _array(origin)
         mask = np.zeros((1, 2 * self._moves.parts), dtype=bool)
         mask[0, action] = True
-        score = float(self._guide(before[None], mask, self.direction)[0, action]) + float(self._taste[part])
+        score = float(self._guide(before[None], mask, self.direction)[0, action])
         busy = 10.0 * float(self._moves.held(states[-1])) + 5.0 * float(self._moves.standing(states[-1]))
         return _Way(origin, states, score - busy - 1e-3 * len(states))
 
@@ -337,15 +352,26 @@ class SupportBeam:
             before = key
         return before
 
-    def _retreat(self) -> bool:
-        """Backtrack and prefer other parts; return False once every retreat was tried."""
-        if self._trials == len(_RETREATS):
-            return False
-        back = _RETREATS[self._trials]
-        self._trials += 1
-        self._levels = self._levels[: max(1, len(self._levels) - back)]
-        self._taste = self._rng.normal(0.0, _DISORDER * self._trials, self.task.part_count)
+    def _jump_back(self, widest: int) -> bool:
+        """Jump back from a dead end, or beyond the origin restart wider; False if that would be too wide."""
+        level = len(self._levels) - 1
+        if level > self._reached:
+            self._reached, self._since = level, 0
+        distance = luby(self._since + 1)
+        if distance > level:
+            if self.width * WIDENING > widest:
+                return False
+            self._restart(self.width * WIDENING)
+            return True
+        self._since += 1
+        self._refuted |= {self._presence(_array(key)) for key in self._levels[level - distance + 1]}
+        del self._levels[level - distance + 1 :]
         return True
+
+    def _restart(self, width: int) -> None:
+        self.width, self._reached, self._since = width, 0, 0
+        self._refuted.clear()
+        self._levels = [[self.task.origin(self.direction).tobytes()]]
 
     def _to_goal(self) -> SupportRoute | None:
         """Release or hold parts as in the goal, once all parts are placed or removed; None if no path is found."""
@@ -372,6 +398,3 @@ class SupportBeam:
 
 def _array(key: bytes) -> States:
     return np.frombuffer(key, dtype=np.uint8)
-
-
-__all__ = ["SupportBeam"]

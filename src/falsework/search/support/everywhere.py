@@ -59,17 +59,37 @@ class SupportEverywhere:
         self._refused: set[bytes] = set()
         self._seconds = 0.0
 
-    def forbid(self, state: States) -> None:
-        """Exclude a state, such as one in which a replay fails, and restart; the search then proves nothing."""
-        self.judge.forbidden.add(state.tobytes())
+    @property
+    def asked(self) -> int:
+        """Verdicts requested so far."""
+        return self.judge.asked
+
+    @property
+    def counters(self) -> SearchCounters:
+        """Work done so far."""
+        seen = len(self.parent)
+        return SearchCounters(seen, seen + len(self._refused), self.judge.asked, self.judge.rejected)
+
+    @property
+    def examined_all(self) -> bool:
+        """Whether the search came to its end with no state left out: no other finds a plan then."""
+        return not len(self._ring) and not self.gave_up and not self.judge.forbidden
+
+    def replay_summary(self) -> None:
+        """Return None: no histories are kept."""
+
+    def forbid(self, states: States) -> None:
+        """Exclude states, such as one in which a replay fails, and restart; the search then proves nothing."""
+        self.judge.forbidden |= {state.tobytes() for state in states}
         self.parent = {self.task.start.tobytes(): b""}
         self._ring = self._deepest = self.task.start[None]
         self._refused = set()
 
-    def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
+    def run(self, widest: int = 0, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
         """Search until the target is reached, every state was examined, the limit is exceeded, or `stop` stops it.
 
         Args:
+            widest: without meaning here, see `falsework.search.strategies.Strategy`.
             progress: called after every ring of states.
             stop: called before every ring; true ends the search, which can then be run on.
         """
@@ -108,7 +128,6 @@ class SupportEverywhere:
             limit = f"gave up after {self._limit} states with holding again"
         if found:
             outcome, limit = Outcome.FOUND, ""
-        seen = len(self.parent)
         return SearchResult(
             outcome=outcome,
             routes=(SupportRoute.back_from(goal, self.parent, self.task.part_count),) if found else (),
@@ -117,7 +136,7 @@ class SupportEverywhere:
             reached=2 * self._level(self._deepest),
             deepest=self._deepest,
             rejected=self._last,
-            counters=SearchCounters(seen, seen + len(self._refused), judge.asked, judge.rejected),
+            counters=self.counters,
             seconds=self._seconds,
             interrupted=interrupted,
             limit=limit,

@@ -7,7 +7,7 @@ import io
 import threading
 import time
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -379,7 +379,17 @@ def check_host(host: str) -> str | None:
     return f"every client that can reach {host} can see and control this page; there is no password"
 
 
-def serve(page: Page) -> None:
+class Served(Protocol):
+    """Page that is being served."""
+
+    def wait(self) -> None:
+        """Serve until interrupted."""
+
+    def close(self) -> None:
+        """Stop serving."""
+
+
+def serve(page: Served) -> None:
     """Serve until interrupted by the keyboard."""
     with contextlib.suppress(KeyboardInterrupt):
         page.wait()

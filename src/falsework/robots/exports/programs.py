@@ -1,7 +1,7 @@
 """Programs for robot controllers, ABB RAPID and URScript, that keep the order of a robot plan across robots.
 
 Controllers share the counts of `commands_of` by their own means: RAPID by group signals, URScript by the Modbus
-registers of each controller.
+registers of each controller. Loads of tools and signals of grippers are those of the cell.
 """
 
 from __future__ import annotations
@@ -13,7 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
-from falsework.robots.plans.commands import COUNT_FROM, Begin, Grip, Pressing, PublishCount, Wait, commands_of
+from falsework.robots.exports.commands import COUNT_FROM, Begin, Grip, Pressing, PublishCount, Wait, commands_of
+from falsework.robots.exports.controller import Language, grip_signal, rapid_load, tool_load, ur_payload
+from falsework.robots.exports.part_loads import PartLoads, in_tool, together
+from falsework.robots.model.cell import Cell, CellRobot
 from falsework.robots.plans.presses import TimedPress
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import nodes_of
@@ -28,23 +31,34 @@ _UR_LIMITS = (0.005, 0.005, 0.01, 0.05, 0.05, 0.05)
 """Largest deviation across a press, m and rad, and largest speed along it, m/s, in force mode."""
 
 
-def rapid_modules(plan: RobotPlan, presses: Sequence[TimedPress] = ()) -> Iterator[tuple[str, str]]:
+def rapid_modules(
+    plan: RobotPlan, cell: Cell, presses: Sequence[TimedPress] = (), loads: PartLoads | None = None
+) -> Iterator[tuple[str, str]]:
     """Yield file names and RAPID modules, one for each arm.
 
     Knots become joint targets in degrees for `MoveAbsJ` with the durations of the plan. An arm sets the
     group output `go_NAME_count`, and reads those of others as `gi_NAME_count`. An arm that presses moves its set point
     by force and moment over its stiffness, on a slow line from where it holds the part, and stays there.
 
+    Args:
+        plan: the robot plan.
+        cell: its cell.
+        presses: of the plan.
+        loads: of carried parts; None leaves them out.
+
     Raises:
-        InputError: an arm with another number of joints than 6 or 7, or too many motions for 16 bits.
+        InputError: an arm with another number of joints than 6 or 7, too many motions for 16 bits, or an output that is
+            no name in RAPID.
     """
     names = _names(plan, presses)
     for robot, name in enumerate(names):
-        record = plan.robots[robot]
+        record, signals = plan.robots[robot], cell.robots[robot].signals
+        output, closed = grip_signal(cell.robots[robot], name, "rapid"), int(signals.closed)
         if len(record.joint_names) not in (6, 7):
             raise InputError(f"RAPID supports robots of 6 or 7 joints; {record.name} has {len(record.joint_names)}")
         about = f"{_ascii(plan.plan.name)}: {plan.direction.value} with {_ascii(record.model)}, {len(plan)} steps"
         targets: list[str] = []
+        carried, number, motion, step = "", 0, 0, 0
         offset = np.zeros(6)  # of what the arm has pressed since it last moved
         body: list[str] = []
         run = [f"    MoveAbsJ {_jointtarget(plan.keyframes[0].configurations[robot])}, v200, fine, {name}_tool;"]
@@ -57,6 +71,7 @@ def rapid_modules(plan: RobotPlan, presses: Sequence[TimedPress] = ()) -> Iterat
             run += [f"    SetGO go_{name}_count, {COUNT_FROM};"]
         for command in commands_of(plan, robot, presses):
             if isinstance(command, Begin):
+                motion, step = 0, command.step
                 if body:
                     body.append("  ENDPROC")
                 body += [f"  PROC {name}_step{command.step + 1}()", f"    ! {_ascii(plan.does(command.step))}"]
@@ -67,6 +82,9 @@ def rapid_modules(plan: RobotPlan, presses: Sequence[TimedPress] = ()) -> Iterat
                 body.append(f"    SetGO go_{name}_count, {command.count};")
             elif isinstance(command, Grip):
                 body.append(f"    {name}_gripper {'TRUE' if command.close else 'FALSE'};")
+                if carried and not command.close:
+                    body.append("    GripLoad load0;")
+                    carried = ""
             elif isinstance(command, Pressing):
                 body.append(f"    ! {_press_in_words(plan, command)}")
                 if command.begins:
@@ -78,6 +96,14 @@ def rapid_modules(plan: RobotPlan, presses: Sequence[TimedPress] = ()) -> Iterat
                     body += [f"    MoveL {place}, v5, fine, {name}_tool;", "    WaitTime\\InPos, 0.5;"]
             else:
                 offset = np.zeros(6)
+                load, motion = None if loads is None else loads.get((step, motion)), motion + 1
+                now = "" if load is None else rapid_load(in_tool(load, record.tool))
+                if now != carried:
+                    number += bool(now)
+                    if now:
+                        targets.append(f"  PERS loaddata {name}_load{number} := {now};")
+                    body.append(f"    GripLoad {f'{name}_load{number}' if now else 'load0'};")
+                    carried = now
                 last = len(command.times) - 1
                 for knot in range(1, last + 1):
                     target = f"{name}_j{len(targets) + 1}"
@@ -91,15 +117,16 @@ def rapid_modules(plan: RobotPlan, presses: Sequence[TimedPress] = ()) -> Iterat
                 [
                     f"MODULE {name}",
                     f"  ! {about}",
-                    f"  PERS tooldata {name}_tool := {_tooldata(record.tool)};",
+                    *(f"  ! {line}" for line in controller_settings(plan, cell, robot, "rapid")),
+                    f"  PERS tooldata {name}_tool := {_tooldata(record.tool, cell.robots[robot])};",
                     *targets,
                     f"  PROC {name}_gripper(bool closed)",
                     "    IF closed THEN",
-                    f"      SetDO do_{name}_grip, 1;",
+                    f"      SetDO {output}, {closed};",
                     "    ELSE",
-                    f"      SetDO do_{name}_grip, 0;",
+                    f"      SetDO {output}, {1 - closed};",
                     "    ENDIF",
-                    "    WaitTime\\InPos, 0.5;",
+                    f"    WaitTime\\InPos, {signals.seconds:g};",
                     "  ENDPROC",
                     *body,
                     *(["  ENDPROC"] if body else []),
@@ -113,7 +140,13 @@ def rapid_modules(plan: RobotPlan, presses: Sequence[TimedPress] = ()) -> Iterat
         )
 
 
-def ur_scripts(plan: RobotPlan, rate: float, presses: Sequence[TimedPress] = ()) -> Iterator[tuple[str, str]]:
+def ur_scripts(
+    plan: RobotPlan,
+    cell: Cell,
+    rate: float,
+    presses: Sequence[TimedPress] = (),
+    loads: PartLoads | None = None,
+) -> Iterator[tuple[str, str]]:
     """Yield file names and URScript programs, one for each arm.
 
     Motions are positions at a fixed rate for `servoj`, with a `movej` to the last of each. An arm writes its count to
@@ -123,25 +156,33 @@ def ur_scripts(plan: RobotPlan, rate: float, presses: Sequence[TimedPress] = ())
 
     Args:
         plan: the robot plan.
+        cell: its cell.
         rate: positions per second.
         presses: of the plan.
+        loads: of carried parts; None leaves them out.
 
     Raises:
-        InputError: an arm with another number of joints than 6, or too many motions for 16 bits.
+        InputError: an arm with another number of joints than 6, too many motions for 16 bits, or an output that a UR
+            controller does not have.
     """
     names = _names(plan, presses)
     for robot, name in enumerate(names):
-        record = plan.robots[robot]
+        record, signals = plan.robots[robot], cell.robots[robot].signals
+        kind, number = grip_signal(cell.robots[robot], name, "urscript").split()
         if len(record.joint_names) != 6:
             raise InputError(f"URScript supports robots of 6 joints; {record.name} has {len(record.joint_names)}")
         others = [other for other in names if other != name]
+        own_load = carried = ur_payload(tool_load(cell.robots[robot].gripper))
+        motion = step = 0
         lines = [
             f"def {name}():",
             f"  # {_ascii(plan.plan.name)}: {plan.direction.value} with {_ascii(record.model)}, {len(plan)} steps",
+            *(f"  # {line}" for line in controller_settings(plan, cell, robot, "urscript")),
         ]
+        addresses = {names[k]: _address(entry, names[k]) for k, entry in enumerate(cell.robots)}
         for other in others:
             lines += [
-                f'  modbus_add_signal("{other}.local", 255, {REGISTER}, 2, "{other}_count", False)',
+                f'  modbus_add_signal("{addresses[other]}", 255, {REGISTER}, 2, "{other}_count", False)',
                 f'  modbus_set_signal_update_frequency("{other}_count", 50)',
                 f"  def {other}_count():",
                 f'    return modbus_get_signal_status("{other}_count", False)',
@@ -149,10 +190,11 @@ def ur_scripts(plan: RobotPlan, rate: float, presses: Sequence[TimedPress] = ())
             ]
         lines += [
             "  def gripper(closed):",
-            "    set_standard_digital_out(0, closed)",
-            "    sleep(0.5)",
+            f"    set_{kind}_digital_out({number}, {'closed' if signals.closed else 'not closed'})",
+            f"    sleep({signals.seconds:g})",
             "  end",
             f"  set_tcp({_ur_pose(record.tool)})",
+            f"  {own_load}",
             f"  movej({_ur_joints(plan.keyframes[0].configurations[robot])}, a=0.5, v=0.5)",
         ]
         if others:
@@ -163,6 +205,7 @@ def ur_scripts(plan: RobotPlan, rate: float, presses: Sequence[TimedPress] = ())
             lines.append(f"  write_port_register({REGISTER}, {COUNT_FROM})")
         for command in commands_of(plan, robot, presses):
             if isinstance(command, Begin):
+                motion, step = 0, command.step
                 lines.append(f"  # step {command.step + 1}: {_ascii(plan.does(command.step))}")
             elif isinstance(command, Wait):
                 lines += _until(f"{names[command.robot]}_count() >= {command.count}")
@@ -170,17 +213,54 @@ def ur_scripts(plan: RobotPlan, rate: float, presses: Sequence[TimedPress] = ())
                 lines.append(f"  write_port_register({REGISTER}, {command.count})")
             elif isinstance(command, Grip):
                 lines.append(f"  gripper({'True' if command.close else 'False'})")
+                if carried != own_load and not command.close:
+                    lines.append(f"  {own_load}")
+                    carried = own_load
             elif isinstance(command, Pressing):
                 lines.append(f"  # {_press_in_words(plan, command)}")
                 lines += _ur_press(command.press) if command.begins else ["  end_force_mode()"]
             else:
+                load, motion = None if loads is None else loads.get((step, motion)), motion + 1
+                now = own_load if load is None else ur_payload(together(tool_load(cell.robots[robot].gripper), load))
+                if now != carried:
+                    lines.append(f"  {now}")
+                    carried = now
                 count = max(int(np.ceil(command.seconds * rate)), 1)
-                step = command.seconds / count
-                for values in command.sample(np.linspace(step, command.seconds, count)):
-                    lines.append(f"  servoj({_ur_joints(values)}, t={step:.6f}, lookahead_time=0.1, gain=300)")
+                pause = command.seconds / count
+                for values in command.sample(np.linspace(pause, command.seconds, count)):
+                    lines.append(f"  servoj({_ur_joints(values)}, t={pause:.6f}, lookahead_time=0.1, gain=300)")
                 lines.append("  stopj(10)")
                 lines.append(f"  movej({_ur_joints(command.positions[-1])}, a=0.5, v=0.5)")
         yield f"{name}.script", "\n".join([*lines, "end", ""])
+
+
+def controller_settings(plan: RobotPlan, cell: Cell, robot: int, language: Language) -> list[str]:
+    """Return what must be set up at the controller of a robot for its program, each in one line.
+
+    Args:
+        plan: the robot plan.
+        cell: its cell.
+        robot: index of the robot.
+        language: of the program.
+
+    Raises:
+        InputError: the cell names an output that the language does not have.
+    """
+    names = _distinct([_identifier(record.name) for record in plan.robots])
+    entry, level = cell.robots[robot], int(cell.robots[robot].signals.closed)
+    output = grip_signal(entry, names[robot], language)
+    lines = [f"digital output {output} at {level} closes the gripper"]
+    others = [k for k in range(len(names)) if k != robot]
+    if language == "urscript":
+        reads = [f"its register {REGISTER} is read at {_address(entry, names[robot])} by the others"]
+    else:
+        reads = [f"group output go_{names[robot]}_count, 16 bits, counts its motions"]
+        reads += [f"group input gi_{names[k]}_count, 16 bits, is connected to go_{names[k]}_count" for k in others]
+    return lines + reads * bool(others)
+
+
+def _address(robot: CellRobot, name: str) -> str:
+    return _text(robot.signals.address or f"{name}.local")
 
 
 def _press_in_words(plan: RobotPlan, command: Pressing) -> str:
@@ -231,13 +311,13 @@ def _jointtarget(values: Array) -> str:
     return f"[[{robax}],[{seventh},9E9,9E9,9E9,9E9,9E9]]"
 
 
-def _tooldata(tool: Array) -> str:
+def _tooldata(tool: Array, robot: CellRobot) -> str:
     from scipy.spatial.transform import Rotation
 
     x, y, z, w = Rotation.from_matrix(tool[:3, :3]).as_quat()
     turn = ",".join(f"{value:.7f}" for value in (w, x, y, z))
     place = ",".join(f"{1000 * value:.3f}" for value in tool[:3, 3])
-    return f"[TRUE,[[{place}],[{turn}]],[1,[0,0,50],[1,0,0,0],0,0,0]]"
+    return f"[TRUE,[[{place}],[{turn}]],{rapid_load(tool_load(robot.gripper))}]"
 
 
 def _ur_joints(values: Array) -> str:
@@ -270,3 +350,8 @@ def _distinct(names: list[str]) -> list[str]:
 
 def _ascii(text: str) -> str:
     return re.sub(r"[^ -~]", "?", text)
+
+
+def _text(text: str) -> str:
+    """Return text for a string of URScript, which has no escapes."""
+    return _ascii(text).replace('"', "'")

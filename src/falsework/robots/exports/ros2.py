@@ -1,0 +1,221 @@
+"""ROS 2 messages of a robot plan as JSON or YAML: trajectories in order, and goals of each arm that keep a schedule."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from typing import Any, Literal
+
+import numpy as np
+
+from falsework.errors import InputError
+from falsework.robots.exports.commands import (
+    COUNT_FROM,
+    Begin,
+    Grip,
+    Pressing,
+    PublishCount,
+    Wait,
+    commands_of,
+    events_of,
+)
+from falsework.robots.exports.written import Written
+from falsework.robots.plans.presses import TimedPress
+from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
+from falsework.robots.plans.robot_plan_file import rounded
+
+GOALS_FORMAT = "falsework.ros2-goals/1"
+ONE_AFTER_THE_OTHER = ("ros2-json", "ros2-yaml", "csv")
+"""Formats that do not keep a schedule."""
+_NANO = 1_000_000_000
+
+
+def joint_trajectory(plan: RobotPlan, robot: int, trajectory: Trajectory, prefix: str = "") -> dict[str, Any]:
+    """Return a `trajectory_msgs/JointTrajectory` message as plain values.
+
+    Args:
+        plan: the robot plan.
+        robot: number of the robot that moves.
+        trajectory: one of its trajectories.
+        prefix: prefix of the names of its joints, in which `{robot}` is the name of the robot.
+
+    Raises:
+        InputError: a prefix with other braces.
+    """
+    record = plan.robots[robot]
+    return {
+        "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": record.name},
+        "joint_names": joint_names(plan, robot, prefix),
+        "points": [
+            {
+                "positions": rounded(positions),
+                "velocities": rounded(velocities),
+                "accelerations": [],
+                "effort": [],
+                "time_from_start": _duration(moment),
+            }
+            for moment, positions, velocities in zip(
+                trajectory.times.tolist(), trajectory.positions, trajectory.velocities, strict=True
+            )
+        ],
+    }
+
+
+def joint_names(plan: RobotPlan, robot: int, prefix: str) -> list[str]:
+    """Return the names of the joints of a robot with a prefix, as for `joint_trajectory`.
+
+    Raises:
+        InputError: a prefix with other braces.
+    """
+    record = plan.robots[robot]
+    whole = prefix.replace("{robot}", record.name)
+    if "{" in whole or "}" in whole:
+        raise InputError(f"the prefix {prefix!r} has braces; {{robot}} stands for the name of the robot")
+    return [f"{whole}{joint}" for joint in record.joint_names]
+
+
+def lost_schedule(plan: RobotPlan, form: str) -> str:
+    """Return that a format does not keep the schedule of a plan; empty if it does, or there is none."""
+    if plan.schedule is None or form not in ONE_AFTER_THE_OTHER:
+        return ""
+    return (
+        f"{form} has one motion after the other, {plan.seconds:.1f} s; the schedule of the plan takes "
+        f"{plan.makespan:.1f} s: ros2-goals, mcap, rapid and urscript keep its order"
+    )
+
+
+def ros2_messages(
+    plan: RobotPlan, presses: Sequence[TimedPress], kind: Literal["json", "yaml"], prefix: str = ""
+) -> Iterator[Written]:
+    """Yield the trajectories of each step, and of the plan, one after the other.
+
+    Args:
+        plan: the robot plan.
+        presses: of the plan.
+        kind: of the files.
+        prefix: as for `joint_trajectory`.
+    """
+    dump = _json if kind == "json" else _yaml
+    everything = []
+    start = 0.0
+    for index in range(len(plan)):
+        entries: list[dict[str, Any]] = []
+        robot = plan.steps[index].robot
+        for event in events_of(plan, index):
+            if isinstance(event, Grip):
+                what = "close" if event.close else "open"
+                entries.append({"gripper": what, "robot": plan.robots[robot].name, "part": _part(plan, index)})
+            else:
+                message = joint_trajectory(plan, robot, event, prefix)
+                entries.append(
+                    {"robot": plan.robots[robot].name, "start": round(start, 9), "joint_trajectory": message}
+                )
+                start += event.seconds
+        pressed = [_press(plan, press) for press in presses if press.step == index]
+        step = {"step": index + 1, "do": plan.does(index), "sequence": entries, "presses": pressed}
+        everything.append(step)
+        yield Written(f"step-{index + 1:03d}.{kind}", dump(step))
+    about = {"name": plan.plan.name, "direction": plan.direction.value, "seconds": round(start, 9)}
+    if lost := lost_schedule(plan, f"ros2-{kind}"):
+        about["schedule"] = lost
+    yield Written(f"plan.{kind}", dump({**about, "steps": everything}))
+
+
+def ros2_goals(plan: RobotPlan, presses: Sequence[TimedPress] = (), prefix: str = "") -> Iterator[Written]:
+    """Yield one file with what each arm does: goals of `FollowJointTrajectory`, grips, presses, and waits for others.
+
+    An arm counts what it has finished; another one waits for its count, which keeps the order of the schedule whatever
+    the delays.
+
+    Args:
+        plan: the robot plan.
+        presses: of the plan.
+        prefix: as for `joint_trajectory`.
+    """
+    arms = []
+    for robot, record in enumerate(plan.robots):
+        entries: list[dict[str, Any]] = []
+        step = 0
+        for command in commands_of(plan, robot, presses):
+            if isinstance(command, Begin):
+                step = command.step
+                entries.append({"step": step + 1, "do": plan.does(step)})
+            elif isinstance(command, Wait):
+                entries.append({"wait_for": plan.robots[command.robot].name, "count": command.count})
+            elif isinstance(command, PublishCount):
+                entries.append({"count": command.count})
+            elif isinstance(command, Grip):
+                entries.append({"gripper": "close" if command.close else "open", "part": _part(plan, step)})
+            elif isinstance(command, Pressing):
+                entries.append({"press" if command.begins else "stay": _press(plan, command.press)})
+            else:
+                message = joint_trajectory(plan, robot, command, prefix)
+                message["header"]["frame_id"] = ""
+                goal = {"trajectory": message, "path_tolerance": [], "goal_tolerance": []}
+                entries.append({"goal": {**goal, "goal_time_tolerance": _duration(0.0)}})
+        start = plan.keyframes[0].configurations[robot]
+        arms.append(
+            {
+                "robot": record.name,
+                "joint_names": joint_names(plan, robot, prefix),
+                "start": rounded(start),
+                "sequence": entries,
+            }
+        )
+    about = {"format": GOALS_FORMAT, "name": plan.plan.name, "direction": plan.direction.value}
+    yield Written("goals.json", _json({**about, "count_from": COUNT_FROM, "arms": arms}))
+
+
+def _press(plan: RobotPlan, press: TimedPress) -> dict[str, Any]:
+    """Return a press as plain values; the moment in the world is about the centre of mass of the part."""
+    world, tool = np.split(press.wrench, 2), np.split(press.wrench_in(press.tool), 2)
+    return {
+        "robot": plan.robots[press.robot].name,
+        "part": plan.plan.part_names[press.part],
+        "start": round(press.start, 9),
+        "end": round(press.end, 9),
+        "center": rounded(press.center),
+        "world": {"force": rounded(world[0]), "torque": rounded(world[1])},
+        "tool": {"force": rounded(tool[0]), "torque": rounded(tool[1])},
+    }
+
+
+def _part(plan: RobotPlan, index: int) -> str:
+    part = int(plan.actions[index]) % len(plan.plan.boundary)
+    if plan.steps[index].transit:
+        part = next(leg.part for leg in plan.steps[index].trajectories if leg.part is not None)
+    return plan.plan.part_names[part]
+
+
+def _duration(seconds: float) -> dict[str, int]:
+    whole = round(seconds * _NANO)
+    return {"sec": whole // _NANO, "nanosec": whole % _NANO}
+
+
+def _json(value: Any) -> str:
+    return json.dumps(value, ensure_ascii=False, allow_nan=False, indent=1) + "\n"
+
+
+def _yaml(value: Any, indent: int = 0) -> str:
+    """Return plain values as YAML: mappings and lists of mappings in blocks, lists of numbers in one line."""
+    space = "  " * indent
+    lines = []
+    if isinstance(value, dict):
+        for key, entry in value.items():
+            if isinstance(entry, dict) or (isinstance(entry, list) and entry and isinstance(entry[0], dict)):
+                lines.append(f"{space}{key}:\n{_yaml(entry, indent + 1)}")
+            else:
+                lines.append(f"{space}{key}: {_yaml_value(entry)}\n")
+    else:
+        for entry in value:
+            block = _yaml(entry, indent + 1)
+            lines.append(f"{space}- {block[2 * (indent + 1) :]}")
+    return "".join(lines)
+
+
+def _yaml_value(value: Any) -> str:
+    """Return a number, a text or a list of such. YAML 1.1 reads 1e-05 as text, 1.0e-05 as a number."""
+    if isinstance(value, list):
+        return "[" + ", ".join(_yaml_value(entry) for entry in value) + "]"
+    written = json.dumps(value, ensure_ascii=False)
+    return written.replace("e", ".0e") if isinstance(value, float) and "." not in written else written

@@ -1,0 +1,66 @@
+"""Tables of the motions of a robot plan as CSV: positions of all joints at a fixed rate, and presses."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from falsework.robots.exports.written import Written
+from falsework.robots.plans.presses import TimedPress
+from falsework.robots.plans.robot_plan import RobotPlan
+
+
+def csv_tables(plan: RobotPlan, presses: Sequence[TimedPress], rate: float) -> Iterator[Written]:
+    """Yield a table for each step and one for the plan, with one motion after the other.
+
+    The first column is `time`, for a plan with a schedule, which the table does not keep, `time_without_schedule`.
+
+    Args:
+        plan: the robot plan.
+        presses: of the plan.
+        rate: rows per second.
+    """
+    header = ["time" if plan.schedule is None else "time_without_schedule", "step", "do", "moving", "carried"]
+    header += [f"{robot.name}_{joint}" for robot in plan.robots for joint in robot.joint_names]
+    everything: list[list[Any]] = []
+    start = 0.0
+    for index in range(len(plan)):
+        rows: list[list[Any]] = []
+        standing = [np.array(values) for values in plan.keyframes[index].configurations]
+        for trajectory in plan.steps[index].trajectories:
+            robot = plan.steps[index].robot
+            count = max(int(np.ceil(trajectory.seconds * rate)), 1)
+            moments = np.linspace(0.0, trajectory.seconds, count + 1)
+            carried = "" if trajectory.part is None else plan.plan.part_names[trajectory.part]
+            for moment, positions in zip(moments, trajectory.sample(moments), strict=True):
+                standing[robot] = positions
+                joints = [f"{value:.7f}" for values in standing for value in values]
+                about = [index + 1, plan.does(index), plan.robots[robot].name, carried]
+                rows.append([f"{start + moment:.6f}", *about, *joints])
+            start += trajectory.seconds
+        everything += rows
+        yield Written(f"step-{index + 1:03d}.csv", _table(header, rows))
+    yield Written("plan.csv", _table(header, everything))
+    if presses:
+        axes = [f"{kind}_{axis}" for kind in ("force", "torque") for axis in "xyz"]
+        columns = [f"{frame}_{axis}" for frame in ("world", "tool") for axis in axes]
+        rows = [_press_row(plan, press) for press in presses]
+        yield Written("presses.csv", _table(["start", "end", "step", "robot", "part", *columns], rows))
+
+
+def _press_row(plan: RobotPlan, press: TimedPress) -> list[Any]:
+    about = [press.step + 1, plan.robots[press.robot].name, plan.plan.part_names[press.part]]
+    numbers = [f"{value:.6f}" for value in (*press.wrench, *press.wrench_in(press.tool))]
+    return [f"{press.start:.6f}", f"{press.end:.6f}", *about, *numbers]
+
+
+def _table(header: list[str], rows: list[list[Any]]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    return text.getvalue()

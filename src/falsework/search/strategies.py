@@ -1,0 +1,150 @@
+"""Portfolio of the searches that a planner runs in turns: which there are, and how each begins."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from falsework.assembly.state import States, held_count
+from falsework.errors import InputError
+from falsework.search.beam.backjumping import BackjumpingBeam, BackjumpingSettings
+from falsework.search.beam.histories import ReplaySummary
+from falsework.search.problem.guide import Guide
+from falsework.search.problem.oracle import Oracle
+from falsework.search.problem.result import Progress, SearchCounters, SearchResult, Stop
+from falsework.search.problem.task import STAGE, Direction, Task
+from falsework.search.settings import PlannerSettings
+from falsework.search.support.beam import SupportBeam
+from falsework.search.support.everywhere import SupportEverywhere
+
+EDGES = "edges"
+"""Beam that closes free edges first, see `EdgeGuide`."""
+REGRASP = "regrasp-"
+"""Before the name of a direction: beam in which parts may be held again."""
+EVERYWHERE = "everywhere"
+"""Exhaustive search in which parts may be held again. Beams are named after their direction."""
+
+_FIRST_SHARE = 8
+"""Verdicts for each part of the structure that each strategy may ask for in the first round, and twice as many in each
+further one. Searches without dead ends take half as many."""
+_TRIAL_WIDTH = 4
+"""Widest beam for a plan with missing parts later: independent of the width for the first plan."""
+_NOVEL_WIDTHS = 4, 16
+"""Narrowest and widest beam for a plan unlike others: one state a level leaves no choice."""
+_ROWS_AHEAD = 16
+"""States that a beam which closes free edges first keeps ahead under `equilibrium`, where it keeps to its rows."""
+
+
+class Strategy(Protocol):
+    """Search that can be paused, and told of states to leave out."""
+
+    @property
+    def asked(self) -> int:
+        """Verdicts requested so far."""
+        ...
+
+    @property
+    def counters(self) -> SearchCounters:
+        """Work done so far."""
+        ...
+
+    def run(self, widest: int, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
+        """Search until the goal is reached, a beam wider than `widest` would be needed, or `stop` returns true."""
+        ...
+
+    def forbid(self, states: States) -> None:
+        """Leave states out from now on, shape (count, parts)."""
+        ...
+
+    def replay_summary(self) -> ReplaySummary | None:
+        """Return the replay of the route found, see `Histories.summary`; None where it is not known."""
+        ...
+
+
+@dataclass(frozen=True)
+class Portfolio:
+    """Strategies of one search, which take turns."""
+
+    names: tuple[str, ...]
+    """In the order of their turns."""
+    narrowest: int
+    """Width of beams to begin with."""
+    widest: int
+    """Width up to which they restart."""
+    share: int | None = None
+    """Verdicts of the first turn of each; each further turn has twice as many. None: until it gives up."""
+
+    def allowance(self, round: int) -> float:
+        """Return the verdicts that a strategy may ask for up to and with a round, counted from 0."""
+        return np.inf if self.share is None else self.share * (2.0 ** (round + 1) - 1.0)
+
+    @classmethod
+    def of(cls, settings: PlannerSettings, stage: str, task: Task, *, edges: bool = False) -> Portfolio:
+        """Return the strategies of a search.
+
+        Args:
+            settings: effort and directions.
+            stage: `plan`, `postpone` or `alternatives`.
+            task: the rules.
+            edges: in stage `plan`, begin with a beam that closes free edges first.
+        """
+        names = [direction.value for direction in settings.directions]
+        if stage == "postpone":
+            return cls(tuple(names), 1, min(_TRIAL_WIDTH, settings.width))
+        if stage == "alternatives":
+            # Disassembly leaves more freedom in the order of removal than assembly.
+            names.sort(key=lambda name: name != Direction.DISASSEMBLY)
+            narrowest, widest = (min(width, settings.width) for width in _NOVEL_WIDTHS)
+            return cls(tuple(names), narrowest, widest)
+        share = _FIRST_SHARE * task.part_count
+        if regrasps(task, settings):
+            again = [REGRASP + name for name in names]
+            once = names[:1] if (STAGE[task.target] >= STAGE[task.start]).all() else []
+            return cls((again[0], EVERYWHERE, *again[1:], *once), 1, settings.width, share)
+        if edges and Direction.ASSEMBLY in settings.directions:
+            names.insert(0, EDGES)
+        return cls(tuple(names), 1, settings.width, share)
+
+
+def regrasps(task: Task, settings: PlannerSettings) -> bool:
+    """Return whether holding parts again is allowed and can make a difference.
+
+    A single robot that releases a part without removing it returns to the state before the hold. So between states in
+    which nothing is held, and without props, repeated holds allow it nothing more.
+
+    Raises:
+        InputError: they do, and the settings ask for a judge or for alternatives.
+    """
+    nothing_held = not held_count(np.stack([task.start, task.target]), task.boundary).any()
+    if not task.support or (task.robots == 1 and not task.prop_limit and nothing_held):
+        return False
+    if settings.judge or settings.alternatives > 1:
+        what = "judge yet; leave it out" if settings.judge else "alternatives yet; ask for one plan"
+        raise InputError(f"plans with repeated holds have no {what}")
+    return True
+
+
+def direction_of(name: str) -> Direction:
+    """Return the direction in which a strategy searches."""
+    if name == EVERYWHERE:
+        return Direction.DISASSEMBLY
+    return Direction.ASSEMBLY if name == EDGES else Direction(name.removeprefix(REGRASP))
+
+
+def start(
+    name: str, task: Task, oracle: Oracle, portfolio: Portfolio, seed: int, guide_of: Callable[[str], Guide | None]
+) -> Strategy:
+    """Return a strategy at its beginning; `guide_of` returns the guide of each."""
+    direction, guide = direction_of(name), guide_of(name)
+    if name == EVERYWHERE:
+        return SupportEverywhere(task, oracle)
+    if name.startswith(REGRASP):
+        assert guide is not None
+        return SupportBeam(task, oracle, direction, guide=guide, width=portfolio.narrowest)
+    settings = BackjumpingSettings(direction, portfolio.narrowest, seed)
+    if name == EDGES and task.holds_keep_stable:
+        settings = replace(settings, lookahead=_ROWS_AHEAD)
+    return BackjumpingBeam(replace(task, support=False), oracle, settings, guide=guide)

@@ -1,0 +1,113 @@
+"""Cell as nodes of a viser scene: arms, obstacles, parts, places and reach; poses and colours change, shapes do not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.robots.motion.near_pairs import NearPair
+from falsework.viewer.arms import wxyz_of
+from falsework.viewer.cells.cell_sight import COLLIDES, NEAR, CellSight, marks_of
+from falsework.viewer.palette import rgb, robot_color
+
+Array = NDArray[np.float64]
+
+
+class CellScene:
+    """Nodes of one cell."""
+
+    def __init__(self, scene: Any, sight: CellSight) -> None:
+        """Fill a scene.
+
+        Args:
+            scene: `viser.SceneApi`.
+            sight: the cell.
+        """
+        self._scene, self._sight = scene, sight
+        self._links: list[Any] = []
+        self._bodies: list[Any] = []
+        self._tools: list[Any] = []
+        self._reaches: list[Any] = []
+        self._others: list[Any] = []
+        if sight.cell is None:
+            return
+        for number, link in enumerate(sight.links):
+            self._links.append(
+                scene.add_mesh_simple(
+                    f"/robots/{link.robot}/{number}",
+                    link.vertices.astype(np.float32),
+                    link.faces.astype(np.uint32),
+                    color=_bytes(link.color),
+                    flat_shading=True,
+                )
+            )
+        for number, body in enumerate(sight.bodies):
+            self._bodies.append(
+                scene.add_mesh_simple(
+                    f"/bodies/{number}",
+                    body.vertices.astype(np.float32),
+                    body.faces.astype(np.uint32),
+                    color=rgb(body.color),
+                    flat_shading=True,
+                )
+            )
+        for number, (robot, reach) in enumerate(zip(sight.cell.robots, sight.reaches, strict=True)):
+            color = rgb(robot_color(number))
+            self._reaches.append(
+                scene.add_icosphere(
+                    f"/reach/{number}", reach.radius, color, position=reach.center, opacity=0.08, side="double",
+                    subdivisions=5, cast_shadow=False, receive_shadow=False,
+                )
+            )  # fmt: skip
+            self._tools.append(
+                scene.add_frame(f"/tools/{number}", axes_length=0.08, axes_radius=0.003, origin_radius=0.005)
+            )
+            for place in np.unique(np.round(robot.places[:, :3, 3], 6), axis=0) if len(robot.places) else ():
+                name = f"/places/{number}/{len(self._others)}"
+                self._others.append(scene.add_icosphere(name, 0.02, color, position=place))
+
+    def show(self, configurations: Sequence[Array], pairs: Sequence[NearPair]) -> None:
+        """Move the arms, and colour the bodies that are too near each other.
+
+        Args:
+            configurations: joint values of every arm.
+            pairs: such bodies.
+        """
+        sight = self._sight
+        if sight.cell is None:
+            return
+        frames, marks = sight.frames(configurations), marks_of(pairs)
+        for node, link in zip(self._links, sight.links, strict=True):
+            pose, mark = frames[link.robot][link.frame], marks.get(sight.link_name(link))
+            node.position, node.wxyz = pose[:3, 3], wxyz_of(pose[:3, :3])
+            color = _bytes(link.color) if mark is None else rgb(mark)
+            if tuple(node.color) != color:
+                node.color = color
+        for node, body in zip(self._bodies, sight.bodies, strict=True):
+            color = rgb(marks.get(body.name, body.color))
+            if tuple(node.color) != color:
+                node.color = color
+        for node, robot, poses in zip(self._tools, sight.cell.robots, frames, strict=True):
+            tool = poses[-1] @ robot.gripper.tool
+            node.position, node.wxyz = tool[:3, 3], wxyz_of(tool[:3, :3])
+
+    def show_reach(self, wanted: bool) -> None:
+        """Show or hide the reach of the arms."""
+        for node in self._reaches:
+            node.visible = wanted
+
+    def remove(self) -> None:
+        """Remove all nodes."""
+        for node in (*self._links, *self._bodies, *self._tools, *self._reaches, *self._others):
+            node.remove()
+
+
+LEGEND = ((COLLIDES, "touch"), (NEAR, "too near"))
+
+
+def _bytes(color: Sequence[float]) -> tuple[int, int, int]:
+    red, green, blue = (round(255 * channel) for channel in color)
+    return red, green, blue
