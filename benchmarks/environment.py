@@ -32,7 +32,7 @@ from falsework.assembly import Assembly, load_structure
 from falsework.learn.algorithms.curriculum import Curriculum
 from falsework.learn.algorithms.ppo import PPO
 from falsework.learn.config.policy import PolicySettings
-from falsework.learn.config.ppo import PAPER
+from falsework.learn.config.ppo import REINFORCEMENT
 from falsework.learn.data.dataset import search_states, task_for
 from falsework.learn.env.environment import Environment
 from falsework.learn.env.rollout import roll_out
@@ -157,7 +157,7 @@ class Bench:
         environment, policy = self.environment(), self.policy()
         starts = environment.rules.put(self.graph.states)
         curriculum = Curriculum(starts, environment.rules, shards=self.shards)
-        ppo = PPO(environment, policy, curriculum, PAPER, shards=self.shards)
+        ppo = PPO(environment, policy, curriculum, REINFORCEMENT.resolved(self.device.type), shards=self.shards)
         generator = environment.generator(self.shards.rank)
         ppo.update(curriculum.sample(self.count, generator))
         before, updates, begin = environment.counters.steps, 0, time.perf_counter()
@@ -200,7 +200,7 @@ class Bench:
 
         settings = PolicySettings(kind="mlp").resolved()
         environment = gymnasium.make(ID, structure=self.assembly, robots=self.options.robots, starts=self.graph)
-        ppo = PAPER
+        ppo = REINFORCEMENT.resolved("cpu")
         model = MaskablePPO(
             "MlpPolicy",
             environment,

@@ -1,23 +1,22 @@
 """Train policies and evaluate them by the paper's protocols: one JSON object per line.
 
-    python benchmarks/learning.py table3                             # all rows, three seeds for the small ones
-    python benchmarks/learning.py table3 --rows vault-62:2 --data width64 --seeds 0
-    python benchmarks/learning.py table3 --rows vault-62:2 --search --keep runs
+    python benchmarks/learning.py table3 --method reinforcement --data width64 --criterion equilibrium --out FILE
+    python benchmarks/learning.py table3 --rows vault-62:2 --seeds 0 --keep runs
     python benchmarks/learning.py table4 --rows bottle-12:2 dome-37:2
     python benchmarks/learning.py table5 --rows bottle-12:2
     python benchmarks/learning.py transfer
-    python benchmarks/learning.py methods --rows bottle-12:2 --minutes 1 > curves.jsonl
-    python benchmarks/learning.py plot --curves curves.jsonl --picture curves.png
+    python benchmarks/learning.py searches --searches folder         # all draws of table3, once for many runs
     torchrun --nproc-per-node 4 benchmarks/learning.py table3 --rows vault-62:6
 
 A row is a structure, by the name of a real one (FALSEWORK_DATA, else the folder `shared` beside the repository), of a
-built-in one or by its path, and a number of robots. `table3`: greedy success on the training and the test set, all
-states of them, `random` beside it for uniformly random legal actions, `paper` where the paper has the row; `--data
-width64` learns from the paper's data alone, `--search` adds the share of test states with a proven plan. `table4`: a
+built-in one or by its path, and a number of robots. `table3`: greedy success on the
+test states of five searches (`draws.py`), all of them or `--states` of each, with their distance to the states learned
+from, and `paper` where the paper has the row; `--data width64` learns from the paper's data alone. Runs whose records
+are in the file of `--out` are skipped, those in the folder of `--keep` are resumed. `table4`: a
 goal-conditioned policy, a goal-blind one, or both (`--goals`). `table5`: `gat`, `transformer`, `resmlp` and `mlp` with
-the same budget. `transfer`: a policy of the bottle evaluated on the dog. `methods`: curves of all presets of training.
+the same budget. `transfer`: a policy of the bottle evaluated on the dog.
 `solvable`: how many states of a small structure are solvable, and how many of them no run may learn from.
-`minutes` is the total budget, data included, `seconds` the time used; evaluation of all states is not included. Rows
+`minutes` is the total budget, `seconds` the time used; data are included but for `table3`, evaluation is not. Rows
 are independent: run them as processes of their own, each with its CUDA_VISIBLE_DEVICES.
 """
 
@@ -35,13 +34,14 @@ from typing import Any, get_args
 import numpy as np
 import record
 from baselines.uniform import UniformPolicy
+from draws import Searches, success_on_draws, test_seeds
 from states import find
 
 from falsework.assembly import load_structure
 from falsework.assembly.symmetry import symmetries
 from falsework.errors import InputError
 from falsework.learn.config.policy import PolicySettings, recommended
-from falsework.learn.config.train import METHODS, Criterion, TrainSettings
+from falsework.learn.config.train import METHODS, Criterion, TrainSettings, from_dict, to_dict
 from falsework.learn.data.dataset import Dataset, build_dataset, search_states, task_for
 from falsework.learn.data.symmetry_augmentation import symmetric_images
 from falsework.learn.env.environment import Environment
@@ -77,7 +77,7 @@ TABLE_3: dict[str, tuple[float, float, float, float]] = {
 EVERYTHING = 1 << 14
 """Width of a search that finds all states of a small structure."""
 SMALL = 20
-"""Number of parts up to which a row is run with three seeds."""
+"""Number of parts up to which every test draw has a run of its own."""
 
 
 def rows_of(options: argparse.Namespace) -> Iterator[tuple[str, Any, int, tuple[int, ...]]]:
@@ -89,7 +89,7 @@ def rows_of(options: argparse.Namespace) -> Iterator[tuple[str, Any, int, tuple[
         if not options.rows and find(name) == name:
             continue  # the real structures are not on this machine
         assembly = load_structure(find(name))
-        seeds = tuple(options.seeds) or ((0, 1, 2) if assembly.part_count <= SMALL else (0,))
+        seeds = tuple(options.seeds) or (0, 1, 2)
         yield name, assembly, int(robots), seeds
 
 
@@ -105,12 +105,23 @@ def settings_of(options: argparse.Namespace, row: str, robots: int, seed: int, *
     if options.imitation_steps is not None:
         first, *others = given["phases"]
         given["phases"] = (replace(first, steps=options.imitation_steps), *others)  # type: ignore[call-arg]
+    if options.set:
+        *others, last = given["phases"]
+        changed = {name: json.loads(value) for name, _, value in (one.partition("=") for one in options.set)}
+        given["phases"] = (*others, from_dict(type(last), to_dict(last) | changed))
     given |= changes
     sizes = {name: getattr(options, name) for name in ("layers", "channels", "heads") if getattr(options, name)}
     return TrainSettings(**{**given, "policy": replace(given.get("policy", PolicySettings()), **sizes)})
 
 
-def run(options: argparse.Namespace, name: str, assembly: Any, settings: TrainSettings, label: str) -> TrainResult:
+def run(
+    options: argparse.Namespace,
+    name: str,
+    assembly: Any,
+    settings: TrainSettings,
+    label: str,
+    dataset: Dataset | None = None,
+) -> TrainResult:
     """Train, with progress on standard error."""
     last = time.perf_counter()
 
@@ -132,6 +143,7 @@ def run(options: argparse.Namespace, name: str, assembly: Any, settings: TrainSe
         device=options.device,
         resume=folder is not None and (folder / "run.json").exists(),
         report=show,
+        dataset=dataset,
     )
 
 
@@ -183,7 +195,7 @@ def line(
     """Print one row."""
     paper = TABLE_3.get(f"{name}:{settings.robots}")
     known: dict[str, Any] = {}
-    if paper and benchmark == "table3":
+    if paper and benchmark == "draws":
         known["paper"] = {"train": paper[0] / 100, "test": paper[1] / 100, "hours": paper[2]}
     if not ProcessGroup.of_group().is_main_process:
         return
@@ -215,13 +227,57 @@ def line(
 
 
 def table3(options: argparse.Namespace) -> None:
-    """Measure greedy success from unseen states."""
+    """Measure greedy success from the unseen states of several draws of the searches; finished runs are skipped."""
+    device = choose_device(options.device)
     for name, assembly, robots, seeds in rows_of(options):
+        oracle = tensor_oracle(Stability(assembly, StabilitySettings(criterion=options.criterion)), device)
+        folder = Path(options.searches) if options.searches else None
+        searches = Searches(assembly, robots, False, oracle, device, folder)
         for seed in seeds:
-            kind = recommended(assembly.part_count, kind=options.policy or None)
-            settings = settings_of(options, name, robots, seed, policy=kind)
-            result = run(options, name, assembly, settings, f"{name}:{robots} {settings.data} seed {seed}")
-            line("table3", name, settings, result, evaluated(options, result, settings, assembly))
+            # Of a small structure five test draws would hold out most of the solvable states.
+            several = assembly.part_count > SMALL
+            numbers = options.tests or range(len(test_seeds(seed)))
+            for tests in (test_seeds(seed),) if several else tuple((test_seeds(seed)[n],) for n in numbers):
+                settings = settings_of(options, name, robots, seed, policy=kind_of(options, assembly))
+                about = {"structure": name, "robots": robots, "seeds": [seed], "data": settings.data}
+                about |= {"criterion": settings.criterion, "tests": list(tests), "label": options.label}
+                if finished(options.out, about):
+                    continue
+                begun = time.perf_counter()
+                filled = settings.resolved(assembly.part_count, device.type)
+                draw = searches.draw(seed, tests, filled.widths if settings.data == "wide" else ())
+                label = f"{name}:{robots} {settings.data} {settings.criterion} seed {seed} {options.label}"
+                label += "" if several else f" test {tests[0]}"
+                searched = time.perf_counter() - begun
+                result = run(options, name, assembly, settings, label, draw.dataset)
+                if result.interrupted:
+                    return
+                found = success_on_draws(assembly, settings, result.policy, draw, most=options.states)
+                more = {"tests": list(tests), "label": options.label, "search_seconds": round(searched, 1)}
+                line("draws", name, settings, result, found, **more)
+
+
+def kind_of(options: argparse.Namespace, assembly: Any) -> PolicySettings:
+    """Return the network of the command line, or the one recommended."""
+    return recommended(assembly.part_count, kind=options.policy or None)
+
+
+def finished(out: Path | None, about: dict[str, Any]) -> bool:
+    """Return whether the file of records has a run."""
+    if out is None or not out.exists():
+        return False
+    records = (json.loads(text) for text in out.read_text(encoding="utf-8").splitlines())
+    return any(all(one.get(key) == value for key, value in about.items()) for one in records)
+
+
+def searched(options: argparse.Namespace) -> None:
+    """Search for the states of all draws of the rows, into the folder of --searches."""
+    device = choose_device(options.device)
+    for _, assembly, robots, seeds in rows_of(options):
+        oracle = tensor_oracle(Stability(assembly, StabilitySettings(criterion=options.criterion)), device)
+        searches = Searches(assembly, robots, False, oracle, device, Path(options.searches or "searches"))
+        for width, seed in searches.all_seeds(seeds):
+            searches.states(width, seed)
 
 
 def table4(options: argparse.Namespace) -> None:
@@ -283,50 +339,14 @@ def solvable(options: argparse.Namespace) -> None:
         )  # fmt: skip
 
 
-def methods(options: argparse.Namespace) -> None:
-    """Record curves of all training presets."""
-    for name, assembly, robots, seeds in rows_of(options):
-        for seed in seeds[:1]:
-            for method in METHODS:
-                settings = settings_of(options, name, robots, seed, method=method)
-                result = run(options, name, assembly, settings, f"{name}:{robots} {method} seed {seed}")
-                points = [[one["seconds"], one["success/train"], one["success/validation"]] for one in result.curve]
-                found = {"train": result.train.to_dict(), "test": result.test.to_dict()}
-                line("methods", name, settings, result, found, method=method, curve=points)
-
-
-def plot(options: argparse.Namespace) -> None:
-    """Draw the output of `methods`."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    lines = [json.loads(text) for text in Path(options.curves).read_text(encoding="utf-8").splitlines()]
-    structures = list(dict.fromkeys(one["structure"] for one in lines))
-    figure, axes = pyplot.subplots(1, len(structures), figsize=(6 * len(structures), 4), squeeze=False)
-    for axis, structure in zip(axes[0], structures, strict=True):
-        for one in (one for one in lines if one["structure"] == structure):
-            seconds, _, test = zip(*one["curve"], strict=True)
-            axis.plot(seconds, [100 * share for share in test], marker=".", label=one["method"])
-        axis.set(title=structure, xlabel="seconds, data included", ylabel="validation states, greedy success in %")
-        axis.set_ylim(0, 101)
-        axis.grid(alpha=0.3)
-        axis.legend(loc="lower right")
-    figure.tight_layout()
-    figure.savefig(options.picture, dpi=150)
-
-
 def main() -> None:
     """Read the command line and run a benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    whats = {"table3": table3, "table4": table4, "table5": table5, "transfer": carry_over}
-    whats |= {"methods": methods, "plot": plot, "solvable": solvable}
+    whats = {"table3": table3, "searches": searched, "table4": table4, "table5": table5, "transfer": carry_over}
+    whats["solvable"] = solvable
     parser.add_argument("what", choices=list(whats))
     parser.add_argument("--rows", nargs="*", default=[], help="structure:robots; all of the table if not given")
-    parser.add_argument(
-        "--seeds", nargs="*", type=int, default=[], help="default: three for small structures, else one"
-    )
+    parser.add_argument("--seeds", nargs="*", type=int, default=[], help="default: 0 1 2")
     parser.add_argument("--minutes", type=float, default=0.0, help="default: the budget of the table")
     parser.add_argument("--steps", type=int, default=0, help="in place of minutes")
     parser.add_argument("--data", choices=("wide", "width64"), default="wide")
@@ -334,23 +354,24 @@ def main() -> None:
     parser.add_argument("--widths", nargs="*", type=int, default=[], help="widths of the wide searches")
     parser.add_argument("--method", choices=METHODS, default="default")
     parser.add_argument("--imitation-steps", type=int, help="imitation steps before PPO; 0 for no limit")
+    parser.add_argument("--set", nargs="*", default=[], help="settings of PPO in JSON, such as epochs=2")
     parser.add_argument("--policy", choices=("resmlp", "transformer", "gat", "mlp"), default="")
     parser.add_argument("--layers", type=int, default=0, help="layers of the network; 0 for the default")
     parser.add_argument("--channels", type=int, default=0, help="channels of the network; 0 for the default")
     parser.add_argument("--heads", type=int, default=0, help="attention heads; 0 for the default")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--states", type=int, default=0, help="states evaluated of each set; 0 for all")
+    parser.add_argument("--searches", default="", help="folder that keeps the searches of table3")
+    parser.add_argument(
+        "--tests", nargs="*", type=int, default=[], help="numbers of the test draws of small structures; default: all"
+    )
+    parser.add_argument("--label", default="", help="name of a variant in the records of table3")
     parser.add_argument("--goals", choices=("both", "yes", "no"), default="both", help="which policies table4 trains")
     parser.add_argument("--search", action="store_true", help="search where the policy fails")
     parser.add_argument("--keep", default="", help="folder for the runs; existing ones are resumed")
-    parser.add_argument("--curves", default="curves.jsonl", help="output of methods, for plot")
-    parser.add_argument("--picture", default="curves.png", help="file for plot")
     parser.add_argument("--out", type=Path, help="file to which the records are appended")
     parser.add_argument("--quiet", action="store_true", help="no progress on standard error")
     options = parser.parse_args()
-    if options.what == "plot":
-        plot(options)
-        return
     record.write_to(options.out)
     with init_distributed(options.device):
         whats[options.what](options)

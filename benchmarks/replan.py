@@ -48,6 +48,8 @@ class Options:
     """Parts held at once; 0 for 2, or for the number that a run was trained with."""
     count: int = 50
     """Number of intermediate states."""
+    width: int = 64
+    """Width of the search that finds these states."""
     seeds: int = 10
     """Repetitions from the complete state."""
     deadlines: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4, 0.8)
@@ -150,22 +152,22 @@ def complete(options: Options) -> None:
         )
 
 
-def middle(case: Case, count: int) -> States:
+def middle(case: Case, options: Options) -> States:
     """Return solvable states of all sizes."""
     oracle = Stability(case.assembly)
     task = Task.create(case.assembly.boundary, case.robots, clearance=case.assembly.clearance if case.clear else None)
-    beam = BeamSearch(task, oracle, BeamSettings(64))
+    beam = BeamSearch(task, oracle, BeamSettings(options.width))
     beam.run()
     states = beam.states()
     states = states[(states != task.start).any(axis=1) & (states != task.target).any(axis=1)]
-    return states[np.random.default_rng(0).permutation(len(states))[:count]]
+    return states[np.random.default_rng(0).permutation(len(states))[: options.count]]
 
 
 def midway(options: Options) -> None:
     """Replan from intermediate states."""
     for case in cases(options):
         replanner, load = case.replanner(options)
-        requests = [case.request(state, seed=n) for n, state in enumerate(middle(case, options.count))]
+        requests = [case.request(state, seed=n) for n, state in enumerate(middle(case, options))]
         answers = [replanner.replan_many([request])[0] for request in requests]
         show("midway", case, options, seeds=(0,), **summary(answers), load_seconds=round(load, 3))
 
@@ -173,7 +175,7 @@ def midway(options: Options) -> None:
 def deadline(options: Options) -> None:
     """Measure the lateness of answers."""
     for case in cases(options):
-        states = middle(case, options.count)
+        states = middle(case, options)
         for seconds in options.deadlines:
             replanner, _ = case.replanner(options)
             answers, taken = [], []
@@ -196,7 +198,7 @@ def deadline(options: Options) -> None:
 def batch(options: Options) -> None:
     """Process requests one by one, and together."""
     for case in cases(options):
-        states = middle(case, options.count)
+        states = middle(case, options)
         for together in (1, options.clients):
             replanner, _ = case.replanner(options)
             answers: list[ReplanResult] = []

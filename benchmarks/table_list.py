@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from statistics import fmean
 
 from table_model import Record, Runs, Table, look_up, number, spread
 
@@ -33,10 +34,57 @@ def earlier_success(_: Runs, earlier: Runs) -> str:
     return f"{spread(found, '%')}, {len(found)} run{'s' if len(found) > 1 else ''}" if found else ""
 
 
-def behind(runs: Runs, _: Runs) -> str:
-    """Write whether a policy is ahead of the paper's."""
-    ours, paper = look_up(runs[0], "test.success"), look_up(runs[0], "paper.test")
-    return f"{'ahead' if ours > paper else 'behind'} by {number(abs(ours - paper), '%')}"
+def over_draws(key: str, form: str = "", *, pairing: bool = False) -> Callable[[Runs, Runs], str]:
+    """Return a column with the mean and the range of a figure over all test draws of all runs.
+
+    Args:
+        key: name of the figure of a draw.
+        form: of the numbers.
+        pairing: only the draws whose search has the seed of the training draw.
+    """
+
+    def write(runs: Runs, _: Runs) -> str:
+        draws = [draw for run in runs for draw in run["draws"] if draw["published_pairing"] or not pairing]
+        values = [draw[key] for draw in draws]
+        mean, low, high = (number(value, form) for value in (fmean(values), min(values), max(values)))
+        return mean if low == high else f"{mean} ({low} to {high})"
+
+    return write
+
+
+def at_distance(least: int, most: int) -> Callable[[Runs, Runs], str]:
+    """Return a column with the share of success on states of all draws at some distances, and their number."""
+
+    def write(runs: Runs, _: Runs) -> str:
+        bins = [one for run in runs for draw in run["draws"] for one in draw["by_distance"].items()]
+        chosen = [(count, share) for far, (count, share) in bins if least <= int(far) <= most]
+        states = sum(count for count, _ in chosen)
+        return f"{number(sum(n * share for n, share in chosen) / states, '%')} of {states:,}" if states else ""
+
+    return write
+
+
+def draws(runs: Runs, _: Runs) -> str:
+    """Write the number of training and of test draws."""
+    trained = {run["seeds"][0] for run in runs}
+    return f"{len(trained)} and {sum(len(run['draws']) for run in runs)}"
+
+
+def answered(policy: bool) -> Callable[[Runs, Runs], str]:
+    """Return a column with the number of requests that got a plan in time, with a policy or without."""
+
+    def write(runs: Runs, _: Runs) -> str:
+        run = next((run for run in runs if run["policy"] is policy), None)
+        return "" if run is None else f"{run['found']} of {run['asked']}"
+
+    return write
+
+
+def by_policy(runs: Runs, _: Runs) -> str:
+    """Write how many plans came from the policy itself."""
+    run = next((run for run in runs if run["policy"]), None)
+    decided = {} if run is None else run["decided_by"]
+    return "" if run is None else str(sum(count for stage, count in decided.items() if stage.startswith("policy")))
 
 
 def fewest(rules: str) -> Callable[[Runs, Runs], str]:
@@ -106,6 +154,18 @@ RULES = (
     ("CPU time, ratio", "{processor_seconds}"),
     ("CPU time of all, ratio", "{all_processor_seconds.without/all_processor_seconds.with}"),
 )
+
+DRAWS = (
+    ("training and test draws", draws),
+    ("unseen states, mean over draws, %", over_draws("success", "%")),
+    ("paper, %", "{paper.test:%}"),
+    ("draw of the same seed, %", over_draws("success", "%", pairing=True)),
+    ("distance to the training states", over_draws("distance")),
+    ("validation states, %", "{validation.success:%}"),
+    ("seconds", "{seconds}"),
+)
+"""Columns of policies that are tested on several draws."""
+
 
 TABLES = {
     "plans": Table(
@@ -548,10 +608,49 @@ TABLES = {
     "policies-paper-data": Table(
         "learning",
         STRUCTURE_AND_ROBOTS,
+        DRAWS,
+        benchmark="learning draws",
+        where=lambda record: (
+            record["data"] == "width64" and record["label"] == "reinforcement" and record["rollouts"] == 8192
+        ),
+    ),
+    "policies-distance": Table(
+        "learning",
+        STRUCTURE_AND_ROBOTS,
+        (
+            ("distance 1, %", at_distance(1, 1)),
+            ("2 to 4", at_distance(2, 4)),
+            ("5 to 7", at_distance(5, 7)),
+            ("8 to 11", at_distance(8, 11)),
+            ("12 and more", at_distance(12, 1000)),
+        ),
+        benchmark="learning draws",
+        where=lambda record: (
+            (record["data"], record["label"], record["rollouts"]) == ("width64", "reinforcement", 8192)
+            and record["policy"] == "transformer"
+        ),
+    ),
+    "policies-recipes": Table(
+        "learning",
+        (*STRUCTURE_AND_ROBOTS, ("recipe", "{label}"), ("rollouts", "{rollouts}")),
+        DRAWS,
+        benchmark="learning draws",
+        where=lambda record: record["data"] == "width64" and record["structure"] in ("vault-62", "dome-72", "dog-35"),
+    ),
+    "policies-wide": Table(
+        "learning",
+        (*STRUCTURE_AND_ROBOTS, ("recipe", "{label}"), ("rollouts", "{rollouts}")),
+        DRAWS,
+        benchmark="learning draws",
+        where=lambda record: record["data"] == "wide",
+    ),
+    "policies-one-draw": Table(
+        "learning",
+        STRUCTURE_AND_ROBOTS,
         (
             ("unseen states, %", "{test.success:%}"),
+            ("network", "{policy}"),
             ("paper, %", "{paper.test:%}"),
-            ("percentage points", behind),
             ("training states, %", "{train.success:%}"),
             ("seconds", "{seconds}"),
         ),
@@ -668,6 +767,16 @@ TABLES = {
         ),
         benchmark="replan midway",
         where=quiet,
+    ),
+    "replanning-deadlines": Table(
+        "replan",
+        (*STRUCTURE, ("deadline, s", "{deadline}")),
+        (
+            ("plans in time, search alone", answered(False)),
+            ("with a policy", answered(True)),
+            ("of these by the policy itself", by_policy),
+        ),
+        benchmark="replan deadline",
     ),
     "replanning-batch": Table(
         "replan",

@@ -17,7 +17,7 @@ from falsework.learn.algorithms.ppo import PPO
 from falsework.learn.algorithms.start_states import StartBatch
 from falsework.learn.config.imitation import ImitationPhase
 from falsework.learn.config.policy import PolicySettings
-from falsework.learn.config.ppo import PAPER, PpoPhase
+from falsework.learn.config.ppo import REINFORCEMENT, PpoPhase
 from falsework.learn.config.train import TrainSettings
 from falsework.learn.env.environment import Environment
 from falsework.learn.networks.factory import make_policy
@@ -28,7 +28,7 @@ from falsework.utils.distributed import ProcessGroup, init_distributed
 
 PHASES = {
     "default": (ImitationPhase(until=0.5, batch=16), PpoPhase(rollouts=16, batch=16)),
-    "paper": (replace(PAPER, rollouts=16, batch=16),),
+    "reinforcement": (replace(REINFORCEMENT, rollouts=16, batch=16),),
 }
 
 
@@ -63,7 +63,7 @@ def update(folder: Path, shards: ProcessGroup, device: torch.device) -> None:
     states = torch.from_numpy(search.states())
     policy = make_policy(assembly, PolicySettings(kind="mlp", layers=1, channels=16), device, 0)
     curriculum = Curriculum(states, environment.rules, shards=shards)
-    ppo = PPO(environment, policy, curriculum, replace(PAPER, batch=64, epochs=2), shards=shards)
+    ppo = PPO(environment, policy, curriculum, replace(REINFORCEMENT, batch=64, epochs=2), shards=shards)
     generator = environment.generator(9 + shards.rank)
     numbers = [ppo.update(curriculum.sample(12 + 20 * shards.rank, generator)) for _ in range(3)]
     # One process has nothing to learn; it must not keep the others waiting.
@@ -82,7 +82,7 @@ def run(method: str, folder: Path, kept: dict[str, Trainer]) -> None:
         steps=20,
         block=10,
         data="width64",
-        evaluate_every=1,
+        evaluations=8,
         evaluation_states=32,
         policy=PolicySettings("resmlp", channels=16, layers=1),
     )

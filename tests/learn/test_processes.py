@@ -18,7 +18,7 @@ from falsework.learn.data.dataset import load_dataset  # noqa: E402
 from falsework.learn.data.symmetry_augmentation import symmetric_images  # noqa: E402
 from falsework.learn.training.checkpoint import load_run  # noqa: E402
 
-PARALLEL = ("default", "paper")
+PARALLEL = ("default", "reinforcement")
 
 
 @pytest.fixture(scope="module")

@@ -25,8 +25,9 @@ if TYPE_CHECKING:
 class Train(JudgingCommand):
     """Train a policy that proposes the next action from any state of a structure.
 
-    The policy imitates the actions that searches found, then improves by its own rollouts. The result is a folder, the
-    run, with weights, configuration and logs. An interrupted training is continued by the same command with --resume.
+    The policy imitates the actions that searches found, then improves by its own rollouts. The weights with the highest
+    success on a validation set are kept, and training ends when it no longer rises. The result is a folder, the run,
+    with weights, configuration and logs. An interrupted training is continued by the same command with --resume.
     Under torchrun several processes share the work.
     """
 
@@ -49,8 +50,8 @@ class Train(JudgingCommand):
     resume: bool = False
     """Resume the run in the folder; of the other options only --minutes, --steps, --device and --log apply."""
     method: Method = "default"
-    """Preset: imitation of searches and then PPO from many rollouts (`default`), `imitation` alone, PPO with the
-    curriculum of the `paper` from scratch, or PPO from the `complete` structure alone, a baseline."""
+    """Preset: a short imitation of searches and then PPO from many rollouts (`default`), or PPO from scratch with a
+    curriculum of start states (`reinforcement`), which does better where few states are known (`--data width64`)."""
     policy: Annotated[Kind | None, arg(help_behavior_hint="(default: resmlp; transformer above 20 parts)")] = None
     """Network: residual layers over the state (`resmlp`), attention between parts (`transformer`), the paper's graph
     attention (`gat`) or its baseline (`mlp`). The weights of transformer and gat fit other structures."""

@@ -5,7 +5,7 @@ from falsework.learn.algorithms.ppo import PPO as PPO
 from falsework.learn.config.imitation import ImitationPhase as ImitationPhase
 from falsework.learn.config.policy import PolicySettings as PolicySettings
 from falsework.learn.config.policy import recommended as recommended
-from falsework.learn.config.ppo import PAPER as PAPER
+from falsework.learn.config.ppo import REINFORCEMENT as REINFORCEMENT
 from falsework.learn.config.ppo import CurriculumSettings as CurriculumSettings
 from falsework.learn.config.ppo import PpoPhase as PpoPhase
 from falsework.learn.config.train import METHODS as METHODS

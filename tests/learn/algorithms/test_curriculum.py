@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -11,10 +12,12 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 
 from falsework.assembly import load_structure  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
+from falsework.learn.algorithms.blended_starts import BlendedStarts  # noqa: E402
 from falsework.learn.algorithms.curriculum import _CORRECTED_AFTER, Curriculum  # noqa: E402
 from falsework.learn.algorithms.ppo import PPO  # noqa: E402
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
-from falsework.learn.config.ppo import PAPER, CurriculumSettings  # noqa: E402
+from falsework.learn.config.ppo import REINFORCEMENT, CurriculumSettings  # noqa: E402
+from falsework.learn.data.solvable_states import SolvableStates  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
 from falsework.learn.env.rollout import roll_out  # noqa: E402
 from falsework.learn.networks.factory import make_policy  # noqa: E402
@@ -150,7 +153,9 @@ def test_a_policy_learns_an_arch_from_a_curriculum() -> None:
     search.run()
     states = torch.from_numpy(search.states())
     policy = make_policy(assembly, PolicySettings(kind="mlp"), "cpu", 0)
-    ppo = PPO(environment, policy, Curriculum(states, environment.rules), replace(PAPER, batch=512, rollouts=64))
+    ppo = PPO(
+        environment, policy, Curriculum(states, environment.rules), replace(REINFORCEMENT, batch=512, rollouts=64)
+    )
     before = float(roll_out(environment, policy, states, keep="ends").success.float().mean())
     for _ in range(120):  # five seeds of five succeed on nineteen of twenty states by then, one falls back on the way
         report = ppo.block(1, (0.0, 1.0))
@@ -165,3 +170,28 @@ def test_without_states_there_is_nothing_to_draw(arch, generator) -> None:
     empty = environment.rules.goals(environment.rules.complete())
     with pytest.raises(InputError, match="start states that are not their own target"):
         Curriculum(empty, environment.rules)
+
+
+def test_blended_starts_are_a_curriculum_and_any_solvable_states_within_its_horizon(arch, generator) -> None:
+    """With the shares that are asked for; outcomes of the others are not the curriculum's."""
+    environment, states = arch
+    left = environment.rules.steps_left(states)
+    near = states[left == left[left > 0].min()]
+    curriculum = make(environment.rules, states, stages=4)
+    assert curriculum.widening
+    solved = SolvableStates(environment.rules, states)
+    starts = BlendedStarts(curriculum, solved, 0.25)
+    batch: Any = starts.sample(40, generator)
+    assert len(batch.states) == 40
+    assert len(batch.rows) == 30
+    assert torch.equal(batch.states[:30], curriculum._starts[batch.rows])
+    assert (environment.rules.steps_left(batch.states) <= curriculum.horizon).all()
+    assert solved.contains(batch.states).all()
+    assert len(batch.entropy) == len(batch.weight) == 40
+    assert (batch.weight > 0).all()
+    transitions: Any = SimpleNamespace(success=torch.arange(40) < 30)
+    starts.record(batch, transitions, torch.ones(40), generator)
+    assert curriculum._visited.sum() == len(batch.rows.unique())
+    assert curriculum._far[1] == curriculum._far[0]  # of its own, all succeeded
+    assert len(SolvableStates(environment.rules, near).within(0, 5, generator)) == 0
+    assert not make(environment.rules, states, growing=False).widening

@@ -37,7 +37,7 @@ def test_relabelled_rollouts_are_paths_to_visited_states(bottle: Assembly) -> No
         return torch.zeros(len(states), 2 * states.shape[1]), torch.zeros(len(states))
 
     starts = environment.rules.complete(80)
-    options = {"discount": 1.0, "gae_lambda": 0.9, "probabilities": True}
+    options = {"discount": 1.0, "gae_lambda": 0.9}
     played = collect_transitions(environment, policy, starts, None, environment.generator(0), **options)
     assert not played.success.all()
     solved = SolvableStates(environment.rules)

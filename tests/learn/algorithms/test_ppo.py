@@ -17,7 +17,7 @@ from torch import Tensor  # noqa: E402
 
 from falsework.assembly import Assembly, load_structure  # noqa: E402
 from falsework.errors import InputError, TrainingError  # noqa: E402
-from falsework.learn.algorithms.advantages import generalized_advantages, normalized  # noqa: E402
+from falsework.learn.algorithms.advantages import explained_variance, generalized_advantages, normalized  # noqa: E402
 from falsework.learn.algorithms.curriculum import Curriculum  # noqa: E402
 from falsework.learn.algorithms.imitation import imitation_loss  # noqa: E402
 from falsework.learn.algorithms.nan_guard import NanGuard  # noqa: E402
@@ -26,7 +26,7 @@ from falsework.learn.algorithms.ppo_loss import ppo_loss  # noqa: E402
 from falsework.learn.algorithms.rollout_storage import Transitions, collect_transitions  # noqa: E402
 from falsework.learn.algorithms.start_states import MixedStarts, StartBatch  # noqa: E402
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
-from falsework.learn.config.ppo import PAPER, CurriculumSettings, PpoPhase  # noqa: E402
+from falsework.learn.config.ppo import REINFORCEMENT, CurriculumSettings, PpoPhase  # noqa: E402
 from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, task_for  # noqa: E402
 from falsework.learn.data.random_walks import GoalSampler, RandomWalkGoals  # noqa: E402
 from falsework.learn.data.solvable_states import SolvableStates  # noqa: E402
@@ -58,7 +58,11 @@ def data(arch: Assembly) -> Dataset:
     return build_dataset(arch, task_for(arch), DataSettings(train_width=8, test_width=16), device="cpu")
 
 
-def learner(environment: Environment, settings: PpoPhase = PAPER, seed: int = 0, **options: Any) -> PPO:
+SCRATCH = REINFORCEMENT.resolved("cpu")
+"""Settings from scratch, with the sizes of a CPU."""
+
+
+def learner(environment: Environment, settings: PpoPhase = SCRATCH, seed: int = 0, **options: Any) -> PPO:
     """From the complete structure, as the paper trains."""
     policy = options.pop("policy", None) or make_policy(environment.assembly, MLP, "cpu", seed)
     complete = Curriculum(environment.rules.complete(), environment.rules, settings.curriculum)
@@ -122,11 +126,8 @@ def test_a_lambda_of_one_compares_with_the_discounted_outcome() -> None:
 def test_normalized_advantages() -> None:
     """Deviation 1; mean 0 or the sign kept."""
     values = torch.tensor([1.0, 2.0, 3.0, 6.0])
-    centered = normalized(values, centered=True)
-    assert float(centered.mean()) == pytest.approx(0.0, abs=1e-6)
-    assert float(centered.std(correction=0)) == pytest.approx(1.0, rel=1e-5)
-    assert torch.allclose(normalized(values, centered=False), values / values.std(correction=0), rtol=1e-5)
-    assert normalized(torch.zeros(0), centered=True).tolist() == []
+    assert torch.allclose(normalized(values), values / values.std(correction=0), rtol=1e-5)
+    assert normalized(torch.zeros(0)).tolist() == []
 
 
 def transition(log_probability: float, advantage: float, mask: list[bool], returns: float = 0.25) -> Transitions:
@@ -148,17 +149,14 @@ def transition(log_probability: float, advantage: float, mask: list[bool], retur
     ("old", "advantage", "surrogate"),
     [(0.5, 2.0, -2.0), (0.25, 2.0, -2.4), (0.25, -2.0, 4.0), (0.8, -2.0, 1.6), (0.8, 2.0, -1.25)],
 )
-@pytest.mark.parametrize("probabilities", [True, False])
-def test_loss_by_hand(old: float, advantage: float, surrogate: float, probabilities: bool) -> None:
+def test_loss_by_hand(old: float, advantage: float, surrogate: float) -> None:
     """Two legal actions of equal probability: the new one is 1/2; the ratio is clipped to 0.8 and 1.2."""
     logits = torch.zeros(1, 4, requires_grad=True)
     batch = transition(np.log(old), advantage, [False, True, True, False])
     one = torch.ones(1)
-    loss = ppo_loss(
-        logits, torch.tensor([0.75]), batch, weight=one, entropy_weight=0.01 * one, probabilities=probabilities
-    )
+    loss = ppo_loss(logits, torch.tensor([0.75]), batch, weight=one, entropy_weight=0.01 * one)
     chance = 0.5 + 0.5 * 0.75
-    error = -0.25 * np.log(chance) - 0.75 * np.log(1 - chance) if probabilities else (0.75 - 0.25) ** 2
+    error = -0.25 * np.log(chance) - 0.75 * np.log(1 - chance)
     assert loss.surrogate.item() == pytest.approx(surrogate, rel=1e-5)
     assert loss.total.item() == pytest.approx(surrogate + 0.5 * error - 0.01 * np.log(2), rel=1e-3)
     ratio = 0.5 / old
@@ -171,13 +169,12 @@ def test_loss_by_hand(old: float, advantage: float, surrogate: float, probabilit
     assert logits.grad.isfinite().all()
 
 
-@pytest.mark.parametrize("probabilities", [True, False])
-def test_padding_counts_for_nothing(probabilities: bool) -> None:
+def test_padding_counts_for_nothing() -> None:
     logits = torch.zeros(1, 4, requires_grad=True)
     zero = torch.zeros(1)
     batch = transition(-700.0, 1.0, [False] * 4)
     value = torch.tensor([0.75])
-    loss = ppo_loss(logits, value, batch, weight=zero, entropy_weight=zero, probabilities=probabilities)
+    loss = ppo_loss(logits, value, batch, weight=zero, entropy_weight=zero)
     loss.total.backward()
     assert loss.total.item() == 0.0
     assert loss.statistics.tolist() == [0.0] * 5
@@ -186,7 +183,7 @@ def test_padding_counts_for_nothing(probabilities: bool) -> None:
 
 
 def test_every_transition_is_seen_once_an_epoch(stack: Environment) -> None:
-    ppo = learner(stack, replace(PAPER, batch=7))
+    ppo = learner(stack, replace(SCRATCH, batch=7))
     for count in (1, 6, 7, 8, 50):
         pieces = ppo._minibatches(count)
         assert len({len(rows) for rows, _ in pieces}) == 1
@@ -197,7 +194,7 @@ def test_every_transition_is_seen_once_an_epoch(stack: Environment) -> None:
 
 def test_a_single_pass_takes_full_batches(stack: Environment) -> None:
     """No more than asked for, no transition twice; what makes no full batch is left out unless there is no other."""
-    ppo = learner(stack, replace(PAPER, batch=7, epochs=1))
+    ppo = learner(stack, replace(SCRATCH, batch=7, epochs=1))
     for count, most, sizes in ((50, None, [7] * 7), (50, 3, [7] * 3), (6, None, [6]), (13, 5, [7])):
         pieces = ppo._minibatches(count, most)
         assert [len(rows) for rows, _ in pieces] == sizes
@@ -210,7 +207,7 @@ def test_a_single_pass_takes_full_batches(stack: Environment) -> None:
 
 def test_a_game_with_one_answer_is_solved(stack: Environment) -> None:
     """From the complete stack, every action but one ends badly; the value is the discounted reward."""
-    settings = replace(PAPER, batch=256, discount=0.9, entropy=0.01)
+    settings = replace(SCRATCH, batch=256, epochs=5, learning_rate=2e-3, discount=0.9, entropy_floor=0.0)
     ppo = learner(stack, settings)
     starts = StartBatch(stack.rules.complete(32), rows=torch.zeros(32, dtype=torch.int64))
     assert not roll_out(stack, ppo.policy, starts.states[:1]).success.all()
@@ -223,7 +220,7 @@ def test_a_game_with_one_answer_is_solved(stack: Environment) -> None:
     assert reports[-1]["rollout_success"] > 0.9 > reports[0]["rollout_success"]
     with torch.no_grad():
         values = ppo.policy(rollouts.states[:-1, 0])[1]
-    assert torch.allclose(values, 0.9 ** torch.arange(7, -1, -1.0), atol=0.15)
+    assert torch.allclose(0.5 + 0.5 * values, 0.9 ** torch.arange(7, -1, -1.0), atol=0.15)
     assert ppo.updates == 50
 
 
@@ -234,7 +231,7 @@ def test_targets_are_learned_too(stack: Environment) -> None:
     targets = starts.clone()
     targets[:, order[:2].tolist()] = 0
     targets[::2, int(order[2])] = 2
-    ppo = with_targets(stack, starts, targets, replace(PAPER, batch=256))
+    ppo = with_targets(stack, starts, targets, replace(SCRATCH, batch=256))
     for _ in range(30):
         report = ppo.update(StartBatch(starts, targets))
     assert report["rollout_success"] > 0.9
@@ -248,7 +245,7 @@ def test_hindsight_teaches_paths_to_visited_states() -> None:
     targets = arch.rules.goals(starts)
     gained = []
     for weight in (0.0, 5.0):
-        ppo = with_targets(arch, starts, targets, replace(PAPER, batch=64, hindsight=weight or 1e-9))
+        ppo = with_targets(arch, starts, targets, replace(SCRATCH, batch=64, hindsight=weight or 1e-9))
         played = collect(arch, ppo.policy, starts, targets)
         (((_, (states, goals, valid)),),) = ppo._demonstrations(played, 1)
         assert goals is not None
@@ -269,7 +266,7 @@ def test_hindsight_teaches_paths_to_visited_states() -> None:
 
 
 def collect(environment: Environment, policy: Policy, starts: Tensor, targets: Tensor | None = None) -> Transitions:
-    options = {"discount": 1.0, "gae_lambda": 0.9, "probabilities": True}
+    options = {"discount": 1.0, "gae_lambda": 0.9}
     return collect_transitions(environment, policy, starts, targets, environment.generator(1), **options)
 
 
@@ -396,7 +393,7 @@ def test_saved_learning_goes_on_the_same(stack: Environment, arch: Assembly, dat
     """Saved between two blocks and loaded by another learner, it goes on as if nothing had happened."""
 
     def make(seed: int) -> PPO:
-        return fine_tuner(arch, data, seed=seed) if default else learner(stack, replace(PAPER, rollouts=16), seed)
+        return fine_tuner(arch, data, seed=seed) if default else learner(stack, replace(SCRATCH, rollouts=16), seed)
 
     whole, first, second = make(3), make(3), make(5)
     whole.block(6, (0.0, 0.5))
@@ -411,22 +408,44 @@ def test_saved_learning_goes_on_the_same(stack: Environment, arch: Assembly, dat
     assert second.updates == whole.updates
 
 
+def test_explained_variance() -> None:
+    """By numpy; 1 for a perfect estimate, 0 for the mean, and less for a worse one."""
+    returns = torch.tensor([0.0, 1.0, 1.0, 0.5])
+    estimate = torch.tensor([0.1, 0.7, 0.9, 0.2])
+    expected = 1 - np.var((returns - estimate).numpy()) / np.var(returns.numpy())
+    assert explained_variance(returns - estimate, returns) == pytest.approx(expected)
+    assert explained_variance(torch.zeros(4), returns) == pytest.approx(1.0)
+    assert explained_variance(returns - returns.mean(), returns) == pytest.approx(0.0, abs=1e-6)
+    assert explained_variance(2 * returns, returns) < 0
+    assert explained_variance(estimate, torch.ones(4)) == 0.0
+
+
+def test_the_weight_of_the_entropy_rises_below_its_floor(stack: Environment) -> None:
+    """Up to a limit, less late in the phase, and it is part of the checkpoint."""
+    ppo = learner(stack, replace(SCRATCH, batch=64, entropy_floor=10.0))
+    for _ in range(9):
+        ppo.update(ppo._sampler.sample(4, ppo._generator), progress=0.5)
+    assert ppo._entropy_factor == 20.0
+    other = learner(stack, replace(SCRATCH, batch=64, entropy_floor=10.0))
+    other.load_state_dict(ppo.state_dict(), ppo.local_state_dict())
+    assert other._entropy_factor == 20.0
+    other.update(other._sampler.sample(4, other._generator), progress=1.0)
+    assert other._entropy_factor == pytest.approx(20.0 / 1.5)  # the floor has fallen to zero
+    free = learner(stack, replace(SCRATCH, batch=64, entropy_floor=0.0))
+    free.update(free._sampler.sample(4, free._generator))
+    assert free._entropy_factor == 1.0
+
+
 def test_learning_rate(stack: Environment) -> None:
-    """To a tenth at each milestone, or linearly to a tenth over the phase."""
-    ppo = learner(stack, replace(PAPER, learning_rate=1e-3, milestones=(2, 4)))
-    rates = []
-    for updates in range(5):
-        ppo.updates = updates
-        rates.append(ppo.learning_rate(0.5))
-    assert rates == pytest.approx([1e-3, 1e-3, 1e-4, 1e-4, 1e-5])
-    linear = learner(stack, replace(PAPER, learning_rate=1e-3, milestones=()), begin=0.5)
-    assert [linear.learning_rate(place) for place in (0.2, 0.5, 0.75, 1.0)] == pytest.approx([1e-3, 1e-3, 5.5e-4, 1e-4])
+    """Linearly to a tenth over the phase."""
+    ppo = learner(stack, replace(SCRATCH, learning_rate=1e-3), begin=0.5)
+    assert [ppo.learning_rate(place) for place in (0.2, 0.5, 0.75, 1.0)] == pytest.approx([1e-3, 1e-3, 5.5e-4, 1e-4])
 
 
 def test_an_update_ends_early_once_the_policy_has_moved_far(stack: Environment) -> None:
     counts = []
     for limit in (0.0, 1e-9):
-        ppo = learner(stack, replace(PAPER, batch=10_000, target_divergence=limit, epochs=4))
+        ppo = learner(stack, replace(SCRATCH, batch=10_000, target_divergence=limit, epochs=4))
         ppo.update(ppo._sampler.sample(16, ppo._generator))
         counts.append(ppo.steps)
     assert counts[0] == 4
@@ -453,7 +472,7 @@ def test_a_step_that_is_not_finite_is_left_out_and_its_batch_saved(
     stack: Environment, arch: Assembly, data: Dataset, default: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In the middle of training, by the default settings and by those of the paper."""
-    settings = replace(PAPER, batch=16, rollouts=16, learning_rate=1e-3)
+    settings = replace(SCRATCH, batch=16, rollouts=16, learning_rate=1e-3)
     ppo = fine_tuner(arch, data, folder=tmp_path) if default else learner(stack, settings, folder=tmp_path)
     ppo.block(3, (0.0, 0.1))
     taken, before = ppo.steps, weights_of(ppo)
@@ -506,7 +525,6 @@ def test_illegal_actions_have_probability_zero_in_every_rollout(stack: Environme
         (lambda: PpoPhase(average=1.0), "average is 1; give 0 or more"),
         (lambda: PpoPhase(hindsight=-1.0), "hindsight is -1; give 0 or more"),
         (lambda: PpoPhase(starts="middle"), "unknown starts 'middle'; choose mixed, curriculum, complete"),  # type: ignore[arg-type]
-        (lambda: PpoPhase(value_loss="huber"), "unknown value_loss 'huber'; choose bce, mse"),  # type: ignore[arg-type]
         (lambda: CurriculumSettings(pass_mark=0.0), "pass_mark is 0"),
         (lambda: CurriculumSettings(stages=0), "stages is 0; give at least 1"),
         (lambda: CurriculumSettings(entropy=-1.0), "entropy is -1; give 0 or more"),

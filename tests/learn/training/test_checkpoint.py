@@ -177,8 +177,8 @@ def test_checkpoints_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
     file.path.write_bytes(content[:-8])
     with pytest.raises(InputError, match="is damaged"):
         file.load()
-    file.path.write_bytes(content.replace(b"falsework.checkpoint/2", b"falsework.checkpoint/9"))
-    with pytest.raises(InputError, match=r"this version reads 'falsework.checkpoint/2'"):
+    file.path.write_bytes(content.replace(b"falsework.checkpoint/3", b"falsework.checkpoint/9"))
+    with pytest.raises(InputError, match=r"this version reads 'falsework.checkpoint/3'"):
         file.load()
 
 

@@ -46,7 +46,7 @@ def data(arch: Any) -> Dataset:
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory, arch: Any) -> Path:
     folder = tmp_path_factory.mktemp("runs") / "run"
-    settings = TrainSettings(phases=METHODS["imitation"], steps=60, widths=(16,), policy=PARTS)
+    settings = TrainSettings(phases=(ImitationPhase(),), steps=60, widths=(16,), policy=PARTS)
     train(arch, settings, folder=folder, device="cpu", logs=(), source={"built_in": "arch:blocks=9"})
     return folder
 
@@ -105,7 +105,7 @@ def test_the_command_reports_one_object(run: Path, capsys: pytest.CaptureFixture
 
 def test_the_criterion_is_that_of_the_run_unless_given(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = str(tmp_path / "run")
-    words = ["train", "arch:blocks=9", "--method", "imitation", "--steps", "5", "--out", out, "--device", "cpu"]
+    words = ["train", "arch:blocks=9", "--method", "reinforcement", "--steps", "5", "--out", out, "--device", "cpu"]
     assert main([*words, "--criterion", "equilibrium", "--json"]) == 0
     capsys.readouterr()
     for extra, expected in ((), "equilibrium"), (("--criterion", "contact"), "contact"):
@@ -129,7 +129,7 @@ def test_a_policy_is_asked_about_another_structure(run: Path, capsys: pytest.Cap
 
 def test_a_policy_of_one_state_is_masked_to_targets(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder, wide = tmp_path / "run", load_structure(WIDE)
-    settings = TrainSettings(phases=METHODS["imitation"], steps=60, widths=(16,), policy=PARTS)
+    settings = TrainSettings(phases=(ImitationPhase(),), steps=60, widths=(16,), policy=PARTS)
     train(wide, settings, folder=folder, device="cpu", logs=(), source={"built_in": WIDE})
     assert main(["evaluate", str(folder), "--json", "--targets", "--states", "50", "--device", "cpu"]) == 0
     record = json.loads(capsys.readouterr().out)
@@ -138,11 +138,14 @@ def test_a_policy_of_one_state_is_masked_to_targets(tmp_path: Path, capsys: pyte
     assert 0 < record["test"]["success"] <= 1
 
 
-@pytest.mark.parametrize("method", ["imitation", "default", "paper"])
+@pytest.mark.parametrize("method", ["imitation", "default", "reinforcement"])
 def test_a_policy_of_two_states_learns_targets(method: Any, tmp_path: Path) -> None:
     settings = TrainSettings(
-        phases=tuple(replace(one, batch=64) if isinstance(one, ImitationPhase) else one for one in METHODS[method]),
-        steps={"imitation": 500, "default": 120, "paper": 20}[method],
+        phases=tuple(
+            replace(one, batch=64) if isinstance(one, ImitationPhase) else one
+            for one in {**METHODS, "imitation": (ImitationPhase(),)}[method]
+        ),
+        steps={"imitation": 500, "default": 120, "reinforcement": 20}[method],
         policy=PolicySettings("resmlp", goal_conditioned=True, channels=32, layers=1),
         pairs=500,
         widths=(8,),
@@ -150,7 +153,7 @@ def test_a_policy_of_two_states_learns_targets(method: Any, tmp_path: Path) -> N
     )
     wide = load_structure(WIDE)
     result = train(wide, settings, folder=tmp_path / "run", device="cpu", logs=(), source={"built_in": WIDE})
-    assert result.test.states == result.train.states == 64
+    assert result.test.states == 4 * result.train.states == 64
     assert result.test.share > (0.5 if method == "imitation" else 0.0)
     assert main(["evaluate", str(tmp_path / "run"), "--json", "--targets", "--states", "20", "--device", "cpu"]) == 0
 

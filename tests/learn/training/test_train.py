@@ -24,7 +24,7 @@ from falsework.assembly.symmetry import symmetries  # noqa: E402
 from falsework.errors import DependencyError, InputError, TrainingError  # noqa: E402
 from falsework.learn.config.imitation import ImitationPhase  # noqa: E402
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
-from falsework.learn.config.ppo import COMPLETE, PAPER, PpoPhase  # noqa: E402
+from falsework.learn.config.ppo import REINFORCEMENT, PpoPhase  # noqa: E402
 from falsework.learn.config.train import METHODS, Phase, TrainSettings  # noqa: E402
 from falsework.learn.data.dataset import load_dataset  # noqa: E402
 from falsework.learn.networks.autocast import Network  # noqa: E402
@@ -41,18 +41,19 @@ pytestmark = pytest.mark.usefixtures("few_tries")
 IMITATION = ImitationPhase(batch=16)
 PHASES: dict[str, tuple[Phase, ...]] = {
     "default": (replace(IMITATION, until=0.5), PpoPhase(rollouts=8, batch=16)),
+    "reinforcement": (replace(REINFORCEMENT, rollouts=4),),
     "imitation": (IMITATION,),
-    "paper": (replace(PAPER, rollouts=4),),
-    "complete": (replace(COMPLETE, rollouts=4),),
-    "imitation, then paper": (replace(IMITATION, until=0.4), replace(PAPER, rollouts=4)),
+    "complete": (PpoPhase(starts="complete", rollouts=4),),
+    "imitation, then reinforcement": (replace(IMITATION, until=0.4), replace(REINFORCEMENT, rollouts=4)),
 }
-"""Every preset, with small batches, and a combination of two of them."""
+"""Every preset, with small batches, and other combinations."""
 SMALL = TrainSettings(
     phases=PHASES["default"],
     steps=40,
     block=5,
     widths=(8,),
-    evaluate_every=2,
+    evaluations=4,
+    patience=0.0,
     evaluation_states=32,
     policy=PolicySettings("resmlp", channels=16, layers=1),
 )
@@ -68,8 +69,9 @@ def weights(folder: Path) -> dict[str, Any]:
 
 
 def curve(folder: Path) -> list[dict[str, Any]]:
-    """Lines of progress.jsonl without what the clock says."""
-    return [{name: value for name, value in line.items() if name != "seconds"} for line in read_progress(folder)]
+    """Evaluations in progress.jsonl without what the clock says."""
+    lines = [line for line in read_progress(folder) if "success/validation" in line]
+    return [{name: value for name, value in line.items() if name != "seconds"} for line in lines]
 
 
 def interrupted(arch: Any, settings: TrainSettings, folder: Path, at: int, **options: Any) -> TrainResult:
@@ -91,7 +93,7 @@ def test_a_small_arch_is_learned_completely(tmp_path: Path) -> None:
     """And most states of a wider search, although the mirror images of these are held out as well."""
     arch = load_structure("arch:blocks=9")
     policy = PolicySettings("transformer", channels=32, layers=2, heads=4)
-    settings = TrainSettings(phases=METHODS["imitation"], steps=160, policy=policy)
+    settings = TrainSettings(phases=(ImitationPhase(),), steps=160, policy=policy)
     begun = time.process_time()  # of one thread: other work on the machine does not count
     result = train(arch, settings, folder=tmp_path / "run", device="cpu")
     assert time.process_time() - begun < 60
@@ -107,7 +109,7 @@ def test_a_small_arch_is_learned_completely(tmp_path: Path) -> None:
 def test_imitation_ends_by_share_or_steps(arch: Any, share: float, most: int, imitated: int) -> None:
     """Only PPO after it plays rollouts; blocks are of five steps."""
     first = replace(IMITATION, until=share, steps=most)
-    settings = replace(SMALL, phases=(first, *SMALL.phases[1:]), evaluate_every=1)
+    settings = replace(SMALL, phases=(first, *SMALL.phases[1:]), evaluations=8)
     result = train(arch, settings, folder=None, device="cpu")
     assert ["train/rollout_success" in line for line in result.curve] == [False] * imitated + [True] * (8 - imitated)
 
@@ -298,7 +300,7 @@ def test_the_run_can_be_used(arch: Any, tmp_path: Path) -> None:
     assert run.metadata["results"]["steps"] == 40
     assert set(run.metadata["results"]["test"]) == {"states", "success"}
     assert list((tmp_path / "run" / "tensorboard").iterdir())
-    lines = read_progress(tmp_path / "run")
+    lines = curve(tmp_path / "run")
     assert [line["step"] for line in lines] == [10, 20, 30, 40]
     assert {"success/validation", "success/train", "held_out_visit_rate", "train/loss"} <= set(lines[0])
     assert not any("success/test" in line for line in lines)
@@ -387,12 +389,12 @@ def test_a_run_of_an_older_format_is_refused(arch: Any, tmp_path: Path) -> None:
     "wrong",
     [
         {"phases": ()},
-        {"phases": (PAPER, ImitationPhase())},
+        {"phases": (REINFORCEMENT, ImitationPhase())},
         {"data": "all"},
         {"steps": -1},
         {"seed": -1},
         {"robots": 0},
-        {"phases": (COMPLETE,), "policy": PolicySettings(goal_conditioned=True)},
+        {"phases": (PpoPhase(starts="complete"),), "policy": PolicySettings(goal_conditioned=True)},
     ],
 )
 def test_settings_that_make_no_sense_are_refused(wrong: dict[str, Any]) -> None:
@@ -423,7 +425,7 @@ def test_weights_and_biases_gets_the_same_numbers(arch: Any, tmp_path: Path, mon
 def test_nothing_is_kept_where_no_folder_is_named(arch: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "safetensors", None)  # not needed then
-    result = train(arch, replace(SMALL, steps=20), folder=None, device="cpu")
+    result = train(arch, replace(SMALL, steps=20, evaluations=2), folder=None, device="cpu")
     assert not list(tmp_path.iterdir())
     assert [one["step"] for one in result.curve] == [10, 20]
     kept = train(arch, SMALL, folder=None, device="cpu")

@@ -44,16 +44,31 @@ def generalized_advantages(
     return found[::-1]
 
 
-def normalized(advantage: torch.Tensor, shards: ProcessGroup = ProcessGroup(), *, centered: bool) -> torch.Tensor:
+def normalized(advantage: torch.Tensor, shards: ProcessGroup = ProcessGroup()) -> torch.Tensor:
     """Divide advantages by their deviation over all processes.
 
     Args:
         advantage: of this process, shape (actions,).
         shards: processes.
-        centered: subtract the mean, too.
     """
     count, total = summed([float(len(advantage)), float(advantage.sum())], shards, advantage.device)
     mean = total / max(count, 1.0)
     (squares,) = summed([float((advantage - mean).square().sum())], shards, advantage.device)
-    scale = (squares / max(count, 1.0)) ** 0.5 + _EPSILON
-    return (advantage - mean * centered) / scale
+    return advantage / ((squares / max(count, 1.0)) ** 0.5 + _EPSILON)
+
+
+def explained_variance(advantage: torch.Tensor, returns: torch.Tensor, shards: ProcessGroup = ProcessGroup()) -> float:
+    """Return the share of the variance of the returns that the value head explains; 0 where returns are all equal.
+
+    Args:
+        advantage: return less estimate of each action of this process, shape (actions,).
+        returns: shape (actions,).
+        shards: processes.
+    """
+    columns = [advantage.double(), returns.double()]
+    sums = [value for column in columns for value in (float(column.sum()), float(column.square().sum()))]
+    count, *moments = summed([float(len(advantage)), *sums], shards, advantage.device)
+    left, whole = (
+        square / max(count, 1.0) - (total / max(count, 1.0)) ** 2 for total, square in (moments[:2], moments[2:])
+    )
+    return 1.0 - left / whole if whole > _EPSILON else 0.0

@@ -104,6 +104,11 @@ class Curriculum:
         """Steps from a start within the horizon to its target, on average."""
         return float(self._left[self._left <= self.horizon].double().mean())
 
+    @property
+    def widening(self) -> bool:
+        """See `StartSampler`."""
+        return self.horizon < self._longest()
+
     def sample(self, count: int, generator: torch.Generator) -> StartBatch:
         """See `StartSampler`."""
         inside = self._left <= self.horizon

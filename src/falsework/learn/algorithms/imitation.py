@@ -125,7 +125,9 @@ class Imitation(Learner):
         self._optimizer.check()
         self.policy.eval()
         loss, norm = (sums / max(steps, 1)).tolist()
-        return {"loss": loss, "gradient_norm": norm, "solved": float(len(self._solved))}
+        numbers = {"loss": loss, "gradient_norm": norm, "solved": float(len(self._solved))}
+        self.listener(numbers)
+        return numbers
 
     def schedule(self, step: int, progress: float) -> float:
         """Return the learning rate as a share of the largest: a rise by steps, a plateau, half a cosine by progress."""

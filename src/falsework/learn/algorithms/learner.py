@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -28,6 +29,8 @@ class Learner(ABC):
             optimizer: further options of `PolicyOptimizer`.
         """
         self.policy = policy
+        self.listener: Callable[[dict[str, float]], None] = lambda numbers: None
+        """Called with numbers to log, more often than blocks end where these take long."""
         self._generator, self._seed, self._shards = generator, seed, shards
         self._optimizer = PolicyOptimizer(policy, shards=shards, **optimizer)
 
@@ -35,6 +38,11 @@ class Learner(ABC):
     def steps(self) -> int:
         """Steps of the optimizer taken."""
         return self._optimizer.steps
+
+    @property
+    def widening(self) -> bool:
+        """Whether tasks still get harder, so that success on all of them says little of what is learned."""
+        return False
 
     @abstractmethod
     def block(self, steps: int, progress: tuple[float, float]) -> dict[str, float]:

@@ -1,8 +1,8 @@
 """Proximal policy optimisation (Schulman et al. 2017) on batches of whole rollouts.
 
 By default it fine-tunes a policy that imitation has prepared: rollouts from mixed start states, no discount, a value
-head that estimates the probability of success, and an additional imitation loss on known states. `config.ppo.PAPER` has
-the settings of the paper (section 5.2).
+head that estimates the probability of success, and an additional imitation loss on known states.
+`config.ppo.REINFORCEMENT` trains from scratch, as the paper does (section 5.2).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from pathlib import Path
 
 import torch
 
-from falsework.learn.algorithms.advantages import normalized
+from falsework.learn.algorithms.advantages import explained_variance, normalized
 from falsework.learn.algorithms.hindsight import relabel
 from falsework.learn.algorithms.imitation import imitation_loss
 from falsework.learn.algorithms.learner import Learner
@@ -32,9 +32,11 @@ from falsework.utils.tensors import below
 _IMITATED = 0.25
 """States imitated per step, as a share of the batch."""
 _FINAL_LEARNING_RATE = 0.1
-"""Learning rate at the end of a phase without milestones, as a share of the initial one."""
+"""Learning rate at the end of a phase, as a share of the initial one."""
 _FEWEST_ROLLOUTS = 16
 """Rollouts per collection, at least."""
+_ENTROPY_STEP, _ENTROPY_MOST = 1.5, 20.0
+"""Factor by which the weight of the entropy changes after a collection, and the most that it may be multiplied by."""
 _MOST_SOLVED = 20_000_000
 """States known to be solvable beyond which no more are stored."""
 
@@ -93,6 +95,8 @@ class PPO(Learner):
         )
         self.updates = 0
         """Collections learned from."""
+        self._entropy_factor = 1.0
+        """Of the weight of the entropy; above 1 where the entropy was below its floor."""
         self._environment, self._sampler, self._settings = environment, starts, settings
         self._solved = SolvableStates(environment.rules) if solved is None else solved
         self._tasks, self._begin = tasks, begin
@@ -100,6 +104,11 @@ class PPO(Learner):
         self._playing = Network(policy, precision)
         self._share = max(settings.batch // shards.size, 1)
         """Transitions per step of this process."""
+
+    @property
+    def widening(self) -> bool:
+        """See `Learner.widening`."""
+        return self._sampler.widening
 
     def block(self, steps: int, progress: tuple[float, float]) -> dict[str, float]:
         """See `Learner.block`; where there are several epochs, an update that begins is finished."""
@@ -116,7 +125,9 @@ class PPO(Learner):
             batch = self._sampler.sample(rollouts, self._generator)
             numbers = self.update(batch, most=left, progress=place)
             left -= max(self.steps - before, 1)
-        return {**numbers, "updates": float(self.updates), "solved": float(len(self._solved))}
+            numbers |= {"updates": float(self.updates), "solved": float(len(self._solved))}
+            self.listener(numbers)
+        return numbers
 
     def update(self, batch: StartBatch, *, most: int | None = None, progress: float = 0.0) -> dict[str, float]:
         """Sample a rollout from each start and update the policy with all of them.
@@ -143,19 +154,18 @@ class PPO(Learner):
             self._generator,
             discount=settings.discount,
             gae_lambda=settings.gae_lambda,
-            probabilities=settings.value_loss == "bce",
         )
-        if settings.imitation and batch.targets is None and len(self._solved) < _MOST_SOLVED:
+        if batch.targets is None and len(self._solved) < _MOST_SOLVED:
             self._solved.add(transitions.states[transitions.success[transitions.rollout]])
+        explained = explained_variance(transitions.advantage, transitions.returns, self._shards)
         learnable = transitions.take((~self._solved.is_held_out(transitions.states)).nonzero()[:, 0])
-        learnable = replace(
-            learnable, advantage=normalized(learnable.advantage, self._shards, centered=settings.centered)
-        )
+        learnable = replace(learnable, advantage=normalized(learnable.advantage, self._shards))
         count = len(learnable)
         if count == 0:  # zero weight: other processes average their gradients with this one
             learnable = _padding(batch, self._environment.part_count)
         rollouts = len(batch.states)
         entropy = torch.full((rollouts,), settings.entropy, device=device) if batch.entropy is None else batch.entropy
+        entropy = entropy * self._entropy_factor
         weight = torch.ones(rollouts, device=device) if batch.weight is None else batch.weight
         rate = self.learning_rate(progress)
         sums, surrogate = torch.zeros(6, device=device), torch.zeros(rollouts, device=device)
@@ -185,20 +195,24 @@ class PPO(Learner):
         seen = torch.bincount(learnable.rollout[:count], minlength=rollouts)
         self._sampler.record(batch, transitions, surrogate / (epochs * seen).clamp(min=1), self._generator)
         numbers = self._report(transitions, sums / max(self.steps - taken, 1))
-        return {**numbers, "learning_rate": rate, **self._sampler.report()}
+        low = numbers["entropy"] < settings.entropy_floor * (1.0 - self._through(progress))
+        factor = self._entropy_factor * (_ENTROPY_STEP if low else 1.0 / _ENTROPY_STEP)
+        self._entropy_factor = min(max(factor, 1.0), _ENTROPY_MOST)
+        return {**numbers, "explained_variance": explained, "learning_rate": rate, **self._sampler.report()}
 
     def learning_rate(self, progress: float) -> float:
         """Return the learning rate of the next update."""
-        settings = self._settings
-        if settings.milestones:
-            return settings.learning_rate * 0.1 ** sum(milestone <= self.updates for milestone in settings.milestones)
-        through = min(max((progress - self._begin) / max(1.0 - self._begin, 1e-9), 0.0), 1.0)
-        return settings.learning_rate * (1.0 - (1.0 - _FINAL_LEARNING_RATE) * through)
+        return self._settings.learning_rate * (1.0 - (1.0 - _FINAL_LEARNING_RATE) * self._through(progress))
+
+    def _through(self, progress: float) -> float:
+        """Return the share of this phase that is done."""
+        return min(max((progress - self._begin) / max(1.0 - self._begin, 1e-9), 0.0), 1.0)
 
     def state_dict(self) -> dict[str, torch.Tensor]:
         """See `Learner.state_dict`."""
         saved = {f"starts.{name}": tensor for name, tensor in self._sampler.state_dict().items()}
-        return {**super().state_dict(), **saved, "updates": torch.tensor([self.updates])}
+        counts = {"updates": torch.tensor([self.updates]), "entropy_factor": torch.tensor([self._entropy_factor])}
+        return {**super().state_dict(), **saved, **counts}
 
     def local_state_dict(self) -> dict[str, torch.Tensor]:
         """See `Learner.local_state_dict`."""
@@ -208,7 +222,7 @@ class PPO(Learner):
     def load_state_dict(self, tensors: dict[str, torch.Tensor], local: dict[str, torch.Tensor] | None) -> None:
         """See `Learner.load_state_dict`."""
         super().load_state_dict(tensors, local)
-        self.updates = int(tensors["updates"][0])
+        self.updates, self._entropy_factor = int(tensors["updates"][0]), float(tensors["entropy_factor"][0])
         self._sampler.load_state_dict(below("starts.", tensors), None if local is None else below("starts.", local))
 
     def _minibatches(self, count: int, most: int | None = None) -> list[tuple[torch.Tensor, torch.Tensor]]:
@@ -284,7 +298,6 @@ class PPO(Learner):
             batch,
             weight=weight,
             entropy_weight=entropy_weight,
-            probabilities=self._settings.value_loss == "bce",
         )
         total = loss.total
         for (share, (known, goals, valid)), answer in zip(shown, others, strict=True):

@@ -35,7 +35,6 @@ def ppo_loss(
     *,
     weight: torch.Tensor,
     entropy_weight: torch.Tensor,
-    probabilities: bool,
 ) -> Loss:
     """Compute the clipped surrogate loss, the error of the value, and the entropy.
 
@@ -45,7 +44,6 @@ def ppo_loss(
         batch: transitions.
         weight: of each in the loss; 0 for padding. Shape (batch,).
         entropy_weight: of each, shape (batch,).
-        probabilities: the value estimates the probability of success, by cross entropy; else returns, by squared error.
     """
     log_probability = masked_log_probabilities(logits, batch.mask)
     taken = log_probability.gather(1, batch.actions[:, None])[:, 0]
@@ -53,12 +51,10 @@ def ppo_loss(
     ratio = logarithm.exp()
     low, high = 1.0 - _CLIP_RATIO, 1.0 + _CLIP_RATIO
     surrogate = -torch.min(ratio * batch.advantage, ratio.clamp(low, high) * batch.advantage)
-    if probabilities:
-        chance = 0.5 + _PROBABILITY_RANGE * value
-        # Written out: torch's own aborts at values that are no numbers, which the guard of the optimizer is to report.
-        error = -(batch.returns * chance.log() + (1 - batch.returns) * (1 - chance).log())
-    else:
-        error = (value - batch.returns).square()
+    # The value estimates the probability of success. The cross entropy is written out: torch's own aborts at values
+    # that are no numbers, which the guard of the optimizer is to report.
+    chance = 0.5 + _PROBABILITY_RANGE * value
+    error = -(batch.returns * chance.log() + (1 - batch.returns) * (1 - chance).log())
     # An illegal action has probability zero and adds nothing; its logarithm is minus infinity and would make NaN.
     finite = log_probability.masked_fill(~batch.mask, 0.0)
     entropy = -(finite.exp() * batch.mask * finite).sum(dim=1)

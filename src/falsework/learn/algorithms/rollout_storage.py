@@ -29,7 +29,7 @@ class Transitions:
     advantage: torch.Tensor
     """Shape (actions,)."""
     returns: torch.Tensor
-    """Target of the value head, shape (actions,)."""
+    """Estimated probability of success, the target of the value head, shape (actions,)."""
     rollout: torch.Tensor
     """Rollout that the row belongs to, shape (actions,)."""
     success: torch.Tensor
@@ -54,7 +54,6 @@ def collect_transitions(
     *,
     discount: float,
     gae_lambda: float,
-    probabilities: bool,
 ) -> Transitions:
     """Sample a rollout from each start, with its advantages and returns.
 
@@ -66,7 +65,6 @@ def collect_transitions(
         generator: source of randomness, on the device of the environment.
         discount: worth of a reward one step later.
         gae_lambda: of the advantages.
-        probabilities: returns are probabilities of success between 0 and 1; else sums of the rewards 1 and -1.
     """
     success = environment.rules.reached(starts, targets)
     moves: list[Move] = []
@@ -81,8 +79,8 @@ def collect_transitions(
         goals = None if targets is None else targets[:0]
         return Transitions(starts[:0], goals, none.long(), mask, none, none, none, none.long(), success)
     rows = [move.rows for move in moves]
-    values = [0.5 + 0.5 * move.value if probabilities else move.value for move in moves]
-    rewards = [move.step.success.float() if probabilities else move.step.reward for move in moves]
+    values = [0.5 + 0.5 * move.value for move in moves]
+    rewards = [move.step.success.float() for move in moves]
     advantage = torch.cat(generalized_advantages(rows, values, rewards, len(starts), discount, gae_lambda))
     returns = advantage + torch.cat(values)
     return Transitions(
@@ -92,7 +90,7 @@ def collect_transitions(
         torch.cat([move.mask for move in moves]),
         torch.cat(logs),
         advantage,
-        returns.clamp(0.0, 1.0) if probabilities else returns,
+        returns.clamp(0.0, 1.0),
         torch.cat(rows),
         success,
     )

@@ -49,6 +49,11 @@ class StartSampler(Protocol):
         """Steps from a start to its target, on average."""
         ...
 
+    @property
+    def widening(self) -> bool:
+        """Whether farther states will still be drawn."""
+        ...
+
     def sample(self, count: int, generator: torch.Generator) -> StartBatch:
         """Draw the starts of `count` rollouts of this process."""
         ...
@@ -112,6 +117,7 @@ class MixedStarts:
         self._most = _REMEMBERED * collection
         some = slice(None, None, max(len(starts) // _MEASURED, 1))
         left = rules.steps_left(starts[some], None if targets is None else targets[some])
+        self.widening = False
         self.mean_steps = max(float(left.double().mean()), 1.0) if len(left) else 1.0
 
     def sample(self, count: int, generator: torch.Generator) -> StartBatch:

@@ -8,7 +8,6 @@ from typing import Literal, get_args
 from falsework.errors import InputError
 
 Starts = Literal["mixed", "curriculum", "complete"]
-ValueLoss = Literal["bce", "mse"]
 
 
 @dataclass(frozen=True)
@@ -48,7 +47,7 @@ class CurriculumSettings:
 class PpoPhase:
     """Proximal policy optimisation (Schulman et al. 2017); a size of 0 depends on the device.
 
-    The defaults fine-tune a policy after imitation; `PAPER` and `COMPLETE` train from scratch.
+    The defaults fine-tune a policy after imitation; `REINFORCEMENT` trains from scratch.
     """
 
     algorithm: Literal["ppo"] = "ppo"
@@ -57,17 +56,16 @@ class PpoPhase:
     known to be solvable; `curriculum`: the curriculum of the paper; `complete`: the complete structure alone."""
     rollouts: int = 0
     """Rollouts per collection, over all processes; 0: of `mixed` 16,384 on a GPU and 512 on a CPU, and on a GPU three
-    times as many with goals, whose rollouts are shorter: a collection takes as long as its longest; of others 1,024 and
-    64."""
+    times as many with goals, whose rollouts are shorter: a collection takes as long as its longest; of others 4,096 and
+    512."""
     batch: int = 0
-    """Transitions per step of the optimizer, over all processes; 0: 8,192 on a GPU, 512 on a CPU."""
+    """Transitions per step of the optimizer, over all processes; 0: of `mixed` 8,192 on a GPU and 512 on a CPU, of
+    others 4,096 and 1,024."""
     epochs: int = 1
     """Passes over a collection. One pass takes full batches only and ends with the block; several take every transition
     and always finish."""
     learning_rate: float = 0.0
-    """Initial learning rate; 0: 3e-4 on a GPU, 5e-4 on a CPU."""
-    milestones: tuple[int, ...] = ()
-    """Updates after which the learning rate falls to a tenth; none: it falls linearly to a tenth over the phase."""
+    """Initial learning rate, which falls linearly to a tenth over the phase; 0: 3e-4 on a GPU, 5e-4 on a CPU."""
     betas: tuple[float, float] = (0.9, 0.999)
     """Decay of the moments of AdamW."""
     epsilon: float = 1e-8
@@ -80,13 +78,14 @@ class PpoPhase:
     """Worth of a reward one step later. By default success late is as good as success early."""
     gae_lambda: float = 0.95
     """Decay of generalised advantages over steps; 1 compares with the final outcome."""
-    centered: bool = False
-    """Subtract the mean from the advantages of a collection, as well as dividing by their deviation."""
-    value_loss: ValueLoss = "bce"
-    """`bce`: the value head estimates the probability of success, by cross entropy; `mse`: the discounted sum of
-    rewards of 1 and -1, by squared error."""
     entropy: float = 0.003
     """Weight of the entropy of the policy; a curriculum has its own."""
+    entropy_floor: float = 0.0
+    """Mean entropy of the actions, in nat, below which that weight rises; the floor falls linearly to 0 over the phase,
+    so that the policy explores first and decides at last. 0: none."""
+    anywhere: float = 0.0
+    """Of a curriculum without goals: share of the rollouts that starts at any solvable state within its horizon, those
+    that rollouts passed included."""
     imitation: float = 0.1
     """Weight of imitating states known to be solvable, or paths to goals, which preserves what imitation learned."""
     hindsight: float = 0.0
@@ -95,59 +94,49 @@ class PpoPhase:
     target_divergence: float = 0.0
     """Kullback-Leibler divergence from the old policy after which an update ends early; 0: never."""
     curriculum: CurriculumSettings = CurriculumSettings()
-    """Of `starts="curriculum"` and `"complete"`."""
+    """Of `starts="curriculum"`."""
 
     def __post_init__(self) -> None:
-        for name, choices in (("starts", get_args(Starts)), ("value_loss", get_args(ValueLoss))):
-            if getattr(self, name) not in choices:
-                raise InputError(f"unknown {name} {getattr(self, name)!r}; choose {', '.join(choices)}")
+        if self.starts not in get_args(Starts):
+            raise InputError(f"unknown starts {self.starts!r}; choose {', '.join(get_args(Starts))}")
         if min(self.rollouts, self.batch) < 0 or not self.learning_rate >= 0:
             raise InputError("sizes and learning rate of PPO are not negative; 0 stands for the default")
         if self.epochs < 1:
             raise InputError(f"epochs is {self.epochs}; give at least 1")
-        for name in ("discount", "gae_lambda"):
+        for name in ("discount", "gae_lambda", "anywhere"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InputError(f"{name} is {getattr(self, name):g}; give a number between 0 and 1")
         if not 0 <= self.average < 1:
             raise InputError(f"average is {self.average:g}; give 0 or more, and less than 1")
-        for name in ("weight_decay", "entropy", "imitation", "hindsight", "target_divergence"):
+        for name in ("weight_decay", "entropy", "entropy_floor", "imitation", "hindsight", "target_divergence"):
             if not getattr(self, name) >= 0:
                 raise InputError(f"{name} is {getattr(self, name):g}; give 0 or more")
 
     def resolved(self, device: str, *, goal_conditioned: bool = False) -> PpoPhase:
         """Replace every 0 by the default for a kind of device, `cpu` or `cuda`."""
         gpu = device == "cuda"
-        rollouts = (49_152 if goal_conditioned else 16_384) if gpu else 512
-        if self.starts != "mixed":
-            rollouts = 1024 if gpu else 64
+        if self.starts == "mixed":
+            rollouts, batch = (49_152 if goal_conditioned else 16_384, 8_192) if gpu else (512, 512)
+        else:
+            rollouts, batch = (4_096, 4_096) if gpu else (512, 1_024)
         return replace(
             self,
             rollouts=self.rollouts or rollouts,
-            batch=self.batch or (8_192 if gpu else 512),
+            batch=self.batch or batch,
             learning_rate=self.learning_rate or (3e-4 if gpu else 5e-4),
         )
 
 
-PAPER = PpoPhase(
+REINFORCEMENT = PpoPhase(
     starts="curriculum",
-    batch=2048,
-    epochs=5,
-    learning_rate=2e-3,
-    milestones=(1000, 3000),
+    epochs=3,
+    learning_rate=1e-3,
     betas=(0.95, 0.999),
     epsilon=1e-5,
     weight_decay=0.0,
-    average=0.0,
-    discount=0.95,
-    centered=True,
-    value_loss="mse",
+    average=0.99,
+    entropy_floor=0.5,
+    anywhere=0.25,
     imitation=0.0,
 )
-"""Reinforcement learning from scratch with the curriculum of the paper (section 5.2), as changed in decision 23."""
-
-COMPLETE = replace(
-    PAPER,
-    starts="complete",
-    curriculum=CurriculumSettings(growing=False, rank_power=0.0, entropy_rise=0.0),
-)
-"""The same without a curriculum: every rollout starts from the complete structure. A baseline."""
+"""Reinforcement learning from scratch: the curriculum of the paper (section 5.2), and states that rollouts passed."""

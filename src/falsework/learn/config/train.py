@@ -11,11 +11,11 @@ from falsework.assembly.state import check_robots
 from falsework.errors import InputError
 from falsework.learn.config.imitation import ImitationPhase
 from falsework.learn.config.policy import PolicySettings
-from falsework.learn.config.ppo import COMPLETE, PAPER, PpoPhase
+from falsework.learn.config.ppo import REINFORCEMENT, PpoPhase
 from falsework.utils.quantity import check_seed
 
 Phase = ImitationPhase | PpoPhase
-Method = Literal["default", "imitation", "paper", "complete"]
+Method = Literal["default", "reinforcement"]
 Data = Literal["wide", "width64"]
 Criterion = Literal["contact", "equilibrium"]
 """As `falsework.stability.verdict.Criterion`, which would load more than the command line needs to show its help."""
@@ -23,11 +23,12 @@ Criterion = Literal["contact", "equilibrium"]
 METHODS: dict[Method, tuple[Phase, ...]] = {
     # More imitation overfits the states of the searches, which makes the fine-tuning slower and worse (decision 20).
     "default": (ImitationPhase(until=0.5, steps=1000), PpoPhase()),
-    "imitation": (ImitationPhase(),),
-    "paper": (PAPER,),
-    "complete": (COMPLETE,),
+    "reinforcement": (REINFORCEMENT,),
 }
 """Presets of `TrainSettings.phases` by the name that `falsework train --method` takes."""
+
+_EVALUATE_EVERY = 25.0
+"""Seconds between two evaluations."""
 
 T = TypeVar("T")
 
@@ -61,10 +62,13 @@ class TrainSettings:
     test set."""
     block: int = 0
     """Steps between two checks of the time; 0: 200 on a GPU, 20 on a processor."""
-    evaluate_every: int = 5
-    """Blocks from one point of the curve to the next."""
+    evaluations: int = 0
+    """Evaluations on the validation set, in equal shares of the budget; 0: one every 25 s, but at least ten. The best
+    weights of these are the result."""
+    patience: float = 0.25
+    """Share of the budget after whose passing without a rise of validation the training ends; 0: never."""
     evaluation_states: int = 512
-    """Validation states of the curve, at most, and as many training states; a fixed sample."""
+    """Validation states of the curve, at most, and a quarter as many training states; a fixed sample."""
     checkpoint_every: float = 30.0
     """Seconds between two checkpoints, as near as blocks allow."""
     threads: int = 0
@@ -82,6 +86,8 @@ class TrainSettings:
             raise InputError(f"unknown criterion {self.criterion!r}; choose {' or '.join(get_args(Criterion))}")
         if self.minutes < 0 or self.steps < 0:
             raise InputError("minutes and steps are not negative; leave them out for the defaults")
+        if self.evaluations < 0 or not 0 <= self.patience <= 1:
+            raise InputError("evaluations are not negative, and patience is a share; give 0 or more, and at most 1")
         check_seed(self.seed)
         last = self.phases[-1]
         if self.policy.goal_conditioned and isinstance(last, PpoPhase) and last.starts == "complete":
@@ -108,6 +114,7 @@ class TrainSettings:
                 one.resolved(device) if isinstance(one, ImitationPhase) else one.resolved(device, goal_conditioned=two)
                 for one in self.phases
             ),
+            evaluations=self.evaluations or (10 if self.steps else max(10, round(60.0 * minutes / _EVALUATE_EVERY))),
             block=self.block or (200 if gpu else 20),
             precision=("bfloat16" if gpu else "float32") if self.precision == "auto" else self.precision,
         )

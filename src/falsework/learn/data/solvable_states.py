@@ -9,6 +9,8 @@ from falsework.search.device.rules import TensorRules
 from falsework.search.problem.hashing import StateHash
 from falsework.utils.tensors import in_sorted, put
 
+_DRAWN = 4
+"""States drawn for each that is wanted, where only those near the end count."""
 _CHUNK = 1 << 16
 """States hashed at once."""
 
@@ -149,6 +151,23 @@ class SolvableStates:
         valid = torch.zeros_like(mask)
         valid[rows, actions] = in_sorted(self._known, hashes[rows] ^ self._change[actions])
         return valid
+
+    def within(self, horizon: int, count: int, generator: torch.Generator) -> torch.Tensor:
+        """Draw stored states at most some steps from the end, with repetitions.
+
+        Args:
+            horizon: steps at most.
+            count: how many.
+            generator: source of randomness, on the device of the states.
+
+        Returns:
+            Shape (count, parts); fewer rows, and even none, if hardly any state is so close.
+        """
+        if count == 0 or len(self) == 0:
+            return self._states[:0]
+        rows = torch.randint(len(self), (_DRAWN * count,), generator=generator, device=self.device)
+        drawn = self._states[rows]
+        return drawn[self.rules.steps_left(drawn) <= horizon][:count]
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """Return the tensors to save, for `load`."""

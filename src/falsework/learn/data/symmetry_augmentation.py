@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import States
 from falsework.learn.data.random_walks import GoalSampler
 from falsework.search.device.rules import hash_states
-from falsework.search.problem.hashing import StateHash
+from falsework.search.problem.hashing import StateHash, merge
 from falsework.utils.tensors import in_sorted, put
 
 
@@ -29,7 +29,8 @@ def symmetric_images(states: States, images: NDArray[np.intp]) -> States:
     whole = np.empty((len(images), *states.shape), dtype=states.dtype)
     for number, image in enumerate(images):
         whole[number][:, image] = states
-    return np.unique(whole.reshape(-1, states.shape[1]), axis=0)
+    every = whole.reshape(-1, states.shape[1])
+    return every[merge(StateHash.for_parts(states.shape[1])(every), lambda rows: every[rows])[0]]
 
 
 def turned_states(states: torch.Tensor, images: NDArray[np.intp], most: int) -> torch.Tensor:

@@ -24,7 +24,7 @@ from falsework.utils.files.output_file import write_whole
 from falsework.utils.json_text import parse_json
 
 FORMAT = "falsework.run/2"
-CHECKPOINT_FORMAT = "falsework.checkpoint/2"
+CHECKPOINT_FORMAT = "falsework.checkpoint/3"
 
 FILE = "run.json"
 WEIGHTS = "weights.safetensors"

@@ -6,6 +6,7 @@ from typing import Any
 
 import torch
 
+from falsework.learn.algorithms.blended_starts import BlendedStarts
 from falsework.learn.algorithms.curriculum import Curriculum
 from falsework.learn.algorithms.imitation import Imitation
 from falsework.learn.algorithms.learner import Learner
@@ -63,7 +64,10 @@ def make_learner(
     else:
         if phase.starts == "complete":
             starts, targets = rules.complete(), None
-        sampler = Curriculum(starts, rules, phase.curriculum, targets=targets, shards=run.shards)
+        curriculum = Curriculum(starts, rules, phase.curriculum, targets=targets, shards=run.shards)
+        sampler = curriculum
+        if phase.anywhere and targets is None:
+            sampler = BlendedStarts(curriculum, solved, phase.anywhere)
     return PPO(environment, policy, sampler, phase, solved=solved, begin=begin, **options)
 
 

@@ -6,6 +6,7 @@ import platform
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,9 @@ from falsework.learn.training.checkpoint import CheckpointFile, describe_structu
 from falsework.learn.training.evaluate import Sets, Success, greedy_success, throughput
 from falsework.learn.training.learners import gather_local, local_of, make_learner, share_solved
 from falsework.learn.training.logger import Journal
+from falsework.learn.training.progress_lines import ProgressLines
 from falsework.learn.training.run_context import RunContext
+from falsework.learn.training.selection import BestWeights
 from falsework.learn.training.training_data import collect_training_data
 from falsework.search.device.oracle import tensor_oracle
 from falsework.stability.oracle import Stability
@@ -143,9 +146,13 @@ class Trainer:
         )
         self._solved = SolvableStates(self._environment.rules)
         self._policy = make_policy(assembly, settings.policy, device, settings.seed)
-        self._best = make_policy(assembly, settings.policy, device, settings.seed)
+        self._exported = make_policy(assembly, settings.policy, device, settings.seed)
+        """Weights that are evaluated, and in the end saved."""
         same_weights(self._policy, shards)
-        self._asked = Network(self._best, settings.precision)
+        self._asked = Network(self._exported, settings.precision)
+        self._best = BestWeights(settings.patience)
+        self._evaluations = settings.evaluations
+        self._evaluated = 0
 
     def run(self, begun: float, *, resume: bool, logs: Sequence[str], dataset: Dataset | None) -> TrainResult:
         """Collect data, train in blocks, and return the result."""
@@ -195,7 +202,8 @@ class Trainer:
         numbers: dict[str, float] = {}
         blocks = interrupted = 0
         here = time.perf_counter()
-        while self.budget.progress(self.steps) < 1.0:
+        lines = ProgressLines(journal, self._environment, self.budget)
+        while not self._over():
             if self.budget.stop_requested():
                 interrupted = 1
                 break
@@ -203,13 +211,14 @@ class Trainer:
             if self._phase_is_over(progress[0]):
                 learner = self._next_phase(learner, progress[0])
             known = len(self._solved)
+            learner.listener = partial(lines.write, learner, self.steps - learner.steps, self.steps + steps)
             numbers = learner.block(steps, progress)
             share_solved(self._solved, known, self.shards)
             self.steps += steps
             blocks += 1
-            whole = self.steps // settings.block
-            if whole > (self.steps - steps) // settings.block and whole % settings.evaluate_every == 0:
+            if self._evaluation_is_due():
                 success, evaluated = self._evaluate(learner, self._data.curve), self.steps
+                self._consider(learner, success["validation"])
                 self._log(journal, numbers, success)
             self.report(self.budget.progress(self.steps), self._message(numbers, success["validation"]))
             since = decided(time.perf_counter() - self._saved, self.shards, self.device)
@@ -217,15 +226,33 @@ class Trainer:
                 self._save(learner)
         if evaluated != self.steps:
             success = self._evaluate(learner, self._data.curve)
+            self._consider(learner, success["validation"])
             self._log(journal, numbers, success)
-        success |= self._evaluate(learner, self._data.test)
+        self._best.write(self._exported)
+        success |= self._succeeded({"train": self._data.curve["train"], **self._data.test})
+        success["validation"] = self._best.success
         result = self._result(success, bool(interrupted), time.perf_counter() - here)
         self._results = result.to_dict()
         self._save(learner)
-        learner.export_policy(self._best)
         if self.shards.is_main_process and self.folder is not None:
-            save_run(self.folder, self._best, self._metadata())
+            save_run(self.folder, self._exported, self._metadata())
         return replace(result, notes=tuple(self.notes))
+
+    def _over(self) -> bool:
+        """Return whether the budget is used up, or validation has not risen for long."""
+        progress = self.budget.progress(self.steps)
+        return progress >= 1.0 or self._best.over(progress)
+
+    def _consider(self, learner: Learner, validation: Success) -> None:
+        """Keep the evaluated weights if they are the best; a plateau while tasks still get harder is none."""
+        progress = self.budget.progress(self.steps)
+        self._best.consider(self._exported, validation, self.steps, progress, waiting=learner.widening)
+
+    def _evaluation_is_due(self) -> bool:
+        """Return whether the run has passed the next of its equally spaced evaluations, alike in all processes."""
+        done = int(self.budget.progress(self.steps) * self._evaluations)
+        due, self._evaluated = done > self._evaluated, done
+        return due
 
     def _phase_is_over(self, progress: float) -> bool:
         """Return whether the next phase begins."""
@@ -256,15 +283,20 @@ class Trainer:
 
     def _next_phase(self, learner: Learner, progress: float) -> Learner:
         """Begin the next phase with the final weights of the last one."""
-        learner.export_policy(self._best)
+        learner.export_policy(self._exported)
         self._phase += 1
         self._phase_begun, self._phase_steps = progress, self.steps
         following = self._learner()
-        following.load_policy(self._best)
+        following.load_policy(self._exported)
         return following
 
     def _evaluate(self, learner: Learner, sets: Sets) -> dict[str, Success]:
-        learner.export_policy(self._best)
+        """Measure the present weights."""
+        learner.export_policy(self._exported)
+        return self._succeeded(sets)
+
+    def _succeeded(self, sets: Sets) -> dict[str, Success]:
+        """Measure the weights that were exported last."""
         success = {}
         self._record_visits(False)
         for name, (states, targets) in sets.items():
@@ -306,6 +338,7 @@ class Trainer:
             return
         tensors = {f"learner.{name}": tensor for name, tensor in learner.state_dict().items()}
         tensors |= {f"solved.{name}": tensor for name, tensor in self._solved.tensors().items()}
+        tensors |= {f"best.{name}": tensor for name, tensor in self._best.tensors().items()}
         state = {
             "steps": self.steps,
             "phase": self._phase,
@@ -313,6 +346,8 @@ class Trainer:
             "phase_steps": self._phase_steps,
             "budget": self.budget.state_dict(),
             "data_seconds": self.data_seconds,
+            "best": self._best.state_dict(),
+            "evaluated": self._evaluated,
         }
         problem = self._checkpoint.save({**tensors, **local}, state)
         if problem:
@@ -323,6 +358,8 @@ class Trainer:
         self.steps = state["steps"]
         self.budget.load_state_dict(state["budget"])
         self._solved.load(below("solved.", tensors))
+        self._best.load(tensors, state["best"], self.device)
+        self._evaluated = state["evaluated"]
         local = local_of(tensors, self.shards)
         if local is None:
             self.notes.append("the number of processes has changed, so the run goes on with other random numbers")
@@ -344,7 +381,7 @@ class Trainer:
             self.shards.size,
             torch.cuda.get_device_name(self.device) if gpu else platform.processor() or "cpu",
             throughput(self._environment, seconds, self.shards),
-            self._best,
+            self._exported,
             tuple(self._curve),
             first=self.shards.is_main_process,
         )

@@ -94,7 +94,7 @@ def collect_training_data(
             targets,
             tasks,
             put(held_out, device),
-            {"train": _some(pairs.train, count), "validation": _some(pairs.validation, count)},
+            {"train": _some(pairs.train, count // 4), "validation": _some(pairs.validation, count)},
             {"test": _some(pairs.test, count)},
             time.perf_counter() - begun,
         )
@@ -134,7 +134,7 @@ def collect_training_data(
         None,
         None,
         put(held_out, device),
-        {"train": (sample(train, count), None), "validation": (sample(data.validation, count), None)},
+        {"train": (sample(train, count // 4), None), "validation": (sample(data.validation, count), None)},
         {"test": (sample(data.test, count), None)},
         time.perf_counter() - begun,
     )
