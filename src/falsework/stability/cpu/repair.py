@@ -155,7 +155,8 @@ def repair_state(structure, state, parent, reaches, interior, options, work, nea
         whole = max(0, k - len(reaches) + 1)
         most, settings = _ALL_STEPS if whole else _NEAR_STEPS, ATTEMPTS[max(whole - 1, 0)]
         if whole:
-            near[:] = state
+            for part in range(len(state)):  # assigning the array would need what portable code has not
+                near[part] = state[part]
         else:
             if k == 0:
                 kept, free = hold_far_parts(structure, state, parent, reaches[k], near)
