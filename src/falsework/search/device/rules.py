@@ -58,7 +58,7 @@ class TensorRules:
         self._values = put(np.array([INSTALLED, HELD] if backward else [HELD, REMOVED], dtype=np.uint8), device)
         self._ways = WaysOut(task.clearance, task.part_count, device)
         can_leave = None if task.clearance is None else self._ways.can_leave
-        self._legal = task.legal_moves(import_torch(), lambda array: put(array, device), direction, can_leave)
+        self._legal = task.legal_moves("torch", lambda array: put(array, device), direction, can_leave)
 
     def origin(self) -> torch.Tensor:
         """Return the state that the search begins with, shape (1, parts)."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any
 
 from falsework.assembly.state import HELD, INSTALLED, REMOVED
@@ -19,7 +20,7 @@ class LegalMoves:
     Only operations are used that numpy and torch have in common, so that one implementation serves both.
     """
 
-    space: Any
+    space: str
     """Module of the arrays: `numpy` or `torch`."""
     backward: bool
     """Whether moves are those of assembly, which undo those of disassembly."""
@@ -70,10 +71,11 @@ class LegalMoves:
         hold, remove = (give, take) if self.backward else (take, give)
         if self.can_leave is not None:
             remove = remove & self.can_leave(states)
-        mask = self.space.concatenate([hold, remove], axis=1)
+        space = import_module(self.space)
+        mask = space.concatenate([hold, remove], axis=1)
         if len(self.postponed):
             step = 1 if self.backward else -1
-            moved = self.space.zeros_like(mask[0])
+            moved = space.zeros_like(mask[0])
             moved[len(self.loose) + self.missing] = True
             present = (states[:, self.missing] != REMOVED).sum(axis=1)[:, None] + step * (moved * 1)
             mask = mask & (present <= self.missing_allowed(states, step)[:, None])

@@ -290,11 +290,11 @@ class Task:
     @cached_property
     def _legal(self) -> dict[Direction, LegalMoves]:
         can_leave = None if self.clearance is None else self.clearance.can_leave
-        return {direction: self.legal_moves(np, np.asarray, direction, can_leave) for direction in Direction}
+        return {direction: self.legal_moves("numpy", np.asarray, direction, can_leave) for direction in Direction}
 
     def legal_moves(
         self,
-        space: Any,
+        space: str,
         put: Callable[[NDArray[Any]], Any],
         direction: Direction,
         can_leave: Callable[[Any], Any] | None,

@@ -118,6 +118,8 @@ def _accept_forces(structure, state, options, residual, forces):
 @njit(cache=True)
 def _balance(structure, work, pairs, options, interior, most, level, settings, forces):
     """Balance forces on the parts in `work` from known ones, in N; return the verdict, ADMM iterations and steps."""
+    if pairs == 0:  # nothing touches the parts, so no force can balance them
+        return UNDECIDED, 0, 0
     if interior:
         load_forces(structure, work, pairs, forces, work.z)
         verdict, steps = run_centring(structure, work, pairs, options, most, level, settings)
