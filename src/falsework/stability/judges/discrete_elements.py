@@ -62,8 +62,8 @@ class DiscreteElementSettings:
     steps: int = 30000
     """Steps after which a state that has neither come to rest nor collapsed is left undecided."""
     friction_share: float = 0.0
-    """Uncertainty of friction: before a structure at rest is checked, its tangential forces are redrawn uniformly from
-    the disc whose radius is this share of their limit. 0: friction as the history has left it."""
+    """Share of their limit from which tangential forces are redrawn, uniformly in a disc of this radius, before a
+    structure at rest is checked; 0 leaves friction as the history has left it."""
     seed: int = 0
     """Seed of these draws."""
 
