@@ -35,7 +35,7 @@ pil = pytest.importorskip("PIL.Image")
 
 WINDOW = {"width": 800, "height": 500}
 FLAGS = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox", "--hide-scrollbars"]
-PATIENCE = 30.0
+PATIENCE = 60.0
 # Chromium says these of software rendering, and of parts of viser that the page does not use: they are no errors of it.
 HARMLESS = (
     "Evaluating a string as JavaScript",

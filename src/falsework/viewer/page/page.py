@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
+
 from falsework.errors import FalseworkError, InputError
 from falsework.utils.files.printable import printable
 from falsework.viewer.page.files_tab import FilesTab
@@ -224,8 +226,14 @@ class Page:
         self.guard(event, act)
 
     def _connected(self, client: Any) -> None:
-        if client.camera.image_width <= NARROW:
-            aim_upright(client.camera, self.scene, self.model.arms, client.camera.aspect)
+        def fit(_: Any) -> None:
+            """Aim for a narrow window, whose width and first camera may arrive late, unless its user has turned."""
+            camera, first = client.camera, self.server.initial_camera.position
+            if camera.image_width <= NARROW and np.allclose(camera.position, first, atol=1e-3):
+                aim_upright(camera, self.scene, self.model.arms, camera.aspect)
+
+        fit(None)
+        client.camera.on_update(fit)
 
     def _linked(self, unit: Unit, value: float) -> None:
         self.play.pause()
