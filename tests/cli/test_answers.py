@@ -12,34 +12,10 @@ import pytest
 
 from falsework.cli.main import COMMANDS
 from falsework.cli.output import answer_schema
+from tests.robots.cells.cell_texts import REACHING as CELL
 
 Run = Callable[..., Any]
 
-CELL = """
-format = "falsework.cell/1"
-name = "one arm"
-
-[structure]
-density = 200
-
-[grippers.cup]
-kind = "suction"
-payload = 10.0
-mass = 1.0
-cup = 0.02
-tool = { position = [0.0, 0.0, 0.18] }
-shapes = [
-    { cylinder = { radius = 0.045, low = 0.0, high = 0.1 } },
-    { cylinder = { radius = 0.02, low = 0.1, high = 0.178 } },
-]
-
-[[robots]]
-name = "arm"
-model = "irb2600-12/1.65"
-gripper = "cup"
-base = { position = [-1.15, 0.0, 0.0], yaw = 0.0 }
-places = [{ position = [0.15, -0.95, 0.55] }]
-"""
 UNITS = re.compile(r"(^seconds|_(seconds|s|m|mm|m3|kg|n|nm|deg|rad|g))$")
 
 

@@ -25,6 +25,7 @@ from falsework.search.plans.build import plan_of_build
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_replay import Acceptance, PlanReplay
 from falsework.search.plans.prove import prove
+from falsework.search.plans.route_tests import barred_state
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.guide import Guide, SupportGuide
 from falsework.search.problem.hold_bound import HoldBound
@@ -326,7 +327,7 @@ def _weak_states(route: States, oracle: Stability) -> States:
     if oracle.replayer is None:
         return route[~prove(route, oracle, forces=False)[0].stable]
     row = Acceptance(oracle.replayer).falls_at(states := route[::-1])
-    return states[:0] if row is None else states[min(max(row, 1), max(len(states) - 2, 0))][None]
+    return states[:0] if row is None else barred_state(states, row)[None]
 
 
 def _run(

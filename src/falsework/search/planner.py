@@ -237,20 +237,21 @@ class Planner:
         if name not in self._beams:
             rules = self.task.postpone(self._trial), self._oracle, portfolio, self.settings.seed
             self._beams[name] = start(name, *rules, self._beam_guide)
-        beam, tests, paused = self._beams[name], self.tests, False
+        beam, paused, settles = self._beams[name], False, False
 
         def halt() -> bool:
-            nonlocal paused
-            impatient = self._stage == "plan" and tests.impatient
-            paused = impatient or beam.asked >= portfolio.allowance(self._round)
+            nonlocal paused, settles
+            settles = self._stage == "plan" and self.tests.impatient
+            paused = settles or beam.asked >= portfolio.allowance(self._round)
             return paused or (stop is not None and stop())
 
         result = self._last[name] = beam.run(portfolio.widest, progress=report, stop=halt)
-        if paused and not result.found and self._stage == "plan" and tests.impatient and tests.doubted is not None:
-            self.routes = [tests.doubted]
-            self._next_trial(begin=True)
-        elif paused and not result.found:
-            self._turn += 1
+        if paused and not result.found:
+            if settles and self.tests.doubted is not None:
+                self.routes = [self.tests.doubted]
+                self._next_trial(begin=True)
+            else:
+                self._turn += 1
         elif result.interrupted:
             return True
         elif self._stage == "alternatives":

@@ -17,32 +17,8 @@ from falsework.cli.main import main
 from falsework.cli.robot_reports import schedule_text
 from falsework.robots.plans.robot_plan_file import load_robot_plan
 from falsework.robots.plans.timeline import interruption
+from tests.robots.cells.cell_texts import REACHING as CELL
 
-CELL = """
-format = "falsework.cell/1"
-name = "one arm"
-
-[structure]
-density = 200
-
-[grippers.cup]
-kind = "suction"
-payload = 10.0
-mass = 1.0
-cup = 0.02
-tool = { position = [0.0, 0.0, 0.18] }
-shapes = [
-    { cylinder = { radius = 0.045, low = 0.0, high = 0.1 } },
-    { cylinder = { radius = 0.02, low = 0.1, high = 0.178 } },
-]
-
-[[robots]]
-name = "arm"
-model = "irb2600-12/1.65"
-gripper = "cup"
-base = { position = [-1.15, 0.0, 0.0], yaw = 0.0 }
-places = [{ position = [0.15, -0.95, 0.55] }]
-"""
 STACK = "stack:blocks=2,length=0.3,height=0.15,depth=0.3"
 
 

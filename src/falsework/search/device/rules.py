@@ -43,14 +43,7 @@ class TensorRules:
         self.direction = direction
         self.device = device = choose_device(device) if isinstance(device, str) else device
         self.part_count = task.part_count
-        goal = task.goal(direction)
         backward = direction is Direction.ASSEMBLY
-        boundary = np.asarray(task.boundary)
-        touchable = ~boundary
-        touchable[list(task.fixed)] = False
-        self._loose = put(~boundary, device)
-        self._touchable = put(touchable, device)
-        self._goal = put(goal, device)
         self._stage = put(-STAGE if backward else STAGE, device)
         self._origin = put(task.origin(direction), device)
         self._to_come = put(task.start != REMOVED, device)
@@ -59,6 +52,7 @@ class TensorRules:
         self._ways = WaysOut(task.clearance, task.part_count, device)
         can_leave = None if task.clearance is None else self._ways.can_leave
         self._legal = task.legal_moves("torch", lambda array: put(array, device), direction, can_leave)
+        self._loose, self._touchable, self._goal = self._legal.loose, self._legal.touchable, self._legal.goal
 
     def origin(self) -> torch.Tensor:
         """Return the state that the search begins with, shape (1, parts)."""

@@ -16,7 +16,7 @@ from falsework.search.plans.plan_report import PlanReport, unstable_in_words
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Task
 from falsework.stability.contact.build_verifier import BuildVerifier, StepCertificate
-from falsework.stability.contact.hold_loads import CLOSE, Loads, larger_loads, loads_in
+from falsework.stability.contact.hold_loads import CLOSE, Loads, larger_loads, largest_load, loads_in
 from falsework.stability.contact.replay import Presses, Replayer
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
@@ -129,6 +129,7 @@ def _denied_load(plan: Plan, found: Loads) -> tuple[int, str] | None:
         plan: the plan; one that says nothing denies nothing.
         found: what robots bear in its states.
     """
+    largest = dict(zip(("force", "moment"), largest_load(found), strict=True))
     for row, (said, true) in enumerate(zip(plan.loads, found, strict=True) if plan.loads else ()):
         by_part = {load.part: load for load in said}
         for load in true:
@@ -137,8 +138,7 @@ def _denied_load(plan: Plan, found: Loads) -> tuple[int, str] | None:
                 return row, f"the plan does not say what the robot bears that holds {name} at {_built(plan, row)}"
             for kind, unit in (("force", "N"), ("moment", "N m")):
                 says, is_so = getattr(known, kind), getattr(load, kind)
-                largest = max(getattr(other, kind) for here in found for other in here)
-                if says < is_so * (1 - CLOSE) - CLOSE**2 * largest:
+                if says < is_so * (1 - CLOSE) - CLOSE**2 * largest[kind]:
                     return row, (
                         f"the plan says that the robot that holds {name} bears {says:.4g} {unit} at "
                         f"{_built(plan, row)}; it bears {is_so:.4g} {unit}"

@@ -62,8 +62,8 @@ class Plan(Displayed):
     """Steps of an assembly whose states are all proven stable.
 
     A plan is the sequence of its steps, always in the order of assembly: `len(plan)`, `plan[0]`, `for step in plan`.
-    Whoever takes the structure apart undoes the last step first, see `in_order`. Searches work with routes, in the
-    order of disassembly; `of` turns a route into a plan.
+    Disassembly undoes the last step first, see `in_order`. Searches work with routes, in the order of disassembly; `of`
+    turns a route into a plan.
     """
 
     states: States

@@ -14,6 +14,18 @@ from falsework.search.problem.result import Route, Stop
 from falsework.search.settings import PlannerSettings
 
 
+def barred_state(states: States, row: int) -> States:
+    """Return the state to exclude where a route fails in one, shape (parts,).
+
+    Both ends belong to every route, so if one fails, it is the state next to it.
+
+    Args:
+        states: of the route, shape (steps + 1, parts).
+        row: of the state that fails.
+    """
+    return states[min(max(row, 1), max(len(states) - 2, 0))]
+
+
 class RouteTests:
     """Margins, replay, acceptance and judge of the routes of a search; a state in which one fails is excluded."""
 
@@ -83,12 +95,8 @@ class RouteTests:
         return False
 
     def _bar(self, states: States, row: int) -> None:
-        """Exclude a state of a route in the order of assembly.
-
-        Both ends belong to every route, so if one fails, the state next to it is excluded.
-        """
-        barred = states[min(max(row, 1), max(len(states) - 2, 0))]
-        self.forbidden = np.concatenate([self.forbidden, barred[None]])
+        """Exclude the state of a route, in the order of assembly, because of which it fails."""
+        self.forbidden = np.concatenate([self.forbidden, barred_state(states, row)[None]])
 
     @property
     def impatient(self) -> bool:
