@@ -112,7 +112,7 @@ def _spell_load(load: Any) -> str:
 STATE_FORMS = (
     "complete, empty, a plan and its step such as plan.json:31, parts such as 0-16,keystone,held:left, or a file"
 )
-"""How states are written, for messages."""
+"""Forms of states on the command line, for messages."""
 _HELD = "held:"
 """Before a part that is held."""
 

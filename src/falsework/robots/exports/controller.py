@@ -1,4 +1,4 @@
-"""What programs need to know of controllers: the maker of each arm, the load of its tool, and its signals."""
+"""Controllers of arms: the maker of each arm, the load of its tool, and its signals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What robots bear in the states of a build: the largest force and moment on every part that they hold."""
+"""Loads of robots in the states of a build: the force and the moment on every part that they hold."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Loads = tuple[tuple[HoldLoad, ...], ...]
-"""What robots bear in each state of a plan, one entry a state."""
+"""Loads of robots in each state of a plan, one entry a state."""
 
 
 class ContactHistory(Protocol):

@@ -1,4 +1,4 @@
-"""What an independent judge says of a plan; the judges themselves, which take long to import, are in `judges`."""
+"""Judgement of an independent judge on a plan; the judges, which take long to import, are in modules beside it."""
 
 from __future__ import annotations
 

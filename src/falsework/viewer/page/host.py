@@ -40,7 +40,7 @@ class Host(Protocol):
         """Show another plan of the model, and say why, in Markdown."""
 
     def pause(self) -> None:
-        """Stop playing for now."""
+        """Pause playing."""
 
     def show(self, model: ViewerState) -> None:
         """Show another model instead of the present one."""

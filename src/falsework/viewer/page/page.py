@@ -150,7 +150,7 @@ class Page:
             self._draw()
 
     def pause(self) -> None:
-        """Stop playing for now."""
+        """Pause playing."""
         self.play.pause()
 
     def plan_changed(self, words: str) -> None:

@@ -66,7 +66,7 @@ class PlayPanel:
             self._player.join(timeout=5)
 
     def pause(self) -> None:
-        """Stop playing for now."""
+        """Pause playing."""
         self._playing.clear()
         self._button.label = "Play"
 
