@@ -20,6 +20,7 @@ from falsework.assembly.prop import Prop
 from falsework.assembly.touching import check_touching, contact_warnings
 from falsework.errors import AssemblyError
 from falsework.geometry.clearance.table import ClearanceTable, clearance_table
+from falsework.geometry.clearance.together import SetClearance
 from falsework.geometry.contact.interfaces import Contacts, ContactSettings, find_contacts
 from falsework.geometry.contact.joints import JointReport
 from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh, mass_properties
@@ -227,6 +228,12 @@ class Assembly(Displayed):
         _, overlap = self.contact_settings.lengths(self.meshes)
         return clearance_table(self.meshes, self.contacts, tolerance=overlap)
 
+    @cached_property
+    def clearance_of_sets(self) -> SetClearance:
+        """Ways out of several parts that leave together; each is computed at first use."""
+        _, overlap = self.contact_settings.lengths(self.meshes)
+        return SetClearance(self.meshes, self.contacts, self.clearance, overlap)
+
     def replace(
         self,
         *,
@@ -261,8 +268,9 @@ class Assembly(Displayed):
         )
         for array in (fixed, densities):
             array.setflags(write=False)
-        if "clearance" in self.__dict__:  # depends on the meshes alone
-            changed.__dict__["clearance"] = self.clearance
+        for name in ("clearance", "clearance_of_sets"):  # they depend on the meshes alone
+            if name in self.__dict__:
+                changed.__dict__[name] = self.__dict__[name]
         return changed
 
     def at_friction(self, friction: float) -> Assembly:

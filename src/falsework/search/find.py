@@ -35,6 +35,7 @@ from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.support_route import SupportRoute
 from falsework.search.problem.task import Task
 from falsework.search.problem.timed_oracle import timed
+from falsework.search.problem.together import LockedTogether
 from falsework.search.settings import PlannerSettings
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
@@ -71,6 +72,9 @@ class TaskRules(TypedDict, total=False):
     """Release held parts without removing them, and hold parts again."""
     props: int
     """Props that may be in place at a time, of those that the structure has places for; needs `support`."""
+    parts_at_once: int
+    """Parts that a step may insert or remove at most, where they lock each other and leave together only. More than 1
+    implies `removable_only_if_clear`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,8 +142,8 @@ def find_plans(
         checkpoint: file to which the search is saved regularly, and from which it resumes if it exists; removed at the
             end.
         forces: keep the contact forces that prove each state in the plans.
-        rules: start, target, fixed, missing, removable_only_if_clear, support and props; see `TaskRules`. Without them
-            the complete structure is disassembled.
+        rules: start, target, fixed, missing, removable_only_if_clear, support, props and parts_at_once; see
+            `TaskRules`. Without them the complete structure is disassembled.
 
     Returns:
         Plans with verdicts and proofs; none if there is none, or none was found.
@@ -211,13 +215,15 @@ def task_of(
     removable_only_if_clear: bool = False,
     support: bool = False,
     props: int = 0,
+    parts_at_once: int = 1,
 ) -> Task:
     """Return the task of disassembling a structure; see `TaskRules` for the rules.
 
     States of a structure with places for props may be given without them.
 
     Raises:
-        InputError: fewer than one robot, parts or states that the structure does not have, or props without places.
+        InputError: fewer than one robot, parts or states that the structure does not have, props without places, or a
+            number of parts at once that is not possible.
     """
     assembly = as_assembly(assembly)
     if props < 0 or (props and not (support and assembly.props)):
@@ -226,6 +232,7 @@ def task_of(
             "places for props, as with_props(assembly, prop_places(assembly)) makes it"
         )
     start, target = (_with_places(state, assembly) for state in (start, target))
+    together = None if parts_at_once == 1 else LockedTogether(assembly, parts_at_once)
     return Task.create(
         assembly.boundary,
         robots,
@@ -233,12 +240,13 @@ def task_of(
         target=target,
         fixed=part_ids(fixed, assembly.names, "fixed"),
         missing=part_ids(missing, assembly.names, "missing"),
-        clearance=assembly.clearance if removable_only_if_clear else None,
+        clearance=assembly.clearance if removable_only_if_clear or together is not None else None,
         contacts=assembly.contacts.parts,
         identity=assembly.identity,
         support=support,
         props=[prop.part for prop in assembly.props],
         prop_limit=props,
+        together=together,
     )
 
 
@@ -340,8 +348,8 @@ def _run(
         nonlocal paused
         if stop is not None and stop():
             return True
-        # The bound does not cover props.
-        paused = not (planner.routes or task.prop_limit) and time.process_time() - begun > _BOUND_AFTER
+        # The bound does not cover props, nor steps of several parts.
+        paused = not (planner.routes or task.prop_limit or task.together is not None) and time.process_time() - begun > _BOUND_AFTER
         return paused
 
     result = planner.run(progress=progress, stop=halt)
@@ -367,8 +375,9 @@ def _run(
 def _resume(
     checkpoint: Path | str | None, task: Task, oracle: Oracle, settings: PlannerSettings, guide: Guide
 ) -> Planner:
-    if task.support and checkpoint is not None:
-        raise InputError("a search with repeated holds cannot be saved; leave out the checkpoint")
+    if checkpoint is not None and (task.support or task.together is not None):
+        what = "repeated holds" if task.support else "several parts in one step"
+        raise InputError(f"a search with {what} cannot be saved; leave out the checkpoint")
     if checkpoint is not None and Path(checkpoint).exists():
         return Planner.load(checkpoint, task, oracle, settings, guide=guide)
     return Planner(task, oracle, settings, guide=guide)

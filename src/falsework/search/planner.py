@@ -29,8 +29,9 @@ from falsework.search.problem.result import (
 )
 from falsework.search.problem.task import Direction, Task
 from falsework.search.settings import PlannerSettings
-from falsework.search.strategies import EDGES, Portfolio, Strategy, regrasps, start
+from falsework.search.strategies import EDGES, Portfolio, Strategy, moves_together, regrasps, start
 from falsework.search.support.everywhere import SupportEverywhere
+from falsework.search.together import TogetherBeam
 from falsework.utils.archive import read_archive, write_archive
 from falsework.utils.files.damage import blamed_on
 
@@ -65,10 +66,13 @@ class Planner:
             guide: scores actions; `SupportGuide` is a good one. Repeated holds need one.
 
         Raises:
-            InputError: a judge or alternatives, where parts are held again.
+            InputError: a judge or alternatives, where parts are held again, or alternatives, where steps may move
+                several.
         """
         self.regrasps = regrasps(task, settings)
         """Whether plans may hold parts again."""
+        self.together = moves_together(task, settings)
+        """Whether steps may move several parts."""
         self.task = task.judged_by(oracle)
         self.settings = settings
         self.routes: list[Route] = []
@@ -162,10 +166,11 @@ class Planner:
         """Write the current search, to be resumed by `load`.
 
         Raises:
-            InputError: plans may hold parts again.
+            InputError: plans may hold parts again, or steps may move several.
         """
-        if self.regrasps:
-            raise InputError("a search with repeated holds cannot be saved; leave out the checkpoint")
+        if self.regrasps or self.together:
+            what = "repeated holds" if self.regrasps else "several parts in one step"
+            raise InputError(f"a search with {what} cannot be saved; leave out the checkpoint")
         beams, arrays = {}, {}
         for key, beam in self._beams.items():
             assert isinstance(beam, BackjumpingBeam)
@@ -304,9 +309,10 @@ class Planner:
     def _failed(self, result: SearchResult) -> None:
         """Try the next attempt, or give this trial up."""
         decided = result.outcome is Outcome.PROVED_IMPOSSIBLE and not len(self.tests.forbidden)
-        if self.regrasps:  # beams in which parts are held once prove nothing; even without a proof, nothing is left
-            everywhere = self._beams[self._left[self._turn]]
-            decided = isinstance(everywhere, SupportEverywhere) and everywhere.examined_all
+        if self.regrasps or self.together:
+            # Beams in which parts are held once, or move alone, prove nothing; even without a proof, nothing is left.
+            widest = self._beams[self._left[self._turn]]
+            decided = isinstance(widest, (SupportEverywhere, TogetherBeam)) and widest.examined_all
             if not decided:
                 result = replace(result, outcome=Outcome.NOT_FOUND)
         over = self._give_up() or decided

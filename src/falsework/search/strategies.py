@@ -19,6 +19,7 @@ from falsework.search.problem.task import STAGE, Direction, Task
 from falsework.search.settings import PlannerSettings
 from falsework.search.support.beam import SupportBeam
 from falsework.search.support.everywhere import SupportEverywhere
+from falsework.search.together import TogetherBeam
 
 EDGES = "edges"
 """Beam that closes free edges first, see `EdgeGuide`."""
@@ -26,6 +27,8 @@ REGRASP = "regrasp-"
 """Before the name of a direction: beam in which parts may be held again."""
 EVERYWHERE = "everywhere"
 """Exhaustive search in which parts may be held again. Beams are named after their direction."""
+TOGETHER = "together-"
+"""Before the name of a direction: beam in which steps may move several parts, at last without a limit."""
 
 _FIRST_SHARE = 8
 """Verdicts for each part of the structure that each strategy may ask for in the first round, and twice as many in each
@@ -104,6 +107,8 @@ class Portfolio:
             again = [REGRASP + name for name in names]
             once = names[:1] if (STAGE[task.target] >= STAGE[task.start]).all() else []
             return cls((again[0], EVERYWHERE, *again[1:], *once), 1, settings.width, share)
+        if moves_together(task, settings):  # plans that move one part at a time come first, as they are simpler
+            names += [TOGETHER + name for name in names]
         if edges and Direction.ASSEMBLY in settings.directions:
             names.insert(0, EDGES)
         return cls(tuple(names), 1, settings.width, share)
@@ -127,11 +132,22 @@ def regrasps(task: Task, settings: PlannerSettings) -> bool:
     return True
 
 
+def moves_together(task: Task, settings: PlannerSettings) -> bool:
+    """Return whether steps may move several parts.
+
+    Raises:
+        InputError: they may, and the settings ask for alternatives.
+    """
+    if task.together is not None and settings.alternatives > 1:
+        raise InputError("plans with several parts in one step have no alternatives yet; ask for one plan")
+    return task.together is not None
+
+
 def direction_of(name: str) -> Direction:
     """Return the direction in which a strategy searches."""
     if name == EVERYWHERE:
         return Direction.DISASSEMBLY
-    return Direction.ASSEMBLY if name == EDGES else Direction(name.removeprefix(REGRASP))
+    return Direction.ASSEMBLY if name == EDGES else Direction(name.removeprefix(REGRASP).removeprefix(TOGETHER))
 
 
 def start(
@@ -144,6 +160,8 @@ def start(
     if name.startswith(REGRASP):
         assert guide is not None
         return SupportBeam(task, oracle, direction, guide=guide, width=portfolio.narrowest)
+    if name.startswith(TOGETHER):
+        return TogetherBeam(task, oracle, direction, guide=guide, width=portfolio.narrowest)
     settings = BackjumpingSettings(direction, portfolio.narrowest, seed)
     if name == EDGES and task.holds_keep_stable:
         settings = replace(settings, lookahead=_ROWS_AHEAD)

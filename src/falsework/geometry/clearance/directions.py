@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,17 +31,17 @@ def sphere_directions(count: int) -> Array:
     return np.stack([across * np.cos(turn), across * np.sin(turn), height], axis=1)
 
 
-def exit_directions(contacts: Contacts, part: int, count: int) -> Array:
-    """Return directions to try for one part, most promising first, shape (count, 3), unit length.
+def exit_directions(contacts: Contacts, part: int | Sequence[int], count: int) -> Array:
+    """Return directions to try for one part, or for several that move together, most promising first, shape (count, 3), unit length.
 
     First the normals of its contacts, away from the neighbour, and their mean; then the lines along which it can
     slide on two contacts at once, both ways, those first that push into the fewest neighbours: they are the
     edges of the cone of moves that the neighbours leave open, whatever neighbours are present, and that
     cone may be as thin as a line, such as the axis of a peg. The rest is spread over the sphere.
     """
-    away = np.concatenate(
-        [-contacts.normals[contacts.parts[:, 0] == part], contacts.normals[contacts.parts[:, 1] == part]]
-    )
+    ours = np.isin(contacts.parts, part)
+    outwards = ours[:, 0] != ours[:, 1]  # contacts between parts that move together say nothing
+    away = np.concatenate([-contacts.normals[ours[:, 0] & outwards], contacts.normals[ours[:, 1] & outwards]])
     special = _distinct(away)
     if len(special) > 1:
         chosen = special[:_NORMALS]

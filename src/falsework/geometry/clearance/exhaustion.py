@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from falsework.geometry.clearance.cover import DEEPEST, Triangles, uncovered
@@ -15,7 +17,7 @@ _AT_ONCE = 16
 """Directions that are swept before the triangles are examined again."""
 
 
-def all_ways(sweeper: Sweeper, part: int, ways: Ways) -> tuple[Ways, bool]:
+def all_ways(sweeper: Sweeper, part: int | Sequence[int], ways: Ways) -> tuple[Ways, bool]:
     """Add exit directions until every direction is proved to be no better than one of them.
 
     The sphere of directions is cut into triangles. A triangle is settled if the blocking cones show that it contains no
@@ -23,7 +25,7 @@ def all_ways(sweeper: Sweeper, part: int, ways: Ways) -> tuple[Ways, bool]:
 
     Args:
         sweeper: the structure.
-        part: the part that leaves.
+        part: the part that leaves, or several that leave together.
         ways: known exit directions, at least one.
 
     Returns:

@@ -1,4 +1,4 @@
-"""Sweep test: parts hit by a part that moves along a straight line to infinity."""
+"""Sweep test: parts hit by one or several parts that move along a straight line to infinity."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _BATCH = 125
 
 @dataclass(frozen=True, eq=False)
 class Ways:
-    """Exit directions of one part, with the parts that block them."""
+    """Exit directions of one part, or of several that move together, with the parts that block them."""
 
     directions: Array
     """Unit vectors, shape (ways, 3)."""
@@ -40,7 +40,7 @@ class Ways:
 
 
 class Sweeper:
-    """Straight sweeps of single parts through all others."""
+    """Straight sweeps of parts through all others, of one at a time or of several that move as one body."""
 
     def __init__(self, meshes: Sequence[TriangleMesh], contacts: Contacts, tolerance: float) -> None:
         """Shrink the parts, and find planes that keep pairs of them apart.
@@ -57,39 +57,46 @@ class Sweeper:
         self._convex: dict[tuple[int, int], Pieces] = {}
         points = np.concatenate([self._shape(part, 0).vertices for part in range(len(meshes))])
         first = np.concatenate([[0], np.cumsum([len(mesh.vertices) for mesh in meshes])[:-1]])
+        self._points, self._first = points, first
         self._reach = 2.0 * float(np.linalg.norm(np.ptp(points, axis=0)))
         self._planes = sphere_directions(_PLANES)
-        level = points @ self._planes.T
-        self._low = np.minimum.reduceat(level, first, axis=0)
-        self._high = np.maximum.reduceat(level, first, axis=0)
+        self._low, self._high = self.spans(self._planes)
         self._apart = self._separating_contacts(points, first)
         self._boxes = np.minimum.reduceat(points, first), np.maximum.reduceat(points, first)
         self._levels: dict[tuple[int, int], int] = {}
 
-    def blocked(self, part: int, directions: Array, others: Mask | None = None) -> Mask:
-        """Return whether each part blocks a part in each direction, shape (directions, parts).
+    def spans(self, normals: Array) -> tuple[Array, Array]:
+        """Return where each shrunken part begins and ends along directions, m, two arrays of shape (parts, normals)."""
+        level = self._points @ normals.T
+        return np.minimum.reduceat(level, self._first, axis=0), np.maximum.reduceat(level, self._first, axis=0)
+
+    def blocked(self, part: int | Sequence[int], directions: Array, others: Mask | None = None) -> Mask:
+        """Return whether each part blocks a part, or several together, in each direction, shape (directions, parts).
 
         Most pairs are decided without a collision. A plane that has the part on one side and the other part
         on the other leaves all directions away from the other open; a contact closes all directions into it.
         The rest are swept, or taken as free if they are not among `others`, shape (parts,).
         """
-        free, hit = self._known(part, directions)
+        moving = _members(part)
+        free, hit = self._known_together(moving, directions)
         if others is not None:
             free |= ~(hit | others)
         for way in np.flatnonzero((~free & ~hit).any(axis=1)).tolist():
-            walls: dict[int, Body] = {}
+            walls: dict[tuple[int, int], Body] = {}
             for other in np.flatnonzero(~free[way] & ~hit[way]).tolist():
-                hit[way, other] = self._meets(part, other, directions[way], walls)
+                hit[way, other] = self._meets(moving, other, directions[way], walls)
         return hit
 
-    def least_blocked(self, part: int, directions: Array, known: Ways | None = None) -> Ways:
+    def least_blocked(
+        self, part: int | Sequence[int], directions: Array, known: Ways | None = None
+    ) -> Ways:
         """Return the directions that no other beats: those whose blockers do not include all blockers of another.
 
         A direction is discarded as soon as its known blockers include those of one already found, so that most sweeps
         are skipped; of directions with the same blockers one is kept.
 
         Args:
-            part: the part that leaves.
+            part: the part that leaves, or several that leave together.
             directions: unit vectors, shape (directions, 3).
             known: exit directions found before.
 
@@ -97,22 +104,23 @@ class Sweeper:
             The remaining known exit directions, then the new ones, in the given order.
         """
         found = Ways(np.zeros((0, 3)), np.zeros((0, len(self._meshes)), dtype=bool)) if known is None else known
+        moving = _members(part)
         rank = np.arange(-len(found.directions), 0)
         rows = found.blockers
         ways = found.directions
         for start in range(0, len(directions), _BATCH):
             batch = directions[start : start + _BATCH]
-            free, hit = self._known(part, batch)
+            free, hit = self._known_together(moving, batch)
             for way in np.argsort(hit.sum(axis=1), kind="stable").tolist():
                 row = hit[way]
-                walls: dict[int, Body] = {}
+                walls: dict[tuple[int, int], Body] = {}
                 beaten = includes_one(row, rows)
                 others = np.flatnonzero(~free[way] & ~row)
                 # First the blockers of the exits already found: they most likely show that this one is no better.
                 for other in others[np.argsort(-rows.sum(axis=0)[others], kind="stable")].tolist():
                     if beaten:
                         break
-                    if self._meets(part, other, batch[way], walls):
+                    if self._meets(moving, other, batch[way], walls):
                         row[other] = True
                         beaten = includes_one(row, rows)
                 if beaten:
@@ -126,23 +134,23 @@ class Sweeper:
         order = np.argsort(rank)
         return Ways(ways[order], rows[order])
 
-    def cones(self, part: int, others: NDArray[np.integer]) -> Cones:
-        """Return cones of directions in which the part is blocked by some of the other parts.
+    def cones(self, part: int | Sequence[int], others: NDArray[np.integer]) -> Cones:
+        """Return cones of directions in which the part, or one of several, is blocked by some of the other parts.
 
         In each direction of a cone the part moves into a contact, or collides with the shrunken other part; a
         direction in no cone need not be free.
         """
         several = []
-        for side, sign in ((0, 1.0), (1, -1.0)):
-            mine = np.flatnonzero(
-                (self._contacts.parts[:, side] == part) & np.isin(self._contacts.parts[:, 1 - side], others)
-            )
-            several.append(
-                Cones.half_spaces(sign * self._contacts.normals[mine], _INTO, self._contacts.parts[mine, 1 - side])
-            )
-        for other in others.tolist():
-            level = self._level(part, other)
-            several.append(cones_between(self._pieces(part, level), self._pieces(other, level), other))
+        for member in _members(part):
+            for side, sign in ((0, 1.0), (1, -1.0)):
+                mine = np.flatnonzero(
+                    (self._contacts.parts[:, side] == member) & np.isin(self._contacts.parts[:, 1 - side], others)
+                )
+                neighbours = self._contacts.parts[mine, 1 - side]
+                several.append(Cones.half_spaces(sign * self._contacts.normals[mine], _INTO, neighbours))
+            for other in others.tolist():
+                level = self._level(member, other)
+                several.append(cones_between(self._pieces(member, level), self._pieces(other, level), other))
         return Cones.joined(several)
 
     def _pieces(self, part: int, level: int) -> Pieces:
@@ -151,8 +159,18 @@ class Sweeper:
             self._convex[part, level] = Pieces.of(self._meshes[part], vertices, 0.5 * self._tolerance)
         return self._convex[part, level]
 
-    def _known(self, part: int, directions: Array) -> tuple[Mask, Mask]:
+    def _known_together(self, moving: Sequence[int], directions: Array) -> tuple[Mask, Mask]:
         """Return pairs known to be free and known to be blocked, each of shape (directions, parts)."""
+        free, hit = self._known(moving[0], directions)
+        for member in moving[1:]:
+            more_free, more_hit = self._known(member, directions)
+            free &= more_free
+            hit |= more_hit
+        free[:, list(moving)] = True
+        return free, hit & ~free
+
+    def _known(self, part: int, directions: Array) -> tuple[Mask, Mask]:
+        """As `_known_together`, of one part."""
         ahead = self._low[part] >= self._high
         away = np.einsum("ki,pi->kp", directions, self._planes) >= 0
         free = intersect(pack(away), pack(ahead))
@@ -168,19 +186,24 @@ class Sweeper:
         free[:, part] = True
         return free, hit & ~free
 
-    def _meets(self, part: int, other: int, direction: Array, walls: dict[int, Body]) -> bool:
-        """Return whether the part hits the other along the direction; `walls` caches its walls for that direction.
+    def _meets(
+        self, moving: Sequence[int], other: int, direction: Array, walls: dict[tuple[int, int], Body]
+    ) -> bool:
+        """Return whether one of the parts hits the other along the direction; `walls` caches their walls for that.
 
-        The swept volume is bounded by the wall that the outline of the part sweeps, apart from its two
+        The swept volume is bounded by the wall that the outline of a part sweeps, apart from its two
         ends. Another part that it meets either crosses that wall or is enclosed by the volume; then the
         wall of any of its edges, swept backwards, crosses the part.
         """
-        level = self._level(part, other)
-        shape, obstacle = self._shape(part, level), self._shape(other, level)
         move = direction * self._reach
-        if level not in walls:
-            walls[level] = shape.wall(move)
-        return walls[level].hits(obstacle.body) or obstacle.edge_wall(-move).hits(shape.body)
+        for part in moving:
+            level = self._level(part, other)
+            shape, obstacle = self._shape(part, level), self._shape(other, level)
+            if (part, level) not in walls:
+                walls[part, level] = shape.wall(move)
+            if walls[part, level].hits(obstacle.body) or obstacle.edge_wall(-move).hits(shape.body):
+                return True
+        return False
 
     def _shape(self, part: int, level: int) -> _Shape:
         """Return a part shrunk by its share of the tolerance, doubled `level` times."""
@@ -217,6 +240,10 @@ class Sweeper:
                     level += 1
             self._levels[pair] = level
         return self._levels[pair]
+
+
+def _members(part: int | Sequence[int]) -> tuple[int, ...]:
+    return tuple(part) if isinstance(part, Sequence) else (int(part),)
 
 
 def includes_one(row: NDArray[np.bool_], rows: Mask) -> bool:

@@ -38,8 +38,10 @@ class Route:
     @classmethod
     def through(cls, states: States) -> Route:
         """Return the route through consecutive states, each one move from the next, in disassembly order."""
-        part = (states[1:] != states[:-1]).argmax(axis=1)
-        holds = states[np.arange(1, len(states)), part] == HELD
+        before, after = states[:-1], states[1:]
+        # Of several parts that a step removes, it is named after the first that is held.
+        part = ((before != after) & ((before == HELD) | (after == HELD))).argmax(axis=1)
+        holds = after[np.arange(len(after)), part] == HELD
         return cls(states, np.where(holds, part, part + states.shape[1]).astype(np.int64))
 
     def __repr__(self) -> str:

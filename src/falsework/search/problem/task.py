@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
 from operator import index
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,6 +27,9 @@ from falsework.assembly.state import (
 )
 from falsework.errors import InputError, StateError
 from falsework.search.problem.legal_moves import LegalMoves
+
+if TYPE_CHECKING:
+    from falsework.search.problem.together import Together
 
 STAGE = np.array([2, 0, 1], dtype=np.int64)
 """Steps of disassembly that a part has behind it, indexed by its value: installed 0, held 1, removed 2."""
@@ -89,6 +92,8 @@ class Task:
     """Part above each prop; the props are the last parts of the structure, and no robot holds them."""
     prop_limit: int = 0
     """Props that may be in place at a time."""
+    together: Together | None = None
+    """Rule on several parts in one step; None where every step moves one part."""
 
     @classmethod
     def create(
@@ -106,6 +111,7 @@ class Task:
         support: bool = False,
         props: Sequence[int] = (),
         prop_limit: int = 0,
+        together: Together | None = None,
     ) -> Task:
         """Validate a task and fill in defaults.
 
@@ -122,10 +128,11 @@ class Task:
             support: let parts be held again.
             props: part above each prop; the last parts of the structure are props, absent from start and target.
             prop_limit: props that may be in place at a time.
+            together: rule on several parts in one step; needs `clearance`.
 
         Raises:
-            InputError: fewer than one robot, missing parts with support, or a part number out of range, doubled, or of
-                the boundary.
+            InputError: fewer than one robot, missing parts with support, several parts in one step with missing parts,
+                with support or without clearance, or a part number out of range, doubled, or of the boundary.
             StateError: a malformed state, more parts held than robots, or a target that no rule leads to.
         """
         boundary = np.asarray(boundary, dtype=bool)
@@ -134,6 +141,9 @@ class Task:
         missing = _part_numbers(missing, boundary, "missing", boundary_allowed=False)
         if missing and support:
             raise InputError("plans with repeated holds take no missing parts; leave out one of the two")
+        if together is not None and (missing or support or clearance is None):
+            other = "missing parts" if missing else "repeated holds" if support else "parts without a way out"
+            raise InputError(f"plans with several parts in one step take no {other}; leave out one of the two")
         if start is None:
             start = complete_state(boundary)
             start[len(boundary) - len(props) :] = REMOVED
@@ -172,7 +182,7 @@ class Task:
         order = (0,) * len(missing)
         return cls(
             boundary, robots, first, last, fixed, missing, order, clearance, identity, neighbours,
-            support=support, props=tuple(props), prop_limit=prop_limit,
+            support=support, props=tuple(props), prop_limit=prop_limit, together=together,
         )  # fmt: skip
 
     @property

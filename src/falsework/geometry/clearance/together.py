@@ -1,0 +1,137 @@
+"""Clearance of several parts at once: sets of parts that lock each other, and the ways on which they leave."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.geometry.clearance.directions import exit_directions
+from falsework.geometry.clearance.exhaustion import all_ways
+from falsework.geometry.clearance.locked import LockedSets, PartSet
+from falsework.geometry.clearance.sweep import Sweeper
+from falsework.geometry.clearance.table import ClearanceTable
+from falsework.geometry.contact.interfaces import Contacts
+from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.utils.bits import Words, pack
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_DIRECTIONS = 1000
+"""Directions sampled for each set before the proof that no other is better."""
+
+
+@dataclass(frozen=True, eq=False)
+class _SetWays:
+    """Exit directions of a set, with what blocks them."""
+
+    directions: Array
+    """Unit vectors, shape (ways, 3)."""
+    blockers: Words
+    """Parts that block each, shape (ways, words)."""
+    exact: bool
+    """Whether every direction was proved to be no better than one of them."""
+    smaller: Words
+    """Blockers of the exits of fewer of these parts, past the others of them, shape (exits, words)."""
+    own: Words
+    """The parts of the set, shape (words,)."""
+
+
+class SetClearance:
+    """Ways out of sets of parts that move as one body; computed when first asked for, and kept.
+
+    A set *leaves together* from a state if a straight way out is free, and no fewer of its parts have one past the
+    rest. So a set moves only where its parts lock each other, and every structure that comes apart by straight moves of
+    up to so many parts at once comes apart by sets that leave together.
+    """
+
+    def __init__(
+        self, meshes: Sequence[TriangleMesh], contacts: Contacts, singles: ClearanceTable, tolerance: float
+    ) -> None:
+        """Take a structure.
+
+        Args:
+            meshes: closed meshes that face outwards.
+            contacts: their contacts.
+            singles: clearance of single parts.
+            tolerance: overlap of touching parts that modelling may leave, metres.
+        """
+        self._meshes, self._contacts, self._singles, self._tolerance = meshes, contacts, singles, tolerance
+        self._sets: dict[tuple[int, bytes], tuple[PartSet, ...]] = {}
+        self._ways: dict[PartSet, _SetWays] = {}
+
+    def sets(self, movable: Mask, largest: int) -> tuple[PartSet, ...]:
+        """Return the sets of two parts and more that may leave together from some state.
+
+        Args:
+            movable: parts that can be among them, shape (parts,).
+            largest: parts of a set at most.
+
+        Raises:
+            InputError: so many sets that they cannot be examined.
+        """
+        key = largest, movable.tobytes()
+        if key not in self._sets:
+            self._sets[key] = self._planes.find(np.flatnonzero(movable), largest)
+        return self._sets[key]
+
+    def leave_together(self, parts: PartSet, states: NDArray[np.uint8]) -> Mask:
+        """Return whether a set leaves together from states, shape (batch, parts); its own parts may be absent."""
+        ways = self._ways_of(parts)
+        present = pack(states > 0) & ~ways.own
+        return _any_free(ways.blockers, present) & ~_any_free(ways.smaller, present)
+
+    def exit_direction(self, parts: PartSet, state: NDArray[np.uint8]) -> Array | None:
+        """Return a unit vector along which a set leaves a state, shape (parts,), as one body, or None."""
+        ways = self._ways_of(parts)
+        present = pack(np.asarray(state)[None] > 0) & ~ways.own
+        free = np.flatnonzero(~(ways.blockers & present).any(axis=1))
+        return ways.directions[free[0]].copy() if len(free) else None
+
+    def doubt(self, sets: Sequence[PartSet]) -> str:
+        """Explain why some sets may have unlisted exit directions; empty if all are exact."""
+        unsure = [parts for parts in sets if not self._ways_of(parts).exact]
+        if not unsure:
+            return ""
+        names = " and ".join(self._meshes[part].name for part in unsure[0])
+        return (
+            f"for {len(unsure)} sets of parts, {names} the first, ways out were sought along {_DIRECTIONS} directions, "
+            "and none was found that other parts do not block; another direction may be free"
+        )
+
+    @cached_property
+    def _sweeper(self) -> Sweeper:
+        return Sweeper(self._meshes, self._contacts, self._tolerance)
+
+    @cached_property
+    def _planes(self) -> LockedSets:
+        normals = LockedSets.directions(self._contacts.normals)
+        return LockedSets(*self._sweeper.spans(normals), normals)
+
+    def _ways_of(self, parts: PartSet) -> _SetWays:
+        if parts in self._ways:
+            return self._ways[parts]
+        flags = np.zeros((1, len(self._meshes)), dtype=bool)
+        flags[0, list(parts)] = True
+        own = pack(flags)[0]
+        sweeper = self._sweeper
+        sampled = sweeper.least_blocked(parts, exit_directions(self._contacts, parts, _DIRECTIONS))
+        found, exact = all_ways(sweeper, parts, sampled)
+        start = self._singles.start
+        smaller = [self._singles.blockers[start[part] : start[part + 1]] for part in parts]
+        fewer = (some for count in range(2, len(parts)) for some in combinations(parts, count))
+        smaller += [self._ways_of(some).blockers for some in fewer if self._planes.may_lock(some)]
+        rows = np.concatenate(smaller)
+        past = rows[~(rows & own).any(axis=1)]
+        self._ways[parts] = _SetWays(found.directions, pack(found.blockers), exact, past, own)
+        return self._ways[parts]
+
+
+def _any_free(blockers: Words, present: Words) -> Mask:
+    """Return whether a way is blocked by no present part, shape (batch,)."""
+    return ~(blockers[None] & present[:, None]).any(axis=2).all(axis=1)

@@ -1,0 +1,279 @@
+"""Beam search with several parts in one step."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from falsework.assembly.state import HELD, States
+from falsework.search.beam.backjumping import WIDENING
+from falsework.search.problem.guide import Guide
+from falsework.search.problem.oracle import CountingOracle, Oracle
+from falsework.search.problem.result import (
+    Outcome,
+    Progress,
+    Route,
+    SearchCounters,
+    SearchProgress,
+    SearchResult,
+    Stop,
+    beam_failure,
+    unstable_end,
+)
+from falsework.search.problem.task import Direction, Task
+from falsework.search.problem.together import TogetherMoves
+from falsework.search.support.histories import WayHistories
+
+STATE_LIMIT = 200_000
+"""Stable states after which a search of unlimited width gives up."""
+_AT_ONCE = 16
+"""States that are judged together."""
+_REPORTED_STATES = 64
+"""States handed back as deepest and as rejected, at most."""
+
+
+@dataclass(eq=False)
+class _Candidate:
+    """State that a step leads to, and how."""
+
+    parent: bytes
+    score: float
+    """Sum of the guide's scores on the way."""
+    fixed: bool
+    """Whether a step that only fixes parts leads there from a stable state."""
+
+
+class TogetherBeam:
+    """Beam over the states of a task in which steps may move several parts.
+
+    A hold counts as one step of a part, and its removal as another, however many parts are removed at once. States are
+    sorted by the sum of these, which grows with every step, and those with the same sum are examined together: the best
+    are kept, up to the width, and what steps lead to from them waits for its turn. A beam that leaves states out and
+    finds no plan is repeated wider, at last without a limit; then it has examined every state.
+    """
+
+    def __init__(
+        self, task: Task, oracle: Oracle, direction: Direction, *, guide: Guide | None = None, width: int = 1
+    ) -> None:
+        """Begin at the origin of a direction.
+
+        Args:
+            task: rules between start and target, with `Task.together`.
+            oracle: decides stability.
+            direction: end to begin at.
+            guide: scores actions.
+            width: states that are kept at first.
+        """
+        self.task = task = task.judged_by(oracle)
+        self.direction = direction
+        self.judge = CountingOracle(oracle)
+        self.moves = TogetherMoves(task, oracle)
+        self._oracle, self._guide = oracle, guide
+        self._stable: dict[bytes, bool] = {}
+        self._kept = self._seen = 0
+        self._seconds = 0.0
+        self.gave_up = False
+        """Whether the limit on states was exceeded."""
+        self._farthest, self._deepest, self._rejected = 0, list[bytes](), list[bytes]()
+        self._begin(float(width))
+
+    def _begin(self, width: float) -> None:
+        """Begin anew with a width; verdicts are kept."""
+        origin = self.task.origin(self.direction).tobytes()
+        self.width = width
+        self.parent: dict[bytes, bytes] = {}
+        """States kept, each with the one that it was reached from."""
+        replayer = getattr(self._oracle, "replayer", None) if self.direction is Direction.ASSEMBLY else None
+        self._histories = None if replayer is None else WayHistories(replayer, self.parent)
+        self._waiting: list[dict[bytes, _Candidate]] = [{} for _ in range(self.task.steps + 1)]
+        self._waiting[0][origin] = _Candidate(b"", 0.0, True)
+        self._stable[origin] = True
+        self._stage, self._queue, self._room = -1, deque[tuple[bytes, _Candidate]](), width
+        self._left_out = self._refused = False
+
+    @property
+    def asked(self) -> int:
+        """Verdicts requested so far."""
+        return self.judge.asked
+
+    @property
+    def counters(self) -> SearchCounters:
+        """Work done so far."""
+        return SearchCounters(self._kept, self._seen, self.judge.asked, self.judge.rejected)
+
+    @property
+    def found(self) -> bool:
+        """Whether the goal is reached."""
+        return self.task.goal(self.direction).tobytes() in self.parent
+
+    @property
+    def examined_all(self) -> bool:
+        """Whether the search came to its end with no state left out: no other finds a plan then."""
+        ended = self._stage == self.task.steps and not self._queue
+        return ended and not (self._left_out or self._refused or self.gave_up or self.judge.forbidden)
+
+    def replay_summary(self) -> None:
+        """Return None: the replay of the route found is not kept."""
+
+    def forbid(self, states: States) -> None:
+        """Exclude states, such as one in which a replay fails, and restart; the search then proves nothing."""
+        for state in states:
+            self.judge.forbidden.add(state.tobytes())
+            self._stable[state.tobytes()] = False
+        self._begin(self.width)
+
+    def run(self, widest: int = 1, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
+        """Search until the goal is reached, every state was examined, the limit is exceeded, or `stop` ends it.
+
+        Args:
+            widest: width from which on the beam has no limit.
+            progress: called after all states of one sum.
+            stop: called before each batch of states; true ends the search, which can then be run on.
+        """
+        failed = unstable_end(self.task, self._oracle)
+        if failed is not None:
+            return failed
+        begun, interrupted = time.perf_counter(), False
+        try:
+            while not self.found and not self.gave_up:
+                if self._stage == self.task.steps and not self._queue:
+                    if not self._left_out or np.isinf(self.width):
+                        break
+                    wider = self.width * WIDENING
+                    self._begin(wider if wider <= widest else np.inf)
+                if stop is not None and stop():
+                    interrupted = True
+                    break
+                if self._queue and self._room > 0:
+                    self._examine()
+                    continue
+                if progress is not None and self._stage >= 0:
+                    seconds = self._seconds + time.perf_counter() - begun
+                    kept = int(self.width - self._room) if np.isfinite(self.width) else len(self.parent)
+                    counts = self._stage, self.task.steps, kept, int(min(self.width, STATE_LIMIT)), self.judge.asked
+                    progress(SearchProgress(self.direction, *counts, seconds))
+                self._next_stage()
+        except KeyboardInterrupt:
+            interrupted = True
+        self._seconds += time.perf_counter() - begun
+        return self.result(interrupted=interrupted)
+
+    def result(self, *, interrupted: bool = False) -> SearchResult:
+        """Return the result so far; `interrupted` if the search was stopped from outside."""
+        parts, judge, outcome, limit = self.task.part_count, self.judge, Outcome.NOT_FOUND, ""
+        if self.found:
+            outcome = Outcome.FOUND
+        elif self.gave_up:
+            limit = f"gave up after {STATE_LIMIT} states with up to {self.moves.largest} parts at once"
+        elif not interrupted:
+            whole = not (self._left_out or self._refused)
+            outcome, limit = beam_failure(STATE_LIMIT, whole, judge.undecided, judge.sliding, self.moves.doubt)
+        deepest, rejected = (
+            np.array([_array(key) for key in keys[:_REPORTED_STATES]], dtype=np.uint8).reshape(-1, parts)
+            for keys in (self._deepest, self._rejected)
+        )
+        return SearchResult(
+            outcome=outcome,
+            routes=(self._route(),) if self.found else (),
+            direction=self.direction,
+            steps=self.task.steps,
+            reached=self._farthest,
+            deepest=deepest,
+            rejected=rejected,
+            counters=self.counters,
+            seconds=self._seconds,
+            interrupted=interrupted,
+            limit=limit,
+            undecided=judge.undecided,
+            sliding=judge.sliding,
+        )
+
+    def _next_stage(self) -> None:
+        """Turn to the states of the next sum."""
+        self._left_out = self._left_out or bool(self._queue)
+        self._stage, self._room = self._stage + 1, self.width
+        waiting, self._waiting[self._stage] = self._waiting[self._stage], {}
+        self._queue = deque(sorted(waiting.items(), key=lambda item: -item[1].score))
+
+    def _examine(self) -> None:
+        """Judge some of the states whose turn it is, best first, and take the steps out of those that are kept."""
+        count = int(min(_AT_ONCE, self._room, len(self._queue)))
+        batch = [self._queue[k] for k in range(count)]
+        asked = [(key, candidate.parent) for key, candidate in batch if key not in self._stable]
+        if self.task.holds_keep_stable:
+            free = {key for key, candidate in batch if candidate.fixed and key not in self.judge.forbidden}
+            asked = [(key, parent) for key, parent in asked if key not in free]
+            self._stable.update(dict.fromkeys(free, True))
+        if asked:
+            states, parents = (np.stack([_array(pair[k]) for pair in asked]) for k in (0, 1))
+            stable = self.judge.stable(states, parents)
+            self._stable.update({key: bool(good) for (key, _), good in zip(asked, stable, strict=True)})
+        for key, candidate in batch:
+            self._queue.popleft()
+            if self._stable[key] and self._comes_to_rest(key, candidate.parent):
+                self._take(key, candidate)
+            elif self._stage > self._farthest:
+                self._rejected.append(key)
+
+    def _comes_to_rest(self, key: bytes, parent: bytes) -> bool:
+        """Return whether a stable state is at rest with its contact history too, and keep that."""
+        if self._histories is None or not parent:
+            return True
+        found = self._histories.along(parent, [_array(key)])
+        if found is None:
+            self._refused = True
+            self.judge.sliding += 1
+            return False
+        self._histories.keep([_array(key)], found)
+        return True
+
+    def _take(self, key: bytes, candidate: _Candidate) -> None:
+        """Keep a state, and let what steps lead to wait for its turn."""
+        self.parent[key] = candidate.parent
+        self._room -= 1
+        self._kept += 1
+        self.gave_up = self.gave_up or len(self.parent) > STATE_LIMIT
+        if self._stage > self._farthest:
+            self._farthest, self._deepest, self._rejected = self._stage, [], []
+        if self._stage == self._farthest:
+            self._deepest.append(key)
+        state = _array(key)
+        after, actions = self.moves.after(state, self.direction)
+        if not len(after):
+            return
+        self._seen += len(after)
+        scores = self._scores(state, actions)
+        stages = np.abs(self.task.steps_done(after) - self.task.steps_done(self.task.origin(self.direction)[None]))
+        fixes = ((after == state) | (after == HELD)).all(axis=1)
+        for row, score, stage, fixed in zip(after, scores, stages.tolist(), fixes.tolist(), strict=True):
+            waiting, name = self._waiting[stage], row.tobytes()
+            total, known = candidate.score + float(score), waiting.get(name)
+            if known is None:
+                waiting[name] = _Candidate(key, total, fixed)
+                continue
+            known.fixed = known.fixed or fixed
+            if total > known.score:
+                known.parent, known.score = key, total
+
+    def _scores(self, state: States, actions: np.ndarray) -> np.ndarray:
+        """Return the guide's scores of steps from a state; a set counts as the part by which it is named."""
+        if self._guide is None:
+            return np.zeros(len(actions))
+        allowed = np.zeros((1, 2 * len(state)), dtype=bool)
+        allowed[0, actions] = True
+        return np.asarray(self._guide(state[None], allowed, self.direction))[0, actions]
+
+    def _route(self) -> Route:
+        chain, key = [], self.task.goal(self.direction).tobytes()
+        while key:
+            chain.append(_array(key))
+            key = self.parent[key]
+        states = np.array(chain if self.direction is Direction.ASSEMBLY else chain[::-1])
+        return Route.through(states)
+
+
+def _array(key: bytes) -> States:
+    return np.frombuffer(key, dtype=np.uint8)
