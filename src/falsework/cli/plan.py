@@ -64,6 +64,7 @@ class MakePlan(Command):
         "falsework plan arch --margin friction=1.25,tilt=1deg --out safe.json",
         "falsework plan arch --maximise friction --out strong.json",
         "falsework plan arch:blocks=7 --ground --robots 1 --props 3 --out propped.json",
+        "falsework plan shelf --robots 2 --parts-at-once 2 --out shelf.json",
     )
 
     structure: StructureOptions
@@ -129,15 +130,26 @@ class MakePlan(Command):
             raise InputError(
                 "--judge takes neither --criterion equilibrium, --support, --props, --alternatives nor --maximise"
             )
+        auto = self.robots == "auto"
+        self.task.check_several(
+            {
+                "--robots auto": auto,
+                "--alternatives": self.alternatives > 1,
+                "--resume": self.resume,
+                "--maximise": self.maximise is not None,
+                "--judge": self.judge,
+            }
+        )
         demands = Demands() if self.margin is None else Demands.parse(self.margin)
 
         writable(self.out)
         check_deadline(self.deadline)
-        if self.robots == "auto":
+        if auto:
             if demands or self.maximise or self.judge:
                 raise InputError("--robots auto takes no --margin, --maximise or --judge; give the number of robots")
             return self._with_fewest_robots(output)
-        settings, checkpoint = self._settings(), None if self.task.wider else self._checkpoint()
+        saves = not self.task.wider and self.task.parts_at_once == 1
+        settings, checkpoint = self._settings(), self._checkpoint() if saves else None
         assembly = self.task.with_places(self.structure.load())
         task = task_of(assembly, self._robot_count(), **self.task.rules(assembly))
         stability = self.holds.settings(self.criterion, self.cone, self.solver)

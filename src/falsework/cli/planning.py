@@ -74,6 +74,9 @@ class SupportOptions(RuleOptions):
     """Let robots release a part without removing it when it no longer needs them, and hold parts again."""
     props: int = 0
     """Number of props, passive posts from the floor to the lower side of a part, that may be in place at a time."""
+    parts_at_once: Annotated[int, arg(metavar="K")] = 1
+    """Largest number of parts that one step may insert: parts that lock each other, each held by a robot of its own, or
+    all carried by one. More than 1 implies --removable-only-if-clear."""
 
     def rules(self, assembly: Assembly) -> TaskRules:
         """Return the rules, as `find_plans` takes them.
@@ -87,12 +90,27 @@ class SupportOptions(RuleOptions):
 
         # States are given without places for props, which are absent at both ends.
         plain = keep_props(assembly, ()) if assembly.props else assembly
-        return {**super().rules(plain), "support": self.wider, "props": self.props}
+        rules = super().rules(plain)
+        return {**rules, "support": self.wider, "props": self.props, "parts_at_once": self.parts_at_once}
 
     @property
     def wider(self) -> bool:
         """Whether plans may hold parts more than once or use props."""
         return self.support or self.props > 0
+
+    def check_several(self, other: dict[str, bool]) -> None:
+        """Refuse options that plans with several parts at once do not have.
+
+        Args:
+            other: names of the options of the command that are given.
+
+        Raises:
+            InputError: an option that they do not have; the message names it.
+        """
+        given = {"--support": self.support, "--props": self.props > 0, "--missing": self.missing is not None} | other
+        wrong = next((name for name, there in given.items() if there), None)
+        if self.parts_at_once > 1 and wrong is not None:
+            raise InputError(f"--parts-at-once takes no {wrong} yet; leave one of the two out")
 
     def with_places(self, assembly: Assembly) -> Assembly:
         """Return the structure with places for props, if any are allowed.

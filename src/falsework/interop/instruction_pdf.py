@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from falsework.errors import DependencyError
-from falsework.interop.instruction_table import AssemblyInstruction, AssemblyInstructions, way_in_words
+from falsework.interop.instruction_table import AssemblyInstruction, AssemblyInstructions
 from falsework.viewer.appearance import appearance_at
 from falsework.viewer.arrows import arrows_of_step
 from falsework.viewer.palette import INK, PRESS, mix, robot_color
@@ -98,7 +98,7 @@ def _head(canvas: Canvas, sheet: AssemblyInstructions) -> None:
     """Draw the title, the glossary, and the rules on which the proofs rest."""
     assembly, left, y = sheet.assembly, _MARGIN, _PAGE[1] - _MARGIN - 8
     _text(canvas, left, y, assembly.name, _BOLD, 18, width=_PAGE[0] - 2 * _MARGIN)
-    placed = [step.part for step in sheet.steps if step.place]
+    placed = [part for step in sheet.steps if step.place for part in step.parts]
     mass = float(assembly.mass.mass[placed].sum())
     facts = f"{len(placed)} parts to place, {mass:.4g} kg; {sheet.supports} supports, {len(sheet.steps)} steps"
     _text(canvas, left, y - 16, facts, _REGULAR, 10.5)
@@ -120,7 +120,7 @@ def _head(canvas: Canvas, sheet: AssemblyInstructions) -> None:
         lines.append(f"Held before step 1: {held}.")
     needed = [step for step in sheet.steps if step.needed]
     if needed:
-        when = ", ".join(f"{sheet.name(step.part)} for step {step.number}" for step in needed)
+        when = ", ".join(f"{sheet.named(step)} for step {step.number}" for step in needed)
         lines.append(f"Not delivered yet, and needed: {when}.")
     for number, line in enumerate(lines):
         _text(canvas, left, y - 32 - 11.5 * number, line, _REGULAR, 8.3, width=_PAGE[0] - 2 * _MARGIN)
@@ -145,17 +145,21 @@ def _row(canvas: Canvas, sheet: AssemblyInstructions, step: AssemblyInstruction,
         _picture(sheet, step, camera), left + _COLUMNS[1], y + 1.5 * _POINT, *_PICTURE, preserveAspectRatio=True
     )
     x, width = left + _COLUMNS[2], _COLUMNS[3] - _COLUMNS[2] - 8
-    color = robot_color(step.support)
+    color = robot_color(step.supports[0])
     canvas.setFillColor(color if step.place else mix(color, "#ffffff", 0.55))
     canvas.rect(x, top - 17, 9, 9, stroke=0, fill=1)
     _text(canvas, x + 13, top - 16, step.verb.upper(), _BOLD, 10.5)
-    _text(canvas, x, top - 33, sheet.name(step.part), _BOLD, 13, width=width)
-    mass = float(sheet.assembly.mass.mass[step.part])
-    if step.way is not None:
-        _text(canvas, x, top - 47, f"{mass:.4g} kg, comes in {way_in_words(step.way)}", _REGULAR, 8.3, width=width)
-        _text(canvas, x, top - 59, f"and is held by support {step.support + 1}", _REGULAR, 8.3, width=width)
+    _text(canvas, x, top - 33, sheet.named(step), _BOLD, 13, width=width)
+    mass, several = float(sheet.assembly.mass.mass[list(step.parts)].sum()), len(step.parts) > 1
+    if step.ways is not None:
+        comes = f"{mass:.4g} kg, {'come in together' if several else 'comes in'} {sheet.comes_in(step)}"
+        _text(canvas, x, top - 47, comes, _REGULAR, 8.3, width=width)
+        held = f"and {'are' if several else 'is'} held by {_supports(step)}"
+        if len(step.supports) < len(step.parts):
+            held = f"carried by {_supports(step)}, which holds {sheet.name(step.parts[0])}"
+        _text(canvas, x, top - 59, held, _REGULAR, 8.3, width=width)
     else:
-        _text(canvas, x, top - 47, f"support {step.support + 1} lets go and is free", _REGULAR, 8.3, width=width)
+        _text(canvas, x, top - 47, f"{_supports(step)} lets go and is free", _REGULAR, 8.3, width=width)
         presses = sheet.pressing(step)
         for number, (what, how) in enumerate(presses[:_LISTED_PRESSES]):
             more = len(presses) - _LISTED_PRESSES if number + 1 == _LISTED_PRESSES else 0
@@ -189,6 +193,12 @@ def _row(canvas: Canvas, sheet: AssemblyInstructions, step: AssemblyInstruction,
         _text(canvas, x, top - 32 - 13 * len(shown), more, _REGULAR, 8.3)
 
 
+def _supports(step: AssemblyInstruction) -> str:
+    """Return the supports of a step, such as `supports 1 and 2`."""
+    numbers = [str(support + 1) for support in step.supports]
+    return f"support {numbers[0]}" if len(numbers) == 1 else f"supports {', '.join(numbers[:-1])} and {numbers[-1]}"
+
+
 def _foot(canvas: Canvas, sheet: AssemblyInstructions, number: int, pages: int) -> None:
     y = _MARGIN - 16
     about = f"{sheet.assembly.name}, structure {sheet.assembly.identity[:12]}"
@@ -203,7 +213,7 @@ def _picture(sheet: AssemblyInstructions, step: AssemblyInstruction, camera: Cam
     from PIL import Image
     from reportlab.lib.utils import ImageReader
 
-    marks = {} if step.place else {step.part: mix(robot_color(step.support), "#ffffff", 0.55)}
+    marks = {} if step.place else {step.parts[0]: mix(robot_color(step.supports[0]), "#ffffff", 0.55)}
     look = appearance_at(sheet.timeline, step.number, marks=marks, travelling=False)
     arrows = list(arrows_of_step(sheet.timeline, step.number).values())
     pixels = np.rint(255 * draw(sheet.assembly, look, camera, arrows=arrows, samples=2)).astype(np.uint8)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED
 from falsework.errors import PlanError
-from falsework.search.plans.steps import NO_ROBOT, Action
+from falsework.search.plans.steps import NO_ROBOT, Action, name_together
 from falsework.stability.holds import Press, describe_force
 from falsework.utils.files.output_file import write_whole
 from falsework.viewer.timeline import Timeline
@@ -48,7 +48,8 @@ COLUMNS = (
     "margins",
 )
 """Of the table in CSV: metres and kilograms; `hold` names all parts that must be held when the step is done, `press`
-those that are pressed while a part is released."""
+those that are pressed while a part is released. Where several parts are placed at once, semicolons separate them,
+`mass_kg` and the centre are those of all, and `way_x` to `way_z` those of the first."""
 _LEANS = 0.35
 """Components of a direction below this, the sine of about 20 degrees, are omitted."""
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
@@ -61,17 +62,18 @@ class AssemblyInstruction:
 
     number: int
     """From 1."""
-    part: int
+    parts: tuple[int, ...]
+    """The part; where several are placed at once all of them, those that are held first."""
     place: bool
     """Whether the part is placed, and held from then on; else it is released."""
-    support: int
-    """Support that holds or releases it, from 0."""
+    supports: tuple[int, ...]
+    """Supports that hold or release, from 0, in the order of the parts; parts without are carried by the first."""
     hold: tuple[tuple[int, int], ...]
     """Part and support of everything that must be held when the step is done."""
     presses: tuple[Press, ...]
     """Presses of supports while the part is released."""
-    way: NDArray[np.float64] | None
-    """Unit vector along which the part comes in, shape (3,); None for a release."""
+    ways: NDArray[np.float64] | None
+    """Unit vectors along which the parts come in, shape (parts, 3); None for a release."""
     placed: int
     """Parts that are there when the step is done, boundary not counted."""
     needed: bool
@@ -114,6 +116,15 @@ class AssemblyInstructions:
         """Return the part and support of everything that is held after so many steps."""
         return _holding(self.timeline, place)
 
+    def named(self, step: AssemblyInstruction) -> str:
+        """Return the numbers and names of the parts of a step."""
+        return name_together([self.name(part) for part in step.parts], len(step.supports))
+
+    def comes_in(self, step: AssemblyInstruction) -> str:
+        """Describe from where the parts of a step come in; empty for a release."""
+        words = dict.fromkeys(way_in_words(way) for way in step.ways) if step.ways is not None else {}
+        return "; ".join(words)
+
     def pressing(self, step: AssemblyInstruction) -> list[tuple[str, str]]:
         """Describe the presses of a step, such as `block-3 with 885 N` and `from -x by support 2`."""
         supports = dict(step.hold)
@@ -140,18 +151,18 @@ def assembly_instructions(plan: Plan, assembly: Assembly) -> AssemblyInstruction
     timeline, missing, steps = Timeline.of(plan, assembly), set(plan.missing), []
     for step in plan.steps:
         place, number = step.action is Action.INSERT, step.number
-        assert step.robot is not None  # a sheet has no props
+        assert step.robots  # a sheet has no props
         steps.append(
             AssemblyInstruction(
                 number=number,
-                part=step.part,
+                parts=step.parts,
                 place=place,
-                support=step.robot,
+                supports=step.robots,
                 hold=_holding(timeline, number),
                 presses=step.presses,
-                way=-timeline.ways[step.part] if place else None,
+                ways=-timeline.ways[list(step.parts)] if place else None,
                 placed=int(((step.state != REMOVED) & ~assembly.boundary).sum()),
-                needed=place and step.part in missing,
+                needed=place and not missing.isdisjoint(step.parts),
                 margins="" if plan.margins is None else plan.margins.words(number),
             )
         )
@@ -188,20 +199,22 @@ def write_sheet(path: Path | str, content: bytes) -> None:
 def _rows(sheet: AssemblyInstructions) -> Iterator[dict[str, Any]]:
     assembly = sheet.assembly
     for step in sheet.steps:
-        way = ["", "", ""] if step.way is None else [f"{value:.4f}" for value in step.way]
+        way = ["", "", ""] if step.ways is None else [f"{value:.4f}" for value in step.ways[0]]
         hold = "; ".join(f"{sheet.name(part)} (support {support + 1})" for part, support in step.hold)
+        mass = assembly.mass.mass[list(step.parts)]
+        center = mass @ assembly.mass.center[list(step.parts)] / mass.sum()
         yield {
             "step": step.number,
             "do": step.verb,
-            "part": step.part,
-            "name": _harmless(assembly.names[step.part]),
-            "mass_kg": f"{assembly.mass.mass[step.part]:.6g}",
-            "support": step.support + 1,
+            "part": "; ".join(map(str, step.parts)),
+            "name": _harmless("; ".join(assembly.names[part] for part in step.parts)),
+            "mass_kg": f"{mass.sum():.6g}",
+            "support": "; ".join(str(support + 1) for support in step.supports),
             "hold": hold,
             "press": "; ".join(map(" ".join, sheet.pressing(step))),
-            "way": "" if step.way is None else way_in_words(step.way),
+            "way": sheet.comes_in(step),
             **dict(zip(("way_x", "way_y", "way_z"), way, strict=True)),
-            **{f"center_{axis}": f"{assembly.mass.center[step.part][i]:.6g}" for i, axis in enumerate("xyz")},
+            **{f"center_{axis}": f"{center[i]:.6g}" for i, axis in enumerate("xyz")},
             "placed": step.placed,
             "needed": "yes" if step.needed else "",
             "margins": step.margins,

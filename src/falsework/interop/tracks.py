@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from falsework.assembly.state import REMOVED
 from falsework.errors import InputError
 from falsework.search.plans.plan_check import check_identity
-from falsework.search.plans.steps import NO_ROBOT
+from falsework.search.plans.steps import NO_ROBOT, moved_parts
 from falsework.viewer.appearance import diagonal
-from falsework.viewer.timeline import way_out
+from falsework.viewer.timeline import ways_out
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -94,22 +94,24 @@ def tracks_of(plan: Plan, assembly: Assembly, step_seconds: float = 1.0) -> Trac
     holder = [[(0.0, int(robots[0, part]))] for part in range(parts)]
     path: list[list[tuple[float, tuple[float, float, float]]]] = [[] for _ in range(parts)]
     reach, home = REACH * diagonal(assembly), (0.0, 0.0, 0.0)
-    for step, action in enumerate(plan.actions.tolist()):
-        part, moves = action % parts, action >= parts
+    for step in range(len(plan)):
+        moved, _ = moved_parts(*plan.states[step : step + 2])
         begin, end = step * step_seconds, (step + 1 - PAUSE) * step_seconds
-        if not moves:
-            holder[part].append((begin, int(robots[step + 1, part])))
+        if present[step, moved[0]] == present[step + 1, moved[0]]:
+            holder[moved[0]].append((begin, int(robots[step + 1, moved[0]])))
             continue
-        leaves = bool(present[step, part])
-        away = _triple(reach * way_out(assembly, plan.states[step if leaves else step + 1], part))
-        if leaves:
-            shown[part].append((end, False))
-            holder[part].append((end, NO_ROBOT))
-            path[part] += [(begin, home), (end, away)]
-        else:
-            shown[part].append((begin, True))
-            holder[part].append((begin, int(robots[step + 1, part])))
-            path[part] += [(begin, away), (end, home)]
+        leaves = bool(present[step, moved[0]])
+        ways = ways_out(assembly, plan.states[step if leaves else step + 1], moved)
+        for part, way in zip(moved, reach * ways, strict=True):
+            away = _triple(way)
+            if leaves:
+                shown[part].append((end, False))
+                holder[part].append((end, NO_ROBOT))
+                path[part] += [(begin, home), (end, away)]
+            else:
+                shown[part].append((begin, True))
+                holder[part].append((begin, int(robots[step + 1, part])))
+                path[part] += [(begin, away), (end, home)]
     tracks = (Track(_clean(shown[part]), _clean(holder[part]), tuple(path[part])) for part in range(parts))
     return Tracks(tuple(tracks), len(plan) * step_seconds)
 

@@ -30,6 +30,11 @@ class BuiltSteps:
             raise PlanError(
                 "the plan has props, which replanning cannot move; plan again with --begin for the present state"
             )
+        if self.plan.parts_at_once > 1:
+            raise PlanError(
+                "the plan moves several parts in one step, which replanning cannot; plan again with --begin for the present "
+                "state"
+            )
 
     @property
     def state(self) -> States:

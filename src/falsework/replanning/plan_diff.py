@@ -130,10 +130,12 @@ def difference(old: Plan, new: Plan, direction: Direction = Direction.ASSEMBLY) 
         direction: in which both are carried out.
 
     Raises:
-        PlanError: the plans are of different structures.
+        PlanError: the plans are of different structures, or move several parts in one step.
     """
     if old.identity != new.identity:
         raise PlanError(f"the plans are of different structures, {old.name} and {new.name}; compare plans of one")
+    if max(old.parts_at_once, new.parts_at_once) > 1:
+        raise PlanError("plans that move several parts in one step cannot be compared; compare plans that move one")
     way = 1 if direction is Direction.ASSEMBLY else -1
     here = np.flatnonzero((old.states[::way] == new.states[::way][0]).all(axis=1))
     begin = int(here[0]) if len(here) else 0

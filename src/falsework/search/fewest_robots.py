@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED, held_count
+from falsework.errors import InputError
 from falsework.search.find import FIRST_SHARE, PLANS, TaskRules, plan_of, task_of
 from falsework.search.planner import Planner
 from falsework.search.plans.plan import Plan
@@ -118,8 +119,10 @@ def robots_needed(
         The best that was found by the deadline, or until the keyboard interrupted the search.
 
     Raises:
-        InputError: a deadline of zero or less, or rules that the structure cannot keep.
+        InputError: a deadline of zero or less, steps of several parts, or rules that the structure cannot keep.
     """
+    if rules.get("parts_at_once", 1) > 1:
+        raise InputError("no bound on the robots is known where steps move several parts; give the number of robots")
     clock, assembly = Deadline(deadline), as_assembly(assembly)
     progress = or_notebook(progress, "searching")
     first = oracle or Stability(assembly, stability)

@@ -165,4 +165,4 @@ def start(
     settings = BackjumpingSettings(direction, portfolio.narrowest, seed)
     if name == EDGES and task.holds_keep_stable:
         settings = replace(settings, lookahead=_ROWS_AHEAD)
-    return BackjumpingBeam(replace(task, support=False), oracle, settings, guide=guide)
+    return BackjumpingBeam(replace(task, support=False, together=None), oracle, settings, guide=guide)

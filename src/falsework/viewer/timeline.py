@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.state import REMOVED, States, as_states
 from falsework.search.plans.plan_check import check_identity
-from falsework.search.plans.steps import NO_ROBOT, PlanStep, holders, steps_of, undone
+from falsework.search.plans.steps import NO_ROBOT, PlanStep, holders, moved_parts, steps_of, undone
 from falsework.search.problem.task import Direction
 from falsework.stability.contact.hold_loads import Loads
 from falsework.stability.holds import HoldLoad, Press
@@ -178,7 +178,9 @@ class Timeline:
         """Unit vector along which each part leaves, zero for those that stay. Shape (parts, 3)."""
         ways = np.zeros((self.assembly.part_count, 3))
         for part in np.flatnonzero(self.insertion > 0):
-            ways[part] = way_out(self.assembly, self.states[self.insertion[part]], int(part))
+            step = int(self.insertion[part])
+            moved, _ = moved_parts(self.states[step - 1], self.states[step])
+            ways[part] = ways_out(self.assembly, self.states[step], moved)[moved.index(part)]
         return ways
 
     def held_when(self, part: int) -> list[tuple[int, int, int]]:
@@ -193,6 +195,16 @@ class Timeline:
             else:
                 spans.append((robot, position, position))
         return spans
+
+
+def ways_out(assembly: Assembly, state: States, parts: Sequence[int]) -> Array:
+    """Return the unit vectors along which parts that move in one step can leave a state, shape (parts, 3)."""
+    if len(parts) > 1:
+        order = sorted(parts)
+        motion = assembly.clearance_of_sets.exit_motion(tuple(order), state)
+        if motion is not None:
+            return motion[[order.index(part) for part in parts]]
+    return np.array([way_out(assembly, state, part) for part in parts])
 
 
 def way_out(assembly: Assembly, state: States, part: int) -> Array:

@@ -27,6 +27,8 @@ _SEPARATORS = 4
 """Separating planes of a pair that does not touch at most."""
 _CIRCLES = 48
 """Separating planes of a set up to which directions are examined; sets with more are kept."""
+LARGEST = 8
+"""Parts of a set at most; all subsets of a set are examined."""
 _MOST = 20_000
 """Sets that are examined at most."""
 

@@ -82,16 +82,22 @@ class SetClearance:
 
     def leave_together(self, parts: PartSet, states: NDArray[np.uint8]) -> Mask:
         """Return whether a set leaves together from states, shape (batch, parts); its own parts may be absent."""
+        if parts not in self._ways and not self._planes.may_lock(parts):
+            return np.zeros(len(states), dtype=bool)
         ways = self._ways_of(parts)
         present = pack(states > 0) & ~ways.own
         return _any_free(ways.blockers, present) & ~_any_free(ways.smaller, present)
 
-    def exit_direction(self, parts: PartSet, state: NDArray[np.uint8]) -> Array | None:
-        """Return a unit vector along which a set leaves a state, shape (parts,), as one body, or None."""
+    def exit_motion(self, parts: PartSet, state: NDArray[np.uint8]) -> Array | None:
+        """Return the direction in which each part of a set leaves a state, shape (parts,), or None.
+
+        Returns:
+            Shape (parts of the set, 3), unit vectors.
+        """
         ways = self._ways_of(parts)
         present = pack(np.asarray(state)[None] > 0) & ~ways.own
         free = np.flatnonzero(~(ways.blockers & present).any(axis=1))
-        return ways.directions[free[0]].copy() if len(free) else None
+        return np.repeat(ways.directions[free[:1]], len(parts), axis=0) if len(free) else None
 
     def doubt(self, sets: Sequence[PartSet]) -> str:
         """Explain why some sets may have unlisted exit directions; empty if all are exact."""

@@ -217,6 +217,8 @@ class RobotPlan(Displayed):
     """Order in which the motions are executed, and keyframes and steps are listed."""
 
     def __post_init__(self) -> None:
+        if self.plan.parts_at_once > 1:
+            raise PlanError("robot plans move one part at a time, but the plan moves several in one step; plan again")
         actions = sum(acts(step) for step in self.steps)
         if len(self.keyframes) != len(self.steps) + 1 or actions != len(self.plan):
             raise PlanError(

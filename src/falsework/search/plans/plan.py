@@ -15,7 +15,7 @@ from falsework.assembly.state import HELD, INSTALLED, Mask, States
 from falsework.errors import PlanError
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans.plan_replay import PlanReplay
-from falsework.search.plans.steps import PlanStep, holders, steps_of, undone
+from falsework.search.plans.steps import PlanStep, holders, inserts_several, steps_of, undone
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.certificate import StabilityCriterion
@@ -70,7 +70,8 @@ class Plan(Displayed):
     """State at first, and after each step; shape (steps + 1, parts)."""
     actions: NDArray[np.int64]
     """Steps as numbers, shape (steps,): `parts + i` inserts part `i`, held by a robot, and `i` releases it. With
-    `support`, `i` holds or releases part `i`, whichever it is not, and `parts + i` inserts or removes a prop."""
+    `support`, `i` holds or releases part `i`, whichever it is not, and `parts + i` inserts or removes a prop. Where a
+    step inserts several parts, `i` is the first that a robot holds; see `PlanStep.parts`."""
     verdicts: tuple[Verdict, ...]
     """One a state."""
     proofs: tuple[Proof, ...]
@@ -100,6 +101,8 @@ class Plan(Displayed):
     """Props of the plan, which are the last parts."""
     prop_limit: int = 0
     """Props that may be in place at a time."""
+    parts_at_once: int = 1
+    """Parts that a step may insert at most; 1 if none inserts more."""
     source: Mapping[str, Any] | None = None
     """Where the structure came from: `built_in` or `path` (relative to the file of the plan), and the options of
     `load_structure` that were given; None if unknown."""
@@ -172,6 +175,7 @@ class Plan(Displayed):
             support=bool(((route.states[:-1] == HELD) & (route.states[1:] == INSTALLED)).any()) or bool(assembly.props),
             props=assembly.props,
             prop_limit=task.prop_limit if assembly.props else 0,
+            parts_at_once=1 if task.together is None or not inserts_several(route.states) else task.together.largest,
             forces=verdicts.forces,
         )
 

@@ -117,10 +117,10 @@ def validate_plan(
     report = _blank(plan, assembly, settings.claim, demands)
     if not report.good:
         return report
-    broken = broken_rule(plan, assembly)
     if settings.criterion == "contact":
         settings = replace(settings, reserve=plan.claim.reserve, holds=plan.claim.holds.within(settings.holds))
         report = replace(report, claim=settings.claim)
+    broken = broken_rule(plan, assembly, settings)
     carried = _proofs_under(plan, settings.claim) is not None and comparable(plan.claim, settings.claim)
     misfit = _misfit(plan, assembly, settings.claim) if carried else ""
     count = len(plan.states) if broken is None else broken[0]
@@ -276,7 +276,7 @@ def validate_proofs(plan: Plan, assembly: Assembly, settings: StabilitySettings 
     misfit = _misfit(plan, assembly, claim)
     if misfit:
         raise PlanError(misfit)
-    broken = broken_rule(plan, assembly)
+    broken = broken_rule(plan, assembly, settings)
     residual = _residuals_of_proofs(plan, assembly, claim)
     count, reason = (len(plan.states), "") if broken is None else broken
     bad = np.flatnonzero(~(residual[:count] <= claim.tolerance))

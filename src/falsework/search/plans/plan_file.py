@@ -67,10 +67,14 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
         some = plan.loads[row] if plan.loads else ()
         return {"bears": [{name: _short(value) for name, value in vars(load).items()} for load in some]} if some else {}
 
+    def several(step: PlanStep) -> dict[str, Any]:
+        return {"parts": list(step.parts), "held": len(step.robots)} if len(step.parts) > 1 else {}
+
     steps = [
         {
             "do": step.action.value,
             "part": step.part,
+            **several(step),
             **judged[step.number],
             **pressed(step),
             **borne(step.number),
@@ -95,6 +99,7 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
             "removable_only_if_clear": plan.removable_only_if_clear,
             **({"support": True} if plan.support else {}),
             **({"props": plan.prop_limit} if plan.props else {}),
+            **({"parts_at_once": plan.parts_at_once} if plan.parts_at_once > 1 else {}),
         },
         "stability": {
             "criterion": plan.claim.criterion,

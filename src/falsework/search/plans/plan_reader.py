@@ -40,6 +40,8 @@ MOST_ENTRIES = 1 << 30
 """States of a plan times parts that are read, a byte each: a complete plan of 23,000 parts."""
 MOST_INCREMENTS = 64
 """Increments of a step that are read."""
+_RULES, _STEP = frozenset({"support", "props", "parts_at_once"}), frozenset({"presses", "bears", "parts", "held"})
+"""Entries of the rules, and of a step, that may be missing."""
 _REPLAY = frozenset({"judgement", "varied", "weak_under", "weak_at"})
 """Entries of a replay that may be missing."""
 _KEYS = {"format", "structure", "robots", "rules", "stability", "start", "steps", "end", "needs"}
@@ -70,7 +72,7 @@ class PlanReader(Reader):
             "structure",
             frozenset({"source", "props"}),
         )
-        self._keys(rules, {"fixed", "missing", "removable_only_if_clear"}, "rules", frozenset({"support", "props"}))
+        self._keys(rules, {"fixed", "missing", "removable_only_if_clear"}, "rules", _RULES)
         self._keys(
             stability,
             {"criterion", "stiffness_ratio", "cone", "gravity", "tolerance", "force_bound", "reserve"},
@@ -106,12 +108,13 @@ class PlanReader(Reader):
         replay = data.get("replay")
         self._falls = isinstance(replay, dict) and replay.get("stands") is False
         robots = self._count(data["robots"], "robots", least=1)
+        self._at_once = self._count(rules.get("parts_at_once", 1), "rules.parts_at_once", least=1)
         states, actions, residuals = self._sequence(data, boundary, robots, rules.get("support", False), len(props))
         proven = ~np.isnan(residuals)
         if (residuals[proven] > claim.tolerance).any():
             self._fail(f"a residual of {residuals[proven].max():.3g} is above the tolerance of {claim.tolerance:g}")
         fixed = self._parts(rules["fixed"], parts, "rules.fixed")
-        touched = sorted(set(fixed) & set((actions % parts).tolist()))
+        touched = sorted(set(fixed) & set(np.flatnonzero((states[1:] != states[:-1]).any(axis=0)).tolist()))
         if touched:
             self._fail(f"its steps touch part {touched[0]}, which is fixed")
         fields: dict[str, Any] = {
@@ -133,6 +136,7 @@ class PlanReader(Reader):
             "support": rules.get("support", False),
             "props": props,
             "prop_limit": self._count(rules.get("props", 0), "rules.props"),
+            "parts_at_once": self._at_once,
         }
         if "source" in structure:
             fields["source"] = self._source_of(structure["source"])
@@ -212,7 +216,7 @@ class PlanReader(Reader):
         states[0] = state
         for number, step in enumerate(steps, 1):
             place = f"step {number}"
-            self._keys(step, {"do", "part", "verdict", "proof", "residual"}, place, frozenset({"presses", "bears"}))
+            self._keys(step, {"do", "part", "verdict", "proof", "residual"}, place, _STEP)
             word, part = step["do"], self._count(step["part"], f"{place}: part")
             if part >= parts:
                 self._fail(f"{place} names part {part}, but parts are numbered 0 to {parts - 1}")
@@ -227,8 +231,9 @@ class PlanReader(Reader):
             if boundary[part] or state[part] != old:
                 found = "boundary" if boundary[part] else ("removed", "installed", "held")[int(state[part])]
                 self._fail(f"{place} cannot {word} part {part}, which is {found}")
-            state[part] = new
-            held += 0 if is_prop[part] else 1 if new == HELD else -1
+            with_it, carried = self._with(step, place, state, boundary | is_prop)
+            state[[part, *with_it]], state[carried] = new, INSTALLED
+            held += 0 if is_prop[part] else 1 + len(with_it) if new == HELD else -1
             if held > robots:
                 self._fail(f"{place} needs {held} robots, but the plan has {robots}")
             states[number] = state
@@ -237,6 +242,26 @@ class PlanReader(Reader):
         if not np.array_equal(self._state(data["end"], boundary, "end"), state):
             self._fail("its steps do not lead to its end")
         return states, np.array(actions, dtype=np.int64), np.array(residuals)
+
+    def _with(
+        self, step: dict[str, Any], place: str, state: States, immovable: NDArray[np.bool_]
+    ) -> tuple[list[int], list[int]]:
+        """Return the parts that a step inserts beside its own: those that robots hold, and those that it carries."""
+        if "parts" not in step and "held" not in step:
+            return [], []
+        members = self._parts(step.get("parts"), len(state), f"{place}: parts")
+        held = self._count(step.get("held"), f"{place}: held", least=1)
+        if step["do"] != Action.INSERT or not 1 < len(members) <= self._at_once or members[0] != step["part"]:
+            self._fail(
+                f"{place} does {step['do']!r} with parts {members}",
+                f"a step inserts its part and others, at most {self._at_once} with rules.parts_at_once",
+            )
+        if held not in (1, len(members)):
+            self._fail(f"{place} holds {held} of {len(members)} parts", "robots hold each of them, or the first alone")
+        there = [part for part in members if immovable[part] or state[part] != REMOVED]
+        if there:
+            self._fail(f"{place} cannot insert part {there[0]}, which is there already")
+        return members[1:held], members[held:]
 
     def _judged(self, record: dict[str, Any], place: str) -> float:
         """Return the residual of a state; nan where a plan whose replay fails has not proven it."""

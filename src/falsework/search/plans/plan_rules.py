@@ -5,18 +5,26 @@ from __future__ import annotations
 import numpy as np
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, INSTALLED, States, held_count, undo_actions, undo_mask
+from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, held_count, undo_actions, undo_mask
+from falsework.errors import AssemblyError
+from falsework.geometry.clearance.locked import LARGEST
 from falsework.search.plans.plan import Plan
+from falsework.search.plans.steps import moved_parts
 from falsework.search.problem.support_moves import SupportMoves
 from falsework.search.problem.task import Direction, Task
+from falsework.stability.carried_group import holds_together
+from falsework.stability.settings import StabilitySettings
 
 
-def broken_rule(plan: Plan, assembly: Assembly | None = None) -> tuple[int, str] | None:
+def broken_rule(
+    plan: Plan, assembly: Assembly | None = None, settings: StabilitySettings | None = None
+) -> tuple[int, str] | None:
     """Return the first state that the rules do not allow, and why; None if all are allowed.
 
     Args:
         plan: plan to check.
         assembly: needed to check that removed parts have a way out; that is left out without it.
+        settings: with it, for the check that groups which robots carry hold together.
     """
     states, parts, boundary = plan.states, len(plan.boundary), plan.boundary
     held = int(held_count(states[:1], plan.immovable)[0])
@@ -26,27 +34,69 @@ def broken_rule(plan: Plan, assembly: Assembly | None = None) -> tuple[int, str]
         allowed = SupportMoves(_task_of(plan)).legal(states[:-1], Direction.ASSEMBLY)
     else:
         allowed = undo_mask(states[:-1], boundary, plan.robots)
-    kept = np.isin(plan.actions % parts, plan.fixed)
+    led_to = _follow(plan)
     for step, action in enumerate(plan.actions.tolist()):
+        place = f"step {step + 1} ({plan.words(step + 1)})"
+        changed = np.flatnonzero(states[step] != states[step + 1])
         if not allowed[step, action]:
-            return step + 1, f"step {step + 1} ({plan.words(step + 1)}) is against the rules: {_why(plan, step)}"
-        if kept[step]:
-            return step + 1, f"step {step + 1} ({plan.words(step + 1)}) touches a fixed part"
-    if not np.array_equal(_follow(plan), states[1:]):
-        return 1, "the actions do not lead through the states of the plan"
+            return step + 1, f"{place} is against the rules: {_why(plan, step)}"
+        if np.isin([*changed, action % parts], plan.fixed).any():
+            return step + 1, f"{place} touches a fixed part"
+        if len(changed) > 1:
+            wrong = broken_together(plan, step, assembly, settings)
+            if wrong:
+                return step + 1, f"{place} {wrong}"
+        elif not np.array_equal(led_to[step], states[step + 1]):
+            return step + 1, "the actions do not lead through the states of the plan"
     for step, presses in enumerate(plan.presses):
         wrong = _broken_press(plan, step, [press.part for press in presses]) if presses else ""
         if wrong:
             return step + 1, f"step {step + 1} ({plan.words(step + 1)}) is against the rules: {wrong}"
     if plan.removable_only_if_clear and assembly is not None:
         # The way in is the way out from the state in which the part is there.
-        inserts = np.flatnonzero(plan.actions >= parts)
+        alone = (states[1:] != states[:-1]).sum(axis=1) == 1
+        inserts = np.flatnonzero((plan.actions >= parts) & alone)
         clear = assembly.clearance.can_leave(states[inserts + 1])
         blocked = inserts[~clear[np.arange(len(inserts)), plan.actions[inserts] - parts]]
         if len(blocked):
             step = int(blocked[0])
             return step + 1, f"step {step + 1} ({plan.words(step + 1)}) finds no straight way past the other parts"
     return None
+
+
+def broken_together(plan: Plan, step: int, assembly: Assembly | None, settings: StabilitySettings | None) -> str:
+    """Return what is wrong with a step that inserts several parts, as the end of a sentence; empty if nothing is.
+
+    Args:
+        plan, assembly, settings: as for `broken_rule`.
+        step: index of the step.
+    """
+    before, after = plan.states[step : step + 2]
+    moved, held = moved_parts(before, after)
+    names, rows = [plan.part_names[part] for part in moved], list(moved)
+    robots = int(held_count(after[None], plan.immovable)[0])
+    most = min(plan.parts_at_once, LARGEST)
+    if len(moved) > most:
+        return f"is against the rules: it moves {len(moved)} parts, and at most {most} can move at once"
+    if (before[rows] != REMOVED).any() or held not in (1, len(moved)) or (after[rows[held:]] != INSTALLED).any():
+        return "is against the rules: several parts can only be inserted, each held by a robot, or all carried by one"
+    if int(plan.actions[step]) != len(before) + moved[0]:
+        return "is named after a part that no robot holds"
+    if robots > plan.robots:
+        return f"is against the rules: it needs {robots} robots, and there are {plan.robots}"
+    if assembly is None:
+        return ""
+    together = tuple(sorted(moved))
+    if not assembly.clearance_of_sets.leave_together(together, after[None])[0]:
+        alone = "no straight way past the other parts, or fewer of them have one"
+        return f"is against the rules: {', '.join(names)} do not leave together: there is {alone}"
+    if held < len(moved) and settings is not None:
+        try:
+            if not holds_together(assembly, together, moved[0], settings):
+                return f"is against the rules: {', '.join(names[1:])} fall while a robot carries them by {names[0]}"
+        except AssemblyError as error:
+            return f"is against the rules: {error}"
+    return ""
 
 
 def _follow(plan: Plan) -> States:

@@ -1,4 +1,4 @@
-"""Steps of a plan: what is done to which part, by which robot, and the state that it leads to."""
+"""Steps of a plan: what is done to which parts, by which robots, and the state that it leads to."""
 
 from __future__ import annotations
 
@@ -49,8 +49,9 @@ class PlanStep:
     """From 1, in the order of assembly; the same in every output, also where a plan is shown in disassembly."""
     action: Action
     part: int
+    """The part; of several that move together, the first that a robot holds."""
     name: str
-    """Name of the part."""
+    """Name of the part; of several `a and b` where a robot holds each, `a with b` where the robot holds only `a`."""
     robot: int | None
     """Robot that does it, from 0; None for a prop, which no robot holds."""
     state: States
@@ -61,6 +62,10 @@ class PlanStep:
     """Presses of other robots while this one lets go of its part."""
     pressed: str = ""
     """The presses in words."""
+    parts: tuple[int, ...] = ()
+    """All parts that move, those that robots hold first: one, except where several move together."""
+    robots: tuple[int, ...] = ()
+    """Robots of those that are held, in the same order."""
 
     @property
     def words(self) -> str:
@@ -68,7 +73,7 @@ class PlanStep:
         return "; ".join(filter(None, (f"{self.action} {self.name}", self.pressed)))
 
     def __str__(self) -> str:
-        by = "" if self.robot is None else f" (R{self.robot + 1})"
+        by = f" ({', '.join(f'R{robot + 1}' for robot in self.robots)})" if self.robots else ""
         return "; ".join(filter(None, (f"{self.action} {self.name}{by}", self.pressed)))
 
     def __repr__(self) -> str:
@@ -100,22 +105,45 @@ def steps_of(
             does = Action.INSERT if before == REMOVED else Action.REMOVE
         else:
             does = Action.RELEASE if before == HELD else Action.HOLD
-        robot = max(int(who[number - 1, part]), int(who[number, part]))
+        moved, held = moved_parts(states[number - 1], states[number])
+        by = tuple(max(int(who[number - 1, one]), int(who[number, one])) for one in moved[:held])
+        robots = tuple(robot for robot in by if robot != NO_ROBOT)
         pressing = presses[number - 1] if presses else ()
         found.append(
             PlanStep(
                 number,
                 does,
                 part,
-                names[part],
-                None if robot == NO_ROBOT else robot,
+                name_together([names[one] for one in moved], held),
+                robots[0] if robots else None,
                 states[number],
                 verdicts[number],
                 pressing,
                 describe_presses(pressing, names),
+                moved,
+                robots,
             )
         )
     return tuple(found)
+
+
+def moved_parts(before: States, after: States) -> tuple[tuple[int, ...], int]:
+    """Return the parts that a step between two states moves, those that robots hold first, and how many these are."""
+    changed = before != after
+    held = changed & ((before == HELD) | (after == HELD))
+    first, rest = np.flatnonzero(held).tolist(), np.flatnonzero(changed & ~held).tolist()
+    return (*first, *rest), len(first)
+
+
+def inserts_several(states: States) -> bool:
+    """Return whether a step between consecutive states, shape (steps + 1, parts), moves more than one part."""
+    return bool(((states[1:] != states[:-1]).sum(axis=1) > 1).any())
+
+
+def name_together(names: list[str], held: int) -> str:
+    """Return the names of parts that move together: `a and b` if all are held, `a with b` if only the first is."""
+    lists = [", ".join(some[:-1]) + " and " * (len(some) > 1) + some[-1] for some in (names[:held], names[held:]) if some]
+    return " with ".join(lists)
 
 
 def undone(steps: tuple[PlanStep, ...], first: States, verdict: Verdict) -> tuple[PlanStep, ...]:

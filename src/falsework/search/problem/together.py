@@ -10,16 +10,13 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, Mask, States, held_count
 from falsework.errors import InputError
+from falsework.geometry.clearance.locked import LARGEST, PartSet
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.settings import StabilitySettings
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
-
-PartSet = tuple[int, ...]
-"""Numbers of parts, ascending."""
-
 
 class Together(Protocol):
     """Rule that up to some number of parts may be removed, or inserted, in one step."""
@@ -58,11 +55,11 @@ class LockedTogether:
         Raises:
             InputError: fewer than two parts, or more than can move.
         """
-        count = int((~assembly.immovable).sum())
-        if not 1 < largest <= count:
+        most = min(int((~assembly.immovable).sum()), LARGEST)
+        if not 1 < largest <= most:
             raise InputError(
-                f"{largest} parts at once is not a size of sets of the {count} parts of {assembly.name} that can move; "
-                f"give a number from 1 (one part at a time) to {count}"
+                f"{largest} is not a number of parts of {assembly.name} that can move at once; give 1 (one at a time) to "
+                f"{max(most, 1)}"
             )
         self.largest, self._assembly = largest, assembly
         self._carriers: dict[tuple[PartSet, StabilitySettings], tuple[int, ...]] = {}
