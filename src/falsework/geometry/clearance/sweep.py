@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,10 +22,12 @@ Mask = NDArray[np.bool_]
 
 _SHARE = 0.75
 """Share of the tolerance by which each part shrinks: touching parts are then half of it apart at least."""
-_INTO = np.sin(np.radians(3.0))
+INTO = np.sin(np.radians(3.0))
 """Sine of the angle to a contact from which on a move counts as into it."""
 _PLANES = 1000
 """Normals of planes that are tried to separate parts before any collision is computed."""
+_PAIRS = 128
+"""Pairs of parts whose cones are kept, a few megabytes each where neither part is convex."""
 _BATCH = 125
 """Directions that are tested together; the first ones often settle a part."""
 
@@ -55,6 +58,7 @@ class Sweeper:
         self._tolerance = tolerance
         self._shapes: dict[tuple[int, int], _Shape] = {}
         self._convex: dict[tuple[int, int], Pieces] = {}
+        self._pairs: OrderedDict[tuple[int, int], Cones] = OrderedDict()
         points = np.concatenate([self._shape(part, 0).vertices for part in range(len(meshes))])
         first = np.concatenate([[0], np.cumsum([len(mesh.vertices) for mesh in meshes])[:-1]])
         self._points, self._first = points, first
@@ -147,11 +151,19 @@ class Sweeper:
                     (self._contacts.parts[:, side] == member) & np.isin(self._contacts.parts[:, 1 - side], others)
                 )
                 neighbours = self._contacts.parts[mine, 1 - side]
-                several.append(Cones.half_spaces(sign * self._contacts.normals[mine], _INTO, neighbours))
-            for other in others.tolist():
-                level = self._level(member, other)
-                several.append(cones_between(self._pieces(member, level), self._pieces(other, level), other))
+                several.append(Cones.half_spaces(sign * self._contacts.normals[mine], INTO, neighbours))
+            several += [self._cones_between(member, other) for other in others.tolist()]
         return Cones.joined(several)
+
+    def _cones_between(self, part: int, other: int) -> Cones:
+        """Return the cones between two parts; those of the last pairs are kept, since sets share them."""
+        if (part, other) not in self._pairs:
+            level = self._level(part, other)
+            self._pairs[part, other] = cones_between(self._pieces(part, level), self._pieces(other, level), other)
+            while len(self._pairs) > _PAIRS:
+                self._pairs.popitem(last=False)
+        self._pairs.move_to_end((part, other))
+        return self._pairs[part, other]
 
     def _pieces(self, part: int, level: int) -> Pieces:
         if (part, level) not in self._convex:
@@ -182,7 +194,7 @@ class Sweeper:
             for column, contact in enumerate(mine.tolist()):
                 if self._apart[contact]:
                     free[:, neighbour[column]] |= along[:, column] >= -1e-9
-                hit[:, neighbour[column]] |= along[:, column] < -_INTO
+                hit[:, neighbour[column]] |= along[:, column] < -INTO
         free[:, part] = True
         return free, hit & ~free
 

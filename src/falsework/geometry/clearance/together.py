@@ -10,6 +10,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.clearance.apart import ApartMotions
 from falsework.geometry.clearance.directions import exit_directions
 from falsework.geometry.clearance.exhaustion import all_ways
 from falsework.geometry.clearance.locked import LockedSets, PartSet
@@ -43,11 +44,12 @@ class _SetWays:
 
 
 class SetClearance:
-    """Ways out of sets of parts that move as one body; computed when first asked for, and kept.
+    """Ways out of sets of parts; computed when first asked for, and kept.
 
     A set *leaves together* from a state if a straight way out is free, and no fewer of its parts have one past the
     rest. So a set moves only where its parts lock each other, and every structure that comes apart by straight moves of
-    up to so many parts at once comes apart by sets that leave together.
+    up to so many parts at once comes apart by sets that leave together. The parts move as one body, or where each is
+    held, along different directions, each in a straight line.
     """
 
     def __init__(
@@ -80,28 +82,56 @@ class SetClearance:
             self._sets[key] = self._planes.find(np.flatnonzero(movable), largest)
         return self._sets[key]
 
-    def leave_together(self, parts: PartSet, states: NDArray[np.uint8]) -> Mask:
-        """Return whether a set leaves together from states, shape (batch, parts); its own parts may be absent."""
+    def leave_together(self, parts: PartSet, states: NDArray[np.uint8], *, apart: bool = False) -> Mask:
+        """Return whether a set leaves together from states.
+
+        Args:
+            parts: the set; its parts may be absent from the states.
+            states: shape (batch, parts).
+            apart: whether its parts may also move along different directions.
+
+        Returns:
+            Shape (batch,).
+        """
         if parts not in self._ways and not self._planes.may_lock(parts):
             return np.zeros(len(states), dtype=bool)
         ways = self._ways_of(parts)
         present = pack(states > 0) & ~ways.own
-        return _any_free(ways.blockers, present) & ~_any_free(ways.smaller, present)
+        fewer = _any_free(ways.smaller, present)
+        leaves = _any_free(ways.blockers, present) & ~fewer
+        # Each of its parts must have a way out past all but the set.
+        alone = np.all([_any_free(self._blockers(part), present) for part in parts], axis=0)
+        for row in np.flatnonzero(alone & ~leaves & ~fewer) if apart else ():
+            there = states[row] > 0
+            there[list(parts)] = True
+            smaller = any(self._apart.way(some, there) is not None for some in self._fewer(parts))
+            leaves[row] = not smaller and self._apart.way(parts, there) is not None
+        return leaves
 
     def exit_motion(self, parts: PartSet, state: NDArray[np.uint8]) -> Array | None:
-        """Return the direction in which each part of a set leaves a state, shape (parts,), or None.
+        """Return the velocity at which each part of a set leaves a state, shape (parts,), or None.
 
         Returns:
-            Shape (parts of the set, 3), unit vectors.
+            Shape (parts of the set, 3), the fastest at 1: one direction for all if there is one.
         """
         ways = self._ways_of(parts)
         present = pack(np.asarray(state)[None] > 0) & ~ways.own
         free = np.flatnonzero(~(ways.blockers & present).any(axis=1))
-        return np.repeat(ways.directions[free[:1]], len(parts), axis=0) if len(free) else None
+        if len(free):
+            return np.repeat(ways.directions[free[:1]], len(parts), axis=0)
+        way = self._apart.way(parts, np.asarray(state) > 0)
+        return None if way is None else way.velocities.copy()
 
     def doubt(self, sets: Sequence[PartSet]) -> str:
         """Explain why some sets may have unlisted exit directions; empty if all are exact."""
         unsure = [parts for parts in sets if not self._ways_of(parts).exact]
+        diverging = [parts for parts in sets if parts in self._apart.unsure]
+        if diverging and not unsure:
+            names = " and ".join(self._meshes[part].name for part in diverging[0])
+            return (
+                f"{len(diverging)} sets of parts, {names} the first, can begin to move along different directions, and no "
+                "free way was found along those tried; others may be free"
+            )
         if not unsure:
             return ""
         names = " and ".join(self._meshes[part].name for part in unsure[0])
@@ -113,6 +143,20 @@ class SetClearance:
     @cached_property
     def _sweeper(self) -> Sweeper:
         return Sweeper(self._meshes, self._contacts, self._tolerance)
+
+    @cached_property
+    def _apart(self) -> ApartMotions:
+        return ApartMotions(self._contacts, self._sweeper, len(self._meshes))
+
+    def _blockers(self, part: int) -> Words:
+        """Return what blocks each way of a part alone, shape (ways, words)."""
+        start = self._singles.start
+        return self._singles.blockers[start[part] : start[part + 1]]
+
+    def _fewer(self, parts: PartSet) -> list[PartSet]:
+        """Return the sets of two and more, but not all, of some parts that may leave together."""
+        some = (few for count in range(2, len(parts)) for few in combinations(parts, count))
+        return [few for few in some if self._planes.may_lock(few)]
 
     @cached_property
     def _planes(self) -> LockedSets:
@@ -128,10 +172,8 @@ class SetClearance:
         sweeper = self._sweeper
         sampled = sweeper.least_blocked(parts, exit_directions(self._contacts, parts, _DIRECTIONS))
         found, exact = all_ways(sweeper, parts, sampled)
-        start = self._singles.start
-        smaller = [self._singles.blockers[start[part] : start[part + 1]] for part in parts]
-        fewer = (some for count in range(2, len(parts)) for some in combinations(parts, count))
-        smaller += [self._ways_of(some).blockers for some in fewer if self._planes.may_lock(some)]
+        smaller = [self._blockers(part) for part in parts]
+        smaller += [self._ways_of(some).blockers for some in self._fewer(parts)]
         rows = np.concatenate(smaller)
         past = rows[~(rows & own).any(axis=1)]
         self._ways[parts] = _SetWays(found.directions, pack(found.blockers), exact, past, own)

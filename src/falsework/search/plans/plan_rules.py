@@ -87,7 +87,7 @@ def broken_together(plan: Plan, step: int, assembly: Assembly | None, settings: 
     if assembly is None:
         return ""
     together = tuple(sorted(moved))
-    if not assembly.clearance_of_sets.leave_together(together, after[None])[0]:
+    if not assembly.clearance_of_sets.leave_together(together, after[None], apart=held == len(moved))[0]:
         alone = "no straight way past the other parts, or fewer of them have one"
         return f"is against the rules: {', '.join(names)} do not leave together: there is {alone}"
     if held < len(moved) and settings is not None:

@@ -29,8 +29,14 @@ class Together(Protocol):
         """
         ...
 
-    def leave_together(self, parts: PartSet, states: States) -> Mask:
-        """Return whether a set, present or not, leaves together from states, shape (batch,)."""
+    def leave_together(self, parts: PartSet, states: States, *, apart: bool) -> Mask:
+        """Return whether a set, present or not, leaves together from states, shape (batch,).
+
+        Args:
+            parts: the set.
+            states: shape (batch, parts).
+            apart: whether its parts may move along different directions.
+        """
         ...
 
     def carriers(self, parts: PartSet, oracle: Oracle) -> tuple[int, ...]:
@@ -68,9 +74,9 @@ class LockedTogether:
         """Return the sets of parts that may leave together from some state."""
         return self._assembly.clearance_of_sets.sets(movable, self.largest)
 
-    def leave_together(self, parts: PartSet, states: States) -> Mask:
-        """Return whether a set leaves together from states, shape (batch,)."""
-        return self._assembly.clearance_of_sets.leave_together(parts, states)
+    def leave_together(self, parts: PartSet, states: States, *, apart: bool) -> Mask:
+        """Return whether a set leaves together from states; see `SetClearance.leave_together`."""
+        return self._assembly.clearance_of_sets.leave_together(parts, states, apart=apart)
 
     def carriers(self, parts: PartSet, oracle: Oracle) -> tuple[int, ...]:
         """Return the parts by which one robot can carry a set; none if no contacts connect it."""
@@ -138,7 +144,7 @@ class TogetherMoves:
                 continue
             if len(held) == 1 and held[0] not in self._rule.carriers(parts, self._oracle):
                 continue
-            if self._rule.leave_together(parts, state[None])[0]:
+            if self._rule.leave_together(parts, state[None], apart=len(held) == len(parts))[0]:
                 after = state.copy()
                 after[rows] = REMOVED
                 yield after, len(state) + held[0]
@@ -149,14 +155,12 @@ class TogetherMoves:
             rows = list(parts)
             if (state[rows] != REMOVED).any():
                 continue
-            carriers = self._rule.carriers(parts, self._oracle)
-            if (free < len(parts) and not carriers) or not self._rule.leave_together(parts, state[None])[0]:
-                continue
-            if free >= len(parts):
+            if free >= len(parts) and self._rule.leave_together(parts, state[None], apart=True)[0]:
                 after = state.copy()
                 after[rows] = HELD
                 yield after, len(state) + parts[0]
-            for carrier in carriers:
+            carriers = self._rule.carriers(parts, self._oracle)
+            for carrier in carriers if self._rule.leave_together(parts, state[None], apart=False)[0] else ():
                 after = state.copy()
                 after[rows] = INSTALLED
                 after[carrier] = HELD
