@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 
 import falsework as fw
-from falsework.interop import assembly_instructions, instructions_csv, way_in_words
+from falsework.interop import assembly_instructions, instructions_csv
 
 
 def main() -> None:
@@ -28,9 +28,9 @@ def main() -> None:
 
     sheet = assembly_instructions(plan, arch)
     for step in sheet.steps:
-        where = "" if step.way is None else f" {way_in_words(step.way)}"
+        where = f" {sheet.comes_in(step)}" if step.place else ""
         hold = ", ".join(sheet.name(part) for part, _ in step.hold) or "nothing"
-        print(f"{step.number}. {step.verb} {sheet.name(step.part)}{where}; then hold {hold}")
+        print(f"{step.number}. {step.verb} {sheet.named(step)}{where}; then hold {hold}")
     print(instructions_csv(sheet).splitlines()[0])
 
 

@@ -62,7 +62,7 @@ def test_a_plan_that_starts_and_ends_half_way(arch: Assembly) -> None:
     assert sheet.start == (0, 1, 2, 4, 5, 6)
     assert [part for part, _ in sheet.holding(0)] == [2, 4]
     assert sheet.steps[0].place
-    assert sheet.steps[0].part == 3
+    assert sheet.steps[0].parts == (3,)
 
 
 def test_a_press_is_said_where_the_other_part_is_released(
@@ -156,7 +156,7 @@ def test_pictures_show_what_stands(arch: Assembly, plan: Plan) -> None:
         image = draw(arch, appearance_at(sheet.timeline, step.number, travelling=False), CAMERA, samples=1)
         covered.append(int((image.max(axis=2) - image.min(axis=2) > 0.05).sum()))
         if step.place:
-            red, green, blue = unit_rgb(robot_color(step.support))
+            red, green, blue = unit_rgb(robot_color(step.supports[0]))
             hue = np.array([red, green, blue]) / np.linalg.norm([red, green, blue])
             tint = image / np.maximum(np.linalg.norm(image, axis=2, keepdims=True), 1e-9)
             assert (np.abs(tint - hue).max(axis=2) < 0.06).sum() > 20

@@ -228,11 +228,12 @@ class CheckPlan(JudgingCommand):
         fixed = [assembly.names[part] for part in about.boundary[:_NAMED]]
         more = ["..."] if len(about.boundary) > _NAMED else []
         props = f" and {counted(about.prop_limit, 'prop')}" if about.props else ""
+        several = f", up to {about.parts_at_once} parts in one step" if about.parts_at_once > 1 else ""
         start, end = (_state_words(state, assembly) for state in (about.start, about.end))
         return (
             f"checked: {named}, digest {about.identity[:12]}, {assembly.part_count} parts, {len(about.boundary)} "
             f"boundary ({', '.join([*fixed, *more])}); {counted(about.steps, 'step')} with "
-            f"{counted(about.robots, 'robot')}{props}, from {start} to {end}"
+            f"{counted(about.robots, 'robot')}{props}{several}, from {start} to {end}"
         )
 
     def _replay(self, plan: Plan, assembly: Assembly, settings: StabilitySettings, output: Output) -> bool:

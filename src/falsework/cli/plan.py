@@ -296,6 +296,11 @@ class MakePlan(Command):
             record["reserve"] = plan.claim.reserve
             record["presses"] = sum(map(bool, plan.presses))
             record |= load_record(plan.loads)
+            together = [step for step in plan if len(step.parts) > 1]
+            if together:
+                record["together"] = [
+                    {"step": step.number, "parts": list(step.parts), "held": len(step.robots)} for step in together
+                ]
             if plan.props:
                 record["props"] = [prop.to_dict() for prop in plan.props]
             if plan.margins is not None:
@@ -312,6 +317,9 @@ class MakePlan(Command):
         for line in promise_lines(first, robust=self.robust):
             output.say(line)
         output.say(f"first steps: {first_steps(first, Direction.ASSEMBLY)}")
+        for step in first:
+            if len(step.parts) > 1:
+                output.say(f"step {step.number} inserts {len(step.parts)} parts at once: {step}")
         for prop in first.props:
             place = ", ".join(f"{value:.3f}" for value in prop.at)
             name = first.part_names[prop.part]

@@ -149,8 +149,8 @@ def shelf(
     The loose shelves slide out to the front. The top is two boards that are joined by tongue and groove and hang with
     T-shaped tenons in slots of both uprights, which are open above. The slots stop the boards along x and y, the groove
     stops each board from going up without the other, and the tenons stop the uprights in all directions. Both boards
-    together lift off; one part at a time, the exhaustive search proves that there is no plan where a part must have a
-    straight exit.
+    together lift off: there is a plan with two parts at once, and the exhaustive search proves that there is none with
+    one at a time where a part must have a straight exit.
     """
     # Cells: along x the head of a tenon, its neck, the inside, neck, head; along y nine; along z see `levels`.
     lines_x = np.cumsum([-width / 2 - 2 * thickness, thickness, thickness, width, thickness, thickness])

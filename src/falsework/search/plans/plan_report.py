@@ -39,6 +39,8 @@ class CheckedPlan:
     """Props of the plan."""
     prop_limit: int
     """Props that it may use at a time."""
+    parts_at_once: int
+    """Parts that a step of it moves at most."""
     start: tuple[int, ...]
     """First state."""
     end: tuple[int, ...]
@@ -55,6 +57,7 @@ class CheckedPlan:
             robots=plan.robots,
             props=len(plan.props),
             prop_limit=plan.prop_limit,
+            parts_at_once=int((plan.states[1:] != plan.states[:-1]).sum(axis=1).max(initial=1)),
             start=tuple(plan.states[0].tolist()),
             end=tuple(plan.states[-1].tolist()),
         )
