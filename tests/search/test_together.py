@@ -2,25 +2,54 @@
 
 from __future__ import annotations
 
+import csv
+import io
+import json
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
 from itertools import combinations, product
 from math import gcd
+from pathlib import Path
+from typing import Any
 
+import jsonschema
 import numpy as np
 import pytest
 
 from falsework.assembly import Assembly
+from falsework.assembly.library import shelf as built_in_shelf
 from falsework.assembly.library.blocks import box, gather, prism
 from falsework.assembly.library.voxels import _grow, surface
-from falsework.errors import InputError
-from falsework.search import Outcome, Task, find_plans
+from falsework.errors import AssemblyError, InputError, PlanError
+from falsework.interop import assembly_instructions, instructions_csv
+from falsework.interop.tracks import tracks_of
+from falsework.replanning.built import BuiltSteps
+from falsework.replanning.plan_diff import difference
+from falsework.search import (
+    ExhaustiveSearch,
+    Outcome,
+    Plan,
+    Task,
+    find_plans,
+    load_plan,
+    plan_schema,
+    robots_needed,
+    save_plan,
+    validate_plan,
+)
 from falsework.search.find import task_of
 from falsework.search.problem.task import Direction
-from falsework.search.problem.together import TogetherMoves
+from falsework.search.plans import plan_rules
+from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
+from falsework.search.problem.together import LockedTogether, TogetherMoves
+from falsework.search.settings import PlannerSettings
 from falsework.search.together import TogetherBeam
 from falsework.stability import Stability, StabilitySettings, Verdict, Verdicts
+from falsework.stability.carried_group import carried_group, holds_together
+from falsework.stability.holds import HoldSettings
+from falsework.viewer.appearance import appearance_at
+from falsework.viewer.timeline import Timeline
 
 EDGE = 0.1
 SETTINGS = StabilitySettings(criterion="equilibrium")
@@ -233,3 +262,322 @@ def diverging() -> Assembly:
     solids.append(prism("roof", [(0.0, 0.0, 1.0), (2.0, 0.0, 3.0), (-2.0, 0.0, 3.0)], (0.0, 0.9, 0.0), fixed=True))
     blocks = gather(solids)
     return Assembly.from_meshes(blocks.meshes, boundary=blocks.boundary)
+
+
+@pytest.mark.parametrize(
+    ("seed", "count", "robots", "largest"),
+    [(11, 3, 1, 2), (13, 3, 3, 3), (38, 4, 2, 2), (59, 4, 2, 3), (65, 4, 1, 2), (0, 4, 2, 2), (5, 2, 2, 2)],
+)
+def test_as_many_plans_as_an_enumeration_of_boxes(seed: int, count: int, robots: int, largest: int) -> None:
+    """All orders, sets and directions; with one part at a time too."""
+    pieces = drawn(seed, count, (3, 3, 3))
+    assembly = assembly_of(pieces)
+    for most in (1, largest):
+        expected = Enumeration(pieces, robots, most).plans()
+        if most == 1:
+            single = task_of(assembly, robots, removable_only_if_clear=True)
+            assert ExhaustiveSearch(single, EveryStateStands()).run().plans == expected
+            continue
+        task = task_of(assembly, robots, parts_at_once=most)
+        assert plans_of(task, EveryStateStands()) == expected
+
+
+@pytest.mark.parametrize(("seed", "count"), [(11, 3), (38, 4)])
+def test_as_many_stable_plans_as_an_enumeration(seed: int, count: int) -> None:
+    pieces = drawn(seed, count, (3, 3, 3))
+    assembly = assembly_of(pieces)
+    oracle, judge = Stability(assembly, SETTINGS), Stability(assembly, SETTINGS)
+    stands = lru_cache(None)(lambda state: bool(judge.verdicts(np.array([*state, 2], np.uint8)).stable[0]))
+    expected = Enumeration(pieces, 2, 2, stands).plans()
+    assert plans_of(task_of(assembly, 2, parts_at_once=2), oracle) == expected > 0
+
+
+@pytest.mark.parametrize("direction", list(Direction))
+@pytest.mark.parametrize(("seed", "count", "possible"), [(11, 3, True), (80, 3, True), (59, 4, True), (0, 3, None)])
+def test_beams_find_a_plan_where_there_is_one(seed: int, count: int, possible: bool | None, direction) -> None:
+    """From both ends, and with one robot; else they prove that there is none."""
+    pieces = drawn(seed, count, (3, 3, 3))
+    assembly = assembly_of(pieces)
+    expected = Enumeration(pieces, 1, 2).plans() > 0
+    assert possible is None or expected == possible
+    beam = TogetherBeam(task_of(assembly, 1, parts_at_once=2), EveryStateStands(), direction)
+    result = beam.run(64)
+    assert result.found == expected
+    assert beam.examined_all or expected
+    if not expected:
+        assert result.outcome is Outcome.PROVED_IMPOSSIBLE
+        return
+    (route,) = result.routes
+    np.testing.assert_array_equal(route.states[[0, -1]], [beam.task.start, beam.task.target])
+    follow = TogetherMoves(beam.task, EveryStateStands())
+    for before, after, action in zip(route.states, route.states[1:], route.actions, strict=False):
+        states, actions = follow.after(before, Direction.DISASSEMBLY)
+        assert action in actions[(states == after).all(axis=1)]
+
+
+def test_parts_leave_along_different_directions() -> None:
+    """One up to the left, one up to the right, at the same time; that takes a robot for each."""
+    assembly = diverging()
+    complete = np.where(assembly.boundary, 2, 1).astype(np.uint8)
+    clearance = assembly.clearance_of_sets
+    assert not assembly.clearance.can_leave(complete[None])[0, :2].any()
+    assert not clearance.leave_together((0, 1), complete[None]).any(), "along no common direction"
+    assert clearance.leave_together((0, 1), complete[None], apart=True).all()
+    motion = clearance.exit_motion((0, 1), complete)
+    np.testing.assert_allclose(motion, np.array([[1, 0, 1], [-1, 0, 1]]) / np.sqrt(2), atol=1e-6)
+    two, one = (find_plans(assembly, robots=robots, parts_at_once=2, stability=SETTINGS) for robots in (2, 1))
+    assert [str(step) for step in two.plans[0]][0] == "insert a-0 and b-1 (R1, R2)"
+    assert validate_plan(two.plans[0], assembly, SETTINGS).good
+    with_one = validate_plan(without(two.plans[0], robots=1), assembly, SETTINGS)
+    assert with_one.reason.endswith("is against the rules: it needs 2 robots, and there are 1")
+    assert one.result.outcome is Outcome.PROVED_IMPOSSIBLE
+    alone = find_plans(assembly, robots=2, removable_only_if_clear=True, stability=SETTINGS)
+    assert alone.result.outcome is Outcome.PROVED_IMPOSSIBLE
+
+
+def test_no_proof_where_a_motion_may_have_been_missed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """If sweeps refuse all velocities that were tried, others may still be free."""
+    assembly = diverging()
+    apart = assembly.clearance_of_sets._apart
+    monkeypatch.setattr(apart, "_collide", lambda a, b, between: True)
+    found = find_plans(assembly, robots=2, parts_at_once=2, stability=SETTINGS)
+    assert found.result.outcome is Outcome.NOT_FOUND
+    assert "1 sets of parts, a-0 and b-1 the first, can begin to move along different" in found.result.limit
+
+
+# Groups that one robot carries
+
+
+def tower() -> Assembly:
+    blocks = gather([box("block", (0, 0, k), (1, 1, k + 1)) for k in range(3)])
+    return Assembly.from_meshes(blocks.meshes, boundary=[0])
+
+
+def test_what_lies_on_the_part_that_is_held_is_carried() -> None:
+    """A block on the held one stays, one below it falls, however the criterion calls it."""
+    assembly = tower()
+    for settings in (SETTINGS, StabilitySettings()):
+        assert holds_together(assembly, (1, 2), 1, settings)
+        assert not holds_together(assembly, (1, 2), 2, settings)
+
+
+def test_a_group_is_judged_without_what_is_around_it() -> None:
+    group = carried_group(tower(), (1, 2), 1)
+    assert group.boundary.tolist() == [True, False]
+    assert group.names == ("block-1", "block-2")
+    assert group.contacts.parts.tolist() == [[0, 1]]
+
+
+def test_a_robot_carries_what_it_can_bear() -> None:
+    assembly = tower()
+    weight = 9.81 * assembly.mass.mass[1]
+    for factor, carries in ((1.9, False), (2.1, True)):
+        settings = StabilitySettings(holds=HoldSettings(force=factor * weight))
+        assert holds_together(assembly, (1, 2), 1, settings) is carries
+
+
+def test_a_group_that_is_not_connected_is_refused() -> None:
+    blocks = gather([box("block", (2 * k, 0, 0), (2 * k + 1, 1, 1)) for k in range(2)] + [box("floor", (0, 0, -1), (3, 1, 0))])
+    assembly = Assembly.from_meshes(blocks.meshes, boundary=[2])
+    with pytest.raises(AssemblyError, match="parts block-0, block-1 are no group.*no contact connects block-1 to block-0"):
+        holds_together(assembly, (0, 1), 0, SETTINGS)
+
+
+# Plans
+
+
+@pytest.fixture(scope="module")
+def shelf() -> Assembly:
+    return built_in_shelf(shelves=0)
+
+
+@pytest.fixture(scope="module")
+def plan(shelf: Assembly) -> Plan:
+    return find_plans(shelf, robots=2, parts_at_once=2).plans[0]
+
+
+def test_the_shelf_opens_with_two_parts_at_once(shelf: Assembly, plan: Plan) -> None:
+    """One part at a time it is proved to be locked; the plan is checked by its certificates, and without them."""
+    alone = find_plans(shelf, robots=2, removable_only_if_clear=True)
+    assert alone.result.outcome is Outcome.PROVED_IMPOSSIBLE
+    several = [step for step in plan if len(step.parts) > 1]
+    assert [sorted(step.parts) for step in several] == [[2, 3]]
+    assert plan.parts_at_once == 2
+    report = validate_plan(plan, shelf)
+    assert report.good
+    assert report.certified == len(plan.states)
+    assert report.about is not None
+    assert report.about.parts_at_once == 2
+    assert validate_plan(replace(plan, displacement=None, torn=None), shelf).good
+
+
+class EachHeld(LockedTogether):
+    """The same rule for robots that carry nothing but the part that they hold."""
+
+    def carriers(self, parts, oracle):
+        return ()
+
+
+@pytest.fixture(scope="module")
+def held(shelf: Assembly) -> Plan:
+    task = replace(task_of(shelf, 2, parts_at_once=2), together=EachHeld(shelf, 2))
+    return find_plans(shelf, task).plans[0]
+
+
+def test_two_robots_hold_a_board_each(shelf: Assembly, held: Plan) -> None:
+    step = next(step for step in held if len(step.parts) > 1)
+    assert (step.parts, step.robots, str(step)) == ((2, 3), (0, 1), "insert top-2 and top-3 (R1, R2)")
+    assert (step.state[2:4] == 2).all()
+    assert validate_plan(held, shelf).good
+    task = replace(task_of(shelf, 1, parts_at_once=2), together=EachHeld(shelf, 2))
+    assert find_plans(shelf, task).result.outcome is Outcome.PROVED_IMPOSSIBLE
+
+
+@pytest.mark.parametrize("name", ["plan", "held"])
+def test_files_say_what_moves_at_once(name: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+    plan, file = request.getfixturevalue(name), tmp_path / "plan.json"
+    save_plan(plan, file, proofs=True)
+    data = json.loads(file.read_text())
+    jsonschema.validate(data, plan_schema())
+    again = load_plan(file)
+    np.testing.assert_array_equal(again.states, plan.states)
+    np.testing.assert_array_equal(again.actions, plan.actions)
+    assert [str(step) for step in again] == [str(step) for step in plan]
+    assert again.parts_at_once == 2
+    assert plan_to_dict(again, proofs=True) == plan_to_dict(plan, proofs=True)
+
+
+def test_a_plan_that_moves_one_part_at_a_time_is_written_as_before(shelf: Assembly) -> None:
+    data = plan_to_dict(find_plans("arch:blocks=3", parts_at_once=2).plans[0])
+    assert "parts_at_once" not in data["rules"]
+    assert not any("parts" in step for step in data["steps"])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"parts": [3]}, "step 4 does 'insert' with parts \\[3\\]"),
+        ({"parts": [3, 3]}, "step 4: parts names a part twice"),
+        ({"parts": [2, 3]}, "step 4 does 'insert' with parts \\[2, 3\\]"),
+        ({"parts": [3, 9]}, "step 4: parts is not a list of part numbers from 0 to 4"),
+        ({"parts": [3, 4]}, "step 4 cannot insert part 4, which is there already"),
+        ({"parts": [3, 1]}, "step 4 cannot insert part 1, which is there already"),
+        ({"held": 0}, "step 4: held is 0"),
+        ({"held": 3}, "step 4 holds 3 of 2 parts"),
+        ({"held": None}, "step 4: held is None"),
+        ({"parts": None}, "step 4: parts is not a list"),
+        ({"held": 2}, "step 4 needs 3 robots, but the plan has 2"),
+    ],
+)
+def test_damaged_steps_are_refused(plan: Plan, change: dict[str, Any], message: str) -> None:
+    data = json.loads(json.dumps(plan_to_dict(plan)))
+    (number,) = [number for number, step in enumerate(data["steps"]) if "parts" in step]
+    data["steps"][number] |= change
+    with pytest.raises(PlanError, match=message):
+        plan_from_dict(data)
+
+
+def test_a_reader_without_such_steps_refuses_the_file(plan: Plan) -> None:
+    """What it lacks is the rule, as versions that do not know it do."""
+    data = json.loads(json.dumps(plan_to_dict(plan)))
+    del data["rules"]["parts_at_once"]
+    with pytest.raises(PlanError, match="at most 1 with rules.parts_at_once"):
+        plan_from_dict(data)
+    with pytest.raises(PlanError, match="rules.parts_at_once is 0"):
+        plan_from_dict(data | {"rules": data["rules"] | {"parts_at_once": 0}})
+
+
+def without(plan: Plan, **changes: Any) -> Plan:
+    return replace(plan, displacement=None, torn=None, forces=None, loads=(), replay=None, **changes)
+
+
+def test_a_check_takes_no_set_from_a_plan(shelf: Assembly, plan: Plan) -> None:
+    """What can leave together, and what one robot can carry, is found from the structure."""
+    row = next(step.number for step in plan if len(step.parts) > 1)
+    assert "it moves 2 parts, and at most 1 can move at once" in validate_plan(without(plan, parts_at_once=1), shelf).reason
+    assert "touches a fixed part" in validate_plan(without(plan, fixed=(2,)), shelf).reason
+    other = plan.actions.copy()
+    other[row - 1] = len(plan.boundary) + next(step.parts[1] for step in plan if len(step.parts) > 1)
+    assert "is named after a part that no robot holds" in validate_plan(without(plan, actions=other), shelf).reason
+    # Both uprights at once: each stands by itself, so that they do not leave together.
+    states = np.array([[0, 0, 0, 0, 2], [2, 2, 0, 0, 2], [1, 2, 0, 0, 2], [1, 1, 0, 0, 2], *plan.states[row:]], np.uint8)
+    actions = np.array([5, 0, 1, *plan.actions[row - 1 :]])
+    some = [0, 0, 0, 0, *range(row, len(plan.states))]
+    forged = without(
+        plan,
+        states=states,
+        actions=actions,
+        verdicts=tuple(plan.verdicts[k] for k in some),
+        proofs=tuple(plan.proofs[k] for k in some),
+        residuals=plan.residuals[some],
+    )
+    report = validate_plan(forged, shelf)
+    assert report.reason.startswith("step 1 (insert upright-0 and upright-1) is against the rules: ")
+    assert "do not leave together" in report.reason
+
+
+def test_a_check_refuses_a_group_that_falls(plan: Plan, shelf: Assembly, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plan_rules, "holds_together", lambda *arguments: False)
+    report = validate_plan(plan, shelf)
+    assert "fall while a robot carries them by top-" in report.reason
+
+
+# Outputs
+
+
+def test_pictures_and_tracks_move_all_parts_of_a_step(shelf: Assembly, plan: Plan) -> None:
+    timeline = Timeline.of(plan, shelf)
+    np.testing.assert_allclose(timeline.ways[[2, 3]], [[0, 0, 1]] * 2, atol=1e-9)
+    row = next(step.number for step in plan if len(step.parts) > 1)
+    look = appearance_at(timeline, row - 0.5)
+    assert (look.shift[[2, 3], 2] > 0).all()
+    assert look.shift[2, 2] == look.shift[3, 2]
+    tracks = tracks_of(plan, shelf).tracks
+    assert tracks[2].path == tracks[3].path
+    assert tracks[2].shown == tracks[3].shown == ((0.0, False), (float(row - 1), True))
+
+
+def test_sheets_name_all_parts_of_a_step(shelf: Assembly, plan: Plan, held: Plan) -> None:
+    for made, supports in ((plan, 1), (held, 2)):
+        sheet = assembly_instructions(made, shelf)
+        (step,) = [step for step in sheet.steps if len(step.parts) > 1]
+        assert sheet.comes_in(step) == "from above"
+        assert len(step.supports) == supports
+        (row,) = [line for line in csv.DictReader(io.StringIO(instructions_csv(sheet))) if ";" in line["part"]]
+        assert float(row["mass_kg"]) == pytest.approx(shelf.mass.mass[[2, 3]].sum(), rel=1e-5)
+        assert sorted(row["name"].split("; ")) == ["top-2", "top-3"]
+    assert sheet.named(step) == "top-2 and top-3"
+
+
+# What is refused
+
+
+@pytest.mark.parametrize(
+    ("rules", "message"),
+    [
+        ({"parts_at_once": 0}, "0 is not a number of parts of shelf:shelves=0 that can move at once; give 1 .* to 4"),
+        ({"parts_at_once": 5}, "5 is not a number of parts of shelf:shelves=0 that can move at once; give 1 .* to 4"),
+        ({"parts_at_once": 2.5}, "2.5 is not a number of parts of shelf:shelves=0 that can move at once"),
+        ({"parts_at_once": 2, "missing": [2]}, "several parts in one step take no missing parts"),
+        ({"parts_at_once": 2, "support": True}, "several parts in one step take no repeated holds"),
+    ],
+)
+def test_rules_that_cannot_be_kept(shelf: Assembly, rules: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        task_of(shelf, 2, **rules)
+
+
+def test_what_moves_one_part_at_a_time_says_so(shelf: Assembly, plan: Plan, tmp_path: Path) -> None:
+    task = task_of(shelf, 2, parts_at_once=2)
+    with pytest.raises(InputError, match="beams of levels move one part at a time"):
+        ExhaustiveSearch(task, EveryStateStands())
+    with pytest.raises(InputError, match="have no alternatives yet"):
+        find_plans(shelf, task, settings=PlannerSettings(alternatives=2))
+    with pytest.raises(InputError, match="a search with several parts in one step cannot be saved"):
+        find_plans(shelf, task, checkpoint=tmp_path / "search")
+    with pytest.raises(InputError, match="no bound on the robots is known where steps move several parts"):
+        robots_needed(shelf, parts_at_once=2)
+    with pytest.raises(PlanError, match="several parts in one step, which replanning cannot"):
+        BuiltSteps(plan, 1)
+    with pytest.raises(PlanError, match="several parts in one step cannot be compared"):
+        difference(plan, plan)

@@ -62,12 +62,12 @@ class LockedTogether:
             InputError: fewer than two parts, or more than can move.
         """
         most = min(int((~assembly.immovable).sum()), LARGEST)
-        if not 1 < largest <= most:
+        if not (isinstance(largest, int | np.integer) and 1 < largest <= most):
             raise InputError(
                 f"{largest} is not a number of parts of {assembly.name} that can move at once; give 1 (one at a time) to "
                 f"{max(most, 1)}"
             )
-        self.largest, self._assembly = largest, assembly
+        self.largest, self._assembly = int(largest), assembly
         self._carriers: dict[tuple[PartSet, StabilitySettings], tuple[int, ...]] = {}
 
     def sets(self, movable: Mask) -> tuple[PartSet, ...]:
