@@ -293,6 +293,50 @@ def test_a_structure_that_locks_itself(falsework: Run, tmp_path: Path) -> None:
     assert falsework("plan", "shelf", "--out", out).code == 0
 
 
+def test_a_structure_that_locks_itself_opens_with_two_parts_at_once(falsework: Run, tmp_path: Path) -> None:
+    """Plan and check name the step, and the sheet all of its parts."""
+    out = tmp_path / "plan.json"
+    done = falsework("plan", "shelf:shelves=0", "--criterion", "equilibrium", "--out", out, "--parts-at-once", 2)
+    assert done.code == 0, done.error
+    (step,) = [step for step in load_plan(out) if len(step.parts) > 1]
+    assert f"step {step.number} inserts 2 parts at once: {step}" in done.out
+    checked = falsework("check", out, "--criterion", "equilibrium")
+    assert checked.code == 0
+    assert "with 2 robots, up to 2 parts in one step, from empty to complete" in checked.out
+    table = tmp_path / "sheet.csv"
+    assert falsework("export", out, "--out", table).code == 0
+    assert f"{step.number},place,{'; '.join(map(str, step.parts))}," in table.read_text()
+
+
+def test_the_answer_names_steps_of_several_parts(falsework: Run, tmp_path: Path) -> None:
+    """They are in an answer only where there are some."""
+    words = "--parts-at-once", 2, "--criterion", "equilibrium", "--out", tmp_path / "plan.json", "--json"
+    (locked,) = falsework("plan", "shelf:shelves=0", *words).answer["plans"]
+    (step,) = [step for step in load_plan(locked["file"]) if len(step.parts) > 1]
+    assert locked["together"] == [{"step": step.number, "parts": list(step.parts), "held": 1}]
+    (free,) = falsework("plan", "arch:blocks=3", *words).answer["plans"]
+    assert "together" not in free
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--parts-at-once", 0), "0 is not a number of parts of arch:blocks=3 that can move at once"),
+        (("--parts-at-once", 4), "4 is not a number of parts of arch:blocks=3 that can move at once; give 1 (one at a"),
+        (("--parts-at-once", 2, "--support"), "--parts-at-once takes no --support yet"),
+        (("--parts-at-once", 2, "--missing", "1"), "--parts-at-once takes no --missing yet"),
+        (("--parts-at-once", 2, "--robots", "auto"), "--parts-at-once takes no --robots auto yet"),
+        (("--parts-at-once", 2, "--alternatives", 2), "--parts-at-once takes no --alternatives yet"),
+        (("--parts-at-once", 2, "--maximise", "tilt"), "--parts-at-once takes no --maximise yet"),
+        (("--parts-at-once", 2, "--judge"), "--parts-at-once takes no --judge yet"),
+    ],
+)
+def test_parts_at_once_that_cannot_be_had(falsework: Run, tmp_path: Path, options: tuple, message: str) -> None:
+    done = falsework("plan", "arch:blocks=3", *options, "--out", tmp_path / "plan.json")
+    assert done.code == 2
+    assert message in done.error
+
+
 def test_alternatives_differ(falsework: Run, tmp_path: Path) -> None:
     out = tmp_path / "plan.json"
     finished = falsework("plan", "arch:blocks=7", "--alternatives", 3, "--out", out, "--json")

@@ -31,7 +31,7 @@ def locked_sets(meshes) -> LockedSets:
 
 
 def clasp(shapes):
-    """Two combs that interlock along x and y, between two walls along z: they leave along z, one by one, or not at all."""
+    """Two combs that interlock along x and y, between a lid and a floor: they leave along z only, or together."""
     one = [(0, 0), (4, 0), (4, 3), (3, 3), (3, 1), (1, 1), (1, 2), (2, 2), (2, 3), (0, 3)]
     other = [(1, 1), (3, 1), (3, 3), (4, 3), (4, 4), (0, 4), (0, 3), (2, 3), (2, 2), (1, 2)]
     return [
@@ -83,9 +83,7 @@ def test_parts_with_a_plane_between_them_never_lock(shapes):
 def test_three_cells_around_an_edge_do_not_block_each_other_in_turn(shapes):
     """No plane splits them, but their normals add up to zero, so along no direction does each run into the next."""
     corners = [(np.cos(a), np.sin(a)) for a in np.radians([30, 90, 150, 210, 270, 330])]
-    meshes = [
-        shapes.extruded([(0, 0), *(corners[(2 * k + i) % 6] for i in (0, 1, 2))], 0, 1) for k in range(3)
-    ]
+    meshes = [shapes.extruded([(0, 0), *(corners[(2 * k + i) % 6] for i in (0, 1, 2))], 0, 1) for k in range(3)]
     sets = locked_sets(meshes)
     joined, _ = sets._neighbours((0, 1, 2), np.arange(3))
     assert joined, "planes alone do not tell"
@@ -128,5 +126,5 @@ def test_regions_where_many_circles_meet(shapes):
 
 def test_too_many_sets_are_refused(shapes, monkeypatch):
     monkeypatch.setattr(locked, "_MOST", 3)
-    with pytest.raises(InputError, match="more than 3 sets of up to 2 parts may lock each other.*allow fewer"):
+    with pytest.raises(InputError, match=r"more than 3 sets of up to 2 parts may lock each other.*allow fewer"):
         locked_sets(clasp(shapes)).find(np.arange(4), 2)

@@ -32,8 +32,8 @@ class BuiltSteps:
             )
         if self.plan.parts_at_once > 1:
             raise PlanError(
-                "the plan moves several parts in one step, which replanning cannot; plan again with --begin for the present "
-                "state"
+                "the plan moves several parts in one step, which replanning cannot; plan again with --begin for the "
+                "present state"
             )
 
     @property

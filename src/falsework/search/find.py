@@ -349,7 +349,10 @@ def _run(
         if stop is not None and stop():
             return True
         # The bound does not cover props, nor steps of several parts.
-        paused = not (planner.routes or task.prop_limit or task.together is not None) and time.process_time() - begun > _BOUND_AFTER
+        paused = (
+            not (planner.routes or task.prop_limit or task.together is not None)
+            and time.process_time() - begun > _BOUND_AFTER
+        )
         return paused
 
     result = planner.run(progress=progress, stop=halt)

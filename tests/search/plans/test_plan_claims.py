@@ -209,6 +209,9 @@ LISTED: dict[str, Callable[[Plan, Plan, PlanReport], bool]] = {
     "rules.removable_only_if_clear": lambda old, new, report: new.removable_only_if_clear,
     "rules.support": lambda old, new, report: new.support is not old.support,
     "rules.props": lambda old, new, report: report.about is not None and report.about.prop_limit == new.prop_limit,
+    "rules.parts_at_once": lambda old, new, report: (
+        report.about is not None and report.about.parts_at_once <= new.parts_at_once
+    ),
     "stability.stiffness_ratio": lambda old, new, report: report.claim.criterion == "equilibrium",
     "stability.tolerance": lambda old, new, report: f"its tolerance {new.claim.tolerance:g}" in report.unverified,
     "stability.force_bound": lambda old, new, report: f"its force bound {new.claim.force_bound:g}" in report.unverified,
@@ -327,6 +330,15 @@ def test_one_change_of_a_plan_with_props(propped: tuple[Assembly, Plan]) -> None
     count, accepted = accepted_changes(data, among=("structure", "robots", "rules", "stability"))
     assert count > 500
     assert accepted == _ALWAYS | _BUILT | {"structure.props", "rules.support", "rules.props"}
+
+
+def test_one_change_of_a_plan_with_several_parts_in_one_step() -> None:
+    shelf = load_structure("shelf:shelves=0")
+    found = find_plans(shelf, robots=1, oracle=Stability(shelf, EQUILIBRIUM), parts_at_once=2).plans[0]
+    data = json.loads(json.dumps(plan_to_dict(replace(found, source={"built_in": "shelf:shelves=0"}), proofs=True)))
+    count, accepted = accepted_changes(data, EQUILIBRIUM, among=("rules", "steps"), structure=shelf)
+    assert count > 100
+    assert accepted >= {"rules.parts_at_once", "steps.residual"}
 
 
 def test_the_documentation_lists_what_claims_nothing() -> None:

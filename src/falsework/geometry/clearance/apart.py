@@ -2,8 +2,8 @@
 
 The velocities at which some parts can begin to move past the others form a cone: no contact is pushed into. Linear
 programs tell whether every part of the set can move, and whether two can move relative to each other; if not, no motion
-takes the set apart. Otherwise their solutions are velocities to try. At constant velocities parts move in straight lines
-relative to each other, so that sweeps of pairs decide whether nothing collides on the whole way.
+takes the set apart. Otherwise their solutions are velocities to try. At constant velocities parts move in straight
+lines relative to each other, so that sweeps of pairs decide whether nothing collides on the whole way.
 """
 
 from __future__ import annotations

@@ -32,7 +32,9 @@ def sphere_directions(count: int) -> Array:
 
 
 def exit_directions(contacts: Contacts, part: int | Sequence[int], count: int) -> Array:
-    """Return directions to try for one part, or for several that move together, most promising first, shape (count, 3), unit length.
+    """Return directions to try for one part, or for several that move together, most promising first.
+
+    Unit vectors, shape (count, 3).
 
     First the normals of its contacts, away from the neighbour, and their mean; then the lines along which it can
     slide on two contacts at once, both ways, those first that push into the fewest neighbours: they are the

@@ -91,9 +91,7 @@ class Sweeper:
                 hit[way, other] = self._meets(moving, other, directions[way], walls)
         return hit
 
-    def least_blocked(
-        self, part: int | Sequence[int], directions: Array, known: Ways | None = None
-    ) -> Ways:
+    def least_blocked(self, part: int | Sequence[int], directions: Array, known: Ways | None = None) -> Ways:
         """Return the directions that no other beats: those whose blockers do not include all blockers of another.
 
         A direction is discarded as soon as its known blockers include those of one already found, so that most sweeps
@@ -198,9 +196,7 @@ class Sweeper:
         free[:, part] = True
         return free, hit & ~free
 
-    def _meets(
-        self, moving: Sequence[int], other: int, direction: Array, walls: dict[tuple[int, int], Body]
-    ) -> bool:
+    def _meets(self, moving: Sequence[int], other: int, direction: Array, walls: dict[tuple[int, int], Body]) -> bool:
         """Return whether one of the parts hits the other along the direction; `walls` caches their walls for that.
 
         The swept volume is bounded by the wall that the outline of a part sweeps, apart from its two

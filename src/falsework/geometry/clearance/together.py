@@ -129,8 +129,8 @@ class SetClearance:
         if diverging and not unsure:
             names = " and ".join(self._meshes[part].name for part in diverging[0])
             return (
-                f"{len(diverging)} sets of parts, {names} the first, can begin to move along different directions, and no "
-                "free way was found along those tried; others may be free"
+                f"{len(diverging)} sets of parts, {names} the first, can begin to move along different directions, and "
+                "no free way was found along those tried; others may be free"
             )
         if not unsure:
             return ""

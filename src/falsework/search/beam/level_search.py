@@ -29,7 +29,9 @@ class LevelSearch(ABC):
             InputError: a task in which steps may move several parts.
         """
         if task.together is not None:
-            raise InputError("beams of levels move one part at a time; search with find_plans, or without parts_at_once")
+            raise InputError(
+                "beams of levels move one part at a time; search with find_plans, or without parts_at_once"
+            )
         self.task, self.settings = task, settings
         self._levels: list[Any] = []
         """The same where the search keeps them; entries have `states`."""

@@ -109,6 +109,8 @@ class PlanReader(Reader):
         self._falls = isinstance(replay, dict) and replay.get("stands") is False
         robots = self._count(data["robots"], "robots", least=1)
         self._at_once = self._count(rules.get("parts_at_once", 1), "rules.parts_at_once", least=1)
+        if self._at_once > 1 and not rules["removable_only_if_clear"]:
+            self._fail("rules.parts_at_once is above 1", "parts move at once only with rules.removable_only_if_clear")
         states, actions, residuals = self._sequence(data, boundary, robots, rules.get("support", False), len(props))
         proven = ~np.isnan(residuals)
         if (residuals[proven] > claim.tolerance).any():

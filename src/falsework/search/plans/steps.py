@@ -142,7 +142,9 @@ def inserts_several(states: States) -> bool:
 
 def name_together(names: list[str], held: int) -> str:
     """Return the names of parts that move together: `a and b` if all are held, `a with b` if only the first is."""
-    lists = [", ".join(some[:-1]) + " and " * (len(some) > 1) + some[-1] for some in (names[:held], names[held:]) if some]
+    lists = [
+        ", ".join(some[:-1]) + " and " * (len(some) > 1) + some[-1] for some in (names[:held], names[held:]) if some
+    ]
     return " with ".join(lists)
 
 

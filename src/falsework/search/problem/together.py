@@ -18,6 +18,7 @@ from falsework.stability.settings import StabilitySettings
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
 
+
 class Together(Protocol):
     """Rule that up to some number of parts may be removed, or inserted, in one step."""
 
@@ -25,8 +26,7 @@ class Together(Protocol):
     """Parts of a step at most."""
 
     def sets(self, movable: Mask) -> tuple[PartSet, ...]:
-        """Return the sets of two parts and more that may leave together from some state, among parts, shape (parts,).
-        """
+        """Return the sets of two parts and more, among parts of shape (parts,), that may leave together somewhere."""
         ...
 
     def leave_together(self, parts: PartSet, states: States, *, apart: bool) -> Mask:
@@ -64,8 +64,8 @@ class LockedTogether:
         most = min(int((~assembly.immovable).sum()), LARGEST)
         if not (isinstance(largest, int | np.integer) and 1 < largest <= most):
             raise InputError(
-                f"{largest} is not a number of parts of {assembly.name} that can move at once; give 1 (one at a time) to "
-                f"{max(most, 1)}"
+                f"{largest} is not a number of parts of {assembly.name} that can move at once; give 1 (one at a time) "
+                f"to {max(most, 1)}"
             )
         self.largest, self._assembly = int(largest), assembly
         self._carriers: dict[tuple[PartSet, StabilitySettings], tuple[int, ...]] = {}
