@@ -68,7 +68,7 @@ def drawn(seed: int, count: int, region: tuple[int, int, int]) -> list[Cells]:
     """Cut a box of cubes at random into connected pieces."""
     rng = np.random.default_rng(seed)
     while True:
-        pieces = _grow(sorted(product(*map(range, region))), count, rng)
+        pieces = _grow([(x, y, z) for x, y, z in product(*map(range, region))], count, rng)
         if pieces is not None:
             return [frozenset(piece) for piece in pieces]
 
@@ -325,6 +325,7 @@ def test_parts_leave_along_different_directions() -> None:
     assert not clearance.leave_together((0, 1), complete[None]).any(), "along no common direction"
     assert clearance.leave_together((0, 1), complete[None], apart=True).all()
     motion = clearance.exit_motion((0, 1), complete)
+    assert motion is not None
     np.testing.assert_allclose(motion, np.array([[1, 0, 1], [-1, 0, 1]]) / np.sqrt(2), atol=1e-6)
     two, one = (find_plans(assembly, robots=robots, parts_at_once=2, stability=SETTINGS) for robots in (2, 1))
     assert str(two.plans[0][0]) == "insert a-0 and b-1 (R1, R2)"

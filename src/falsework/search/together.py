@@ -7,6 +7,7 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, States
 from falsework.search.beam.backjumping import WIDENING
@@ -136,6 +137,7 @@ class TogetherBeam:
         failed = unstable_end(self.task, self._oracle)
         if failed is not None:
             return failed
+        self.moves.stop = stop
         begun, interrupted = time.perf_counter(), False
         try:
             while not self.found and not self.gave_up:
@@ -212,9 +214,11 @@ class TogetherBeam:
             stable = self.judge.stable(states, parents)
             self._stable.update({key: bool(good) for (key, _), good in zip(asked, stable, strict=True)})
         for key, candidate in batch:
-            self._queue.popleft()
-            if self._stable[key] and self._comes_to_rest(key, candidate.parent):
-                self._take(key, candidate)
+            good = self._stable[key] and self._comes_to_rest(key, candidate.parent)
+            steps = self.moves.after(_array(key), self.direction) if good else None
+            self._queue.popleft()  # an interruption before leaves it for the next run
+            if steps is not None:
+                self._take(key, candidate, *steps)
             elif self._stage > self._farthest:
                 self._rejected.append(key)
 
@@ -230,8 +234,8 @@ class TogetherBeam:
         self._histories.keep([_array(key)], found)
         return True
 
-    def _take(self, key: bytes, candidate: _Candidate) -> None:
-        """Keep a state, and let what steps lead to wait for its turn."""
+    def _take(self, key: bytes, candidate: _Candidate, after: States, actions: NDArray[np.int64]) -> None:
+        """Keep a state, and let what steps lead to, shape (steps, parts), wait for its turn."""
         self.parent[key] = candidate.parent
         self._room -= 1
         self._kept += 1
@@ -240,11 +244,10 @@ class TogetherBeam:
             self._farthest, self._deepest, self._rejected = self._stage, [], []
         if self._stage == self._farthest:
             self._deepest.append(key)
-        state = _array(key)
-        after, actions = self.moves.after(state, self.direction)
         if not len(after):
             return
         self._seen += len(after)
+        state = _array(key)
         scores = self._scores(state, actions)
         stages = np.abs(self.task.steps_done(after) - self.task.steps_done(self.task.origin(self.direction)[None]))
         fixes = ((after == state) | (after == HELD)).all(axis=1)
@@ -258,7 +261,7 @@ class TogetherBeam:
             if total > known.score:
                 known.parent, known.score = key, total
 
-    def _scores(self, state: States, actions: np.ndarray) -> np.ndarray:
+    def _scores(self, state: States, actions: NDArray[np.int64]) -> NDArray[np.floating]:
         """Return the guide's scores of steps from a state; a set counts as the part by which it is named."""
         if self._guide is None:
             return np.zeros(len(actions))

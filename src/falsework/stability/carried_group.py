@@ -50,7 +50,7 @@ def carried_group(assembly: Assembly, parts: Sequence[int], carrier: int) -> Ass
         AssemblyError: parts that no contacts connect.
     """
     rows, contacts = np.array(sorted(parts)), assembly.contacts
-    inside = np.isin(contacts.parts, rows).all(axis=1)
+    inside = np.asarray(np.isin(contacts.parts, rows).all(axis=1))
     own = contacts.take(np.flatnonzero(inside))
     own = replace(own, parts=np.searchsorted(rows, own.parts).astype(np.int32))
     alone = next((part for part in rows.tolist() if part not in _reached(own.parts, rows, carrier)), None)

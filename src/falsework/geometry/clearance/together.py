@@ -182,4 +182,5 @@ class SetClearance:
 
 def _any_free(blockers: Words, present: Words) -> Mask:
     """Return whether a way is blocked by no present part, shape (batch,)."""
-    return ~(blockers[None] & present[:, None]).any(axis=2).all(axis=1)
+    blocked = np.any(blockers[None] & present[:, None], axis=2)
+    return ~np.all(blocked, axis=1)

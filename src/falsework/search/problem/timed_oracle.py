@@ -11,6 +11,7 @@ from falsework.search.problem.deadline import AdaptiveBatchSize, Deadline, Deadl
 from falsework.search.problem.oracle import Oracle, Screen
 from falsework.search.problem.timed_replayer import DeadlineReplayer
 from falsework.stability.oracle import Stability
+from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Verdict, Verdicts
 
 
@@ -33,6 +34,8 @@ class TimedOracle:
         self.limited = clock.limited
         """Whether there is a deadline, so that batches must be small."""
         self.holds_keep_stable = bool(getattr(oracle, "holds_keep_stable", False))
+        self.settings: StabilitySettings | None = getattr(oracle, "settings", None)
+        """Of the oracle, for the groups that robots carry."""
         self.replayer = replayer
         """Replays the routes of searches; None where there is no history to take into account."""
         self._oracle = oracle

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, Mask, States, held_count
 from falsework.errors import InputError
 from falsework.geometry.clearance.locked import LARGEST, PartSet
+from falsework.search.problem.deadline import DeadlineExceeded
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.settings import StabilitySettings
@@ -79,11 +80,16 @@ class LockedTogether:
         return self._assembly.clearance_of_sets.leave_together(parts, states, apart=apart)
 
     def carriers(self, parts: PartSet, oracle: Oracle) -> tuple[int, ...]:
-        """Return the parts by which one robot can carry a set; none if no contacts connect it."""
+        """Return the parts by which one robot can carry a set, under the settings of an oracle.
+
+        None if no contacts connect the set, or the oracle has no settings.
+        """
         from falsework.errors import AssemblyError
         from falsework.stability.carried_group import holds_together
 
-        settings = getattr(oracle, "settings", StabilitySettings())
+        settings: StabilitySettings | None = getattr(oracle, "settings", None)
+        if settings is None:
+            return ()
         if (parts, settings) not in self._carriers:
             try:
                 found = tuple(part for part in parts if holds_together(self._assembly, parts, part, settings))
@@ -109,6 +115,8 @@ class TogetherMoves:
         assert task.together is not None
         self.task, self._rule, self._oracle = task, task.together, oracle
         self.largest = task.together.largest
+        self.stop: Callable[[], bool] | None = None
+        """Asked before each set; true ends the search for steps with `DeadlineExceeded`."""
         self.removable = ~task.boundary & (task.start != REMOVED) & (task.target == REMOVED)
         self.removable[list(task.fixed)] = False
         self.sets = task.together.sets(self.removable)
@@ -119,6 +127,9 @@ class TogetherMoves:
         Args:
             state: shape (parts,).
             direction: in disassembly steps lead out of the state; in assembly they are undone.
+
+        Raises:
+            DeadlineExceeded: `stop` returned true.
 
         Returns:
             States, shape (steps, parts); and numbers as in `Plan.actions`, for a set that of one part that is held.
@@ -136,8 +147,13 @@ class TogetherMoves:
         """Why the absence of a plan would not be proven; empty if it would be."""
         return self.task.doubt or self._rule.doubt(self.sets)
 
+    def _check_time(self) -> None:
+        if self.stop is not None and self.stop():
+            raise DeadlineExceeded
+
     def _removals(self, state: States) -> Iterator[tuple[States, int]]:
         for parts in self.sets:
+            self._check_time()
             rows = list(parts)
             held = [part for part in parts if state[part] == HELD]
             if not held or len(held) not in (1, len(parts)) or (state[rows] == REMOVED).any():
@@ -152,6 +168,7 @@ class TogetherMoves:
     def _insertions(self, state: States) -> Iterator[tuple[States, int]]:
         free = self.task.robots - int(held_count(state[None], self.task.boundary)[0])
         for parts in self.sets if free > 0 else ():
+            self._check_time()
             rows = list(parts)
             if (state[rows] != REMOVED).any():
                 continue
