@@ -56,9 +56,11 @@ SETTINGS = StabilitySettings(criterion="equilibrium")
 Cells = frozenset[tuple[int, int, int]]
 
 
-def assembly_of(pieces: list[Cells]) -> Assembly:
+def assembly_of(pieces: list[Cells], fixed: Cells = frozenset()) -> Assembly:
     """Pieces of cubes on a slab that reaches two cubes beyond a region of three by three."""
     solids = [surface("piece", piece, (EDGE,) * 3, (0.0, 0.0, 0.0)) for piece in pieces]
+    if fixed:
+        solids.append(replace(surface("frame", fixed, (EDGE,) * 3, (0.0, 0.0, 0.0)), fixed=True))
     solids.append(box("slab", (-2 * EDGE, -2 * EDGE, -EDGE), (5 * EDGE, 5 * EDGE, 0.0), fixed=True))
     blocks = gather(solids)
     return Assembly.from_meshes(blocks.meshes, boundary=blocks.boundary)
@@ -92,9 +94,11 @@ class Enumeration:
     exists if and only if one exists in which two of the planes that bound them meet.
     """
 
-    def __init__(self, pieces: list[Cells], robots: int, largest: int, stands=lambda state: True) -> None:
-        boxes = [[(np.array(c), np.array(c) + 1) for c in piece] for piece in pieces]
-        boxes.append([(np.array([-2, -2, -1]), np.array([5, 5, 0]))])
+    def __init__(
+        self, pieces: list[Cells], robots: int, largest: int, stands=lambda state: True, fixed: Cells = frozenset()
+    ) -> None:
+        boxes = [[(np.array(c), np.array(c) + 1) for c in piece] for piece in (*pieces, fixed)]
+        boxes[-1].append((np.array([-2, -2, -1]), np.array([5, 5, 0])))
         self.pieces, self.count, self.robots, self.largest, self.stands = pieces, len(pieces), robots, largest, stands
         self.gaps = {
             (i, j): [(b[0] - a[1], b[1] - a[0]) for a in boxes[i] for b in boxes[j]]
@@ -281,6 +285,27 @@ def test_as_many_plans_as_an_enumeration_of_boxes(seed: int, count: int, robots:
             continue
         task = task_of(assembly, robots, parts_at_once=most)
         assert plans_of(task, EveryStateStands()) == expected
+
+
+def three_bars() -> tuple[list[Cells], Cells]:
+    """Three bars side by side in a frame that is open above; each has a tongue in a groove of the next."""
+    whole = {(x, 0, z) for x, z in product(range(-1, 4), range(3))}
+    first = {(-1, 0, z) for z in range(3)} | {(0, 0, 1)}
+    last = {(3, 0, z) for z in range(3)} | {(2, 0, 0), (2, 0, 2)}
+    frame = {(x, y, z) for x, y, z in product(range(-2, 5), (-1, 0, 1), range(3))} - whole
+    return [frozenset(first), frozenset(whole - first - last), frozenset(last)], frozenset(frame)
+
+
+@pytest.mark.parametrize("robots", [1, 3])
+def test_three_parts_that_leave_only_together(robots: int) -> None:
+    """With one or two at a time it is proven that there is no plan, with three there are as many as counted."""
+    bars, frame = three_bars()
+    assembly = assembly_of(bars, frame)
+    assert Enumeration(bars, robots, 2, fixed=frame).plans() == 0
+    two = TogetherBeam(task_of(assembly, robots, parts_at_once=2), EveryStateStands(), Direction.DISASSEMBLY)
+    assert two.run(64).outcome is Outcome.PROVED_IMPOSSIBLE
+    expected = Enumeration(bars, robots, 3, fixed=frame).plans()
+    assert plans_of(task_of(assembly, robots, parts_at_once=3), EveryStateStands()) == expected > 0
 
 
 @pytest.mark.parametrize(("seed", "count"), [(11, 3), (38, 4)])
