@@ -83,8 +83,15 @@ def _display_formula(translator: Any, node: nodes.math_block) -> None:
     raise nodes.SkipNode
 
 
+def _leave_out_of_search(app: Sphinx, _document: nodes.document) -> None:
+    """Leave the pages on decisions, which repeat the words of the manual, out of the search."""
+    if app.env.docname.startswith("decisions/"):
+        app.env.metadata[app.env.docname]["nosearch"] = True
+
+
 def setup(app: Sphinx) -> None:
     """Connect what is defined here."""
+    app.connect("doctree-read", _leave_out_of_search)
     # Formulas as MathML: every browser shows it, without scripts from elsewhere.
     app.add_html_math_renderer(
         "mathml", inline_renderers=(_inline_formula, None), block_renderers=(_display_formula, None)
