@@ -127,5 +127,15 @@ def _write_benchmarks() -> None:
     (HERE / "_generated" / "benchmarks.md").write_text("\n".join(texts), encoding="utf-8")
 
 
+def _write_results() -> None:
+    """Write the results as a part of the page on benchmarks: one level lower, and with links that hold there."""
+    text = (HERE.parent / "benchmarks" / "RESULTS.md").read_text(encoding="utf-8")
+    text = re.sub(r"\[[^]]*\]\((results/[^)]*)\)", r"`benchmarks/\1`", text)
+    text = re.sub(r"\[([^]]*)\]\(\.\./README\.md[^)]*\)", r"\1", text)
+    text = re.sub(r"^#", "##", text, flags=re.MULTILINE)
+    (HERE / "_generated" / "results.md").write_text(text, encoding="utf-8")
+
+
 _write_help_texts()
 _write_benchmarks()
+_write_results()
