@@ -111,6 +111,18 @@ TABLES = {
         benchmark="contact plan",
         where=quiet,
     ),
+    "criteria": Table(
+        "contact",
+        STRUCTURE,
+        (
+            ("states", "{states}"),
+            ("that slide", "{slides}"),
+            ("verdicts that change at a ratio of 0.4", "{changed.ratio_04}"),
+            ("at 1", "{changed.ratio_1}"),
+            ("iterations of stable states", "{iterations}"),
+        ),
+        benchmark="contact criteria",
+    ),
     "luck": Table(
         "luck",
         (("half", "{half}"), ("criterion", "{criterion}")),
