@@ -164,7 +164,7 @@ def test_decisions_are_named_by_topic() -> None:
         places += [path for kind in kinds for path in (REPOSITORY / folder).rglob(kind)]
     for path in places:
         text = path.read_text(encoding="utf-8")
-        for named in re.findall(r"docs/decisions/([\w-]+\.md)", text):
+        for named in re.findall(r"docs/decisions/(\w[\w.-]*\w)", text):
             assert (REPOSITORY / "docs" / "decisions" / named).exists(), f"{name_of(path)}: {named}"
         assert not re.search(r"\bdecisions? \d", text), name_of(path)
 
