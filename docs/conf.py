@@ -130,7 +130,7 @@ def _write_benchmarks() -> None:
 def _write_results() -> None:
     """Write the results as a part of the page on benchmarks: one level lower, and with links that hold there."""
     text = (HERE.parent / "benchmarks" / "RESULTS.md").read_text(encoding="utf-8")
-    text = re.sub(r"\[[^]]*\]\((results/[^)]*)\)", r"`benchmarks/\1`", text)
+    text = re.sub(r"\[[^]]*\]\((results[^)]*)\)", r"`benchmarks/\1`", text)
     text = re.sub(r"\[([^]]*)\]\(\.\./README\.md[^)]*\)", r"\1", text)
     text = re.sub(r"^#", "##", text, flags=re.MULTILINE)
     (HERE / "_generated" / "results.md").write_text(text, encoding="utf-8")
