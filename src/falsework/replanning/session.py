@@ -26,6 +26,7 @@ from falsework.search.problem.timed_replayer import DeadlineReplayer
 from falsework.stability.verdict import Verdict, Verdicts
 
 _SAMPLES_GPU, _SAMPLES_CPU = 16, 4
+"""Sampled rollouts where the settings give no number, see `ReplanSettings.samples`."""
 _SAFETY = 1.3
 """Safety factor on the expected time of a proof."""
 _PROVING = 0.25
