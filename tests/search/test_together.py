@@ -42,11 +42,12 @@ from falsework.search.find import task_of
 from falsework.search.plans import plan_rules
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
 from falsework.search.problem.task import Direction
-from falsework.search.problem.together import LockedTogether, TogetherMoves
 from falsework.search.settings import PlannerSettings
-from falsework.search.together import TogetherBeam
+from falsework.search.together.carried_group import carried_group, holds_together
+from falsework.search.together.moves import TogetherMoves
+from falsework.search.together.rule import LockedTogether
+from falsework.search.together_beam import TogetherBeam
 from falsework.stability import Stability, StabilitySettings, Verdict, Verdicts
-from falsework.stability.carried_group import carried_group, holds_together
 from falsework.stability.holds import HoldSettings
 from falsework.viewer.appearance import appearance_at
 from falsework.viewer.timeline import Timeline

@@ -35,8 +35,8 @@ from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.support_route import SupportRoute
 from falsework.search.problem.task import Task
 from falsework.search.problem.timed_oracle import timed
-from falsework.search.problem.together import LockedTogether
 from falsework.search.settings import PlannerSettings
+from falsework.search.together.rule import LockedTogether
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.display.notebook import Displayed, or_notebook
@@ -142,8 +142,7 @@ def find_plans(
         checkpoint: file to which the search is saved regularly, and from which it resumes if it exists; removed at the
             end.
         forces: keep the contact forces that prove each state in the plans.
-        rules: start, target, fixed, missing, removable_only_if_clear, support, props and parts_at_once; see
-            `TaskRules`. Without them the complete structure is disassembled.
+        rules: see `TaskRules`. Without them the complete structure is disassembled.
 
     Returns:
         Plans with verdicts and proofs; none if there is none, or none was found.
@@ -222,8 +221,7 @@ def task_of(
     States of a structure with places for props may be given without them.
 
     Raises:
-        InputError: fewer than one robot, parts or states that the structure does not have, props without places, or a
-            number of parts at once that is not possible.
+        InputError: parts, states or places of props that the structure does not have, or numbers that cannot be.
     """
     assembly = as_assembly(assembly)
     if props < 0 or (props and not (support and assembly.props)):

@@ -31,7 +31,7 @@ from falsework.search.problem.task import Direction, Task
 from falsework.search.settings import PlannerSettings
 from falsework.search.strategies import EDGES, Portfolio, Strategy, moves_together, regrasps, start
 from falsework.search.support.everywhere import SupportEverywhere
-from falsework.search.together import TogetherBeam
+from falsework.search.together_beam import TogetherBeam
 from falsework.utils.archive import read_archive, write_archive
 from falsework.utils.files.damage import blamed_on
 

@@ -19,7 +19,7 @@ from falsework.search.problem.task import STAGE, Direction, Task
 from falsework.search.settings import PlannerSettings
 from falsework.search.support.beam import SupportBeam
 from falsework.search.support.everywhere import SupportEverywhere
-from falsework.search.together import TogetherBeam
+from falsework.search.together_beam import TogetherBeam
 
 EDGES = "edges"
 """Beam that closes free edges first, see `EdgeGuide`."""

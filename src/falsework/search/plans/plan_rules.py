@@ -12,7 +12,7 @@ from falsework.search.plans.plan import Plan
 from falsework.search.plans.steps import moved_parts
 from falsework.search.problem.support_moves import SupportMoves
 from falsework.search.problem.task import Direction, Task
-from falsework.stability.carried_group import holds_together
+from falsework.search.together.carried_group import holds_together
 from falsework.stability.settings import StabilitySettings
 
 

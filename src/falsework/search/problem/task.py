@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
 from operator import index
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,9 +27,7 @@ from falsework.assembly.state import (
 )
 from falsework.errors import InputError, StateError
 from falsework.search.problem.legal_moves import LegalMoves
-
-if TYPE_CHECKING:
-    from falsework.search.problem.together import Together
+from falsework.search.problem.together import Together
 
 STAGE = np.array([2, 0, 1], dtype=np.int64)
 """Steps of disassembly that a part has behind it, indexed by its value: installed 0, held 1, removed 2."""

@@ -25,8 +25,8 @@ from falsework.search.problem.result import (
     unstable_end,
 )
 from falsework.search.problem.task import Direction, Task
-from falsework.search.problem.together import TogetherMoves
 from falsework.search.support.histories import WayHistories
+from falsework.search.together.moves import TogetherMoves
 
 STATE_LIMIT = 200_000
 """Stable states after which a search of unlimited width gives up."""

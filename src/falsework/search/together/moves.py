@@ -1,0 +1,94 @@
+"""Moves of a task with several parts in one step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, held_count
+from falsework.search.problem.deadline import DeadlineExceeded
+from falsework.search.problem.oracle import Oracle
+from falsework.search.problem.task import Direction, Task
+
+
+class TogetherMoves:
+    """Moves of a task with several parts in one step.
+
+    A set that leaves together is either held part by part, each by a robot of its own, and all robots move at the same
+    time; or one robot holds one part of it and carries the others, which nothing else holds.
+    """
+
+    def __init__(self, task: Task, oracle: Oracle) -> None:
+        """Take a task with `Task.together`, and the oracle that judges its states."""
+        assert task.together is not None
+        self.task, self._rule, self._oracle = task, task.together, oracle
+        self.largest = task.together.largest
+        self.stop: Callable[[], bool] | None = None
+        """Asked before each set; true ends the search for steps with `DeadlineExceeded`."""
+        self.removable = ~task.boundary & (task.start != REMOVED) & (task.target == REMOVED)
+        self.removable[list(task.fixed)] = False
+        self.sets = task.together.sets(self.removable)
+
+    def after(self, state: States, direction: Direction) -> tuple[States, NDArray[np.int64]]:
+        """Return the states that one step leads to, stability aside, and the steps as numbers.
+
+        Args:
+            state: shape (parts,).
+            direction: in disassembly steps lead out of the state; in assembly they are undone.
+
+        Raises:
+            DeadlineExceeded: `stop` returned true.
+
+        Returns:
+            States, shape (steps, parts); and numbers as in `Plan.actions`, for a set that of one part that is held.
+        """
+        actions = np.flatnonzero(self.task.moves(state[None], direction)[0])
+        single = self.task.follow(np.repeat(state[None], len(actions), axis=0), actions, direction)
+        several = list(self._removals(state) if direction is Direction.DISASSEMBLY else self._insertions(state))
+        states = np.array([after for after, _ in several], dtype=np.uint8).reshape(-1, len(state))
+        inside = self.task.contains(states)
+        numbers = np.array([number for _, number in several], dtype=np.int64)
+        return np.concatenate([single, states[inside]]), np.concatenate([actions, numbers[inside]])
+
+    @property
+    def doubt(self) -> str:
+        """Why the absence of a plan would not be proven; empty if it would be."""
+        return self.task.doubt or self._rule.doubt(self.sets)
+
+    def _check_time(self) -> None:
+        if self.stop is not None and self.stop():
+            raise DeadlineExceeded
+
+    def _removals(self, state: States) -> Iterator[tuple[States, int]]:
+        for parts in self.sets:
+            self._check_time()
+            rows = list(parts)
+            held = [part for part in parts if state[part] == HELD]
+            if not held or len(held) not in (1, len(parts)) or (state[rows] == REMOVED).any():
+                continue
+            if len(held) == 1 and held[0] not in self._rule.carriers(parts, self._oracle):
+                continue
+            if self._rule.leave_together(parts, state[None], apart=len(held) == len(parts))[0]:
+                after = state.copy()
+                after[rows] = REMOVED
+                yield after, len(state) + held[0]
+
+    def _insertions(self, state: States) -> Iterator[tuple[States, int]]:
+        free = self.task.robots - int(held_count(state[None], self.task.boundary)[0])
+        for parts in self.sets if free > 0 else ():
+            self._check_time()
+            rows = list(parts)
+            if (state[rows] != REMOVED).any():
+                continue
+            if free >= len(parts) and self._rule.leave_together(parts, state[None], apart=True)[0]:
+                after = state.copy()
+                after[rows] = HELD
+                yield after, len(state) + parts[0]
+            carriers = self._rule.carriers(parts, self._oracle)
+            for carrier in carriers if self._rule.leave_together(parts, state[None], apart=False)[0] else ():
+                after = state.copy()
+                after[rows] = INSTALLED
+                after[carrier] = HELD
+                yield after, len(state) + carrier
