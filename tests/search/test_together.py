@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import pickle
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
@@ -361,6 +362,15 @@ def test_parts_leave_along_different_directions() -> None:
     assert one.result.outcome is Outcome.PROVED_IMPOSSIBLE
     alone = find_plans(assembly, robots=2, removable_only_if_clear=True, stability=SETTINGS)
     assert alone.result.outcome is Outcome.PROVED_IMPOSSIBLE
+
+
+def test_a_structure_is_copied_without_what_was_found() -> None:
+    """Worker processes get it by pickle, which cannot take the collision shapes."""
+    assembly = diverging()
+    complete = np.where(assembly.boundary, 2, 1).astype(np.uint8)
+    for one in (assembly, pickle.loads(pickle.dumps(assembly)), assembly.replace(friction=0.3)):
+        assert one.clearance_of_sets.leave_together((0, 1), complete[None], apart=True).all()
+    assert assembly.replace(friction=0.3).clearance_of_sets is assembly.clearance_of_sets
 
 
 def test_no_proof_where_a_motion_may_have_been_missed(monkeypatch: pytest.MonkeyPatch) -> None:

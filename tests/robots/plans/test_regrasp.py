@@ -37,6 +37,7 @@ from falsework.search import Outcome, Task
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.problem.support_route import SupportRoute
 from falsework.search.problem.task import Direction
+from falsework.search.together.rule import LockedTogether
 from falsework.stability import Verdict, Verdicts
 from falsework.viewer.pictures.gantt import bars_of
 from tests.robots.plans.orders import APART
@@ -326,4 +327,7 @@ def test_rejected_input(sunk: Assembly, roofed: Cell, begun: dict) -> None:
         )
     task = replace(Task.create(sunk.boundary, 2, support=True), props=(NEAR,))
     with pytest.raises(InputError, match="robot plans have no props"):
+        plan_robots(sunk, roofed, task=task, settings=APART)
+    task = replace(Task.create(sunk.boundary, 2), together=LockedTogether(sunk, 2))
+    with pytest.raises(InputError, match="robot plans move one part at a time"):
         plan_robots(sunk, roofed, task=task, settings=APART)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +68,10 @@ class SetClearance:
         self._sets: dict[tuple[int, bytes], tuple[PartSet, ...]] = {}
         self._ways: dict[PartSet, _SetWays] = {}
 
+    def __reduce__(self) -> tuple[type[SetClearance], tuple[Any, ...]]:
+        """Pickle what it is made of; what was found is found again."""
+        return SetClearance, (self._meshes, self._contacts, self._singles, self._tolerance)
+
     def sets(self, movable: Mask, largest: int) -> tuple[PartSet, ...]:
         """Return the sets of two parts and more that may leave together from some state.
 
@@ -123,8 +128,8 @@ class SetClearance:
         return None if way is None else way.velocities.copy()
 
     def doubt(self, sets: Sequence[PartSet]) -> str:
-        """Explain why some sets may have unlisted exit directions; empty if all are exact."""
-        unsure = [parts for parts in sets if not self._ways_of(parts).exact]
+        """Explain why some sets that were asked about may have unlisted exits; empty if all are exact."""
+        unsure = [parts for parts in sets if parts in self._ways and not self._ways[parts].exact]
         diverging = [parts for parts in sets if parts in self._apart.unsure]
         if diverging and not unsure:
             names = " and ".join(self._meshes[part].name for part in diverging[0])
