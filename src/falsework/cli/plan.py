@@ -47,6 +47,7 @@ class MakePlan(Command):
     rare: ClassVar[tuple[str, ...]] = (
         "width",
         "search_from",
+        "guide",
         "seed",
         "cone",
         "solver",
@@ -80,6 +81,10 @@ class MakePlan(Command):
     search_from: Literal["both", "beginning", "end"] = "both"
     """Ends of the assembly from which to search: its beginning, the empty structure; its end, the complete one; or both
     in turn."""
+    guide: Annotated[str | None, arg(metavar="RUN", help_behavior_hint="(default: support)")] = None
+    """What proposes the actions that a search tries first: a trained policy, by the folder of its run, which is for this
+    structure or for any; `policy` for the one for any structure in the folder that FALSEWORK_POLICY names; or
+    `support`, parts with much support first."""
     seed: int = 0
     """Random seed; results are reproducible on one machine."""
     criterion: Literal["contact", "equilibrium"] = "contact"

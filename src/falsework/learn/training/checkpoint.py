@@ -122,7 +122,7 @@ def read_run(folder: Path) -> dict[str, Any]:
     if set(content) != _KEYS:
         odd = ", ".join(sorted(set(content) ^ _KEYS))
         raise InputError(f"{path} is not a valid {FORMAT} file: unexpected or absent entries {odd}")
-    wrong = _wrong_structure(content["structure"])
+    wrong = "" if content["structure"] is None else _wrong_structure(content["structure"])
     if wrong:
         raise InputError(f"{path} is not a valid {FORMAT} file: {wrong}; train again")
     return content
@@ -155,6 +155,8 @@ def load_structure_of(folder: Path, metadata: Mapping[str, Any]) -> Assembly:
     from falsework.assembly import library, load_structure
 
     structure = metadata["structure"]
+    if structure is None:
+        raise InputError(f"{folder} is a policy for any structure; name the structure that it is to be used for")
     source = dict(structure["source"])
     spec = source.pop("built_in", None)
     if spec is None:
@@ -178,7 +180,7 @@ def check_structure(folder: Path, metadata: Mapping[str, Any], assembly: Assembl
         InputError: it is another one.
     """
     trained = metadata["structure"]
-    if trained["identity"] != assembly.identity:
+    if trained is not None and trained["identity"] != assembly.identity:
         raise InputError(
             f"{folder} was trained for another structure ({trained['name']}, {trained['parts']} parts) than "
             f"{assembly.name} as it is now; train again, or give the structure of the run"
@@ -191,7 +193,7 @@ def load_run(folder: Path | str, device: torch.device | str = "cpu", *, assembly
     Args:
         folder: folder of the run.
         device: where the policy is to live.
-        assembly: the structure if it is at hand; it must be the one of the run.
+        assembly: the structure if it is at hand; it must be the one of the run, unless that is for any structure.
 
     Raises:
         InputError: no run, a damaged one, one of another version or structure, or no such device.
@@ -208,6 +210,7 @@ def load_run(folder: Path | str, device: torch.device | str = "cpu", *, assembly
             check_structure(folder, metadata, assembly)
         settings = settings_of(metadata)
         policy = make_policy(assembly, settings.policy, where)
+        policy.of_task(settings.robots, equilibrium=settings.criterion == "equilibrium")
         load_weights(policy, folder / WEIGHTS)
     return Run(folder, assembly, settings, policy.eval(), metadata)
 
