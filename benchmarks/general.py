@@ -83,7 +83,7 @@ class Options:
     channels: int = 0
     """Channels of the network; 0 for the default."""
     tokens: int = 0
-    """Parts of all states of a batch; 0: 65,536 on a GPU, 4,096 on a processor."""
+    """Parts of all states of a batch; 0: 131,072 on a GPU, 4,096 on a processor."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where to train."""
     seed: int = 0
@@ -252,7 +252,7 @@ def make(options: Options) -> None:
     device = choose_device(options.device)
     options.folder.mkdir(parents=True, exist_ok=True)
     policy = PolicySettings("local", layers=options.layers, channels=options.channels)
-    tokens = options.tokens or (65536 if device.type == "cuda" else 4096)
+    tokens = options.tokens or (131072 if device.type == "cuda" else 4096)
     settings = GeneralSettings(policy, seconds=60 * options.total, tokens=tokens, seed=options.seed)
     training = GeneralTraining(options.folder, settings, device)
     generator = Generator(Library.load(options.folder), options)

@@ -42,9 +42,9 @@ PUBLIC = (
     "topolite-tube-85", "ursula-6", "wall-38", "armadillo-399", "pavilion-vault-387",
 )  # fmt: skip
 """Structures that nobody here made."""
-_STATES, _SAMPLES, _WIDTH = 64, 16, 64
+_STATES, _SAMPLES, _WIDTH = 48, 16, 64
 """States tried from, at most; rollouts drawn from each; and width of the search that they come from."""
-_ROWS = 6000
+_ROWS = 4000
 """Parts of all states tried from: of large structures fewer are tried."""
 _SEARCH, _PLAN = 60.0, 60.0
 """Seconds for the states, and for each of the two plans."""

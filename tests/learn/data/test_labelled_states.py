@@ -84,7 +84,9 @@ def test_rollouts_add_states_and_report_success() -> None:
     assert 0 <= again.success <= 1
     assert first.success is None
     old = {row.tobytes(): actions for row, actions in zip(first.states, first.valid, strict=True)}
-    both = [(old[row.tobytes()], new) for row, new in zip(again.states, again.valid, strict=True) if row.tobytes() in old]
+    both = [
+        (old[row.tobytes()], new) for row, new in zip(again.states, again.valid, strict=True) if row.tobytes() in old
+    ]
     assert both
     assert all((before <= new).all() for before, new in both), "no label is lost"
 
@@ -120,7 +122,7 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no file"):
         load_labelled(tmp_path / "none.npz")
     np.savez(tmp_path / "odd.npz", a=np.zeros(3))
-    with pytest.raises(InputError, match="damaged or not a falsework.labelled/1 file"):
+    with pytest.raises(InputError, match=r"damaged or not a falsework\.labelled/1 file"):
         load_labelled(tmp_path / "odd.npz")
 
 

@@ -208,7 +208,7 @@ class _Layer(nn.Module):
         bias = self.bias(pair).masked_fill(~graph.taken[..., None], _LOW)[:, None]
         weight = (((query * key).sum(dim=-1) * key.shape[-1] ** -0.5).float() + bias.float()).softmax(dim=3)
         weight = (weight * graph.taken[:, None, ..., None]).to(x.dtype)
-        mixed = torch.einsum("msikh,msikhc->msihc", weight, value)
+        mixed = (weight.to(value.dtype)[..., None] * value).sum(dim=3)
         # What the contacts themselves say, weighted by the same attention.
         said = self.pair_value(pair).view(structures, parts, slots, self.heads, -1)
         mixed = (mixed + torch.einsum("msikh,mikhc->msihc", weight, said)).flatten(3)

@@ -69,7 +69,8 @@ class Policy(nn.Module):
     def of_task(self, robots: int, *, equilibrium: bool) -> Self:
         """Tell the policy how many parts may be held and under which criterion, and return it.
 
-        Only networks for many structures and tasks have an input for it.
+        Only networks for many structures and tasks have an input for it; others change nothing. A `PolicyGuide` with a
+        task says it itself.
         """
         return self
 

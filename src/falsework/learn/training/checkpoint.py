@@ -32,6 +32,10 @@ CHECKPOINT = Path("checkpoint") / "last.safetensors"
 DATA = "data.npz"
 SEARCHED = "searched.npz"
 
+GENERAL = "general"
+"""Name of the policy for any structure that comes with the package, in place of the folder of a run."""
+_COMES_WITH_PACKAGE = Path(__file__).resolve().parents[1] / "pretrained"
+
 _KEYS = {"format", "structure", "settings", "policy", "results", "versions"}
 
 
@@ -99,6 +103,12 @@ def save_run(folder: Path, policy: Policy, metadata: Mapping[str, Any]) -> None:
     write_run(folder, metadata)
 
 
+def run_folder(folder: Path | str) -> Path:
+    """Return the folder of a run; that of the package for the name `general`, unless there is a folder of this name."""
+    folder = Path(folder)
+    return _COMES_WITH_PACKAGE if str(folder) == GENERAL and not folder.exists() else folder
+
+
 def read_run(folder: Path) -> dict[str, Any]:
     """Read `run.json`.
 
@@ -106,6 +116,10 @@ def read_run(folder: Path) -> dict[str, Any]:
         InputError: no such folder, no run in it, damaged, or of another version.
     """
     path = folder / FILE
+    if folder == _COMES_WITH_PACKAGE and not folder.is_dir():
+        raise InputError(
+            "this installation has no policy for any structure; make one by benchmarks/general.py, and give its folder"
+        )
     if folder.is_file():
         raise InputError(f"{folder} is a file; a run is the folder that falsework train writes")
     if not folder.is_dir():
@@ -191,7 +205,7 @@ def load_run(folder: Path | str, device: torch.device | str = "cpu", *, assembly
     """Read a trained policy and the structure that it is for.
 
     Args:
-        folder: folder of the run.
+        folder: folder of the run, or `general` for the policy for any structure that comes with the package.
         device: where the policy is to live.
         assembly: the structure if it is at hand; it must be the one of the run, unless that is for any structure.
 
@@ -200,7 +214,7 @@ def load_run(folder: Path | str, device: torch.device | str = "cpu", *, assembly
     """
     from falsework.utils.tensors import choose_device
 
-    folder = Path(folder)
+    folder = run_folder(folder)
     where = choose_device(device) if isinstance(device, str) else device
     with blamed_on(folder, "train again"):
         metadata = read_run(folder)
