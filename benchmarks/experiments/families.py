@@ -124,7 +124,8 @@ def _brick(kind: str, low: float, high: float, bottom: float, height: float, dep
 
 def _cells(points: NDArray[np.float64], frame: shapely.Polygon) -> list[shapely.Polygon]:
     diagram = shapely.voronoi_polygons(shapely.MultiPoint(points), extend_to=frame)
-    return [cell for cell in (shapely.intersection(cell, frame) for cell in diagram.geoms) if not cell.is_empty]
+    cells = (shapely.intersection(cell, frame) for cell in diagram.geoms)
+    return [cell for cell in cells if isinstance(cell, shapely.Polygon)]
 
 
 def _on_ground(solids: list[Solid], depth: float) -> Assembly:

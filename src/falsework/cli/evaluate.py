@@ -141,8 +141,10 @@ class Evaluate(Command):
         from falsework.learn.training.checkpoint import load_run, read_run, run_folder
 
         folder = run_folder(self.folder)
-        alone = self.structure is None or read_run(folder)["structure"] is not None
-        trained = load_run(folder, device, assembly=None if alone else load_structure(self.structure))
+        assembly = None
+        if self.structure is not None and read_run(folder)["structure"] is None:
+            assembly = load_structure(self.structure)
+        trained = load_run(folder, device, assembly=assembly)
         if self.robots is None:
             return trained
         return replace(trained, settings=replace(trained.settings, robots=self.robots))

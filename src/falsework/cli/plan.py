@@ -157,7 +157,7 @@ class MakePlan(Command):
         if demands:  # a search that was saved under other margins is another search
             task = replace(task, identity=f"{task.identity} {demands}")
         demanding = oracle if isinstance(oracle, DemandingStability) else None
-        guide = None if self.guide is None else self._guide(assembly, task.judged_by(oracle))
+        guide = self._guide(assembly, task.judged_by(oracle))
         if demanding is not None and refuse_weak_end(demanding, task, output):
             return Exit.NO
         with output.search_progress() as report:
@@ -235,7 +235,9 @@ class MakePlan(Command):
         except ValueError:
             raise InputError(f"--robots is {self.robots!r}; give a number, or auto") from None
 
-    def _guide(self, assembly: Assembly, task: Task) -> Guide:
+    def _guide(self, assembly: Assembly, task: Task) -> Guide | None:
+        if self.guide is None:
+            return None
         from falsework.learn import load_run  # says what to install where torch is missing
         from falsework.replanning.policy_guide import PolicyGuide
 

@@ -253,8 +253,9 @@ def load_labelled(path: Path | str) -> tuple[list[LabelledStructure], dict[str, 
             ]
             states = bits[0][:, :parts] + 2 * bits[0][:, parts:]
             check_states(path, {"states": states}, parts, "make it anew")
-            pair = [arrays[name][slots] for name in _PAIR]
-            graph = from_rows(arrays["part"][mine], *pair, arrays["whole"][number], arrays["boundary"][mine])
+            own, place, other, pair, lever = (arrays[name][slots] for name in _PAIR)
+            whole, boundary = arrays["whole"][number], arrays["boundary"][mine]
+            graph = from_rows(arrays["part"][mine], own, place, other, pair, lever, whole, boundary)
             names = row["name"], row["family"], row["robots"], row["criterion"]
             found.append(LabelledStructure(*names, graph, states, bits[1].astype(bool), row["success"]))
             part_at, pair_at = mine.stop, slots.stop

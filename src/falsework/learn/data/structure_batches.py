@@ -92,8 +92,18 @@ class _Group:
         whole = np.stack([one.graph.whole for one in structures])
         asked = torch.stack([conditions(one.robots, one.criterion == "equilibrium") for one in structures])
         robots = torch.tensor([float(one.robots) for one in structures])
-        arrays = (part, neighbour, taken, pair, lever, whole, fixed, real)
-        self._graph = GraphTensors(*(put(array, device) for array in arrays), asked.to(device), robots.to(device))
+        self._graph = GraphTensors(
+            put(part, device),
+            put(neighbour, device),
+            put(taken, device),
+            put(pair, device),
+            put(lever, device),
+            put(whole, device),
+            put(fixed, device),
+            put(real, device),
+            asked.to(device),
+            robots.to(device),
+        )
 
         counts = np.array([len(one.states) for one in structures])
         self.total = int(counts.sum())

@@ -157,7 +157,7 @@ class _Pairs:
         normals = np.concatenate([-contacts.normals, contacts.normals])
 
         def total(values: NDArray[np.float64]) -> NDArray[np.float64]:
-            return np.bincount(back, values, len(unique))
+            return np.bincount(back, values, len(unique)).astype(np.float64)
 
         def totals(values: NDArray[np.float64]) -> NDArray[np.float64]:
             return np.stack([total(column) for column in values.T], axis=1)
@@ -166,7 +166,8 @@ class _Pairs:
         middle = totals(area[:, None] * np.tile(centre, (2, 1))) / areas[:, None]
         shift = ((np.tile(centre, (2, 1)) - middle[back]) ** 2).sum(axis=1)
         return _Pairs(
-            *unique.T,
+            unique[:, 0],
+            unique[:, 1],
             areas,
             totals(area[:, None] * normals),
             total(area * np.maximum(normals[:, 2], 0)),

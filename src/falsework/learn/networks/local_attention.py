@@ -137,9 +137,10 @@ class LocalAttention(nn.Module):
         )
         self.layers = nn.ModuleList(_Layer(channels, settings.heads, layers) for _ in range(layers))
         self.norm = nn.LayerNorm(channels)
-        self.action_head = nn.Sequential(nn.Linear(2 * channels, channels), nn.GELU(), nn.Linear(channels, 2))
-        self.value_head = nn.Sequential(nn.Linear(channels, channels), nn.GELU(), nn.Linear(channels, 1))
-        for head in (self.action_head[-1], self.value_head[-1]):
+        last = nn.Linear(channels, 2), nn.Linear(channels, 1)
+        self.action_head = nn.Sequential(nn.Linear(2 * channels, channels), nn.GELU(), last[0])
+        self.value_head = nn.Sequential(nn.Linear(channels, channels), nn.GELU(), last[1])
+        for head in last:
             nn.init.normal_(head.weight, std=0.01)
             nn.init.zeros_(head.bias)
 

@@ -17,7 +17,6 @@ from falsework.errors import FalseworkError, InputError
 from falsework.learn.config.train import TrainSettings, from_dict
 from falsework.learn.networks import policy as policies
 from falsework.learn.networks.factory import make_policy
-from falsework.learn.networks.policy import Policy
 from falsework.search.plans.plan_source import wrong_source
 from falsework.utils.files.damage import blamed_on
 from falsework.utils.files.output_file import write_whole
@@ -84,7 +83,7 @@ def write_run(folder: Path, metadata: Mapping[str, Any]) -> None:
     _write(folder / FILE, text.encode())
 
 
-def save_run(folder: Path, policy: Policy, metadata: Mapping[str, Any]) -> None:
+def save_run(folder: Path, policy: torch.nn.Module, metadata: Mapping[str, Any]) -> None:
     """Write the weights of a policy and `run.json`, each whole or not at all.
 
     Args:
