@@ -54,6 +54,8 @@ VALIDATION, VALIDATED = 1_000_000, 64
 """First number of the structures to validate on, and how many of them there are."""
 REPORT_EVERY = 30.0
 """Seconds of training between two looks at the data."""
+SAVE_EVERY, RESERVE = 120.0, 20.0
+"""Seconds between two times that all data are written, and for the last time at the end of a call."""
 IMPROVE_AFTER = 0.3
 """Share of the training after which the policy is rolled out."""
 
@@ -143,9 +145,9 @@ def number_of(one: LabelledStructure) -> int:
 class Generator:
     """Processes that label structures, new ones or known ones with rollouts of the policy."""
 
-    def __init__(self, library: Library, options: Options) -> None:
-        """Start the processes."""
-        self.library, self.options, self.improving = library, options, False
+    def __init__(self, library: Library, options: Options, *, improving: bool = False) -> None:
+        """Start the processes; they roll the policy out, too, if they are improving."""
+        self.library, self.options, self.improving = library, options, improving
         self._lock, self._closed = threading.Lock(), False
         self._draw = np.random.default_rng([options.seed, len(library.structures), time.time_ns() % 2**32])
         self._numbers = self._new_numbers()
@@ -255,11 +257,11 @@ def make(options: Options) -> None:
     tokens = options.tokens or (131072 if device.type == "cuda" else 4096)
     settings = GeneralSettings(policy, seconds=60 * options.total, tokens=tokens, seed=options.seed)
     training = GeneralTraining(options.folder, settings, device)
-    generator = Generator(Library.load(options.folder), options)
+    improving = training.progress >= IMPROVE_AFTER
+    generator = Generator(Library.load(options.folder), options, improving=improving)
     try:
-        # What is left of this call must do for the last validation and all files.
-        reserve = 15.0 if options.minutes > 1 else 5.0
-        while training.progress < 1.0 and (left := end - reserve - time.perf_counter()) > 0:
+        saved = time.perf_counter()
+        while training.progress < 1.0 and (left := end - RESERVE - time.perf_counter()) > 0:
             if generator.error is not None:
                 raise generator.error
             known = generator.snapshot()
@@ -274,6 +276,9 @@ def make(options: Options) -> None:
             training.save({"data": _counts(known), "validation": valid})
             row = {"steps": training.steps, "seconds": training.seconds, "progress": training.progress}
             memory = {"peak_gb": torch.cuda.max_memory_allocated(device) / 1e9} if device.type == "cuda" else {}
+            if time.perf_counter() - saved > SAVE_EVERY:
+                known.save()
+                saved = time.perf_counter()
             _log(options, {**row, "train": numbers, "validation": valid, **_counts(known), **memory})
     finally:
         generator.close()

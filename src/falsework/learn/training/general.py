@@ -146,7 +146,7 @@ class GeneralTraining:
         return dict(zip(names, (sums / max(count, 1)).tolist(), strict=True))
 
     @torch.no_grad()
-    def validate(self, batches: StructureBatches, count: int = 50) -> dict[str, float]:
+    def validate(self, batches: StructureBatches, count: int = 20) -> dict[str, float]:
         """Return `loss` and `share` of the averaged weights on structures that are not trained on, always the same."""
         network, generator = self.averaged(), torch.Generator(self.device).manual_seed(1)
         draw, sums = np.random.default_rng(1), torch.zeros(2, device=self.device)
