@@ -318,8 +318,6 @@ def test_the_answer_names_steps_of_several_parts(falsework: Run, tmp_path: Path)
         (("--parts-at-once", 2, "--missing", "1"), "--parts-at-once takes no --missing yet"),
         (("--parts-at-once", 2, "--robots", "auto"), "--parts-at-once takes no --robots auto yet"),
         (("--parts-at-once", 2, "--alternatives", 2), "--parts-at-once takes no --alternatives yet"),
-        (("--parts-at-once", 2, "--maximise", "tilt"), "--parts-at-once takes no --maximise yet"),
-        (("--parts-at-once", 2, "--judge"), "--parts-at-once takes no --judge yet"),
     ],
 )
 def test_parts_at_once_that_cannot_be_had(falsework: Run, tmp_path: Path, options: tuple, message: str) -> None:

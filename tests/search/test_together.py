@@ -40,6 +40,7 @@ from falsework.search import (
     validate_plan,
 )
 from falsework.search.find import task_of
+from falsework.search.margins.demands import DemandingStability, Demands
 from falsework.search.plans import plan_rules
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
 from falsework.search.problem.task import Direction
@@ -50,6 +51,7 @@ from falsework.search.together.rule import LockedTogether
 from falsework.search.together_beam import TogetherBeam
 from falsework.stability import Stability, StabilitySettings, Verdict, Verdicts
 from falsework.stability.holds import HoldSettings
+from falsework.stability.judges.build_judge import BuildJudge
 from falsework.viewer.appearance import appearance_at
 from falsework.viewer.timeline import Timeline
 
@@ -451,6 +453,17 @@ def test_the_shelf_opens_with_two_parts_at_once(shelf: Assembly, plan: Plan) -> 
     assert report.about is not None
     assert report.about.parts_at_once == 2
     assert validate_plan(replace(plan, displacement=None, torn=None), shelf).good
+
+
+def test_discrete_elements_build_it_too(shelf: Assembly, plan: Plan) -> None:
+    assert BuildJudge(shelf).judge(plan.states, plan.presses_before).stands
+
+
+def test_every_state_keeps_margins_that_are_asked_for(shelf: Assembly) -> None:
+    oracle = DemandingStability(shelf, StabilitySettings(), Demands.parse("tilt=2deg"))
+    found = find_plans(shelf, oracle=oracle, parts_at_once=2)
+    assert found.plans[0].parts_at_once == 2
+    assert oracle.keeps(found.plans[0].states).all()
 
 
 class EachHeld(LockedTogether):

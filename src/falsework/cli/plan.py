@@ -145,8 +145,6 @@ class MakePlan(Command):
                 "--robots auto": auto,
                 "--alternatives": self.alternatives > 1,
                 "--resume": self.resume,
-                "--maximise": self.maximise is not None,
-                "--judge": self.judge,
             }
         )
         demands = Demands() if self.margin is None else Demands.parse(self.margin)

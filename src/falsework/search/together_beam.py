@@ -171,8 +171,9 @@ class TogetherBeam:
         elif self.gave_up:
             limit = f"gave up after {STATE_LIMIT} states with up to {self.moves.largest} parts at once"
         elif not interrupted:
-            whole = not (self._left_out or self._refused)
-            outcome, limit = beam_failure(STATE_LIMIT, whole, judge.undecided, judge.sliding, self.moves.doubt)
+            outcome, limit = beam_failure(
+                STATE_LIMIT, not self._left_out, judge.undecided, judge.sliding, self.moves.doubt
+            )
         deepest, rejected = (
             np.array([_array(key) for key in keys[:_REPORTED_STATES]], dtype=np.uint8).reshape(-1, parts)
             for keys in (self._deepest, self._rejected)
