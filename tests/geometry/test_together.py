@@ -11,6 +11,7 @@ from falsework.errors import InputError
 from falsework.geometry import clearance_table, find_contacts
 from falsework.geometry.clearance import locked
 from falsework.geometry.clearance.directions import sphere_directions
+from falsework.geometry.clearance.first_motions import can_begin_to_move
 from falsework.geometry.clearance.locked import LockedSets
 from falsework.geometry.clearance.sweep import Sweeper
 from falsework.geometry.clearance.together import SetClearance
@@ -122,6 +123,26 @@ def test_regions_where_many_circles_meet(shapes):
     normals = np.array(normals) / np.linalg.norm(normals, axis=1)[:, None]
     directions = locked._one_in_each_cell(normals)
     assert len({tuple(side) for side in (directions @ normals.T > 0).tolist()}) == 48
+
+
+def test_a_block_that_can_turn_but_not_shift(shapes):
+    """Below one half a floor, above the other a ceiling, and walls likewise: it turns about its middle."""
+    walls = [((0.5, 0, -1), (1, 1, 0)), ((0, 0, 1), (0.5, 1, 2)), ((-1, 0, 0), (0, 1, 0.5)), ((1, 0, 0.5), (2, 1, 1))]
+    sides = [((-1, -1, -1), (2, 0, 2)), ((-1, 1, -1), (2, 2, 2))]
+    for ceiling, turns in ((0.5, True), (1.0, False)):
+        walls[1] = ((0, 0, 1), (ceiling, 1, 2))
+        meshes = [shapes.box((0, 0, 0), (1, 1, 1)), *(shapes.box(low, high) for low, high in walls + sides)]
+        contacts = find_contacts(meshes)
+        assert can_begin_to_move(contacts, (0,), np.ones(7, dtype=bool)) is turns
+        assert not clearance_table(meshes, contacts, tolerance=TOLERANCE).can_leave(np.ones((1, 7), np.uint8))[0, 0]
+        assert can_begin_to_move(contacts, (0,), np.arange(7) != 6), "out at the side"
+
+
+def test_a_part_that_touches_nothing_can_begin_to_move(shapes):
+    meshes = [shapes.box((0, 0, 0), (1, 1, 1)), shapes.box((1, 0, 0), (2, 1, 1))]
+    contacts = find_contacts(meshes)
+    assert can_begin_to_move(contacts, (0,), np.array([True, False]))
+    assert can_begin_to_move(contacts, (0, 1), np.array([True, True]))
 
 
 def test_too_many_sets_are_refused(shapes, monkeypatch):

@@ -307,7 +307,9 @@ def test_three_parts_that_leave_only_together(robots: int) -> None:
     assembly = assembly_of(bars, frame)
     assert Enumeration(bars, robots, 2, fixed=frame).plans() == 0
     two = TogetherBeam(task_of(assembly, robots, parts_at_once=2), EveryStateStands(), Direction.DISASSEMBLY)
-    assert two.run(64).outcome is Outcome.PROVED_IMPOSSIBLE
+    result = two.run(64)
+    assert result.outcome is Outcome.PROVED_IMPOSSIBLE
+    assert result.notes == ("no part there, and no set of up to 2, can begin to move, not even by turning",)
     expected = Enumeration(bars, robots, 3, fixed=frame).plans()
     assert plans_of(task_of(assembly, robots, parts_at_once=3), EveryStateStands()) == expected > 0
 

@@ -178,6 +178,9 @@ class TogetherBeam:
             np.array([_array(key) for key in keys[:_REPORTED_STATES]], dtype=np.uint8).reshape(-1, parts)
             for keys in (self._deepest, self._rejected)
         )
+        # Where a disassembly ends, turns or ways in several moves might lead on.
+        ends = outcome is Outcome.PROVED_IMPOSSIBLE and self.direction is Direction.DISASSEMBLY and len(rejected) == 0
+        notes = (self.moves.first_motions(deepest[0]),) if ends else ()
         return SearchResult(
             outcome=outcome,
             routes=(self._route(),) if self.found else (),
@@ -192,6 +195,7 @@ class TogetherBeam:
             limit=limit,
             undecided=judge.undecided,
             sliding=judge.sliding,
+            notes=notes,
         )
 
     def _next_stage(self) -> None:

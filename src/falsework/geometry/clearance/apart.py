@@ -112,13 +112,17 @@ class ApartMotions:
         found: list[Array] = []
         for part in range(count):
             # Scaled by the velocity of this part, and by the largest of all.
-            some = [_solution(into, slack, sign * axis, np.eye(3 * count)) for axis in units[part] for sign in (1, -1)]
+            some = [
+                feasible_velocities(into, slack, sign * axis, np.eye(3 * count))
+                for axis in units[part]
+                for sign in (1, -1)
+            ]
             some = [velocity for velocity in some if velocity is not None]
             if not some:
                 return []
             found += some
         relative = np.concatenate([units[a] - units[b] for a, b in combinations(range(count), 2)])
-        apart = [_solution(into, slack, sign * row, relative) for row in relative for sign in (1, -1)]
+        apart = [feasible_velocities(into, slack, sign * row, relative) for row in relative for sign in (1, -1)]
         apart = [velocity for velocity in apart if velocity is not None]
         if not apart:
             return []
@@ -155,7 +159,7 @@ class ApartMotions:
         return bool(self._sweeper.blocked(a, between[None] / size, only)[0, b])
 
 
-def _solution(into: Array, slack: float, fixed: Array, bounded: Array) -> Array | None:
+def feasible_velocities(into: Array, slack: float, fixed: Array, bounded: Array) -> Array | None:
     """Return velocities for which one combination is 1 and others are at most 1 in size, and no contact is pushed into.
 
     Args:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from falsework.geometry.clearance.apart import ApartMotions
 from falsework.geometry.clearance.directions import exit_directions
 from falsework.geometry.clearance.exhaustion import all_ways
+from falsework.geometry.clearance.first_motions import can_begin_to_move
 from falsework.geometry.clearance.locked import LockedSets, PartSet
 from falsework.geometry.clearance.sweep import Sweeper
 from falsework.geometry.clearance.table import ClearanceTable
@@ -126,6 +127,10 @@ class SetClearance:
             return np.repeat(ways.directions[free[:1]], len(parts), axis=0)
         way = self._apart.way(parts, np.asarray(state) > 0)
         return None if way is None else way.velocities.copy()
+
+    def can_begin_to_move(self, parts: PartSet, state: NDArray[np.uint8]) -> bool:
+        """Return whether all of some parts can begin to move in a state, shape (parts,); see `first_motions`."""
+        return can_begin_to_move(self._contacts, parts, np.asarray(state) > 0)
 
     def doubt(self, sets: Sequence[PartSet]) -> str:
         """Explain why some sets that were asked about may have unlisted exits; empty if all are exact."""

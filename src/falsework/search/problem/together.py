@@ -33,6 +33,14 @@ class Together(Protocol):
         """Return the parts by which one robot can carry a set."""
         ...
 
+    def can_begin_to_move(self, parts: PartSet, state: States) -> bool:
+        """Return whether all of some parts can begin to move in a state, by shifting and turning."""
+        ...
+
+    def name(self, parts: PartSet) -> str:
+        """Return the names of some parts."""
+        ...
+
     def doubt(self, sets: tuple[PartSet, ...]) -> str:
         """Explain why the absence of a plan would not be proven; empty if it would be."""
         ...

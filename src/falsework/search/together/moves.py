@@ -12,6 +12,9 @@ from falsework.search.problem.deadline import DeadlineExceeded
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.task import Direction, Task
 
+_NAMED = 3
+"""Sets that are named in words at most."""
+
 
 class TogetherMoves:
     """Moves of a task with several parts in one step.
@@ -56,6 +59,16 @@ class TogetherMoves:
     def doubt(self) -> str:
         """Why the absence of a plan would not be proven; empty if it would be."""
         return self.task.doubt or self._rule.doubt(self.sets)
+
+    def first_motions(self, state: States) -> str:
+        """Say which parts, and sets of parts that lock each other, can begin to move in a state, shape (parts,)."""
+        there = np.flatnonzero((state != REMOVED) & self.removable)
+        sets = [(part,) for part in there.tolist()] + [parts for parts in self.sets if np.isin(parts, there).all()]
+        movable = [parts for parts in sets if self._rule.can_begin_to_move(parts, state)]
+        if not movable:
+            return f"no part there, and no set of up to {self.largest}, can begin to move, not even by turning"
+        names = ", ".join(self._rule.name(parts) for parts in movable[:_NAMED])
+        return f"what can begin to move there finds no straight way out: {names}{', ...' * (len(movable) > _NAMED)}"
 
     def _check_time(self) -> None:
         if self.stop is not None and self.stop():

@@ -59,6 +59,14 @@ class LockedTogether:
             self._carriers[parts, settings] = found
         return self._carriers[parts, settings]
 
+    def can_begin_to_move(self, parts: PartSet, state: States) -> bool:
+        """Return whether all of some parts can begin to move in a state, by shifting and turning."""
+        return self._assembly.clearance_of_sets.can_begin_to_move(parts, state)
+
+    def name(self, parts: PartSet) -> str:
+        """Return the names of some parts."""
+        return " with ".join(self._assembly.names[part] for part in parts)
+
     def doubt(self, sets: tuple[PartSet, ...]) -> str:
         """Explain why the absence of a plan would not be proven; empty if it would be."""
         return self._assembly.clearance_of_sets.doubt(sets)
