@@ -14,7 +14,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.errors import InputError, StateError
 from falsework.replanning.named_state import named_state
-from falsework.search.plans.plan_file import plan_schema
+from falsework.search.plans.plan_model import plan_schema
 from falsework.service.settings import LONGEST_DEADLINE, ServiceSettings
 from falsework.service.worker import NOT_YET
 from falsework.stability.holds import FORCE_WEIGHTS, HoldSettings, limits_of

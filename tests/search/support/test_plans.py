@@ -76,7 +76,7 @@ def test_files(regrasped: Plan, tmp_path: Path) -> None:
     with pytest.raises(PlanError, match="does 'hold' with part"):
         plan_from_dict(data)
     data["rules"]["support"] = 1
-    with pytest.raises(PlanError, match=r"rules\.support must be true or false"):
+    with pytest.raises(PlanError, match=r"rules\.support is 1; give true or false"):
         plan_from_dict(data)
 
 
@@ -196,9 +196,9 @@ def test_damaged_files_of_props(propped: Plan) -> None:
         return str(error.value)
 
     entry = len(propped.boundary) - 1
-    assert "is not a list" in damaged(lambda data: data["structure"].update(props=3))
-    assert "has no place" in damaged(lambda data: data["structure"]["props"][0].update(at=[0, 0]))
-    assert "is under part" in damaged(lambda data: data["structure"]["props"][0].update(part=entry))
+    assert "structure.props is 3; give a list" in damaged(lambda data: data["structure"].update(props=3))
+    assert "structure.props[0].at is [0, 0]; give a list of length >= 3" in damaged(lambda data: data["structure"]["props"][0].update(at=[0, 0]))
+    assert "structure.props[0].part is" in damaged(lambda data: data["structure"]["props"][0].update(part=entry))
     assert "rules.props" in damaged(lambda data: data["rules"].update(props=-1))
     assert "neither there nor away" in damaged(lambda data: data["start"]["state"].__setitem__(entry, 1))
     first = damaged(lambda data: data["steps"][0].update(do="hold", part=entry))

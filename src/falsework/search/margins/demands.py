@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -30,7 +31,7 @@ _KINDS: dict[str, str] = {
     "load": "force",
     "placement": "length",
 }
-STEEPEST = np.radians(80)
+STEEPEST = math.radians(80)
 """Tilt that is too steep to be demanded, rad."""
 _CORNERS = 8
 """Horizontal directions that are checked, each so far out that their polygon encloses the required circle: if a state
@@ -74,22 +75,6 @@ class Demands:
             given[name] = parse_quantity(quantity, _KINDS[name], f"{option} {name}")
             _check_range(name, given[name], f"{option} {name}")
         return cls(**given)
-
-    @classmethod
-    def read(cls, value: Any, place: str) -> Demands:
-        """Read what `to_dict` wrote.
-
-        Raises:
-            InputError: anything else.
-        """
-        names = [field.name for field in fields(cls)]
-        if not isinstance(value, dict) or not set(value) <= set(names):
-            raise InputError(f"{place} must be an object with {', '.join(names)}")
-        for key, number in value.items():
-            if isinstance(number, bool) or not isinstance(number, (int, float)) or not 0 < number < np.inf:
-                raise InputError(f"{place}.{key} is {number!r}; it must be a number above zero")
-            _check_range(key, float(number), f"{place}.{key}")
-        return cls(**{key: float(number) for key, number in value.items()})
 
     def to_dict(self) -> dict[str, float]:
         """Return the required margins, in SI units."""

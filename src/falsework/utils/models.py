@@ -1,0 +1,181 @@
+"""Models of files: strict reading of untrusted values with messages of one line, and the JSON Schemas of files."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping
+from difflib import get_close_matches
+from os import PathLike, fspath
+from typing import Any, TypeVar
+
+from msgspec import Struct, ValidationError, convert, inspect, json
+
+from falsework.errors import InputError
+
+Kind = TypeVar("Kind")
+
+_SHOWN = 60
+"""Characters of a wrong value that a message repeats."""
+_WORDS = {
+    "int": "a whole number",
+    "float": "a number",
+    "str": "a text",
+    "bool": "true or false",
+    "array": "a list",
+    "object": "an object",
+    "null": "null",
+}
+"""Types of a model in messages."""
+
+
+class Model(Struct, forbid_unknown_fields=True, frozen=True, kw_only=True, omit_defaults=True):
+    """Base of the models of files: keys of its fields only, those with a default may be missing."""
+
+
+def read_model(
+    kind: type[Kind], data: Any, about: str, error: Callable[[str], InputError], where: str = "", remedy: str = ""
+) -> Kind:
+    """Convert plain values, such as those of JSON or TOML, to a model.
+
+    Args:
+        kind: a `Model`.
+        data: the values; nothing is converted that is not exact.
+        about: beginning of messages, with the name of the file.
+        error: makes the error of a message.
+        where: path of the values within the file.
+        remedy: end of messages about missing and unknown keys.
+
+    Raises:
+        InputError: what `error` makes of a message with the path of the first wrong value, the value, and what is
+            expected; also if a number is not finite.
+    """
+    try:
+        if place := _not_finite(data):
+            raise error(f"{about}{_join(where, place)} is not finite; give a number")
+        return convert(data, kind)
+    except OverflowError:
+        raise error(f"{about}a number in it does not fit into 64 bits; give a smaller one") from None
+    except ValidationError as wrong:
+        raise error(about + _message(kind, data, str(wrong), where, remedy)) from None
+
+
+def model_schema(kind: type[Model], identifier: str, title: str, description: str) -> dict[str, Any]:
+    """Return the JSON Schema (2020-12) of a model.
+
+    Args:
+        kind: the model of the file.
+        identifier: name of the schema at the address of all of them.
+        title, description: of the file.
+    """
+    schema = json.schema(kind)
+    about = {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$id": f"https://falsework.dev/schema/{identifier}.json",
+        "title": title,
+        "description": description,
+    }
+    own = schema["$defs"].pop(kind.__name__)
+    return json.decode(json.encode({**own, **about, "$defs": schema["$defs"]}))
+
+
+def plain(value: Any) -> Any:
+    """Return a value that a caller gave as a file would have it: lists for tuples and arrays, texts for paths."""
+    if isinstance(value, Mapping):
+        return {key: plain(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(entry) for entry in value]
+    if isinstance(value, PathLike):
+        return fspath(value)
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
+def unknown_key(key: str, known: Iterable[str]) -> str:
+    """Return what is wrong with a key that is not known, with the most similar known one."""
+    near = get_close_matches(key, known := sorted(known), 1)
+    return f"is not known; did you mean {near[0]}?" if near else f"is not known; known are {', '.join(known)}"
+
+
+def shown(value: Any) -> str:
+    """Return a value of a file as messages repeat it: short, and without control characters."""
+    text = ascii(value)
+    return text if len(text) <= _SHOWN else f"{text[: _SHOWN - 3]}..."
+
+
+def _message(kind: Any, data: Any, text: str, where: str, remedy: str) -> str:
+    """Return the message of msgspec with the value that was found, and what is expected there."""
+    what, _, path = text.partition(" - at `")
+    steps = re.findall(r"\.(\w+)|\[(\d+)\]", path.partition("[...]")[0])
+    place, value, known = where, data, inspect.type_info(kind)
+    for name, number in steps:
+        place = f"{place}[{number}]" if number else _join(place, name)
+        value, known = value[int(number) if number else name], _inside(known, name)
+    key = re.search(r"field `(.+)`", what)
+    if key and what.startswith("Object missing"):
+        return f"{_join(place, key[1])} is missing{remedy}"
+    if key:
+        fields = [field.encode_name for entry in _kinds(known) for field in getattr(entry, "fields", ())]
+        return f"{_join(place, key[1])} {unknown_key(key[1], fields)}{remedy}"
+    expected = what.removeprefix("Expected ").partition(", got")[0]
+    options = [str(option) for entry in _kinds(known) for option in _options(entry)]
+    expected = f"one of {', '.join(options)}" if options else _in_words(expected) + _purpose(known)
+    return f"{place or 'the content'} is {shown(value)}; give {expected}"
+
+
+def _join(place: str, name: str) -> str:
+    return f"{place}.{name}" if place and not name.startswith("[") else place + name
+
+
+def _in_words(expected: str) -> str:
+    """Return a type as msgspec writes it, such as "`float | null` >= 0.0", in words."""
+    kinds, _, bound = expected.removeprefix("`").partition("`")
+    return " or ".join(_WORDS.get(kind, kind) for kind in kinds.split(" | ")) + re.sub(r"\.0$", "", bound)
+
+
+def _kinds(kind: Any) -> list[Any]:
+    """Return the types that a type stands for."""
+    if isinstance(kind, inspect.Metadata):
+        return _kinds(kind.type)
+    return list(kind.types) if isinstance(kind, inspect.UnionType) else [kind]
+
+
+def _inside(kind: Any, name: str) -> Any:
+    """Return the type of a field of an object, or without a name, of the elements of a list."""
+    for entry in _kinds(kind):
+        found = [field.type for field in getattr(entry, "fields", ()) if field.encode_name == name]
+        found += [getattr(entry, "item_type", None)] if not name else []
+        if found:
+            return found[0]
+    return None
+
+
+def _options(kind: Any) -> tuple[Any, ...]:
+    if isinstance(kind, inspect.Metadata):
+        return _options(kind.type)
+    return tuple(kind.cls) if isinstance(kind, inspect.EnumType) else getattr(kind, "values", ())
+
+
+def _purpose(kind: Any) -> str:
+    """Return the first clause of the description of a type."""
+    schema = (kind.extra_json_schema or {}) if isinstance(kind, inspect.Metadata) else {}
+    text = re.split(r"[.;] |\.$", schema.get("description", ""))[0]
+    text = text[:1].lower() + text[1:] if text[1:2].islower() else text
+    return f" ({text})" if text else ""
+
+
+def _not_finite(value: Any, place: str = "") -> str:
+    """Return the path of the first number that is not finite; empty if there is none."""
+    if type(value) is float:
+        return "" if math.isfinite(value) else place or "the content"
+    if isinstance(value, list):
+        try:  # of lists of numbers, most of a file
+            if math.isfinite(sum(value)):
+                return ""
+        except (TypeError, OverflowError):
+            pass
+        inside: Iterable[tuple[str, Any]] = ((f"{place}[{index}]", entry) for index, entry in enumerate(value))
+    elif isinstance(value, dict):
+        inside = ((_join(place, str(key)), entry) for key, entry in value.items())
+    else:
+        return ""
+    return next((found for name, entry in inside if (found := _not_finite(entry, name))), "")
