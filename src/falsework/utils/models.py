@@ -29,7 +29,7 @@ _WORDS = {
 """Types of a model in messages."""
 
 
-class Model(Struct, forbid_unknown_fields=True, frozen=True, kw_only=True, omit_defaults=True):
+class Model(Struct, forbid_unknown_fields=True, frozen=True, omit_defaults=True):
     """Base of the models of files: keys of its fields only, those with a default may be missing."""
 
 
@@ -117,7 +117,11 @@ def _message(kind: Any, data: Any, text: str, where: str, remedy: str) -> str:
         fields = [field.encode_name for entry in _kinds(known) for field in getattr(entry, "fields", ())]
         return f"{_join(place, key[1])} {unknown_key(key[1], fields)}{remedy}"
     expected = what.removeprefix("Expected ").partition(", got")[0]
-    options = [str(option) for entry in _kinds(known) for option in _options(entry)]
+    if what.startswith("Invalid value"):  # of the key that tells which of several objects it is
+        known = None
+        options = [entry.tag for entry in _kinds(inspect.type_info(kind))]
+    else:
+        options = [str(option) for entry in _kinds(known) for option in _options(entry)]
     expected = f"one of {', '.join(options)}" if options else _in_words(expected) + _purpose(known)
     return f"{place or 'the content'} is {shown(value)}; give {expected}"
 

@@ -24,10 +24,10 @@ from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import (
     load_robot_plan,
     robot_plan_from_dict,
-    robot_plan_schema,
     robot_plan_to_dict,
     save_robot_plan,
 )
+from falsework.robots.plans.robot_plan_model import robot_plan_schema
 from falsework.robots.plans.timeline import interruption
 from falsework.robots.schedule.build import schedule_plan
 from falsework.search import Direction, Task

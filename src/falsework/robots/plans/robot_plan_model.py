@@ -74,7 +74,8 @@ class StepEntry(Model):
     hands_over: Annotated[
         Part,
         Meta(
-            description="Part of a hand-over, which has no action of the plan: two robots hold it between its two steps."
+            description="Part of a hand-over, which has no action of the plan: two robots hold it between its two "
+            "steps."
         ),
     ] = None
     put_down: Annotated[

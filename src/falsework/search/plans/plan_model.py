@@ -410,15 +410,13 @@ class PlanFile(Model):
     replay: ReplayEntry | None = None
     margins: MarginsEntry | None = None
     displacements: DisplacementsEntry | None = None
-    forces: Annotated[
-        ForcesEntry | None, Meta(extra_json_schema=_one_of("zlib_base64", "changes_zlib_base64"))
-    ] = None
+    forces: Annotated[ForcesEntry | None, Meta(extra_json_schema=_one_of("zlib_base64", "changes_zlib_base64"))] = None
 
 
 def plan_schema() -> dict[str, Any]:
     """Return the JSON Schema (2020-12) of plan files."""
     about = (
-        "The steps in which a structure of rigid parts is assembled, every state of it proven stable. Units are SI. Who "
-        "takes the structure apart undoes the last step first."
+        "The steps in which a structure of rigid parts is assembled, every state of it proven stable. Units are SI. "
+        "Who takes the structure apart undoes the last step first."
     )
     return model_schema(PlanFile, "plan-4", "falsework plan, version 4", about) | _HELD_AGAIN_ONLY_WITH_SUPPORT

@@ -1,4 +1,4 @@
-"""Checks of plan files beyond their model: parts exist, the rules hold, and the steps lead from the start to the end."""
+"""Checks of plan files beyond their model: parts exist, rules hold, and the steps lead from the start to the end."""
 
 from __future__ import annotations
 

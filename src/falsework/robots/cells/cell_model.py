@@ -1,0 +1,222 @@
+"""Model of cell files, from which reading, messages and the JSON Schema derive."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, TypeVar
+
+import numpy as np
+from msgspec import Meta
+from numpy.typing import NDArray
+
+from falsework.errors import CellError
+from falsework.robots.model.cell import Margins, Signals
+from falsework.robots.model.shapes import pose
+from falsework.utils.models import Model, model_schema, read_model
+
+Array = NDArray[np.float64]
+Kind = TypeVar("Kind")
+
+FORMAT = "falsework.cell/1"
+
+Text = Annotated[str, Meta(min_length=1)]
+Vector = Annotated[list[float], Meta(min_length=3, max_length=3)]
+Length = Annotated[float, Meta(ge=1e-4)]
+Limit = Annotated[float, Meta(ge=0)]
+_MARGINS, _SIGNALS = Margins(), Signals()
+
+
+class PoseEntry(Model):
+    """Position and rotation."""
+
+    position: Annotated[Vector | None, Meta(description="Metres; the origin if not given.")] = None
+    rpy: Annotated[Vector | None, Meta(description="Roll, pitch and yaw about fixed axes, degrees.")] = None
+    yaw: Annotated[float | None, Meta(description="Rotation about z instead of rpy, degrees.")] = None
+
+
+class BoxEntry(Model):
+    """Box between two corners."""
+
+    low: Annotated[Vector, Meta(description="Metres.")]
+    high: Annotated[Vector, Meta(description="Metres, every coordinate above that of low.")]
+
+
+class CylinderEntry(Model):
+    """Cylinder along z."""
+
+    radius: Annotated[float, Meta(ge=1e-4, description="Metres.")]
+    low: Annotated[float, Meta(description="Height of its lower end, metres.")]
+    high: Annotated[float, Meta(description="Height of its upper end, metres.")]
+
+
+class ShapeEntry(PoseEntry):
+    """Box, cylinder or both, at a pose."""
+
+    box: BoxEntry | None = None
+    cylinder: CylinderEntry | None = None
+
+
+class _GripperEntry(Model, tag_field="kind"):
+    payload: Annotated[float, Meta(ge=0, description="Largest mass that it lifts, kg.")]
+    shapes: Annotated[list[ShapeEntry], Meta(min_length=1, description="Its bodies, for collision checks.")]
+    tool: Annotated[PoseEntry, Meta(description="Frame whose origin touches the part, in the frame of the flange.")] = (
+        PoseEntry()
+    )
+    mass: Annotated[float, Meta(ge=0, description="Kg.")] = 0.0
+    force: Annotated[Limit | None, Meta(description="Largest force that it bears, N.")] = None
+    moment: Annotated[Limit | None, Meta(description="Largest moment that it bears, N m.")] = None
+    center_of_mass: Annotated[Vector | None, Meta(description="In the frame of the flange, metres.")] = None
+    inertia: Annotated[
+        Annotated[list[float], Meta(min_length=3, max_length=6)] | None,
+        Meta(description="Ixx, Iyy, Izz, and if needed Ixy, Ixz, Iyz, about the centre of mass, kg m2."),
+    ] = None
+
+
+class SuctionEntry(_GripperEntry, tag="suction", kw_only=True):
+    """Suction gripper."""
+
+    cup: Annotated[float, Meta(ge=1e-4, description="Radius of the cup, metres.")]
+
+
+class JawEntry(_GripperEntry, tag="jaw", kw_only=True):
+    """Gripper with two parallel jaws."""
+
+    opening: Annotated[float, Meta(ge=1e-4, description="Largest opening, metres.")]
+    depth: Annotated[float, Meta(ge=1e-4, description="Contact length of the jaws along z, metres.")]
+
+
+GripperEntry = SuctionEntry | JawEntry
+
+
+class PlaceEntry(Model):
+    """Place at which parts may be put down, in the frame of the base of the robot."""
+
+    position: Annotated[Vector, Meta(description="Metres.")]
+
+
+class SignalsEntry(Model):
+    """Settings of the controller."""
+
+    grip: Annotated[Text | None, Meta(description="Digital output that closes the gripper.")] = None
+    closed: Annotated[Literal[0, 1], Meta(description="Level of the output at which the gripper is closed.")] = (
+        1 if _SIGNALS.closed else 0
+    )
+    seconds: Annotated[float, Meta(ge=0, le=60, description="Time that the gripper takes.")] = _SIGNALS.seconds
+    address: Annotated[Text | None, Meta(description="Network address of the controller.")] = None
+
+
+class RobotEntry(Model):
+    """Robot: arm, base, gripper, home, places and settings of the controller."""
+
+    name: Text
+    model: Annotated[Text, Meta(description="Built-in arm, or path of a URDF file.")]
+    gripper: Annotated[Text, Meta(description="Name of a gripper of the cell.")]
+    base: Annotated[PoseEntry, Meta(description="Pose of the base in the world.")] = PoseEntry()
+    base_link: Text | None = None
+    tip_link: Text | None = None
+    srdf: Annotated[Text | None, Meta(description="Path of an SRDF file.")] = None
+    joint_limits: Annotated[Text | None, Meta(description="Path of a joint_limits.yaml.")] = None
+    home: Annotated[
+        list[float] | dict[str, float] | str | None,
+        Meta(description="Joint values, all or by joint, degrees or metres, or the name of a state of the SRDF."),
+    ] = None
+    acceleration: Annotated[list[float] | None, Meta(description="Of every joint, degrees or metres per s2.")] = None
+    places: list[PlaceEntry] = []
+    maker: Annotated[Text | None, Meta(description="Maker of the arm.")] = None
+    signals: SignalsEntry = SignalsEntry()
+
+
+class ObstacleEntry(ShapeEntry, kw_only=True):
+    """Obstacle."""
+
+    name: Text
+
+
+class PlacementEntry(Model):
+    """Place of the structure in the cell."""
+
+    position: Annotated[Vector | None, Meta(description="Metres; the origin if not given.")] = None
+    yaw: Annotated[float, Meta(description="Degrees.")] = 0.0
+    scale: Annotated[float, Meta(ge=1e-6)] = 1.0
+    density: Annotated[Annotated[float, Meta(ge=1e-6)] | None, Meta(description="kg/m3, of every part.")] = None
+
+
+class MarginsEntry(Model):
+    """Distances that motions keep."""
+
+    free: Annotated[float, Meta(ge=0.0005, le=1, description="Clearance of free motions, metres.")] = _MARGINS.free
+    line: Annotated[float, Meta(ge=0, le=1, description="Clearance of the straight motions of a part, metres.")] = (
+        _MARGINS.line
+    )
+    approach: Annotated[
+        float, Meta(ge=0.001, le=10, description="Length of the straight motion to a part, metres.")
+    ] = _MARGINS.approach
+
+
+class CellFile(Model, kw_only=True):
+    """Cell file."""
+
+    format: str = FORMAT
+    name: Text | None = None
+    structure: PlacementEntry = PlacementEntry()
+    margins: MarginsEntry = MarginsEntry()
+    speed: Annotated[float, Meta(ge=0.001, le=1, description="Share of the largest joint velocities.")] = 1.0
+    floor: Annotated[bool | float, Meta(description="Height of the floor, metres; false for none.")] = 0.0
+    grippers: dict[str, GripperEntry] = {}
+    robots: list[RobotEntry]
+    obstacles: list[ObstacleEntry] = []
+
+
+@dataclass(frozen=True)
+class Place:
+    """Place in a cell file, for messages."""
+
+    source: str
+    where: str = ""
+
+    def name(self, key: str) -> str:
+        """Return a key as messages call it, such as `robots[0].base`."""
+        return f"{self.where}.{key}" if self.where and key else self.where + key
+
+    def inside(self, key: str) -> Place:
+        """Return the place of a key."""
+        return Place(self.source, self.name(key))
+
+    def fail(self, key: str, problem: str) -> CellError:
+        """Return an error about a key."""
+        return CellError(f"{self.source}: {self.name(key)} {problem}")
+
+    def read(self, kind: type[Kind], values: Any) -> Kind:
+        """Return plain values as a model.
+
+        Raises:
+            CellError: a key that is missing, unknown or wrong.
+        """
+        return read_model(kind, values, f"{self.source}: ", CellError, self.where)
+
+
+def pose_of(entry: PoseEntry, place: Place) -> Array:
+    """Return the pose of an entry, shape (4, 4).
+
+    Raises:
+        CellError: yaw beside roll, pitch and yaw.
+    """
+    if entry.yaw is not None and entry.rpy is not None:
+        raise place.fail("yaw", "is given beside rpy; give one of them")
+    made = np.array(pose(entry.position or (0.0, 0.0, 0.0)))
+    roll, pitch, yaw = np.radians(entry.rpy or [0.0, 0.0, entry.yaw or 0.0])
+    cx, sx, cy, sy, cz, sz = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
+    made[:3, :3] = [
+        [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
+        [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
+        [-sy, cy * sx, cy * cx],
+    ]
+    return made
+
+
+def cell_schema() -> dict[str, Any]:
+    """Return the JSON Schema (2020-12) of cell files, which editors of TOML use too."""
+    about = (
+        "Robots with their grippers and surroundings. Lengths are in metres, angles in degrees, masses in kilograms."
+    )
+    return model_schema(CellFile, "cell-1", "falsework cell, version 1", about)
