@@ -4,43 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from msgspec import Meta
 from numpy.typing import ArrayLike, NDArray
 
+from falsework.assembly.assembly_model import Earthquake, LoadEntry
 from falsework.assembly.part_numbers import part_id
 from falsework.errors import AssemblyError
-from falsework.utils.models import Model, plain, read_model
+from falsework.utils.models import plain, read_model
 
 Array = NDArray[np.float64]
 
 GRAVITY = 9.81
 """Acceleration of which loads are shares where a file has them in m/s2."""
-MOST = 1e12
-"""Largest load, or margin of one, in SI units: beyond all that can be built, and far from where numbers overflow."""
-Bounded = Annotated[float, Meta(ge=-MOST, le=MOST)]
-Vector = Annotated[list[Bounded], Meta(min_length=3, max_length=3)]
-Earthquake = Annotated[
-    list[Bounded],
-    Meta(
-        min_length=1,
-        max_length=2,
-        description="Pseudo-static horizontal acceleration along x, or along x and y, in shares of gravity.",
-    ),
-]
-
-
-class LoadEntry(Model):
-    """Load on a part, in `assembly.json`, in plans and as a caller gives it."""
-
-    part: Annotated[int | str, Meta(description="Id or name.")]
-    force: Annotated[Vector | None, Meta(description="N.")] = None
-    moment: Annotated[Vector | None, Meta(description="Nm.")] = None
-    at: Annotated[Vector | None, Meta(description="Where the force acts, m; at the centre of mass if not given.")] = (
-        None
-    )
 
 
 @dataclass(frozen=True, eq=False)

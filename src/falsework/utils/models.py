@@ -17,6 +17,8 @@ Kind = TypeVar("Kind")
 
 _SHOWN = 60
 """Characters of a wrong value that a message repeats."""
+_LONG = 80
+"""Characters of a description from which messages leave it out."""
 _WORDS = {
     "int": "a whole number",
     "float": "a number",
@@ -24,7 +26,6 @@ _WORDS = {
     "bool": "true or false",
     "array": "a list",
     "object": "an object",
-    "null": "null",
 }
 """Types of a model in messages."""
 
@@ -133,7 +134,8 @@ def _join(place: str, name: str) -> str:
 def _in_words(expected: str) -> str:
     """Return a type as msgspec writes it, such as "`float | null` >= 0.0", in words."""
     kinds, _, bound = expected.removeprefix("`").partition("`")
-    return " or ".join(_WORDS.get(kind, kind) for kind in kinds.split(" | ")) + re.sub(r"\.0$", "", bound)
+    named = [kind for kind in kinds.split(" | ") if kind != "null"]  # of what may be left out
+    return " or ".join(_WORDS.get(kind, kind) for kind in named) + re.sub(r"\.0$", "", bound)
 
 
 def _kinds(kind: Any) -> list[Any]:
@@ -163,8 +165,8 @@ def _purpose(kind: Any) -> str:
     """Return the first clause of the description of a type."""
     schema = (kind.extra_json_schema or {}) if isinstance(kind, inspect.Metadata) else {}
     text = re.split(r"[.;] |\.$", schema.get("description", ""))[0]
-    text = text[:1].lower() + text[1:] if text[1:2].islower() else text
-    return f" ({text})" if text else ""
+    text = text[:1].lower() + text[1:] if re.match(r"[A-Z][a-z]{2}", text) else text  # not of units
+    return f" ({text})" if 0 < len(text) < _LONG else ""
 
 
 def _not_finite(value: Any, place: str = "") -> str:

@@ -100,9 +100,15 @@ def test_a_structure_on_disk_is_found_beside_the_run(arch: Any, tmp_path: Path) 
         (lambda run: change(run, structure={"name": "arch"}), "structure.identity is missing; train again"),
         (lambda run: spoil_structure(run, parts="many"), "structure.parts is 'many'"),
         (lambda run: spoil_structure(run, source={}), "structure.source must have either built_in or path"),
-        (lambda run: spoil_structure(run, source={"built_in": "arch", "colour": 1}), "structure.source.colour is not known"),
-        (lambda run: spoil_structure(run, source={"path": 3}), "structure.source.path is 3; give a text or null"),
-        (lambda run: spoil_structure(run, source={"path": "x", "boundary": [[1]]}), r"source.boundary\[0\] is \[1\]; give a whole number or a text"),
+        (
+            lambda run: spoil_structure(run, source={"built_in": "arch", "colour": 1}),
+            "structure.source.colour is not known",
+        ),
+        (lambda run: spoil_structure(run, source={"path": 3}), "structure.source.path is 3; give a text"),
+        (
+            lambda run: spoil_structure(run, source={"path": "x", "boundary": [[1]]}),
+            r"source.boundary\[0\] is \[1\]; give a whole number or a text",
+        ),
         (
             lambda run: (run / "run.json").write_text('{"format": 1, "format": 2}'),
             "is damaged .*the entry 'format' twice",

@@ -245,7 +245,7 @@ def test_plans_that_do_not_say_what_is_carried(
     assert not check_robot_plan(silent, column, cell).good
     data = robot_plan_to_dict(rest)
     data["steps"][0]["transit"] = "yes"
-    with pytest.raises(PlanError, match="must be true or false"):
+    with pytest.raises(PlanError, match="transit is 'yes'; give true or false"):
         robot_plan_from_dict(data)
     frame = building.keyframes[step]
     free = go_on(building.states[step], [value + 0.1 for value in cell.homes], frame.held)

@@ -176,7 +176,10 @@ DAMAGE: list[tuple[Callable[[dict[str, Any]], None], str]] = [
     (lambda data: _put(data, [[0.0]], "steps", 0, "trajectories", 0, "positions"), "positions has shape (1, 1)"),
     (lambda data: _put(data, [0.0] * 6, "keyframes", 1, "configurations", 0), "step"),
     (lambda data: _put(data, {}, "plan"), "the plan in"),
-    (lambda data: _put(data, [0.0, [1.0, 2.0]], "steps", 0, "trajectories", 0, "times"), "steps[0].trajectories[0].times[1] is [1.0, 2.0]; give a number"),
+    (
+        lambda data: _put(data, [0.0, [1.0, 2.0]], "steps", 0, "trajectories", 0, "times"),
+        "steps[0].trajectories[0].times[1] is [1.0, 2.0]; give a number",
+    ),
     (lambda data: _put(data, 10**400, "steps", 0, "trajectories", 0, "times", -1), "does not fit into 64 bits"),
 ]
 NUMBERS = (

@@ -198,7 +198,11 @@ def test_files_of_the_second_format(scheduled: RobotPlan, tmp_path: Path) -> Non
     [
         ("precedences", {"before": 3, "offset": 0.0, "after": 2, "why": "volume"}, "in a cycle"),
         ("precedences", {"before": 0, "offset": -1.0, "after": 2, "why": "volume"}, "offset is -1.0"),
-        ("precedences", {"before": 0, "offset": 0.0, "after": 999, "why": "volume"}, "is between motions 0 and 999; motions are numbered from 0 to"),
+        (
+            "precedences",
+            {"before": 0, "offset": 0.0, "after": 999, "why": "volume"},
+            "is between motions 0 and 999; motions are numbered from 0 to",
+        ),
         ("precedences", {"before": 0, "offset": 0.0, "after": 2, "why": "luck"}, "why is 'luck'"),
         ("motions", {"robot": 0, "step": 0, "trajectory": 0, "start": 0.0, "seconds": 1.0}, "motions, its steps have"),
     ],

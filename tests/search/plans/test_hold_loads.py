@@ -129,7 +129,10 @@ def test_a_plan_that_says_too_little_of_a_load_is_refused(arch: Assembly, plan: 
     ("entry", "words"),
     [
         ({"part": 99, "force": 1.0, "moment": 0.0}, ".bears[0].part is 99; it must be a part from 0 to"),
-        ({"part": 1, "force": -1.0, "moment": 0.0}, ".bears[0].force is -1.0; give a number >= 0 (size of the force, N)"),
+        (
+            {"part": 1, "force": -1.0, "moment": 0.0},
+            ".bears[0].force is -1.0; give a number >= 0 (size of the force, N)",
+        ),
         ({"part": 1, "force": 1.0}, ".bears[0].moment is missing"),
         ({"part": 1.5, "force": 1.0, "moment": 0.0}, ".bears[0].part is 1.5; give a whole number"),
         ("much", ".bears[0] is 'much'; give an object"),

@@ -197,7 +197,9 @@ def test_damaged_files_of_props(propped: Plan) -> None:
 
     entry = len(propped.boundary) - 1
     assert "structure.props is 3; give a list" in damaged(lambda data: data["structure"].update(props=3))
-    assert "structure.props[0].at is [0, 0]; give a list of length >= 3" in damaged(lambda data: data["structure"]["props"][0].update(at=[0, 0]))
+    assert "structure.props[0].at is [0, 0]; give a list of length >= 3" in damaged(
+        lambda data: data["structure"]["props"][0].update(at=[0, 0])
+    )
     assert "structure.props[0].part is" in damaged(lambda data: data["structure"]["props"][0].update(part=entry))
     assert "rules.props" in damaged(lambda data: data["rules"].update(props=-1))
     assert "neither there nor away" in damaged(lambda data: data["start"]["state"].__setitem__(entry, 1))

@@ -62,7 +62,7 @@ class _GripperEntry(Model, tag_field="kind"):
     tool: Annotated[PoseEntry, Meta(description="Frame whose origin touches the part, in the frame of the flange.")] = (
         PoseEntry()
     )
-    mass: Annotated[float, Meta(ge=0, description="Kg.")] = 0.0
+    mass: Annotated[float, Meta(ge=0, description="kg.")] = 0.0
     force: Annotated[Limit | None, Meta(description="Largest force that it bears, N.")] = None
     moment: Annotated[Limit | None, Meta(description="Largest moment that it bears, N m.")] = None
     center_of_mass: Annotated[Vector | None, Meta(description="In the frame of the flange, metres.")] = None

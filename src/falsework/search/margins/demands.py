@@ -10,7 +10,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from falsework.assembly.loads import MOST, Loads
+from falsework.assembly.assembly_model import MOST
+from falsework.assembly.loads import Loads
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import INSTALLED, States, as_states
 from falsework.errors import InputError

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from msgspec import Meta
 
-from falsework.assembly.loads import MOST, Earthquake, LoadEntry
+from falsework.assembly.assembly_model import MOST, Earthquake, LoadEntry
 from falsework.search.margins.demands import STEEPEST
 from falsework.search.plans.steps import Action
 from falsework.stability.holds import HoldMode
@@ -260,7 +260,7 @@ class DemandsEntry(Model):
     """Margins that every state was to keep."""
 
     friction: Annotated[Annotated[float, Meta(ge=1, le=MOST)] | None, Meta(description="Factor of safety.")] = None
-    tilt: Annotated[Annotated[float, Meta(gt=0, lt=STEEPEST)] | None, Meta(description="Rad.")] = None
+    tilt: Annotated[Annotated[float, Meta(gt=0, lt=STEEPEST)] | None, Meta(description="rad.")] = None
     horizontal: Annotated[Limit, Meta(description="Acceleration, in shares of gravity.")] = None
     push: Annotated[Limit, Meta(description="Force on any free face, N.")] = None
     load: Annotated[Limit, Meta(description="Force on any installed part, N.")] = None
@@ -271,7 +271,7 @@ class MeasuredEntry(Model):
     """Margins of every state in the order of the plan; null where there is no bound."""
 
     friction: Annotated[Bounds, Meta(description="Least coefficient of friction.")] = None
-    tilt: Annotated[list[Annotated[float, Meta(ge=0, le=np.pi / 2)] | None] | None, Meta(description="Rad.")] = None
+    tilt: Annotated[list[Annotated[float, Meta(ge=0, le=np.pi / 2)] | None] | None, Meta(description="rad.")] = None
     horizontal: Annotated[Bounds, Meta(description="Acceleration, in shares of gravity.")] = None
     push: Annotated[Bounds, Meta(description="Force on the weakest free face, N.")] = None
 
