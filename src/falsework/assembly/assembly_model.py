@@ -32,44 +32,50 @@ Earthquake = Annotated[
 class LoadEntry(Model):
     """Load on a part."""
 
-    part: Annotated[int | str, Meta(description="Id or name.")]
-    force: Annotated[Vector | None, Meta(description="N.")] = None
-    moment: Annotated[Vector | None, Meta(description="Nm.")] = None
-    at: Annotated[Vector | None, Meta(description="Where the force acts, m; at the centre of mass if not given.")] = (
-        None
-    )
+    part: int | str
+    """Id or name."""
+    force: Vector | None = None
+    """N."""
+    moment: Vector | None = None
+    """Nm."""
+    at: Vector | None = None
+    """Where the force acts, m; at the centre of mass if not given."""
 
 
 class JointEntry(Model):
     """Strength of contacts between two materials or parts, or of all contacts."""
 
-    between: Annotated[
-        Annotated[list[str], Meta(min_length=2, max_length=2)] | None, Meta(description="Two materials.")
-    ] = None
-    parts: Annotated[Pair | None, Meta(description="Ids or names of two parts.")] = None
-    friction: Annotated[Strength | None, Meta(description="Coefficient.")] = None
-    cohesion: Annotated[Strength | None, Meta(description="Pa.")] = None
-    tension: Annotated[Strength | None, Meta(description="Pa.")] = None
-    sets: Annotated[
-        list[Annotated[list[float], Meta(min_length=2, max_length=2)]] | None,
-        Meta(description="Pairs of steps and shares of the strength that rise to 1."),
-    ] = None
-    ductile: Annotated[
-        bool | None, Meta(description="Whether the joint bears its tension when it is pulled apart.")
-    ] = None
+    between: Annotated[list[str], Meta(min_length=2, max_length=2)] | None = None
+    """Two materials."""
+    parts: Pair | None = None
+    """Ids or names of two parts."""
+    friction: Strength | None = None
+    """Coefficient."""
+    cohesion: Strength | None = None
+    """Pa."""
+    tension: Strength | None = None
+    """Pa."""
+    sets: list[Annotated[list[float], Meta(min_length=2, max_length=2)]] | None = None
+    """Pairs of steps and shares of the strength that rise to 1."""
+    ductile: bool | None = None
+    """Whether the joint bears its tension when it is pulled apart."""
 
 
 class FastenerEntry(Model):
     """Screw, dowel or magnet between two parts."""
 
-    parts: Annotated[Pair, Meta(description="Ids or names of two parts.")]
-    at: Annotated[Vector, Meta(description="Place, m.")]
-    tension: Annotated[Strength, Meta(description="N.")]
-    shear: Annotated[Strength | None, Meta(description="N; friction times tension if not given.")] = None
-    axis: Annotated[Vector | None, Meta(description="Towards either part; the normal of the contact if not given.")] = (
-        None
-    )
-    ductile: Annotated[bool, Meta(description="Whether it slides out or releases slowly.")] = False
+    parts: Pair
+    """Ids or names of two parts."""
+    at: Vector
+    """Place, m."""
+    tension: Strength
+    """N."""
+    shear: Strength | None = None
+    """N; friction times tension if not given."""
+    axis: Vector | None = None
+    """Towards either part; the normal of the contact if not given."""
+    ductile: bool = False
+    """Whether it slides out or releases slowly."""
 
 
 ContactEntry = defstruct(
@@ -83,20 +89,23 @@ class AssemblyFile(Model, forbid_unknown_fields=False):
 
     format: str = FORMAT
     name: str | None = None
-    unit: Annotated[str | None, Meta(description="Unit of the meshes: m, dm, cm, mm, in or ft.")] = None
-    friction: Annotated[float | None, Meta(description="Coefficient of every contact.")] = None
-    density: Annotated[float | list[float] | None, Meta(description="One number or one a part, kg/m3.")] = None
-    boundary: Annotated[
-        list[Any] | None, Meta(description="Ids or names of the fixed parts, or a mask of all parts.")
-    ] = None
-    parts: Annotated[Count | None, Meta(description="Number of parts.")] = None
-    names: Annotated[
-        list[Annotated[str, Meta(pattern=r"\S")]] | None, Meta(description="Different names, one a part.")
-    ] = None
+    unit: str | None = None
+    """Unit of the meshes: m, dm, cm, mm, in or ft."""
+    friction: float | None = None
+    """Coefficient of every contact."""
+    density: float | list[float] | None = None
+    """One number or one a part, kg/m3."""
+    boundary: list[Any] | None = None
+    """Ids or names of the fixed parts, or a mask of all parts."""
+    parts: Count | None = None
+    """Number of parts."""
+    names: list[Annotated[str, Meta(pattern="\\S")]] | None = None
+    """Different names, one a part."""
     contact: ContactEntry | None = None  # type: ignore[valid-type]
     loads: list[LoadEntry] | None = None
     earthquake: float | Earthquake | None = None
-    materials: Annotated[str | list[str] | None, Meta(description="Of each part, or one for all.")] = None
+    materials: str | list[str] | None = None
+    """Of each part, or one for all."""
     joints: list[JointEntry] | None = None
     fasteners: list[FastenerEntry] | None = None
 

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
 from difflib import get_close_matches
+from functools import cache
+from inspect import cleandoc, getsource
+from itertools import pairwise
 from os import PathLike, fspath
 from typing import Any, TypeVar
 
@@ -31,7 +35,10 @@ _WORDS = {
 
 
 class Model(Struct, forbid_unknown_fields=True, frozen=True, omit_defaults=True):
-    """Base of the models of files: keys of its fields only, those with a default may be missing."""
+    """Base of the models of files: keys of its fields only, those with a default may be missing.
+
+    The texts below fields are their descriptions in messages and schemas.
+    """
 
 
 def read_model(
@@ -76,8 +83,31 @@ def model_schema(kind: type[Model], identifier: str, title: str, description: st
         "title": title,
         "description": description,
     }
+    models = {model.__name__: model for model in _below(Model)}
+    for name, entry in schema["$defs"].items():
+        for field, text in _field_texts(models[name]).items() if name in models else ():
+            entry["properties"][field]["description"] = text
     own = schema["$defs"].pop(kind.__name__)
     return json.decode(json.encode({**own, **about, "$defs": schema["$defs"]}))
+
+
+def _below(model: type) -> list[type]:
+    return [found for below in model.__subclasses__() for found in (below, *_below(below))]
+
+
+@cache
+def _field_texts(model: type) -> dict[str, str]:
+    """Return the texts below the fields of a model."""
+    texts = {}
+    for kind in reversed(model.__mro__[: model.__mro__.index(Model)]):
+        try:
+            body = ast.parse(getsource(kind)).body[0]
+        except (OSError, TypeError):  # of a model that no source defines
+            continue
+        for field, text in pairwise(body.body if isinstance(body, ast.ClassDef) else ()):
+            if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):
+                texts[ast.unparse(field.target)] = cleandoc(str(text.value.value)).replace("\n", " ")
+    return texts
 
 
 def plain(value: Any) -> Any:
@@ -107,8 +137,9 @@ def _message(kind: Any, data: Any, text: str, where: str, remedy: str) -> str:
     """Return the message of msgspec with the value that was found, and what is expected there."""
     what, _, path = text.partition(" - at `")
     steps = re.findall(r"\.(\w+)|\[(\d+)\]", path.partition("[...]")[0])
-    place, value, known = where, data, inspect.type_info(kind)
+    place, value, known, purpose = where, data, inspect.type_info(kind), ""
     for name, number in steps:
+        purpose = _purpose(known, name)
         place = f"{place}[{number}]" if number else _join(place, name)
         value, known = value[int(number) if number else name], _inside(known, name)
     key = re.search(r"field `(.+)`", what)
@@ -123,7 +154,7 @@ def _message(kind: Any, data: Any, text: str, where: str, remedy: str) -> str:
         options = [entry.tag for entry in _kinds(inspect.type_info(kind))]
     else:
         options = [str(option) for entry in _kinds(known) for option in _options(entry)]
-    expected = f"one of {', '.join(options)}" if options else _in_words(expected) + _purpose(known)
+    expected = f"one of {', '.join(options)}" if options else _in_words(expected) + purpose
     return f"{place or 'the content'} is {shown(value)}; give {expected}"
 
 
@@ -135,7 +166,8 @@ def _in_words(expected: str) -> str:
     """Return a type as msgspec writes it, such as "`float | null` >= 0.0", in words."""
     kinds, _, bound = expected.removeprefix("`").partition("`")
     named = [kind for kind in kinds.split(" | ") if kind != "null"]  # of what may be left out
-    return " or ".join(_WORDS.get(kind, kind) for kind in named) + re.sub(r"\.0$", "", bound)
+    bound = re.sub(r"\.0$", "", bound).replace(r"matching regex '\\S'", "that is not blank")
+    return " or ".join(_WORDS.get(kind, kind) for kind in named) + bound
 
 
 def _kinds(kind: Any) -> list[Any]:
@@ -161,10 +193,10 @@ def _options(kind: Any) -> tuple[Any, ...]:
     return tuple(kind.cls) if isinstance(kind, inspect.EnumType) else getattr(kind, "values", ())
 
 
-def _purpose(kind: Any) -> str:
-    """Return the first clause of the description of a type."""
-    schema = (kind.extra_json_schema or {}) if isinstance(kind, inspect.Metadata) else {}
-    text = re.split(r"[.;] |\.$", schema.get("description", ""))[0]
+def _purpose(kind: Any, name: str) -> str:
+    """Return the first clause of the description of a field."""
+    texts = [_field_texts(entry.cls).get(name, "") for entry in _kinds(kind) if hasattr(entry, "fields")]
+    text = re.split(r"[.;] |\.$", texts[0] if texts else "")[0]
     text = text[:1].lower() + text[1:] if re.match(r"[A-Z][a-z]{2}", text) else text  # not of units
     return f" ({text})" if 0 < len(text) < _LONG else ""
 

@@ -29,24 +29,32 @@ _MARGINS, _SIGNALS = Margins(), Signals()
 class PoseEntry(Model):
     """Position and rotation."""
 
-    position: Annotated[Vector | None, Meta(description="Metres; the origin if not given.")] = None
-    rpy: Annotated[Vector | None, Meta(description="Roll, pitch and yaw about fixed axes, degrees.")] = None
-    yaw: Annotated[float | None, Meta(description="Rotation about z instead of rpy, degrees.")] = None
+    position: Vector | None = None
+    """Metres; the origin if not given."""
+    rpy: Vector | None = None
+    """Roll, pitch and yaw about fixed axes, degrees."""
+    yaw: float | None = None
+    """Rotation about z instead of rpy, degrees."""
 
 
 class BoxEntry(Model):
     """Box between two corners."""
 
-    low: Annotated[Vector, Meta(description="Metres.")]
-    high: Annotated[Vector, Meta(description="Metres, every coordinate above that of low.")]
+    low: Vector
+    """Metres."""
+    high: Vector
+    """Metres, every coordinate above that of low."""
 
 
 class CylinderEntry(Model):
     """Cylinder along z."""
 
-    radius: Annotated[float, Meta(ge=1e-4, description="Metres.")]
-    low: Annotated[float, Meta(description="Height of its lower end, metres.")]
-    high: Annotated[float, Meta(description="Height of its upper end, metres.")]
+    radius: Annotated[float, Meta(ge=0.0001)]
+    """Metres."""
+    low: float
+    """Height of its lower end, metres."""
+    high: float
+    """Height of its upper end, metres."""
 
 
 class ShapeEntry(PoseEntry):
@@ -57,32 +65,38 @@ class ShapeEntry(PoseEntry):
 
 
 class _GripperEntry(Model, tag_field="kind"):
-    payload: Annotated[float, Meta(ge=0, description="Largest mass that it lifts, kg.")]
-    shapes: Annotated[list[ShapeEntry], Meta(min_length=1, description="Its bodies, for collision checks.")]
-    tool: Annotated[PoseEntry, Meta(description="Frame whose origin touches the part, in the frame of the flange.")] = (
-        PoseEntry()
-    )
-    mass: Annotated[float, Meta(ge=0, description="kg.")] = 0.0
-    force: Annotated[Limit | None, Meta(description="Largest force that it bears, N.")] = None
-    moment: Annotated[Limit | None, Meta(description="Largest moment that it bears, N m.")] = None
-    center_of_mass: Annotated[Vector | None, Meta(description="In the frame of the flange, metres.")] = None
-    inertia: Annotated[
-        Annotated[list[float], Meta(min_length=3, max_length=6)] | None,
-        Meta(description="Ixx, Iyy, Izz, and if needed Ixy, Ixz, Iyz, about the centre of mass, kg m2."),
-    ] = None
+    payload: Annotated[float, Meta(ge=0)]
+    """Largest mass that it lifts, kg."""
+    shapes: Annotated[list[ShapeEntry], Meta(min_length=1)]
+    """Its bodies, for collision checks."""
+    tool: PoseEntry = PoseEntry()
+    """Frame whose origin touches the part, in the frame of the flange."""
+    mass: Annotated[float, Meta(ge=0)] = 0.0
+    """kg."""
+    force: Limit | None = None
+    """Largest force that it bears, N."""
+    moment: Limit | None = None
+    """Largest moment that it bears, N m."""
+    center_of_mass: Vector | None = None
+    """In the frame of the flange, metres."""
+    inertia: Annotated[list[float], Meta(min_length=3, max_length=6)] | None = None
+    """Ixx, Iyy, Izz, and if needed Ixy, Ixz, Iyz, about the centre of mass, kg m2."""
 
 
 class SuctionEntry(_GripperEntry, tag="suction", kw_only=True):
     """Suction gripper."""
 
-    cup: Annotated[float, Meta(ge=1e-4, description="Radius of the cup, metres.")]
+    cup: Annotated[float, Meta(ge=0.0001)]
+    """Radius of the cup, metres."""
 
 
 class JawEntry(_GripperEntry, tag="jaw", kw_only=True):
     """Gripper with two parallel jaws."""
 
-    opening: Annotated[float, Meta(ge=1e-4, description="Largest opening, metres.")]
-    depth: Annotated[float, Meta(ge=1e-4, description="Contact length of the jaws along z, metres.")]
+    opening: Annotated[float, Meta(ge=0.0001)]
+    """Largest opening, metres."""
+    depth: Annotated[float, Meta(ge=0.0001)]
+    """Contact length of the jaws along z, metres."""
 
 
 GripperEntry = SuctionEntry | JawEntry
@@ -91,38 +105,46 @@ GripperEntry = SuctionEntry | JawEntry
 class PlaceEntry(Model):
     """Place at which parts may be put down, in the frame of the base of the robot."""
 
-    position: Annotated[Vector, Meta(description="Metres.")]
+    position: Vector
+    """Metres."""
 
 
 class SignalsEntry(Model):
     """Settings of the controller."""
 
-    grip: Annotated[Text | None, Meta(description="Digital output that closes the gripper.")] = None
-    closed: Annotated[Literal[0, 1], Meta(description="Level of the output at which the gripper is closed.")] = (
-        1 if _SIGNALS.closed else 0
-    )
-    seconds: Annotated[float, Meta(ge=0, le=60, description="Time that the gripper takes.")] = _SIGNALS.seconds
-    address: Annotated[Text | None, Meta(description="Network address of the controller.")] = None
+    grip: Text | None = None
+    """Digital output that closes the gripper."""
+    closed: Literal[0, 1] = 1 if _SIGNALS.closed else 0
+    """Level of the output at which the gripper is closed."""
+    seconds: Annotated[float, Meta(ge=0, le=60)] = _SIGNALS.seconds
+    """Time that the gripper takes."""
+    address: Text | None = None
+    """Network address of the controller."""
 
 
 class RobotEntry(Model):
     """Robot: arm, base, gripper, home, places and settings of the controller."""
 
     name: Text
-    model: Annotated[Text, Meta(description="Built-in arm, or path of a URDF file.")]
-    gripper: Annotated[Text, Meta(description="Name of a gripper of the cell.")]
-    base: Annotated[PoseEntry, Meta(description="Pose of the base in the world.")] = PoseEntry()
+    model: Text
+    """Built-in arm, or path of a URDF file."""
+    gripper: Text
+    """Name of a gripper of the cell."""
+    base: PoseEntry = PoseEntry()
+    """Pose of the base in the world."""
     base_link: Text | None = None
     tip_link: Text | None = None
-    srdf: Annotated[Text | None, Meta(description="Path of an SRDF file.")] = None
-    joint_limits: Annotated[Text | None, Meta(description="Path of a joint_limits.yaml.")] = None
-    home: Annotated[
-        list[float] | dict[str, float] | str | None,
-        Meta(description="Joint values, all or by joint, degrees or metres, or the name of a state of the SRDF."),
-    ] = None
-    acceleration: Annotated[list[float] | None, Meta(description="Of every joint, degrees or metres per s2.")] = None
+    srdf: Text | None = None
+    """Path of an SRDF file."""
+    joint_limits: Text | None = None
+    """Path of a joint_limits.yaml."""
+    home: list[float] | dict[str, float] | str | None = None
+    """Joint values, all or by joint, degrees or metres, or the name of a state of the SRDF."""
+    acceleration: list[float] | None = None
+    """Of every joint, degrees or metres per s2."""
     places: list[PlaceEntry] = []
-    maker: Annotated[Text | None, Meta(description="Maker of the arm.")] = None
+    maker: Text | None = None
+    """Maker of the arm."""
     signals: SignalsEntry = SignalsEntry()
 
 
@@ -135,22 +157,24 @@ class ObstacleEntry(ShapeEntry, kw_only=True):
 class PlacementEntry(Model):
     """Place of the structure in the cell."""
 
-    position: Annotated[Vector | None, Meta(description="Metres; the origin if not given.")] = None
-    yaw: Annotated[float, Meta(description="Degrees.")] = 0.0
+    position: Vector | None = None
+    """Metres; the origin if not given."""
+    yaw: float = 0.0
+    """Degrees."""
     scale: Annotated[float, Meta(ge=1e-6)] = 1.0
-    density: Annotated[Annotated[float, Meta(ge=1e-6)] | None, Meta(description="kg/m3, of every part.")] = None
+    density: Annotated[float, Meta(ge=1e-06)] | None = None
+    """kg/m3, of every part."""
 
 
-class MarginsEntry(Model):
+class ClearancesEntry(Model):
     """Distances that motions keep."""
 
-    free: Annotated[float, Meta(ge=0.0005, le=1, description="Clearance of free motions, metres.")] = _MARGINS.free
-    line: Annotated[float, Meta(ge=0, le=1, description="Clearance of the straight motions of a part, metres.")] = (
-        _MARGINS.line
-    )
-    approach: Annotated[
-        float, Meta(ge=0.001, le=10, description="Length of the straight motion to a part, metres.")
-    ] = _MARGINS.approach
+    free: Annotated[float, Meta(ge=0.0005, le=1)] = _MARGINS.free
+    """Clearance of free motions, metres."""
+    line: Annotated[float, Meta(ge=0, le=1)] = _MARGINS.line
+    """Clearance of the straight motions of a part, metres."""
+    approach: Annotated[float, Meta(ge=0.001, le=10)] = _MARGINS.approach
+    """Length of the straight motion to a part, metres."""
 
 
 class CellFile(Model, kw_only=True):
@@ -159,9 +183,11 @@ class CellFile(Model, kw_only=True):
     format: str = FORMAT
     name: Text | None = None
     structure: PlacementEntry = PlacementEntry()
-    margins: MarginsEntry = MarginsEntry()
-    speed: Annotated[float, Meta(ge=0.001, le=1, description="Share of the largest joint velocities.")] = 1.0
-    floor: Annotated[bool | float, Meta(description="Height of the floor, metres; false for none.")] = 0.0
+    margins: ClearancesEntry = ClearancesEntry()
+    speed: Annotated[float, Meta(ge=0.001, le=1)] = 1.0
+    """Share of the largest joint velocities."""
+    floor: bool | float = 0.0
+    """Height of the floor, metres; false for none."""
     grippers: dict[str, GripperEntry] = {}
     robots: list[RobotEntry]
     obstacles: list[ObstacleEntry] = []

@@ -17,10 +17,10 @@ from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Tr
 from falsework.robots.plans.robot_plan_model import (
     FORMAT,
     KeyframeEntry,
-    RobotEntry,
+    RecordedRobotEntry,
     RobotPlanFile,
+    RobotStepEntry,
     ScheduleEntry,
-    StepEntry,
     TrajectoryEntry,
 )
 from falsework.robots.plans.robot_record import RobotRecord
@@ -234,7 +234,7 @@ class _Reader:
             self._fail(f"schedule.lower_bound is {data.lower_bound:g}, above its makespan of {graph.makespan:g} s")
         return graph
 
-    def _robot(self, data: RobotEntry, place: str) -> RobotRecord:
+    def _robot(self, data: RecordedRobotEntry, place: str) -> RobotRecord:
         base, tool = (self._array(getattr(data, key), (4, 4), f"{place}.{key}") for key in ("base", "tool"))
         return RobotRecord(data.name, data.model, tuple(data.joints), base, data.gripper, tool)
 
@@ -250,7 +250,7 @@ class _Reader:
         )
         return Keyframe(tuple(arrays), tuple(held), tuple(carried or ()))
 
-    def _step(self, data: StepEntry, place: str, parts: int) -> RobotStep:
+    def _step(self, data: RobotStepEntry, place: str, parts: int) -> RobotStep:
         if data.robot >= len(self._joints):
             self._fail(f"{place}.robot is {data.robot}", f"it must be a number from 0 to {len(self._joints) - 1}")
         self._part(data.hands_over, parts, f"{place}.hands_over")

@@ -58,28 +58,31 @@ def _one_of(*names: str) -> dict[str, Any]:
 class PropEntry(Model):
     """Place of a prop."""
 
-    part: Annotated[int, Meta(ge=0, description="Part that it carries.")]
-    at: Annotated[
-        list[float],
-        Meta(min_length=3, max_length=3, description="Middle of its head, on the lower side of the part, m."),
-    ]
-    floor: Annotated[float, Meta(description="Height at which it stands, m.")]
+    part: Annotated[int, Meta(ge=0)]
+    """Part that it carries."""
+    at: Annotated[list[float], Meta(min_length=3, max_length=3)]
+    """Middle of its head, on the lower side of the part, m."""
+    floor: float
+    """Height at which it stands, m."""
 
 
 class SourceEntry(Model):
     """Where a structure came from, and what replaced its own description."""
 
-    built_in: Annotated[str | None, Meta(description="Name and parameters, such as arch:blocks=15.")] = None
-    path: Annotated[str | None, Meta(description="Folder or file, relative to this file, with forward slashes.")] = None
-    unit: Annotated[str | None, Meta(description="Unit of the meshes.")] = None
-    density: Annotated[Positive | None, Meta(description="kg/m3, of every part.")] = None
+    built_in: str | None = None
+    """Name and parameters, such as arch:blocks=15."""
+    path: str | None = None
+    """Folder or file, relative to this file, with forward slashes."""
+    unit: str | None = None
+    """Unit of the meshes."""
+    density: Positive | None = None
+    """kg/m3, of every part."""
     friction: NotNegative | None = None
     boundary: list[int | str] | None = None
-    ground: Annotated[bool, Meta(description="Whether a fixed ground was put under the lowest point.")] = False
-    interfaces: Annotated[
-        Literal["found", "stored", "compare"] | None,
-        Meta(description="Source of the contacts: found from the meshes, or stored in the file."),
-    ] = None
+    ground: bool = False
+    """Whether a fixed ground was put under the lowest point."""
+    interfaces: Literal["found", "stored", "compare"] | None = None
+    """Source of the contacts: found from the meshes, or stored in the file."""
     loads: list[LoadEntry] | None = None
     earthquake: Earthquake | None = None
 
@@ -88,110 +91,80 @@ class StructureEntry(Model):
     """Structure of a plan."""
 
     name: str
-    identity: Annotated[
-        str, Meta(description="Digest of geometry, boundary, density, friction and loads, as the structure gives it.")
-    ]
+    identity: str
+    """Digest of geometry, boundary, density, friction and loads, as the structure gives it."""
     friction: NotNegative
-    boundary: Annotated[Parts, Meta(description="Parts that are fixed for ever.")]
-    parts: Annotated[
-        list[str],
-        Meta(
-            min_length=1,
-            description="Names of all parts; steps and states refer to parts by their place in this list, from 0.",
-        ),
-    ]
-    props: Annotated[
-        list[PropEntry],
-        Meta(
-            description="Props, which are the last entries of parts: passive posts that a step inserts or removes and "
-            "that need no robot."
-        ),
-    ] = []
-    source: Annotated[
-        SourceEntry | None,
-        Meta(
-            description="Where the structure came from: either built_in or path.",
-            extra_json_schema=_one_of("built_in", "path"),
-        ),
-    ] = None
+    boundary: Parts
+    """Parts that are fixed for ever."""
+    parts: Annotated[list[str], Meta(min_length=1)]
+    """Names of all parts; steps and states refer to parts by their place in this list, from 0."""
+    props: list[PropEntry] = []
+    """Props, which are the last entries of parts: passive posts that a step inserts or removes and that need no
+    robot."""
+    source: Annotated[SourceEntry | None, Meta(extra_json_schema=_one_of("built_in", "path"))] = None
+    """Where the structure came from: either built_in or path."""
 
 
 class RulesEntry(Model):
     """Rules that the steps keep."""
 
-    fixed: Annotated[Parts, Meta(description="Parts that no step touches.")]
-    missing: Annotated[
-        Parts,
-        Meta(
-            description="Parts not delivered when the plan was made, which assembly does without as long as possible."
-        ),
-    ]
-    removable_only_if_clear: Annotated[
-        bool, Meta(description="Whether every part that is removed has a straight way out past the others.")
-    ]
-    support: Annotated[
-        bool, Meta(description="Whether parts that stand may be held again, and props inserted and removed.")
-    ] = False
-    props: Annotated[int, Meta(ge=0, description="Props that may stand at a time.")] = 0
+    fixed: Parts
+    """Parts that no step touches."""
+    missing: Parts
+    """Parts not delivered when the plan was made, which assembly does without as long as possible."""
+    removable_only_if_clear: bool
+    """Whether every part that is removed has a straight way out past the others."""
+    support: bool = False
+    """Whether parts that stand may be held again, and props inserted and removed."""
+    props: Annotated[int, Meta(ge=0)] = 0
+    """Props that may stand at a time."""
 
 
 class HoldsEntry(Model):
     """What robots that hold parts can do."""
 
-    stiffness: Annotated[Positive | None, Meta(description="N/m; null for holds that never give way.")]
-    force: Annotated[NotNegative | None, Meta(description="Largest force on a held part, N; null for no limit.")]
-    moment: Annotated[
-        NotNegative | None,
-        Meta(description="Largest moment about the centre of mass of a held part, N m; null for no limit."),
-    ]
-    mode: Annotated[
-        HoldMode,
-        Meta(
-            description="What robots control while a part is released: the pose (they never press), the wrench of a "
-            "part that they press, or its force along one direction and its pose across it."
-        ),
-    ]
+    stiffness: Positive | None
+    """N/m; null for holds that never give way."""
+    force: NotNegative | None
+    """Largest force on a held part, N; null for no limit."""
+    moment: NotNegative | None
+    """Largest moment about the centre of mass of a held part, N m; null for no limit."""
+    mode: HoldMode
+    """What robots control while a part is released: the pose (they never press), the wrench of a part that they press,
+    or its force along one direction and its pose across it."""
 
 
 class StabilityEntry(Model):
     """What stable means."""
 
-    criterion: Annotated[
-        Literal["contact", "equilibrium"],
-        Meta(
-            description="contact: compliant contacts without prestress bring every part to rest; equilibrium: contact "
-            "forces in balance exist."
-        ),
-    ]
-    stiffness_ratio: Annotated[
-        float,
-        Meta(gt=0, description="Tangential over normal stiffness of a contact, under the criterion contact."),
-    ]
-    cone: Annotated[Literal["octagon", "quadratic"], Meta(description="Friction cone.")]
-    gravity: Annotated[float, Meta(gt=0, description="m/s2 along -z.")]
-    tolerance: Annotated[float, Meta(gt=0, description="Largest residual of a stable state, a share of gravity.")]
-    force_bound: Annotated[
-        float, Meta(gt=0, description="Bound on the sum of all normal forces, in weights of the structure.")
-    ]
-    reserve: Annotated[
-        float,
-        Meta(
-            gt=0,
-            description="Number by which friction is divided; under contact states come to rest with the true friction "
-            "too.",
-        ),
-    ]
-    holds: Annotated[
-        HoldsEntry | None, Meta(description="Robots that hold parts; under the criterion contact, and only there.")
-    ] = None
+    criterion: Literal["contact", "equilibrium"]
+    """contact: compliant contacts without prestress bring every part to rest; equilibrium: contact forces in balance
+    exist."""
+    stiffness_ratio: Annotated[float, Meta(gt=0)]
+    """Tangential over normal stiffness of a contact, under the criterion contact."""
+    cone: Literal["octagon", "quadratic"]
+    """Friction cone."""
+    gravity: Annotated[float, Meta(gt=0)]
+    """m/s2 along -z."""
+    tolerance: Annotated[float, Meta(gt=0)]
+    """Largest residual of a stable state, a share of gravity."""
+    force_bound: Annotated[float, Meta(gt=0)]
+    """Bound on the sum of all normal forces, in weights of the structure."""
+    reserve: Annotated[float, Meta(gt=0)]
+    """Number by which friction is divided; under contact states come to rest with the true friction too."""
+    holds: HoldsEntry | None = None
+    """Robots that hold parts; under the criterion contact, and only there."""
 
 
 class LoadOfHold(Model):
     """What a robot bears for a part that it holds."""
 
-    part: Annotated[int, Meta(ge=0, description="Held part.")]
-    force: Annotated[float, Meta(ge=0, description="Size of the force, N.")]
-    moment: Annotated[float, Meta(ge=0, description="Size of the moment about the centre of mass of the part, N m.")]
+    part: Annotated[int, Meta(ge=0)]
+    """Held part."""
+    force: Annotated[float, Meta(ge=0)]
+    """Size of the force, N."""
+    moment: Annotated[float, Meta(ge=0)]
+    """Size of the moment about the centre of mass of the part, N m."""
 
 
 Bears = Annotated[
@@ -206,15 +179,10 @@ Bears = Annotated[
 class PressEntry(Model):
     """Press of a robot on a part that it holds."""
 
-    part: Annotated[int, Meta(ge=0, description="Held part.")]
-    wrench: Annotated[
-        list[float],
-        Meta(
-            min_length=6,
-            max_length=6,
-            description="What the robot adds: force in N, moment about the centre of mass of the part in N m.",
-        ),
-    ]
+    part: Annotated[int, Meta(ge=0)]
+    """Held part."""
+    wrench: Annotated[list[float], Meta(min_length=6, max_length=6)]
+    """What the robot adds: force in N, moment about the centre of mass of the part in N m."""
 
 
 class StartEntry(Model):
@@ -230,21 +198,15 @@ class StartEntry(Model):
 class StepEntry(Model):
     """Step of a plan, with the verdict on the state that it leads to."""
 
-    do: Annotated[
-        Action,
-        Meta(
-            description="insert: bring a part to its place and hold it; release: let go of it; hold: hold a part that "
-            "stands; remove: take a prop away."
-        ),
-    ]
+    do: Action
+    """insert: bring a part to its place and hold it; release: let go of it; hold: hold a part that stands; remove: take
+    a prop away."""
     part: Part
     verdict: Word
     proof: ProofWord
     residual: Residual
-    presses: Annotated[
-        list[PressEntry],
-        Meta(description="Robots that press on parts that they hold while this step releases a part."),
-    ] = []
+    presses: list[PressEntry] = []
+    """Robots that press on parts that they hold while this step releases a part."""
     bears: Bears = []
 
 
@@ -252,28 +214,40 @@ class NeedEntry(Model):
     """When a missing part is needed."""
 
     part: Part
-    after_steps: Annotated[int, Meta(ge=0, description="Steps done before it goes in.")]
-    after_parts: Annotated[int, Meta(ge=0, description="Parts placed before it.")]
+    after_steps: Annotated[int, Meta(ge=0)]
+    """Steps done before it goes in."""
+    after_parts: Annotated[int, Meta(ge=0)]
+    """Parts placed before it."""
 
 
 class DemandsEntry(Model):
     """Margins that every state was to keep."""
 
-    friction: Annotated[Annotated[float, Meta(ge=1, le=MOST)] | None, Meta(description="Factor of safety.")] = None
-    tilt: Annotated[Annotated[float, Meta(gt=0, lt=STEEPEST)] | None, Meta(description="rad.")] = None
-    horizontal: Annotated[Limit, Meta(description="Acceleration, in shares of gravity.")] = None
-    push: Annotated[Limit, Meta(description="Force on any free face, N.")] = None
-    load: Annotated[Limit, Meta(description="Force on any installed part, N.")] = None
-    placement: Annotated[Limit, Meta(description="Error of the place of parts, m.")] = None
+    friction: Annotated[float, Meta(ge=1, le=MOST)] | None = None
+    """Factor of safety."""
+    tilt: Annotated[float, Meta(gt=0, lt=STEEPEST)] | None = None
+    """rad."""
+    horizontal: Limit = None
+    """Acceleration, in shares of gravity."""
+    push: Limit = None
+    """Force on any free face, N."""
+    load: Limit = None
+    """Force on any installed part, N."""
+    placement: Limit = None
+    """Error of the place of parts, m."""
 
 
 class MeasuredEntry(Model):
     """Margins of every state in the order of the plan; null where there is no bound."""
 
-    friction: Annotated[Bounds, Meta(description="Least coefficient of friction.")] = None
-    tilt: Annotated[list[Annotated[float, Meta(ge=0, le=np.pi / 2)] | None] | None, Meta(description="rad.")] = None
-    horizontal: Annotated[Bounds, Meta(description="Acceleration, in shares of gravity.")] = None
-    push: Annotated[Bounds, Meta(description="Force on the weakest free face, N.")] = None
+    friction: Bounds = None
+    """Least coefficient of friction."""
+    tilt: list[Annotated[float, Meta(ge=0, le=np.pi / 2)] | None] | None = None
+    """rad."""
+    horizontal: Bounds = None
+    """Acceleration, in shares of gravity."""
+    push: Bounds = None
+    """Force on the weakest free face, N."""
 
 
 class MarginsEntry(Model):
@@ -281,59 +255,45 @@ class MarginsEntry(Model):
 
     demands: DemandsEntry
     measured: MeasuredEntry
-    maximised: Annotated[
-        Literal["friction", "tilt", "horizontal", "push"] | None,
-        Meta(description="Margin whose weakest step was made strongest."),
-    ] = None
-    bound: Annotated[
-        Annotated[float, Meta(ge=0, le=MOST)] | None,
-        Meta(description="No plan has a weakest step stronger than this; null where none is known."),
-    ] = None
+    maximised: Literal["friction", "tilt", "horizontal", "push"] | None = None
+    """Margin whose weakest step was made strongest."""
+    bound: Annotated[float, Meta(ge=0, le=MOST)] | None = None
+    """No plan has a weakest step stronger than this; null where none is known."""
 
 
 class JudgementEntry(Model):
     """How far discrete elements built the plan, under the true friction."""
 
-    built: Annotated[int, Meta(ge=0, description="States that came to rest or were left undecided, in their order.")]
-    of: Annotated[int, Meta(ge=1, description="States of the plan.")]
-    falls_at: Annotated[
-        Count | None,
-        Meta(description="The next state, from 0, if it collapses; null if none does, or the time was up."),
-    ]
-    part: Annotated[int, Meta(ge=-1, description="The part that moved most there, -1 if nothing falls.")]
-    undecided: Annotated[
-        list[Count],
-        Meta(description="States in which parts still moved at the step limit, without having collapsed."),
-    ]
+    built: Annotated[int, Meta(ge=0)]
+    """States that came to rest or were left undecided, in their order."""
+    of: Annotated[int, Meta(ge=1)]
+    """States of the plan."""
+    falls_at: Count | None
+    """The next state, from 0, if it collapses; null if none does, or the time was up."""
+    part: Annotated[int, Meta(ge=-1)]
+    """The part that moved most there, -1 if nothing falls."""
+    undecided: list[Count]
+    """States in which parts still moved at the step limit, without having collapsed."""
 
 
 class ReplayEntry(Model):
     """How the plan went when it was replayed with contact history."""
 
-    stands: Annotated[bool, Meta(description="Whether every state comes to rest.")]
-    moved: Annotated[float, Meta(ge=0, description="Largest movement of a part in a state that comes to rest, m.")]
-    part: Annotated[int, Meta(ge=-1, description="The part that moved that far, -1 if none moved.")]
-    falls_at: Annotated[
-        Count | None, Meta(description="First state that does not come to rest, from 0; null if all do.")
-    ]
-    varied: Annotated[
-        bool,
-        Meta(
-            description="Whether it also comes to rest under changed settings: stiffness ratio, damping, release, "
-            "initial friction, and presses that err."
-        ),
-    ] = False
-    weak_under: Annotated[
-        str,
-        Meta(description="Change of settings under which it does not come to rest; empty if none was found."),
-    ] = ""
-    weak_at: Annotated[
-        Count | None,
-        Meta(
-            description="First state that does not come to rest then, in the order of assembly, from 0; null if there "
-            "is none."
-        ),
-    ] = None
+    stands: bool
+    """Whether every state comes to rest."""
+    moved: Annotated[float, Meta(ge=0)]
+    """Largest movement of a part in a state that comes to rest, m."""
+    part: Annotated[int, Meta(ge=-1)]
+    """The part that moved that far, -1 if none moved."""
+    falls_at: Count | None
+    """First state that does not come to rest, from 0; null if all do."""
+    varied: bool = False
+    """Whether it also comes to rest under changed settings: stiffness ratio, damping, release, initial friction, and
+    presses that err."""
+    weak_under: str = ""
+    """Change of settings under which it does not come to rest; empty if none was found."""
+    weak_at: Count | None = None
+    """First state that does not come to rest then, in the order of assembly, from 0; null if there is none."""
     judgement: JudgementEntry | None = None
 
 
@@ -345,14 +305,10 @@ class DisplacementsEntry(Model):
     """
 
     parts: Annotated[int, Meta(ge=1)]
-    increments: Annotated[int, Meta(ge=1, le=64, description="Increments of a step.")]
-    zlib_base64: Annotated[
-        str,
-        Meta(
-            description="Little-endian float64 of shape (states, increments, parts, 6), packed by zlib, in base64.",
-            extra_json_schema={"contentEncoding": "base64"},
-        ),
-    ]
+    increments: Annotated[int, Meta(ge=1, le=64)]
+    """Increments of a step."""
+    zlib_base64: Annotated[str, Meta(extra_json_schema={"contentEncoding": "base64"})]
+    """Little-endian float64 of shape (states, increments, parts, 6), packed by zlib, in base64."""
 
 
 class ForcesEntry(Model):
@@ -362,23 +318,14 @@ class ForcesEntry(Model):
     only what changes from state to state.
     """
 
-    points: Annotated[int, Meta(ge=0, description="Contact points.")]
-    zlib_base64: Annotated[
-        str | None,
-        Meta(
-            description="Little-endian float64 of shape (states, points, 3), packed by zlib.",
-            extra_json_schema={"contentEncoding": "base64"},
-        ),
-    ] = None
-    changes_zlib_base64: Annotated[
-        str | None,
-        Meta(
-            description="For each state the number of points whose force is not that of the state before (of the first "
-            "state: not zero), as little-endian uint32; then for one state after the other the numbers of these "
-            "points, ascending, as uint32; then in the same order their forces, three float64 each. Packed by zlib.",
-            extra_json_schema={"contentEncoding": "base64"},
-        ),
-    ] = None
+    points: Annotated[int, Meta(ge=0)]
+    """Contact points."""
+    zlib_base64: Annotated[str | None, Meta(extra_json_schema={"contentEncoding": "base64"})] = None
+    """Little-endian float64 of shape (states, points, 3), packed by zlib."""
+    changes_zlib_base64: Annotated[str | None, Meta(extra_json_schema={"contentEncoding": "base64"})] = None
+    """For each state the number of points whose force is not that of the state before (of the first state: not zero),
+    as little-endian uint32; then for one state after the other the numbers of these points, ascending, as uint32; then
+    in the same order their forces, three float64 each. Packed by zlib."""
 
 
 _UNPROVEN_ONLY_WITHOUT_PROOF = {
@@ -397,16 +344,17 @@ class PlanFile(Model):
 
     format: Literal["falsework.plan/4"]
     structure: StructureEntry
-    robots: Annotated[int, Meta(ge=1, description="Parts that can be held at once.")]
+    robots: Annotated[int, Meta(ge=1)]
+    """Parts that can be held at once."""
     rules: RulesEntry
     stability: StabilityEntry
     start: Annotated[StartEntry, Meta(extra_json_schema=_UNPROVEN_ONLY_WITHOUT_PROOF)]
-    steps: Annotated[
-        list[Annotated[StepEntry, Meta(extra_json_schema=_UNPROVEN_ONLY_WITHOUT_PROOF)]],
-        Meta(description="Actions in the order of assembly. Steps are numbered from 1."),
-    ]
-    end: Annotated[PartValues, Meta(description="State that the steps lead to.")]
-    needs: Annotated[list[NeedEntry], Meta(description="When each missing part is needed, the first needed first.")]
+    steps: list[Annotated[StepEntry, Meta(extra_json_schema=_UNPROVEN_ONLY_WITHOUT_PROOF)]]
+    """Actions in the order of assembly. Steps are numbered from 1."""
+    end: PartValues
+    """State that the steps lead to."""
+    needs: list[NeedEntry]
+    """When each missing part is needed, the first needed first."""
     replay: ReplayEntry | None = None
     margins: MarginsEntry | None = None
     displacements: DisplacementsEntry | None = None
