@@ -1,4 +1,5 @@
 from falsework.assembly import library as library
+from falsework.assembly.assembly_model import Prop as Prop
 from falsework.assembly.doctor import Diagnosis as Diagnosis
 from falsework.assembly.doctor import PartReport as PartReport
 from falsework.assembly.doctor import diagnose as diagnose
@@ -15,7 +16,6 @@ from falsework.assembly.load import register_reader as register_reader
 from falsework.assembly.loads import Loads as Loads
 from falsework.assembly.model import Assembly as Assembly
 from falsework.assembly.model import ContactWarning as ContactWarning
-from falsework.assembly.prop import Prop as Prop
 from falsework.assembly.props import keep_props as keep_props
 from falsework.assembly.props import prop_places as prop_places
 from falsework.assembly.props import with_props as with_props

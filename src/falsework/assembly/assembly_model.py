@@ -29,6 +29,17 @@ Earthquake = Annotated[
 ]
 
 
+class Prop(Model):
+    """Place of a prop."""
+
+    part: Count
+    """Part that it carries."""
+    at: tuple[float, float, float]
+    """Middle of its head, on the lower side of the part, m."""
+    floor: float
+    """Height of its floor, m."""
+
+
 class LoadEntry(Model):
     """Load on a part."""
 

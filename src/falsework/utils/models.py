@@ -110,6 +110,11 @@ def _field_texts(model: type) -> dict[str, str]:
     return texts
 
 
+def to_json_values(model: Any) -> Any:
+    """Return a model, or a list of models, as plain JSON values."""
+    return json.decode(json.encode(model))
+
+
 def plain(value: Any) -> Any:
     """Return a value that a caller gave as a file would have it: lists for tuples and arrays, texts for paths."""
     if isinstance(value, Mapping):

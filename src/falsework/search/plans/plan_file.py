@@ -6,15 +6,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from msgspec import convert, to_builtins
+from msgspec import convert
 
 from falsework.errors import InputError, PlanError
 from falsework.search.plans.packed_proofs import pack_proofs
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_model import FORMAT, UNPROVEN, PlanFile
 from falsework.search.plans.plan_reader import PROOF_WORDS, PlanReader
+from falsework.stability.holds import HoldLoad
 from falsework.stability.verdict import Verdict
 from falsework.utils.json_file import read_format, read_json, write_json
+from falsework.utils.models import to_json_values
 
 
 def save_plan(plan: Plan, path: Path | str, *, proofs: bool = False) -> None:
@@ -39,7 +41,7 @@ def save_plan(plan: Plan, path: Path | str, *, proofs: bool = False) -> None:
 
 
 def _short(value: float) -> float:
-    return value if isinstance(value, int) else float(f"{value:.6g}")
+    return float(f"{value:.6g}")
 
 
 def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
@@ -49,7 +51,7 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
         {"verdict": "stable", "proof": proof, "residual": _short(residual)} if kind is Verdict.STABLE else UNPROVEN
         for residual, kind in zip(plan.residuals.tolist(), plan.verdicts, strict=True)
     ]
-    bears = [[{key: _short(value) for key, value in vars(load).items()} for load in row] for row in plan.loads]
+    bears = [[HoldLoad(load.part, _short(load.force), _short(load.moment)) for load in row] for row in plan.loads]
     records: list[Any] = [{**record, "bears": bears[row] if bears else []} for row, record in enumerate(judged)]
     contact, margins, arrays = plan.claim.criterion == "contact", plan.margins, plan.proof_arrays()
     packed: dict[str, Any] | None = None
@@ -90,7 +92,7 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
         "margins": None if margins is None else margins.to_dict(),
         "displacements" if contact else "forces": packed,
     }
-    return to_builtins(convert(file, PlanFile, from_attributes=True))
+    return to_json_values(convert(file, PlanFile, from_attributes=True))
 
 
 def is_plan_file(path: Path | str) -> bool:

@@ -7,10 +7,12 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from msgspec import Meta
 
-from falsework.assembly.assembly_model import MOST, Earthquake, LoadEntry
-from falsework.search.margins.demands import STEEPEST
+from falsework.assembly.assembly_model import MOST, Count, Earthquake, LoadEntry, Prop
+from falsework.search.margins.demands import Demands
+from falsework.search.plans.plan import PartDeadline
 from falsework.search.plans.steps import Action
-from falsework.stability.holds import HoldMode
+from falsework.stability.holds import HoldLoad, HoldMode, Press
+from falsework.stability.judges.judgement import Judgement
 from falsework.utils.models import Model, model_schema
 
 FORMAT = "falsework.plan/4"
@@ -18,14 +20,13 @@ UNPROVEN: dict[str, Any] = {"verdict": "undecided", "proof": "none", "residual":
 """Entries of a state that is not proven, in a plan whose replay fails."""
 
 Part = Annotated[int, Meta(ge=0)]
-Parts = Annotated[list[Part], Meta(extra_json_schema={"uniqueItems": True})]
-Count = Annotated[int, Meta(ge=0)]
+Parts = Annotated[tuple[Part, ...], Meta(extra_json_schema={"uniqueItems": True})]
 NotNegative = Annotated[float, Meta(ge=0)]
 Positive = Annotated[float, Meta(gt=0)]
 Limit = Annotated[float, Meta(gt=0, le=MOST)] | None
-Bounds = list[Annotated[float, Meta(ge=0, le=MOST)] | None] | None
+Bounds = tuple[Annotated[float, Meta(ge=0, le=MOST)] | None, ...] | None
 PartValues = Annotated[
-    list[Literal[0, 1, 2]],
+    tuple[Literal[0, 1, 2], ...],
     Meta(min_length=1, description="For each part 0 removed, 1 installed, 2 held; boundary parts are always 2."),
 ]
 Word = Annotated[
@@ -55,17 +56,6 @@ def _one_of(*names: str) -> dict[str, Any]:
     return {"if": {"type": "object"}, "then": {"oneOf": [{"required": [name]} for name in names]}}
 
 
-class PropEntry(Model):
-    """Place of a prop."""
-
-    part: Annotated[int, Meta(ge=0)]
-    """Part that it carries."""
-    at: Annotated[list[float], Meta(min_length=3, max_length=3)]
-    """Middle of its head, on the lower side of the part, m."""
-    floor: float
-    """Height at which it stands, m."""
-
-
 class SourceEntry(Model):
     """Where a structure came from, and what replaced its own description."""
 
@@ -78,12 +68,12 @@ class SourceEntry(Model):
     density: Positive | None = None
     """kg/m3, of every part."""
     friction: NotNegative | None = None
-    boundary: list[int | str] | None = None
+    boundary: tuple[int | str, ...] | None = None
     ground: bool = False
     """Whether a fixed ground was put under the lowest point."""
     interfaces: Literal["found", "stored", "compare"] | None = None
     """Source of the contacts: found from the meshes, or stored in the file."""
-    loads: list[LoadEntry] | None = None
+    loads: tuple[LoadEntry, ...] | None = None
     earthquake: Earthquake | None = None
 
 
@@ -96,9 +86,9 @@ class StructureEntry(Model):
     friction: NotNegative
     boundary: Parts
     """Parts that are fixed for ever."""
-    parts: Annotated[list[str], Meta(min_length=1)]
+    parts: Annotated[tuple[str, ...], Meta(min_length=1)]
     """Names of all parts; steps and states refer to parts by their place in this list, from 0."""
-    props: list[PropEntry] = []
+    props: tuple[Prop, ...] = ()
     """Props, which are the last entries of parts: passive posts that a step inserts or removes and that need no
     robot."""
     source: Annotated[SourceEntry | None, Meta(extra_json_schema=_one_of("built_in", "path"))] = None
@@ -156,33 +146,13 @@ class StabilityEntry(Model):
     """Robots that hold parts; under the criterion contact, and only there."""
 
 
-class LoadOfHold(Model):
-    """What a robot bears for a part that it holds."""
-
-    part: Annotated[int, Meta(ge=0)]
-    """Held part."""
-    force: Annotated[float, Meta(ge=0)]
-    """Size of the force, N."""
-    moment: Annotated[float, Meta(ge=0)]
-    """Size of the moment about the centre of mass of the part, N m."""
-
-
 Bears = Annotated[
-    list[LoadOfHold],
+    tuple[HoldLoad, ...],
     Meta(
         description="What robots bear in this state for the parts that they hold, the larger of what it is under the "
         "true friction and with the reserve; under the criterion contact only."
     ),
 ]
-
-
-class PressEntry(Model):
-    """Press of a robot on a part that it holds."""
-
-    part: Annotated[int, Meta(ge=0)]
-    """Held part."""
-    wrench: Annotated[list[float], Meta(min_length=6, max_length=6)]
-    """What the robot adds: force in N, moment about the centre of mass of the part in N m."""
 
 
 class StartEntry(Model):
@@ -192,7 +162,7 @@ class StartEntry(Model):
     verdict: Word
     proof: ProofWord
     residual: Residual
-    bears: Bears = []
+    bears: Bears = ()
 
 
 class StepEntry(Model):
@@ -205,36 +175,9 @@ class StepEntry(Model):
     verdict: Word
     proof: ProofWord
     residual: Residual
-    presses: list[PressEntry] = []
+    presses: tuple[Press, ...] = ()
     """Robots that press on parts that they hold while this step releases a part."""
-    bears: Bears = []
-
-
-class NeedEntry(Model):
-    """When a missing part is needed."""
-
-    part: Part
-    after_steps: Annotated[int, Meta(ge=0)]
-    """Steps done before it goes in."""
-    after_parts: Annotated[int, Meta(ge=0)]
-    """Parts placed before it."""
-
-
-class DemandsEntry(Model):
-    """Margins that every state was to keep."""
-
-    friction: Annotated[float, Meta(ge=1, le=MOST)] | None = None
-    """Factor of safety."""
-    tilt: Annotated[float, Meta(gt=0, lt=STEEPEST)] | None = None
-    """rad."""
-    horizontal: Limit = None
-    """Acceleration, in shares of gravity."""
-    push: Limit = None
-    """Force on any free face, N."""
-    load: Limit = None
-    """Force on any installed part, N."""
-    placement: Limit = None
-    """Error of the place of parts, m."""
+    bears: Bears = ()
 
 
 class MeasuredEntry(Model):
@@ -242,7 +185,7 @@ class MeasuredEntry(Model):
 
     friction: Bounds = None
     """Least coefficient of friction."""
-    tilt: list[Annotated[float, Meta(ge=0, le=np.pi / 2)] | None] | None = None
+    tilt: tuple[Annotated[float, Meta(ge=0, le=np.pi / 2)] | None, ...] | None = None
     """rad."""
     horizontal: Bounds = None
     """Acceleration, in shares of gravity."""
@@ -253,27 +196,12 @@ class MeasuredEntry(Model):
 class MarginsEntry(Model):
     """Margins that the states keep, in SI units."""
 
-    demands: DemandsEntry
+    demands: Demands
     measured: MeasuredEntry
     maximised: Literal["friction", "tilt", "horizontal", "push"] | None = None
     """Margin whose weakest step was made strongest."""
     bound: Annotated[float, Meta(ge=0, le=MOST)] | None = None
     """No plan has a weakest step stronger than this; null where none is known."""
-
-
-class JudgementEntry(Model):
-    """How far discrete elements built the plan, under the true friction."""
-
-    built: Annotated[int, Meta(ge=0)]
-    """States that came to rest or were left undecided, in their order."""
-    of: Annotated[int, Meta(ge=1)]
-    """States of the plan."""
-    falls_at: Count | None
-    """The next state, from 0, if it collapses; null if none does, or the time was up."""
-    part: Annotated[int, Meta(ge=-1)]
-    """The part that moved most there, -1 if nothing falls."""
-    undecided: list[Count]
-    """States in which parts still moved at the step limit, without having collapsed."""
 
 
 class ReplayEntry(Model):
@@ -294,7 +222,7 @@ class ReplayEntry(Model):
     """Change of settings under which it does not come to rest; empty if none was found."""
     weak_at: Count | None = None
     """First state that does not come to rest then, in the order of assembly, from 0; null if there is none."""
-    judgement: JudgementEntry | None = None
+    judgement: Judgement | None = None
 
 
 class DisplacementsEntry(Model):
@@ -349,11 +277,11 @@ class PlanFile(Model):
     rules: RulesEntry
     stability: StabilityEntry
     start: Annotated[StartEntry, Meta(extra_json_schema=_UNPROVEN_ONLY_WITHOUT_PROOF)]
-    steps: list[Annotated[StepEntry, Meta(extra_json_schema=_UNPROVEN_ONLY_WITHOUT_PROOF)]]
+    steps: tuple[Annotated[StepEntry, Meta(extra_json_schema=_UNPROVEN_ONLY_WITHOUT_PROOF)], ...]
     """Actions in the order of assembly. Steps are numbered from 1."""
     end: PartValues
     """State that the steps lead to."""
-    needs: list[NeedEntry]
+    needs: tuple[PartDeadline, ...]
     """When each missing part is needed, the first needed first."""
     replay: ReplayEntry | None = None
     margins: MarginsEntry | None = None

@@ -5,17 +5,15 @@ from __future__ import annotations
 from typing import Any, NoReturn
 
 import numpy as np
-from msgspec import convert, to_builtins
+from msgspec import to_builtins
 from numpy.typing import NDArray
 
-from falsework.assembly.prop import Prop
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states, held_count
 from falsework.errors import PlanError, StateError
-from falsework.search.margins.demands import Demands
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans.older_plans import upgraded
 from falsework.search.plans.packed_proofs import CHANGES, WHOLE, unpack_proofs
-from falsework.search.plans.plan import PartDeadline, needs_of
+from falsework.search.plans.plan import needs_of
 from falsework.search.plans.plan_model import (
     FORMAT,
     UNPROVEN,
@@ -30,11 +28,10 @@ from falsework.search.plans.plan_source import check_source
 from falsework.search.plans.steps import Action
 from falsework.stability.certificate import StabilityCriterion
 from falsework.stability.holds import HoldLoad, HoldSettings, Press
-from falsework.stability.judges.judgement import Judgement
 from falsework.stability.state_arrays import StateArrays
 from falsework.stability.verdict import Proof, Verdict
 from falsework.utils.json_file import check_format
-from falsework.utils.models import read_model
+from falsework.utils.models import read_model, to_json_values
 
 MOVES = {
     Action.INSERT: (REMOVED, HELD),
@@ -76,7 +73,7 @@ class PlanReader:
         file, structure, rules = self._file, self._file.structure, self._file.rules
         parts = self._parts
         boundary = np.zeros(parts, dtype=bool)
-        boundary[self._distinct(structure.boundary, "structure.boundary")] = True
+        boundary[list(self._distinct(structure.boundary, "structure.boundary"))] = True
         for number, prop in enumerate(structure.props):
             self._part(prop.part, f"structure.props[{number}].part", parts - self._props)
         if structure.source is not None:
@@ -89,8 +86,8 @@ class PlanReader:
         touched = sorted(set(self._distinct(rules.fixed, "rules.fixed")) & set((actions % parts).tolist()))
         if touched:
             self._fail(f"its steps touch part {touched[0]}, which is fixed")
-        missing = tuple(self._distinct(rules.missing, "rules.missing"))
-        if convert(file.needs, tuple[PartDeadline, ...], from_attributes=True) != needs_of(actions, parts, missing):
+        missing = self._distinct(rules.missing, "rules.missing")
+        if file.needs != needs_of(actions, parts, missing):
             self._fail("its needs do not agree with its steps")
         loads = [self._loads(record, number) for number, record in enumerate((file.start, *file.steps))]
         if any(loads) and claim.criterion != "contact":
@@ -104,18 +101,18 @@ class PlanReader:
             "residuals": residuals,
             "name": structure.name,
             "identity": structure.identity,
-            "part_names": tuple(structure.parts),
+            "part_names": structure.parts,
             "boundary": boundary,
             "friction": structure.friction,
             "robots": file.robots,
             "claim": claim,
-            "fixed": tuple(rules.fixed),
+            "fixed": rules.fixed,
             "missing": missing,
             "removable_only_if_clear": rules.removable_only_if_clear,
             "support": rules.support,
-            "props": convert(structure.props, tuple[Prop, ...], from_attributes=True),
+            "props": structure.props,
             "prop_limit": rules.props,
-            "source": None if structure.source is None else to_builtins(structure.source),
+            "source": None if structure.source is None else to_json_values(structure.source),
             "presses": tuple(presses) if any(presses) else (),
             "loads": tuple(loads) if any(loads) else (),
             "replay": None if file.replay is None else self._replay(file.replay, len(states)),
@@ -184,7 +181,7 @@ class PlanReader:
             self._fail(found, f"every state must be stable by {wanted}, with its residual")
         return record.residual
 
-    def _state(self, values: list[int], boundary: NDArray[np.bool_], place: str) -> States:
+    def _state(self, values: tuple[int, ...], boundary: NDArray[np.bool_], place: str) -> States:
         if len(values) != len(boundary):
             self._fail(f"{place} has {len(values)} values for {len(boundary)} parts")
         try:
@@ -197,7 +194,7 @@ class PlanReader:
         if part >= count:
             self._fail(f"{place} is {part}", f"it must be a part from 0 to {count - 1}")
 
-    def _distinct(self, parts: list[int], place: str, key: str = "") -> list[int]:
+    def _distinct(self, parts: tuple[int, ...], place: str, key: str = "") -> tuple[int, ...]:
         for number, part in enumerate(parts):
             self._part(part, f"{place}[{number}]{key}")
         if len(set(parts)) != len(parts):
@@ -208,13 +205,13 @@ class PlanReader:
         """Return the presses of a step; whether robots hold these parts is for the check."""
         for place, press in enumerate(step.presses):
             self._part(press.part, f"steps[{number - 1}].presses[{place}].part")
-        return convert(step.presses, tuple[Press, ...], from_attributes=True)
+        return step.presses
 
     def _loads(self, record: StartEntry | StepEntry, number: int) -> tuple[HoldLoad, ...]:
         """Return what robots bear in a state; whether they hold these parts is for the check."""
         place = f"steps[{number - 1}].bears" if number else "start.bears"
-        self._distinct([load.part for load in record.bears], place, ".part")
-        return convert(record.bears, tuple[HoldLoad, ...], from_attributes=True)
+        self._distinct(tuple(load.part for load in record.bears), place, ".part")
+        return record.bears
 
     def _replay(self, entry: ReplayEntry, states: int) -> PlanReplay:
         if entry.stands != (entry.falls_at is None):
@@ -242,18 +239,17 @@ class PlanReader:
             varied=entry.varied,
             weak_under=entry.weak_under,
             weak_at=entry.weak_at,
-            judgement=None if built is None else convert(built, Judgement, from_attributes=True),
+            judgement=built,
         )
 
     def _margins(self, entry: MarginsEntry, states: int) -> PlanMargins:
-        measured = {name: tuple(values) for name, values in to_builtins(entry.measured).items()}
+        measured: dict[str, tuple[float | None, ...]] = to_builtins(entry.measured)
         for name, values in measured.items():
             if len(values) != states:
                 self._fail(f"margins.measured.{name} has {len(values)} numbers", f"the plan has {states} states")
         if entry.maximised == "tilt" and entry.bound is not None and entry.bound > np.pi / 2:
             self._fail(f"margins.bound is {entry.bound}", "it must be a number within the range of its kind, or null")
-        demands = convert(entry.demands, Demands, from_attributes=True)
-        return PlanMargins(demands, measured, entry.maximised, entry.bound)
+        return PlanMargins(entry.demands, measured, entry.maximised, entry.bound)
 
     def _proofs(self, shape: tuple[int, ...]) -> dict[str, Any]:
         """Return the proofs of all states, of so many states and parts: forces of points, or displacements of parts."""

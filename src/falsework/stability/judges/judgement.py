@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
+
+from msgspec import Meta
+from msgspec.structs import asdict
+
+from falsework.assembly.assembly_model import Count
+from falsework.utils.models import Model
 
 
-@dataclass(frozen=True)
-class Judgement:
+class Judgement(Model):
     """How far a plan was built by discrete elements on springs as stiff as the contacts of the criterion."""
 
-    built: int
+    built: Count
     """States that came to rest or were left undecided, from the first on, in the order of assembly."""
-    of: int
+    of: Annotated[int, Meta(ge=1)]
     """States of the plan."""
-    falls_at: int | None = None
+    falls_at: Count | None = None
     """The next state if it collapses; None if it does not, or was not built before the time was up."""
-    part: int = -1
+    part: Annotated[int, Meta(ge=-1)] = -1
     """The part that moved most there; -1 if nothing falls."""
-    undecided: tuple[int, ...] = ()
+    undecided: tuple[Count, ...] = ()
     """States in which parts still moved at the step limit, without having collapsed."""
 
     @property
@@ -28,4 +32,4 @@ class Judgement:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain JSON values."""
-        return {**vars(self), "undecided": list(self.undecided)}
+        return {**asdict(self), "undecided": list(self.undecided)}
