@@ -183,7 +183,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert run("export", plan, "--out", tmp_path / "site.pdf", "--elevation", "90") == 2
     assert "elevation" in capsys.readouterr().err
     assert run("export", plan, "--out", tmp_path / "site.csv", "--azimuth", "30") == 2
-    assert "--azimuth is for the pictures of a PDF sheet" in capsys.readouterr().err
+    assert "--azimuth is no option of csv" in capsys.readouterr().err
     assert run("export", plan, "--out", tmp_path / "site.pdf", "--step-seconds", "1") == 2
     assert "plans in motion" in capsys.readouterr().err
     assert run("export", "arch:blocks=3", "--out", tmp_path / "site.pdf") == 2

@@ -12,7 +12,6 @@ from falsework.assembly.interfaces import compare_interfaces as compare_interfac
 from falsework.assembly.interfaces import interface_contacts as interface_contacts
 from falsework.assembly.joints import Joints as Joints
 from falsework.assembly.load import load_structure as load_structure
-from falsework.assembly.load import register_reader as register_reader
 from falsework.assembly.loads import Loads as Loads
 from falsework.assembly.model import Assembly as Assembly
 from falsework.assembly.model import ContactWarning as ContactWarning

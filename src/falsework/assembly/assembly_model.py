@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from msgspec import Meta, defstruct
 
 from falsework.geometry.contact.interfaces import ContactSettings
-from falsework.utils.models import Model, model_schema
+from falsework.utils.models import FileModel, model_schema
 
 FORMAT = "falsework.assembly/1"
 MOST = 1e12
@@ -29,7 +29,7 @@ Earthquake = Annotated[
 ]
 
 
-class Prop(Model):
+class Prop(FileModel):
     """Place of a prop."""
 
     part: Count
@@ -40,7 +40,7 @@ class Prop(Model):
     """Height of its floor, m."""
 
 
-class LoadEntry(Model):
+class LoadEntry(FileModel):
     """Load on a part."""
 
     part: int | str
@@ -53,7 +53,7 @@ class LoadEntry(Model):
     """Where the force acts, m; at the centre of mass if not given."""
 
 
-class JointEntry(Model):
+class JointEntry(FileModel):
     """Strength of contacts between two materials or parts, or of all contacts."""
 
     between: Annotated[list[str], Meta(min_length=2, max_length=2)] | None = None
@@ -72,7 +72,7 @@ class JointEntry(Model):
     """Whether the joint bears its tension when it is pulled apart."""
 
 
-class FastenerEntry(Model):
+class FastenerEntry(FileModel):
     """Screw, dowel or magnet between two parts."""
 
     parts: Pair
@@ -90,12 +90,12 @@ class FastenerEntry(Model):
 
 
 ContactEntry = defstruct(
-    "ContactEntry", [(one.name, float | None, None) for one in fields(ContactSettings)], bases=(Model,)
+    "ContactEntry", [(one.name, float | None, None) for one in fields(ContactSettings)], bases=(FileModel,)
 )
 """Tolerances of contact detection."""
 
 
-class AssemblyFile(Model, forbid_unknown_fields=False):
+class AssemblyFile(FileModel, forbid_unknown_fields=False):
     """`assembly.json`; other entries, such as an author, have no effect."""
 
     format: str = FORMAT

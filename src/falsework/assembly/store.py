@@ -22,6 +22,7 @@ from falsework.errors import AssemblyError, InputError
 from falsework.geometry.contact.interfaces import ContactSettings
 from falsework.geometry.mesh.obj import obj_text
 from falsework.geometry.mesh.surface import listed, warn_of
+from falsework.utils.files.formats import Exporter
 from falsework.utils.json_text import parse_json
 from falsework.utils.models import read_model
 
@@ -199,3 +200,10 @@ def read_description(source: Path) -> dict[str, Any]:
         read_model(AssemblyFile, described, f"{file}: ", AssemblyError)
     described["contact"] = ContactSettings(**described.get("contact", {}))
     return described
+
+
+def _write_folder(path: str | Path, assembly: Assembly, _: None) -> None:
+    save_assembly(assembly, path)
+
+
+EXPORTER = Exporter(_write_folder, complete=True)

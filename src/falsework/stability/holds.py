@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
-from falsework.utils.models import Model
+from falsework.utils.models import FileModel
 from falsework.utils.quantity import format_quantity
 
 Array = NDArray[np.float64]
@@ -105,7 +105,7 @@ class HoldSettings:
                 raise InputError(f"the largest {name} of holds is {value:g} {unit}; give 0 or more")
 
 
-class Press(Model):
+class Press(FileModel):
     """Wrench that a robot adds to a part that it holds while another part is released."""
 
     part: Annotated[int, Meta(ge=0)]
@@ -120,7 +120,7 @@ class Press(Model):
         return float(np.linalg.norm(self.wrench[:3]))
 
 
-class HoldLoad(Model):
+class HoldLoad(FileModel):
     """What a robot bears for a part that it holds in one state."""
 
     part: Annotated[int, Meta(ge=0)]

@@ -34,7 +34,7 @@ _WORDS = {
 """Types of a model in messages."""
 
 
-class Model(Struct, forbid_unknown_fields=True, frozen=True, omit_defaults=True):
+class FileModel(Struct, forbid_unknown_fields=True, frozen=True, omit_defaults=True):
     """Base of the models of files: keys of its fields only, those with a default may be missing.
 
     The texts below fields are their descriptions in messages and schemas.
@@ -47,7 +47,7 @@ def read_model(
     """Convert plain values, such as those of JSON or TOML, to a model.
 
     Args:
-        kind: a `Model`.
+        kind: a `FileModel`.
         data: the values; nothing is converted that is not exact.
         about: beginning of messages, with the name of the file.
         error: makes the error of a message.
@@ -68,7 +68,7 @@ def read_model(
         raise error(about + _message(kind, data, str(wrong), where, remedy)) from None
 
 
-def model_schema(kind: type[Model], identifier: str, title: str, description: str) -> dict[str, Any]:
+def model_schema(kind: type[FileModel], identifier: str, title: str, description: str) -> dict[str, Any]:
     """Return the JSON Schema (2020-12) of a model.
 
     Args:
@@ -83,7 +83,7 @@ def model_schema(kind: type[Model], identifier: str, title: str, description: st
         "title": title,
         "description": description,
     }
-    models = {model.__name__: model for model in _below(Model)}
+    models = {model.__name__: model for model in _below(FileModel)}
     for name, entry in schema["$defs"].items():
         for field, text in _field_texts(models[name]).items() if name in models else ():
             entry["properties"][field]["description"] = text
@@ -99,7 +99,7 @@ def _below(model: type) -> list[type]:
 def _field_texts(model: type) -> dict[str, str]:
     """Return the texts below the fields of a model."""
     texts = {}
-    for kind in reversed(model.__mro__[: model.__mro__.index(Model)]):
+    for kind in reversed(model.__mro__[: model.__mro__.index(FileModel)]):
         try:
             body = ast.parse(getsource(kind)).body[0]
         except (OSError, TypeError):  # of a model that no source defines

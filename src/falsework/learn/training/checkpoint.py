@@ -23,7 +23,7 @@ from falsework.search.plans.plan_source import check_source
 from falsework.utils.files.damage import blamed_on
 from falsework.utils.files.output_file import write_whole
 from falsework.utils.json_text import parse_json
-from falsework.utils.models import Model, read_model
+from falsework.utils.models import FileModel, read_model
 
 FORMAT = "falsework.run/2"
 CHECKPOINT_FORMAT = "falsework.checkpoint/3"
@@ -35,7 +35,7 @@ DATA = "data.npz"
 SEARCHED = "searched.npz"
 
 
-class RunStructure(Model):
+class RunStructure(FileModel):
     """Structure of a run: enough to reload it and to detect another one."""
 
     name: str
@@ -44,7 +44,7 @@ class RunStructure(Model):
     source: SourceEntry
 
 
-class RunFile(Model):
+class RunFile(FileModel):
     """`run.json`."""
 
     format: str

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from falsework.errors import CellError
 from falsework.robots.model.cell import Margins, Signals
 from falsework.robots.model.shapes import pose
-from falsework.utils.models import Model, model_schema, read_model
+from falsework.utils.models import FileModel, model_schema, read_model
 
 Array = NDArray[np.float64]
 Kind = TypeVar("Kind")
@@ -26,7 +26,7 @@ Limit = Annotated[float, Meta(ge=0)]
 _MARGINS, _SIGNALS = Margins(), Signals()
 
 
-class PoseEntry(Model):
+class PoseEntry(FileModel):
     """Position and rotation."""
 
     position: Vector | None = None
@@ -37,7 +37,7 @@ class PoseEntry(Model):
     """Rotation about z instead of rpy, degrees."""
 
 
-class BoxEntry(Model):
+class BoxEntry(FileModel):
     """Box between two corners."""
 
     low: Vector
@@ -46,7 +46,7 @@ class BoxEntry(Model):
     """Metres, every coordinate above that of low."""
 
 
-class CylinderEntry(Model):
+class CylinderEntry(FileModel):
     """Cylinder along z."""
 
     radius: Annotated[float, Meta(ge=0.0001)]
@@ -64,7 +64,7 @@ class ShapeEntry(PoseEntry):
     cylinder: CylinderEntry | None = None
 
 
-class _GripperEntry(Model, tag_field="kind"):
+class _GripperEntry(FileModel, tag_field="kind"):
     payload: Annotated[float, Meta(ge=0)]
     """Largest mass that it lifts, kg."""
     shapes: Annotated[list[ShapeEntry], Meta(min_length=1)]
@@ -102,14 +102,14 @@ class JawEntry(_GripperEntry, tag="jaw", kw_only=True):
 GripperEntry = SuctionEntry | JawEntry
 
 
-class PlaceEntry(Model):
+class PlaceEntry(FileModel):
     """Place at which parts may be put down, in the frame of the base of the robot."""
 
     position: Vector
     """Metres."""
 
 
-class SignalsEntry(Model):
+class SignalsEntry(FileModel):
     """Settings of the controller."""
 
     grip: Text | None = None
@@ -122,7 +122,7 @@ class SignalsEntry(Model):
     """Network address of the controller."""
 
 
-class RobotEntry(Model):
+class RobotEntry(FileModel):
     """Robot: arm, base, gripper, home, places and settings of the controller."""
 
     name: Text
@@ -154,7 +154,7 @@ class ObstacleEntry(ShapeEntry, kw_only=True):
     name: Text
 
 
-class PlacementEntry(Model):
+class PlacementEntry(FileModel):
     """Place of the structure in the cell."""
 
     position: Vector | None = None
@@ -166,7 +166,7 @@ class PlacementEntry(Model):
     """kg/m3, of every part."""
 
 
-class ClearancesEntry(Model):
+class ClearancesEntry(FileModel):
     """Distances that motions keep."""
 
     free: Annotated[float, Meta(ge=0.0005, le=1)] = _MARGINS.free
@@ -177,7 +177,7 @@ class ClearancesEntry(Model):
     """Length of the straight motion to a part, metres."""
 
 
-class CellFile(Model, kw_only=True):
+class CellFile(FileModel, kw_only=True):
     """Cell file."""
 
     format: str = FORMAT

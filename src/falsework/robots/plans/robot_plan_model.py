@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta
 
 from falsework.robots.plans.temporal_graph import Reason
-from falsework.utils.models import Model, model_schema
+from falsework.utils.models import FileModel, model_schema
 
 FORMAT = "falsework.robot-plan/3"
 
@@ -18,7 +18,7 @@ Numbers = list[float]
 Pose = Annotated[list[list[float]], Meta(min_length=4, max_length=4)]
 
 
-class RecordedRobotEntry(Model):
+class RecordedRobotEntry(FileModel):
     """Robot of the cell."""
 
     name: str
@@ -31,7 +31,7 @@ class RecordedRobotEntry(Model):
     """Tool frame in the frame of the flange."""
 
 
-class CellEntry(Model):
+class CellEntry(FileModel):
     """Cell of a robot plan."""
 
     name: str
@@ -42,7 +42,7 @@ class CellEntry(Model):
     """Name of a built-in cell, or path of a cell file relative to this file."""
 
 
-class KeyframeEntry(Model):
+class KeyframeEntry(FileModel):
     """Joint values of all robots between two steps."""
 
     configurations: list[Numbers]
@@ -53,7 +53,7 @@ class KeyframeEntry(Model):
     """Part that each robot has in its gripper, away from its place; absent: none has one."""
 
 
-class TrajectoryEntry(Model):
+class TrajectoryEntry(FileModel):
     """Knots; between two of them, each joint follows the cubic with their positions and velocities."""
 
     kind: Literal["free", "line"]
@@ -68,7 +68,7 @@ class TrajectoryEntry(Model):
     velocities: list[Numbers]
 
 
-class RobotStepEntry(Model):
+class RobotStepEntry(FileModel):
     """Motions of one robot for one action of the plan, for half of a hand-over, or for a transit."""
 
     do: str
@@ -88,7 +88,7 @@ class RobotStepEntry(Model):
     carries none."""
 
 
-class MotionEntry(Model):
+class MotionEntry(FileModel):
     """Trajectory of a step, or moment at which a gripper closes or opens, at its time."""
 
     robot: Index
@@ -99,7 +99,7 @@ class MotionEntry(Model):
     seconds: Seconds
 
 
-class PrecedenceEntry(Model):
+class PrecedenceEntry(FileModel):
     """Motion `after` begins only when motion `before` has come to `offset` seconds of its nominal time."""
 
     before: Index
@@ -108,7 +108,7 @@ class PrecedenceEntry(Model):
     why: Reason
 
 
-class ScheduleEntry(Model):
+class ScheduleEntry(FileModel):
     """What may take place at the same time."""
 
     makespan: Annotated[float, Meta(ge=0)]
@@ -122,7 +122,7 @@ class ScheduleEntry(Model):
     precedences: list[PrecedenceEntry]
 
 
-class RobotPlanFile(Model):
+class RobotPlanFile(FileModel):
     """Robot plan file."""
 
     format: Literal["falsework.robot-plan/3"]

@@ -23,7 +23,7 @@ from falsework.stability.margins.pushes import Pushes
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Verdict, Verdicts
-from falsework.utils.models import Model
+from falsework.utils.models import FileModel
 from falsework.utils.quantity import parse_quantity
 
 _KINDS: dict[str, str] = {
@@ -44,7 +44,7 @@ _DRAWS = 8
 """Random placements in each of which every state must be stable."""
 
 
-class Demands(Model):
+class Demands(FileModel):
     """Margins that every state of a plan must keep; None where nothing is required."""
 
     friction: Annotated[float, Meta(ge=1, le=MOST)] | None = None

@@ -24,13 +24,13 @@ from falsework.stability.holds import Press
 from falsework.stability.state_arrays import StateArrays
 from falsework.stability.verdict import Proof, Verdict, Verdicts
 from falsework.utils.display.notebook import Displayed
-from falsework.utils.models import Model
+from falsework.utils.models import FileModel
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
 
 
-class PartDeadline(Model):
+class PartDeadline(FileModel):
     """Latest step at which a missing part is needed."""
 
     part: Count

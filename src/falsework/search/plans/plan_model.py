@@ -13,7 +13,7 @@ from falsework.search.plans.plan import PartDeadline
 from falsework.search.plans.steps import Action
 from falsework.stability.holds import HoldLoad, HoldMode, Press
 from falsework.stability.judges.judgement import Judgement
-from falsework.utils.models import Model, model_schema
+from falsework.utils.models import FileModel, model_schema
 
 FORMAT = "falsework.plan/4"
 UNPROVEN: dict[str, Any] = {"verdict": "undecided", "proof": "none", "residual": None}
@@ -56,7 +56,7 @@ def _one_of(*names: str) -> dict[str, Any]:
     return {"if": {"type": "object"}, "then": {"oneOf": [{"required": [name]} for name in names]}}
 
 
-class SourceEntry(Model):
+class SourceEntry(FileModel):
     """Where a structure came from, and what replaced its own description."""
 
     built_in: str | None = None
@@ -77,7 +77,7 @@ class SourceEntry(Model):
     earthquake: Earthquake | None = None
 
 
-class StructureEntry(Model):
+class StructureEntry(FileModel):
     """Structure of a plan."""
 
     name: str
@@ -95,7 +95,7 @@ class StructureEntry(Model):
     """Where the structure came from: either built_in or path."""
 
 
-class RulesEntry(Model):
+class RulesEntry(FileModel):
     """Rules that the steps keep."""
 
     fixed: Parts
@@ -110,7 +110,7 @@ class RulesEntry(Model):
     """Props that may stand at a time."""
 
 
-class HoldsEntry(Model):
+class HoldsEntry(FileModel):
     """What robots that hold parts can do."""
 
     stiffness: Positive | None
@@ -124,7 +124,7 @@ class HoldsEntry(Model):
     or its force along one direction and its pose across it."""
 
 
-class StabilityEntry(Model):
+class StabilityEntry(FileModel):
     """What stable means."""
 
     criterion: Literal["contact", "equilibrium"]
@@ -155,7 +155,7 @@ Bears = Annotated[
 ]
 
 
-class StartEntry(Model):
+class StartEntry(FileModel):
     """State before the first step."""
 
     state: PartValues
@@ -165,7 +165,7 @@ class StartEntry(Model):
     bears: Bears = ()
 
 
-class StepEntry(Model):
+class StepEntry(FileModel):
     """Step of a plan, with the verdict on the state that it leads to."""
 
     do: Action
@@ -180,7 +180,7 @@ class StepEntry(Model):
     bears: Bears = ()
 
 
-class MeasuredEntry(Model):
+class MeasuredEntry(FileModel):
     """Margins of every state in the order of the plan; null where there is no bound."""
 
     friction: Bounds = None
@@ -193,7 +193,7 @@ class MeasuredEntry(Model):
     """Force on the weakest free face, N."""
 
 
-class MarginsEntry(Model):
+class MarginsEntry(FileModel):
     """Margins that the states keep, in SI units."""
 
     demands: Demands
@@ -204,7 +204,7 @@ class MarginsEntry(Model):
     """No plan has a weakest step stronger than this; null where none is known."""
 
 
-class ReplayEntry(Model):
+class ReplayEntry(FileModel):
     """How the plan went when it was replayed with contact history."""
 
     stands: bool
@@ -225,7 +225,7 @@ class ReplayEntry(Model):
     judgement: Judgement | None = None
 
 
-class DisplacementsEntry(Model):
+class DisplacementsEntry(FileModel):
     """Proof of every state under the criterion contact.
 
     Displacements (translation in m, rotation in rad) of every part about its centre of mass in the increments of the
@@ -239,7 +239,7 @@ class DisplacementsEntry(Model):
     """Little-endian float64 of shape (states, increments, parts, 6), packed by zlib, in base64."""
 
 
-class ForcesEntry(Model):
+class ForcesEntry(FileModel):
     """Proof of every state under the criterion equilibrium.
 
     Contact forces (normal, first and second tangent) in newtons at every contact point of the structure; of large plans
@@ -267,7 +267,7 @@ _HELD_AGAIN_ONLY_WITH_SUPPORT = {
 }
 
 
-class PlanFile(Model):
+class PlanFile(FileModel):
     """Plan file."""
 
     format: Literal["falsework.plan/4"]

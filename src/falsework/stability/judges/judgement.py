@@ -8,10 +8,10 @@ from msgspec import Meta
 from msgspec.structs import asdict
 
 from falsework.assembly.assembly_model import Count
-from falsework.utils.models import Model
+from falsework.utils.models import FileModel
 
 
-class Judgement(Model):
+class Judgement(FileModel):
     """How far a plan was built by discrete elements on springs as stiff as the contacts of the criterion."""
 
     built: Count
