@@ -58,16 +58,14 @@ def test_what_is_right_is_read() -> None:
         ({"wheels": [{}]}, "wheels[0].radius is missing; write it again"),
         ({"wheels": [{"radius": 1, "knid": "solid"}]}, "wheels[0].knid is not known; did you mean kind?; write it"),
         ({"x": 1}, "x is not known; known are count, loaded, place, wheels; write it again"),
-        ({"wheels": [{"radius": 1, "kind": "\x1b[2K"}]}, r"wheels[0].kind is '\x1b[2K'; give one of spoked, solid"),
+        ({"wheels": [{"radius": 1, "kind": "\x1b[2K"}]}, r"wheels[0].kind is '\x1b[2K'; give one of solid, spoked"),
         ({"count": 2.5}, "count is 2.5; give a whole number (number of carts)"),
-        ({"count": 10**400}, "a number in it does not fit into 64 bits"),
+        ({"wheels": [{"radius": 10**400}]}, "wheels[0].radius is 1000000000"),
         ({"count": "7" * 500}, f"count is '{'7' * 56}...; give a whole number (number of carts)"),
         ({"loaded": 1}, "loaded is 1; give true or false"),
     ],
 )
 def test_what_is_wrong_is_named(change: dict[str, Any], message: str) -> None:
-    if change == {"count": 10**400}:
-        change = {"wheels": [{"radius": 10**400}]}
     with pytest.raises(InputError) as caught:
         read(GOOD | change)
     assert str(caught.value).startswith(f"cart.json: {message}")

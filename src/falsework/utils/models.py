@@ -62,8 +62,6 @@ def read_model(
         if place := _not_finite(data):
             raise error(f"{about}{_join(where, place)} is not finite; give a number")
         return convert(data, kind)
-    except OverflowError:
-        raise error(f"{about}a number in it does not fit into 64 bits; give a smaller one") from None
     except ValidationError as wrong:
         raise error(about + _message(kind, data, str(wrong), where, remedy)) from None
 
@@ -153,6 +151,8 @@ def _message(kind: Any, data: Any, text: str, where: str, remedy: str) -> str:
     if key:
         fields = [field.encode_name for entry in _kinds(known) for field in getattr(entry, "fields", ())]
         return f"{_join(place, key[1])} {unknown_key(key[1], fields)}{remedy}"
+    if what == "Number out of range":
+        return f"{place} is {shown(value)}; give a number that fits into 64 bits"
     expected = what.removeprefix("Expected ").partition(", got")[0]
     if what.startswith("Invalid value"):  # of the key that tells which of several objects it is
         known = None
