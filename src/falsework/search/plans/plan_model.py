@@ -219,9 +219,9 @@ class ReplayEntry(FileModel):
     """Whether it also comes to rest under changed settings: stiffness ratio, damping, release, initial friction, and
     presses that err."""
     weak_under: str = ""
-    """Change of settings under which it does not come to rest; empty if none was found."""
+    """Not written any more; readers ignore it."""
     weak_at: Count | None = None
-    """First state that does not come to rest then, in the order of assembly, from 0; null if there is none."""
+    """Not written any more; readers ignore it."""
     judgement: Judgement | None = None
 
 

@@ -216,11 +216,8 @@ class PlanReader:
     def _replay(self, entry: ReplayEntry, states: int) -> PlanReplay:
         if entry.stands != (entry.falls_at is None):
             self._fail("replay.stands must be true, with no falls_at, or false, with one")
-        if bool(entry.weak_under) != (entry.weak_at is not None):
-            self._fail("replay.weak_under must be a text, with weak_at where it is not empty")
-        for name, state in (("falls_at", entry.falls_at), ("weak_at", entry.weak_at)):
-            if state is not None and state >= states:
-                self._fail(f"replay.{name} is {state}", f"the plan has {states} states")
+        if entry.falls_at is not None and entry.falls_at >= states:
+            self._fail(f"replay.falls_at is {entry.falls_at}", f"the plan has {states} states")
         self._part(entry.part, "replay.part")
         built = entry.judgement
         if built is not None:
@@ -231,16 +228,7 @@ class PlanReader:
             if not fallen or max(built.undecided, default=-1) >= built.built:
                 what = f"{built.built} states were built, which does not go with falls_at or undecided"
                 self._fail(f"replay.judgement: {what}")
-        return PlanReplay(
-            entry.stands,
-            entry.moved,
-            entry.part,
-            entry.falls_at,
-            varied=entry.varied,
-            weak_under=entry.weak_under,
-            weak_at=entry.weak_at,
-            judgement=built,
-        )
+        return PlanReplay(entry.stands, entry.moved, entry.part, entry.falls_at, varied=entry.varied, judgement=built)
 
     def _margins(self, entry: MarginsEntry, states: int) -> PlanMargins:
         measured: dict[str, tuple[float | None, ...]] = to_builtins(entry.measured)
