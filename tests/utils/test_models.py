@@ -62,6 +62,7 @@ def test_what_is_right_is_read() -> None:
         ({"count": 2.5}, "count is 2.5; give a whole number (number of carts)"),
         ({"wheels": [{"radius": 10**400}]}, "wheels[0].radius is 1000000000"),
         ({"count": "7" * 500}, f"count is '{'7' * 56}...; give a whole number (number of carts)"),
+        ({"wheels": [{"radius": 1, "kind": "\ud800"}]}, "a text in it holds half a character; write it as UTF-8"),
         ({"loaded": 1}, "loaded is 1; give true or false"),
     ],
 )

@@ -13,7 +13,7 @@ from itertools import pairwise
 from os import PathLike, fspath
 from typing import Any, TypeVar
 
-from msgspec import Struct, ValidationError, convert, inspect, json
+from msgspec import Struct, ValidationError, convert, inspect, json, to_builtins
 
 from falsework.errors import InputError
 
@@ -62,6 +62,8 @@ def read_model(
         if place := _not_finite(data):
             raise error(f"{about}{_join(where, place)} is not finite; give a number")
         return convert(data, kind)
+    except UnicodeEncodeError:
+        raise error(f"{about}a text in it holds half a character; write it as UTF-8") from None
     except ValidationError as wrong:
         raise error(about + _message(kind, data, str(wrong), where, remedy)) from None
 
@@ -74,19 +76,29 @@ def model_schema(kind: type[FileModel], identifier: str, title: str, description
         identifier: name of the schema at the address of all of them.
         title, description: of the file.
     """
-    schema = json.schema(kind)
+    schemas = model_schemas((kind,), "#/$defs/{name}")
     about = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$id": f"https://falsework.dev/schema/{identifier}.json",
         "title": title,
         "description": description,
     }
+    return {**schemas.pop(kind.__name__), **about, "$defs": schemas}
+
+
+def model_schemas(kinds: Iterable[type[FileModel]], references: str) -> dict[str, Any]:
+    """Return the JSON Schemas of models and of the models in them, by name.
+
+    Args:
+        kinds: the models.
+        references: how one refers to another, with `{name}` in it.
+    """
+    _, schemas = json.schema_components(kinds, ref_template=references)
     models = {model.__name__: model for model in _below(FileModel)}
-    for name, entry in schema["$defs"].items():
+    for name, entry in schemas.items():
         for field, text in _field_texts(models[name]).items() if name in models else ():
             entry["properties"][field]["description"] = text
-    own = schema["$defs"].pop(kind.__name__)
-    return json.decode(json.encode({**own, **about, "$defs": schema["$defs"]}))
+    return json.decode(json.encode(schemas))
 
 
 def _below(model: type) -> list[type]:
@@ -109,8 +121,8 @@ def _field_texts(model: type) -> dict[str, str]:
 
 
 def to_json_values(model: Any) -> Any:
-    """Return a model, or a list of models, as plain JSON values."""
-    return json.decode(json.encode(model))
+    """Return a model as plain JSON values; texts in it may hold what UTF-8 cannot."""
+    return plain(to_builtins(model))
 
 
 def plain(value: Any) -> Any:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
-from msgspec import convert
+from msgspec import convert, to_builtins
 from numpy.typing import NDArray
 
 from falsework.errors import PlanError
@@ -29,7 +29,7 @@ from falsework.robots.plans.timeline import nodes_of
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
 from falsework.search.problem.task import Direction
 from falsework.utils.json_file import check_format, read_json, write_json
-from falsework.utils.models import read_model, to_json_values
+from falsework.utils.models import read_model
 
 Array = NDArray[np.float64]
 
@@ -114,7 +114,7 @@ def robot_plan_to_dict(plan: RobotPlan) -> dict[str, Any]:
         "schedule": None if plan.schedule is None else _schedule_to_dict(plan.schedule),
         "statistics": plan.statistics,
     }
-    return to_json_values(convert(file, RobotPlanFile))
+    return to_builtins(convert(file, RobotPlanFile))
 
 
 def _schedule_to_dict(graph: TemporalPlanGraph) -> dict[str, Any]:
