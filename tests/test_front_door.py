@@ -300,7 +300,9 @@ def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 def test_another_package_adds_a_format(arch: Assembly, plan: fw.Plan, plugin: Path) -> None:
     file = plugin / "arch.mine"
     file.write_text("arch:blocks=5")
-    assert fw.load(file).identity == fw.load_structure(file).identity == arch.identity
+    loaded = fw.load(file)
+    assert isinstance(loaded, Assembly)
+    assert loaded.identity == fw.load_structure(file).identity == arch.identity
     assert fw.load_structure(file, friction=0.9).friction == 0.9
     fw.save(arch, plugin / "out.mine")
     assert (plugin / "out.mine").read_text() == "arch:blocks=5 0 1.0"

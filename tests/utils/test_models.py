@@ -13,7 +13,7 @@ from falsework.errors import InputError
 from falsework.utils.models import FileModel, model_schema, plain, read_model
 
 
-class Wheel(FileModel):
+class Wheel(FileModel, frozen=True):
     """Wheel of a cart."""
 
     radius: Annotated[float, Meta(gt=0)]
@@ -21,7 +21,7 @@ class Wheel(FileModel):
     kind: Literal["spoked", "solid"] = "solid"
 
 
-class Cart(FileModel):
+class Cart(FileModel, frozen=True):
     """Cart."""
 
     wheels: list[Wheel]

@@ -19,17 +19,10 @@ Vector = Annotated[list[Bounded], Meta(min_length=3, max_length=3)]
 Pair = Annotated[list[int | str], Meta(min_length=2, max_length=2)]
 Strength = Annotated[float, Meta(ge=0)]
 Count = Annotated[int, Meta(ge=0)]
-Earthquake = Annotated[
-    list[Bounded],
-    Meta(
-        min_length=1,
-        max_length=2,
-        description="Pseudo-static horizontal acceleration along x, or along x and y, in shares of gravity.",
-    ),
-]
+Earthquake = Annotated[list[Bounded], Meta(min_length=1, max_length=2)]
 
 
-class Prop(FileModel):
+class Prop(FileModel, frozen=True):
     """Place of a prop."""
 
     part: Count
@@ -40,7 +33,7 @@ class Prop(FileModel):
     """Height of its floor, m."""
 
 
-class LoadEntry(FileModel):
+class LoadEntry(FileModel, frozen=True):
     """Load on a part."""
 
     part: int | str
@@ -53,7 +46,7 @@ class LoadEntry(FileModel):
     """Where the force acts, m; at the centre of mass if not given."""
 
 
-class JointEntry(FileModel):
+class JointEntry(FileModel, frozen=True):
     """Strength of contacts between two materials or parts, or of all contacts."""
 
     between: Annotated[list[str], Meta(min_length=2, max_length=2)] | None = None
@@ -72,7 +65,7 @@ class JointEntry(FileModel):
     """Whether the joint bears its tension when it is pulled apart."""
 
 
-class FastenerEntry(FileModel):
+class FastenerEntry(FileModel, frozen=True):
     """Screw, dowel or magnet between two parts."""
 
     parts: Pair
@@ -95,7 +88,7 @@ ContactEntry = defstruct(
 """Tolerances of contact detection."""
 
 
-class AssemblyFile(FileModel, forbid_unknown_fields=False):
+class AssemblyFile(FileModel, frozen=True, forbid_unknown_fields=False):
     """`assembly.json`; other entries, such as an author, have no effect."""
 
     format: str = FORMAT
@@ -115,6 +108,7 @@ class AssemblyFile(FileModel, forbid_unknown_fields=False):
     contact: ContactEntry | None = None  # type: ignore[valid-type]
     loads: list[LoadEntry] | None = None
     earthquake: float | Earthquake | None = None
+    """Pseudo-static horizontal acceleration along x, or along x and y, in shares of gravity."""
     materials: str | list[str] | None = None
     """Of each part, or one for all."""
     joints: list[JointEntry] | None = None

@@ -83,7 +83,7 @@ class Loads:
         if earthquake is not None:
             given = plain(earthquake)
             given = given if isinstance(given, list) else [given]
-            values = read_model(Earthquake, given, "", AssemblyError, "earthquake")
+            values: list[float] = read_model(Earthquake, given, "", AssemblyError, "earthquake")  # type: ignore[arg-type]
             acceleration[: len(values)] = values
         if not (wrench.any() or acceleration.any()):
             return None

@@ -9,16 +9,14 @@ from typing import Any
 from falsework.assembly.load import as_assembly, load_structure
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
+from falsework.files import load_own
 from falsework.robots.cells.cell_file import AnyCell
 from falsework.robots.exports.export import export_plan
 from falsework.robots.plans.presses import has_presses
 from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.robots.plans.robot_plan_file import load_robot_plan
 from falsework.search.plans.plan import Plan
-from falsework.search.plans.plan_file import load_plan
 from falsework.search.plans.plan_source import structure_of_plan
 from falsework.utils.files.formats import EXPORTERS, exporter_by_suffix, formats, write_format
-from falsework.utils.json_file import read_format
 
 
 def format_of(path: Path | str) -> str:
@@ -50,13 +48,11 @@ def read_exportable(
     Raises:
         InputError: none of them.
     """
-    file = Path(path)
-    kind = read_format(file) if file.suffix.lower() == ".json" and file.is_file() else ""
-    if kind.startswith("falsework.robot-plan/"):
-        return load_robot_plan(file), None
-    if kind.startswith("falsework.plan/"):
-        plan = load_plan(file)
-        return plan, structure_of_plan(plan, file, structure, **options)
+    found = load_own(path) if Path(path).suffix.lower() == ".json" else None
+    if isinstance(found, RobotPlan):
+        return found, None
+    if isinstance(found, Plan):
+        return found, structure_of_plan(found, path, structure, **options)
     assembly = load_structure(path, **options)
     return assembly, assembly
 

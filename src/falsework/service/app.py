@@ -6,7 +6,7 @@ import asyncio
 import json
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from typing import Any, TypeVar
+from typing import Any
 
 from fastapi import FastAPI, Request, Response
 from msgspec import UNSET, UnsetType, structs
@@ -22,6 +22,7 @@ from falsework.service.metrics import Metrics
 from falsework.service.middleware import INSIDE, App, ServiceMiddleware
 from falsework.service.pool import Pool, Reply
 from falsework.service.schema import Holds, PictureRequest, ReplanRequest, StabilityRequest
+from falsework.service.schema import Request as Asked
 from falsework.service.settings import PICTURE_SECONDS, STABILITY_SECONDS, ServiceSettings
 from falsework.service.worker import refusal
 
@@ -29,8 +30,6 @@ ABOUT = """Replanning and stability verdicts for one structure.
 
 Every state of every plan is certified as stable before the plan is sent. Errors are one line with a remedy. Times are
 in seconds, except `deadline` in milliseconds; masses in kg, positions in metres, z up."""
-Wanted = TypeVar("Wanted", ReplanRequest, StabilityRequest, PictureRequest)
-
 _GONE_EVERY = 0.2
 """Seconds between two checks whether the client is still connected."""
 _JSON = "application/json"
@@ -247,9 +246,9 @@ def _describe(app: FastAPI, settings: ServiceSettings) -> Callable[[], dict[str,
 
 async def _answer(
     request: Request,
-    kind: type[Wanted],
-    payload: Callable[[Wanted], Any],
-    ask: Callable[[Wanted, Any], Any],
+    kind: type[Asked],
+    payload: Callable[[Asked], Any],
+    ask: Callable[[Asked, Any], Any],
     *,
     media: str = _JSON,
 ) -> Response:

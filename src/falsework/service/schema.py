@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from msgspec import UNSET, Meta, UnsetType, structs
@@ -33,7 +33,7 @@ PartName = Count | Annotated[str, Meta(max_length=1000)]
 Parts = Annotated[list[PartName], Meta(extra_json_schema={"uniqueItems": True})]
 
 
-class Holds(FileModel):
+class Holds(FileModel, frozen=True):
     """What robots that hold parts can do, as in plan files; under the criterion contact."""
 
     stiffness: Annotated[float, Meta(gt=0)] | None = None
@@ -48,7 +48,7 @@ class Holds(FileModel):
     or its force along one direction and its pose across it."""
 
 
-class NamedState(FileModel):
+class NamedState(FileModel, frozen=True):
     """A state by its parts, numbers or names; all others are removed, boundary parts apart."""
 
     standing: Parts = []
@@ -61,7 +61,7 @@ State = Annotated[list[Literal[0, 1, 2]], Meta(min_length=1)] | Literal["complet
 """One value a part: 0 removed, 1 installed, 2 held; boundary parts are always 2."""
 
 
-class ReplanRequest(FileModel):
+class ReplanRequest(FileModel, frozen=True):
     """Current state, target, and constraints of a new plan."""
 
     state: State | UnsetType = UNSET
@@ -97,7 +97,7 @@ class ReplanRequest(FileModel):
     """Milliseconds until the response, with the best certified plan so far; by default that of the service."""
 
 
-class StabilityRequest(FileModel):
+class StabilityRequest(FileModel, frozen=True):
     """States to check."""
 
     states: Annotated[list[State], Meta(min_length=1)]
@@ -106,7 +106,7 @@ class StabilityRequest(FileModel):
     """List the parts that move in states that are not stable."""
 
 
-class PictureRequest(FileModel):
+class PictureRequest(FileModel, frozen=True):
     """A state or a plan to draw."""
 
     state: State = "complete"
@@ -127,7 +127,7 @@ class PictureRequest(FileModel):
     """Of the camera, degrees above the horizon."""
 
 
-class ReplanAnswer(FileModel):
+class ReplanAnswer(FileModel, frozen=True):
     """Plans, or why there is none."""
 
     criterion: Criterion
@@ -154,7 +154,7 @@ class ReplanAnswer(FileModel):
     distances: list[list[Number]]
 
 
-class VerdictRecord(FileModel):
+class VerdictRecord(FileModel, frozen=True):
     """Verdict on a state."""
 
     verdict: Literal["stable", "slides", "tips", "unstable", "undecided"]
@@ -171,14 +171,14 @@ class VerdictRecord(FileModel):
     """Parts that move, the fastest first; only on request."""
 
 
-class StabilityAnswer(FileModel):
+class StabilityAnswer(FileModel, frozen=True):
     """Verdicts in the order of the states."""
 
     criterion: Criterion
     verdicts: list[VerdictRecord]
 
 
-class PartRecord(FileModel):
+class PartRecord(FileModel, frozen=True):
     """Part of the structure."""
 
     part: Count
@@ -188,7 +188,7 @@ class PartRecord(FileModel):
     center: Annotated[list[float], Meta(min_length=3, max_length=3)]
 
 
-class StructureRecord(FileModel):
+class StructureRecord(FileModel, frozen=True):
     """The structure and its parts."""
 
     name: str
@@ -200,7 +200,7 @@ class StructureRecord(FileModel):
     parts: list[PartRecord]
 
 
-class Health(FileModel):
+class Health(FileModel, frozen=True):
     """Readiness of the workers."""
 
     status: Literal["ok", "starting"]
@@ -209,14 +209,14 @@ class Health(FileModel):
     waiting: Count
 
 
-class Refusal(FileModel):
+class Refusal(FileModel, frozen=True):
     """Answer to a request that is refused."""
 
     error: str
     """One line with a remedy."""
 
 
-Request = ReplanRequest | StabilityRequest | PictureRequest
+Request = TypeVar("Request", ReplanRequest, StabilityRequest, PictureRequest)
 
 
 def read_request(kind: type[Request], body: bytes) -> Request:

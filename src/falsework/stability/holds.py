@@ -105,7 +105,7 @@ class HoldSettings:
                 raise InputError(f"the largest {name} of holds is {value:g} {unit}; give 0 or more")
 
 
-class Press(FileModel):
+class Press(FileModel, frozen=True):
     """Wrench that a robot adds to a part that it holds while another part is released."""
 
     part: Annotated[int, Meta(ge=0)]
@@ -120,7 +120,7 @@ class Press(FileModel):
         return float(np.linalg.norm(self.wrench[:3]))
 
 
-class HoldLoad(FileModel):
+class HoldLoad(FileModel, frozen=True):
     """What a robot bears for a part that it holds in one state."""
 
     part: Annotated[int, Meta(ge=0)]

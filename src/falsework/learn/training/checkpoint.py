@@ -35,7 +35,7 @@ DATA = "data.npz"
 SEARCHED = "searched.npz"
 
 
-class RunStructure(FileModel):
+class RunStructure(FileModel, frozen=True):
     """Structure of a run: enough to reload it and to detect another one."""
 
     name: str
@@ -44,7 +44,7 @@ class RunStructure(FileModel):
     source: SourceEntry
 
 
-class RunFile(FileModel):
+class RunFile(FileModel, frozen=True):
     """`run.json`."""
 
     format: str

@@ -26,7 +26,7 @@ Limit = Annotated[float, Meta(ge=0)]
 _MARGINS, _SIGNALS = Margins(), Signals()
 
 
-class PoseEntry(FileModel):
+class PoseEntry(FileModel, frozen=True):
     """Position and rotation."""
 
     position: Vector | None = None
@@ -37,7 +37,7 @@ class PoseEntry(FileModel):
     """Rotation about z instead of rpy, degrees."""
 
 
-class BoxEntry(FileModel):
+class BoxEntry(FileModel, frozen=True):
     """Box between two corners."""
 
     low: Vector
@@ -46,7 +46,7 @@ class BoxEntry(FileModel):
     """Metres, every coordinate above that of low."""
 
 
-class CylinderEntry(FileModel):
+class CylinderEntry(FileModel, frozen=True):
     """Cylinder along z."""
 
     radius: Annotated[float, Meta(ge=0.0001)]
@@ -57,14 +57,14 @@ class CylinderEntry(FileModel):
     """Height of its upper end, metres."""
 
 
-class ShapeEntry(PoseEntry):
+class ShapeEntry(PoseEntry, frozen=True):
     """Box, cylinder or both, at a pose."""
 
     box: BoxEntry | None = None
     cylinder: CylinderEntry | None = None
 
 
-class _GripperEntry(FileModel, tag_field="kind"):
+class _GripperEntry(FileModel, frozen=True, tag_field="kind"):
     payload: Annotated[float, Meta(ge=0)]
     """Largest mass that it lifts, kg."""
     shapes: Annotated[list[ShapeEntry], Meta(min_length=1)]
@@ -83,14 +83,14 @@ class _GripperEntry(FileModel, tag_field="kind"):
     """Ixx, Iyy, Izz, and if needed Ixy, Ixz, Iyz, about the centre of mass, kg m2."""
 
 
-class SuctionEntry(_GripperEntry, tag="suction", kw_only=True):
+class SuctionEntry(_GripperEntry, frozen=True, tag="suction", kw_only=True):
     """Suction gripper."""
 
     cup: Annotated[float, Meta(ge=0.0001)]
     """Radius of the cup, metres."""
 
 
-class JawEntry(_GripperEntry, tag="jaw", kw_only=True):
+class JawEntry(_GripperEntry, frozen=True, tag="jaw", kw_only=True):
     """Gripper with two parallel jaws."""
 
     opening: Annotated[float, Meta(ge=0.0001)]
@@ -102,14 +102,14 @@ class JawEntry(_GripperEntry, tag="jaw", kw_only=True):
 GripperEntry = SuctionEntry | JawEntry
 
 
-class PlaceEntry(FileModel):
+class PlaceEntry(FileModel, frozen=True):
     """Place at which parts may be put down, in the frame of the base of the robot."""
 
     position: Vector
     """Metres."""
 
 
-class SignalsEntry(FileModel):
+class SignalsEntry(FileModel, frozen=True):
     """Settings of the controller."""
 
     grip: Text | None = None
@@ -122,7 +122,7 @@ class SignalsEntry(FileModel):
     """Network address of the controller."""
 
 
-class RobotEntry(FileModel):
+class RobotEntry(FileModel, frozen=True):
     """Robot: arm, base, gripper, home, places and settings of the controller."""
 
     name: Text
@@ -148,13 +148,13 @@ class RobotEntry(FileModel):
     signals: SignalsEntry = SignalsEntry()
 
 
-class ObstacleEntry(ShapeEntry, kw_only=True):
+class ObstacleEntry(ShapeEntry, frozen=True, kw_only=True):
     """Obstacle."""
 
     name: Text
 
 
-class PlacementEntry(FileModel):
+class PlacementEntry(FileModel, frozen=True):
     """Place of the structure in the cell."""
 
     position: Vector | None = None
@@ -166,7 +166,7 @@ class PlacementEntry(FileModel):
     """kg/m3, of every part."""
 
 
-class ClearancesEntry(FileModel):
+class ClearancesEntry(FileModel, frozen=True):
     """Distances that motions keep."""
 
     free: Annotated[float, Meta(ge=0.0005, le=1)] = _MARGINS.free
@@ -177,7 +177,7 @@ class ClearancesEntry(FileModel):
     """Length of the straight motion to a part, metres."""
 
 
-class CellFile(FileModel, kw_only=True):
+class CellFile(FileModel, frozen=True, kw_only=True):
     """Cell file."""
 
     format: str = FORMAT

@@ -18,7 +18,7 @@ Numbers = list[float]
 Pose = Annotated[list[list[float]], Meta(min_length=4, max_length=4)]
 
 
-class RecordedRobotEntry(FileModel):
+class RecordedRobotEntry(FileModel, frozen=True):
     """Robot of the cell."""
 
     name: str
@@ -31,7 +31,7 @@ class RecordedRobotEntry(FileModel):
     """Tool frame in the frame of the flange."""
 
 
-class CellEntry(FileModel):
+class CellEntry(FileModel, frozen=True):
     """Cell of a robot plan."""
 
     name: str
@@ -42,7 +42,7 @@ class CellEntry(FileModel):
     """Name of a built-in cell, or path of a cell file relative to this file."""
 
 
-class KeyframeEntry(FileModel):
+class KeyframeEntry(FileModel, frozen=True):
     """Joint values of all robots between two steps."""
 
     configurations: list[Numbers]
@@ -53,7 +53,7 @@ class KeyframeEntry(FileModel):
     """Part that each robot has in its gripper, away from its place; absent: none has one."""
 
 
-class TrajectoryEntry(FileModel):
+class TrajectoryEntry(FileModel, frozen=True):
     """Knots; between two of them, each joint follows the cubic with their positions and velocities."""
 
     kind: Literal["free", "line"]
@@ -68,7 +68,7 @@ class TrajectoryEntry(FileModel):
     velocities: list[Numbers]
 
 
-class RobotStepEntry(FileModel):
+class RobotStepEntry(FileModel, frozen=True):
     """Motions of one robot for one action of the plan, for half of a hand-over, or for a transit."""
 
     do: str
@@ -88,7 +88,7 @@ class RobotStepEntry(FileModel):
     carries none."""
 
 
-class MotionEntry(FileModel):
+class MotionEntry(FileModel, frozen=True):
     """Trajectory of a step, or moment at which a gripper closes or opens, at its time."""
 
     robot: Index
@@ -99,7 +99,7 @@ class MotionEntry(FileModel):
     seconds: Seconds
 
 
-class PrecedenceEntry(FileModel):
+class PrecedenceEntry(FileModel, frozen=True):
     """Motion `after` begins only when motion `before` has come to `offset` seconds of its nominal time."""
 
     before: Index
@@ -108,7 +108,7 @@ class PrecedenceEntry(FileModel):
     why: Reason
 
 
-class ScheduleEntry(FileModel):
+class ScheduleEntry(FileModel, frozen=True):
     """What may take place at the same time."""
 
     makespan: Annotated[float, Meta(ge=0)]
@@ -122,7 +122,7 @@ class ScheduleEntry(FileModel):
     precedences: list[PrecedenceEntry]
 
 
-class RobotPlanFile(FileModel):
+class RobotPlanFile(FileModel, frozen=True):
     """Robot plan file."""
 
     format: Literal["falsework.robot-plan/3"]

@@ -44,7 +44,7 @@ _DRAWS = 8
 """Random placements in each of which every state must be stable."""
 
 
-class Demands(FileModel):
+class Demands(FileModel, frozen=True):
     """Margins that every state of a plan must keep; None where nothing is required."""
 
     friction: Annotated[float, Meta(ge=1, le=MOST)] | None = None

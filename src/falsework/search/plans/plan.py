@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
 
 
-class PartDeadline(FileModel):
+class PartDeadline(FileModel, frozen=True):
     """Latest step at which a missing part is needed."""
 
     part: Count

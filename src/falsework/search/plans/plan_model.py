@@ -56,7 +56,7 @@ def _one_of(*names: str) -> dict[str, Any]:
     return {"if": {"type": "object"}, "then": {"oneOf": [{"required": [name]} for name in names]}}
 
 
-class SourceEntry(FileModel):
+class SourceEntry(FileModel, frozen=True):
     """Where a structure came from, and what replaced its own description."""
 
     built_in: str | None = None
@@ -75,9 +75,10 @@ class SourceEntry(FileModel):
     """Source of the contacts: found from the meshes, or stored in the file."""
     loads: tuple[LoadEntry, ...] | None = None
     earthquake: Earthquake | None = None
+    """Pseudo-static horizontal acceleration along x, or along x and y, in shares of gravity."""
 
 
-class StructureEntry(FileModel):
+class StructureEntry(FileModel, frozen=True):
     """Structure of a plan."""
 
     name: str
@@ -95,7 +96,7 @@ class StructureEntry(FileModel):
     """Where the structure came from: either built_in or path."""
 
 
-class RulesEntry(FileModel):
+class RulesEntry(FileModel, frozen=True):
     """Rules that the steps keep."""
 
     fixed: Parts
@@ -110,7 +111,7 @@ class RulesEntry(FileModel):
     """Props that may stand at a time."""
 
 
-class HoldsEntry(FileModel):
+class HoldsEntry(FileModel, frozen=True):
     """What robots that hold parts can do."""
 
     stiffness: Positive | None
@@ -124,7 +125,7 @@ class HoldsEntry(FileModel):
     or its force along one direction and its pose across it."""
 
 
-class StabilityEntry(FileModel):
+class StabilityEntry(FileModel, frozen=True):
     """What stable means."""
 
     criterion: Literal["contact", "equilibrium"]
@@ -155,7 +156,7 @@ Bears = Annotated[
 ]
 
 
-class StartEntry(FileModel):
+class StartEntry(FileModel, frozen=True):
     """State before the first step."""
 
     state: PartValues
@@ -165,7 +166,7 @@ class StartEntry(FileModel):
     bears: Bears = ()
 
 
-class StepEntry(FileModel):
+class StepEntry(FileModel, frozen=True):
     """Step of a plan, with the verdict on the state that it leads to."""
 
     do: Action
@@ -180,7 +181,7 @@ class StepEntry(FileModel):
     bears: Bears = ()
 
 
-class MeasuredEntry(FileModel):
+class MeasuredEntry(FileModel, frozen=True):
     """Margins of every state in the order of the plan; null where there is no bound."""
 
     friction: Bounds = None
@@ -193,7 +194,7 @@ class MeasuredEntry(FileModel):
     """Force on the weakest free face, N."""
 
 
-class MarginsEntry(FileModel):
+class MarginsEntry(FileModel, frozen=True):
     """Margins that the states keep, in SI units."""
 
     demands: Demands
@@ -204,7 +205,7 @@ class MarginsEntry(FileModel):
     """No plan has a weakest step stronger than this; null where none is known."""
 
 
-class ReplayEntry(FileModel):
+class ReplayEntry(FileModel, frozen=True):
     """How the plan went when it was replayed with contact history."""
 
     stands: bool
@@ -225,7 +226,7 @@ class ReplayEntry(FileModel):
     judgement: Judgement | None = None
 
 
-class DisplacementsEntry(FileModel):
+class DisplacementsEntry(FileModel, frozen=True):
     """Proof of every state under the criterion contact.
 
     Displacements (translation in m, rotation in rad) of every part about its centre of mass in the increments of the
@@ -239,7 +240,7 @@ class DisplacementsEntry(FileModel):
     """Little-endian float64 of shape (states, increments, parts, 6), packed by zlib, in base64."""
 
 
-class ForcesEntry(FileModel):
+class ForcesEntry(FileModel, frozen=True):
     """Proof of every state under the criterion equilibrium.
 
     Contact forces (normal, first and second tangent) in newtons at every contact point of the structure; of large plans
@@ -267,7 +268,7 @@ _HELD_AGAIN_ONLY_WITH_SUPPORT = {
 }
 
 
-class PlanFile(FileModel):
+class PlanFile(FileModel, frozen=True):
     """Plan file."""
 
     format: Literal["falsework.plan/4"]

@@ -11,7 +11,7 @@ from falsework.assembly.assembly_model import Count
 from falsework.utils.models import FileModel
 
 
-class Judgement(FileModel):
+class Judgement(FileModel, frozen=True):
     """How far a plan was built by discrete elements on springs as stiff as the contacts of the criterion."""
 
     built: Count
