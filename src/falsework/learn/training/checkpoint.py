@@ -17,7 +17,6 @@ from falsework.errors import FalseworkError, InputError
 from falsework.learn.config.train import TrainSettings, from_dict
 from falsework.learn.networks import policy as policies
 from falsework.learn.networks.factory import make_policy
-from falsework.learn.networks.policy import Policy
 from falsework.search.plans.plan_model import SourceEntry
 from falsework.search.plans.plan_source import check_source
 from falsework.utils.files.damage import blamed_on
@@ -34,6 +33,10 @@ CHECKPOINT = Path("checkpoint") / "last.safetensors"
 DATA = "data.npz"
 SEARCHED = "searched.npz"
 
+GENERAL = "general"
+"""Name of the policy for any structure that comes with the package, in place of the folder of a run."""
+_COMES_WITH_PACKAGE = Path(__file__).resolve().parents[1] / "pretrained"
+
 
 class RunStructure(FileModel, frozen=True):
     """Structure of a run: enough to reload it and to detect another one."""
@@ -48,7 +51,8 @@ class RunFile(FileModel, frozen=True):
     """`run.json`."""
 
     format: str
-    structure: RunStructure
+    structure: RunStructure | None
+    """None in a policy for any structure."""
     settings: dict[str, Any]
     policy: Any
     results: Any
@@ -99,7 +103,7 @@ def write_run(folder: Path, metadata: Mapping[str, Any]) -> None:
     _write(folder / FILE, text.encode())
 
 
-def save_run(folder: Path, policy: Policy, metadata: Mapping[str, Any]) -> None:
+def save_run(folder: Path, policy: torch.nn.Module, metadata: Mapping[str, Any]) -> None:
     """Write the weights of a policy and `run.json`, each whole or not at all.
 
     Args:
@@ -118,6 +122,12 @@ def save_run(folder: Path, policy: Policy, metadata: Mapping[str, Any]) -> None:
     write_run(folder, metadata)
 
 
+def run_folder(folder: Path | str) -> Path:
+    """Return the folder of a run; that of the package for the name `general`, unless there is a folder of this name."""
+    folder = Path(folder)
+    return _COMES_WITH_PACKAGE if str(folder) == GENERAL and not folder.exists() else folder
+
+
 def read_run(folder: Path) -> dict[str, Any]:
     """Read `run.json`.
 
@@ -125,6 +135,10 @@ def read_run(folder: Path) -> dict[str, Any]:
         InputError: no such folder, no run in it, damaged, or of another version.
     """
     path = folder / FILE
+    if folder == _COMES_WITH_PACKAGE and not folder.is_dir():
+        raise InputError(
+            "this installation has no policy for any structure; make one by benchmarks/general.py, and give its folder"
+        )
     if folder.is_file():
         raise InputError(f"{folder} is a file; a run is the folder that falsework train writes")
     if not folder.is_dir():
@@ -140,7 +154,8 @@ def read_run(folder: Path) -> dict[str, Any]:
         raise InputError(f"{path} has format {found!r}; this version reads {FORMAT!r} only; train again")
     about = f"{path} is not a valid {FORMAT} file: "
     read = read_model(RunFile, content, about, InputError, remedy="; train again")
-    check_source(read.structure.source, about)
+    if read.structure is not None:
+        check_source(read.structure.source, about)
     return content
 
 
@@ -162,6 +177,8 @@ def load_structure_of(folder: Path, metadata: Mapping[str, Any]) -> Assembly:
     from falsework.assembly import library, load_structure
 
     structure = metadata["structure"]
+    if structure is None:
+        raise InputError(f"{folder} is a policy for any structure; name the structure that it is to be used for")
     source = dict(structure["source"])
     spec = source.pop("built_in", None)
     if spec is None:
@@ -185,7 +202,7 @@ def check_structure(folder: Path, metadata: Mapping[str, Any], assembly: Assembl
         InputError: it is another one.
     """
     trained = metadata["structure"]
-    if trained["identity"] != assembly.identity:
+    if trained is not None and trained["identity"] != assembly.identity:
         raise InputError(
             f"{folder} was trained for another structure ({trained['name']}, {trained['parts']} parts) than "
             f"{assembly.name} as it is now; train again, or give the structure of the run"
@@ -196,16 +213,16 @@ def load_run(folder: Path | str, device: torch.device | str = "cpu", *, assembly
     """Read a trained policy and the structure that it is for.
 
     Args:
-        folder: folder of the run.
+        folder: folder of the run, or `general` for the policy for any structure that comes with the package.
         device: where the policy is to live.
-        assembly: the structure if it is at hand; it must be the one of the run.
+        assembly: the structure if it is at hand; it must be the one of the run, unless that is for any structure.
 
     Raises:
         InputError: no run, a damaged one, one of another version or structure, or no such device.
     """
     from falsework.utils.tensors import choose_device
 
-    folder = Path(folder)
+    folder = run_folder(folder)
     where = choose_device(device) if isinstance(device, str) else device
     with blamed_on(folder, "train again"):
         metadata = read_run(folder)
@@ -215,6 +232,7 @@ def load_run(folder: Path | str, device: torch.device | str = "cpu", *, assembly
             check_structure(folder, metadata, assembly)
         settings = settings_of(metadata)
         policy = make_policy(assembly, settings.policy, where)
+        policy.of_task(settings.robots, equilibrium=settings.criterion == "equilibrium")
         load_weights(policy, folder / WEIGHTS)
     return Run(folder, assembly, settings, policy.eval(), metadata)
 
