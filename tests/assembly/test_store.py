@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from falsework.assembly import Assembly, load_assembly, load_structure, save_assembly
+from falsework.assembly.assembly_model import ContactEntry
 from falsework.errors import AssemblyError, InputError, ReadWarning
 from falsework.geometry import ContactSettings, TriangleMesh
 from falsework.geometry.mesh.obj import obj_text
@@ -209,3 +212,7 @@ def test_structures_by_name(folder: Path, monkeypatch):
     with pytest.warns(ReadWarning, match="arch is a folder or file here, which is read, and .* which is arch:"):
         assert load_structure("arch").name == "door", "the user means what is there"
     assert load_structure("arch:").name == "arch"
+
+
+def test_the_model_has_the_tolerances_of_contacts() -> None:
+    assert structs.asdict(ContactEntry()) == asdict(ContactSettings())

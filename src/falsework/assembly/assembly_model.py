@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from typing import Annotated, Any
 
-from msgspec import Meta, defstruct
+from msgspec import Meta
 
-from falsework.geometry.contact.interfaces import ContactSettings
 from falsework.utils.models import FileModel, model_schema
 
 FORMAT = "falsework.assembly/1"
@@ -82,10 +80,19 @@ class FastenerEntry(FileModel, frozen=True):
     """Whether it slides out or releases slowly."""
 
 
-ContactEntry = defstruct(
-    "ContactEntry", [(one.name, float | None, None) for one in fields(ContactSettings)], bases=(FileModel,)
-)
-"""Tolerances of contact detection."""
+class ContactEntry(FileModel, frozen=True):
+    """Tolerances of contact detection, as in `ContactSettings`, which would load far more than a plan needs."""
+
+    gap: float | None = None
+    """Largest gap between faces that touch, m."""
+    overlap: float | None = None
+    """Largest depth to which faces that touch pass through each other, m."""
+    corner: float | None = None
+    """Largest depth to which corners and edges cut into another part, m."""
+    angle: float = 6.0
+    """Largest angle between faces that touch, degrees."""
+    curvature: float = 7.5
+    """Largest angle between the normals of a curved interface that is treated as one plane, degrees."""
 
 
 class AssemblyFile(FileModel, frozen=True, forbid_unknown_fields=False):
@@ -105,7 +112,7 @@ class AssemblyFile(FileModel, frozen=True, forbid_unknown_fields=False):
     """Number of parts."""
     names: list[Annotated[str, Meta(pattern="\\S")]] | None = None
     """Different names, one a part."""
-    contact: ContactEntry | None = None  # type: ignore[valid-type]
+    contact: ContactEntry | None = None
     loads: list[LoadEntry] | None = None
     earthquake: float | Earthquake | None = None
     """Pseudo-static horizontal acceleration along x, or along x and y, in shares of gravity."""
