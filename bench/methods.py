@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,8 +23,8 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import Mask, States, complete_state
 from falsework.errors import InputError
 from falsework.replanning.replanner import replan
-from falsework.search.find import PLANS, find_plans, task_of
 from falsework.search.fewest_robots import robots_needed
+from falsework.search.find import PLANS, find_plans, task_of
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.task import Direction
 from falsework.stability.oracle import Stability
@@ -157,7 +158,7 @@ def _of_plan(plan: Plan | None, reason: str) -> Found:
 def _steps_between(states: States) -> list[list[Any]]:
     """Return the steps through some states in the order of assembly."""
     found: list[list[Any]] = []
-    for before, after in zip(states[:-1], states[1:], strict=True):
+    for before, after in pairwise(states):
         part = int(np.flatnonzero(before != after)[0])
         found.append(["release" if after[part] == 1 else "insert", part])
     return found

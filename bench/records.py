@@ -1,4 +1,4 @@
-"""Records of the judge: beside a submission, one line for each answer that it checked, and what the table is made of."""
+"""Records of the judge, from which the tables are made: beside a submission, one line for each answer that it checked."""
 
 from __future__ import annotations
 

@@ -142,9 +142,7 @@ def _answer(data: dict[str, Any], line: int, known: Mapping[str, Question], root
         raise ValueError(f"there is no question {_short(data['question'])}; `python -m bench questions` lists them")
     structure, digest = question.structure, question.structure.digest
     if not isinstance(data["structure"], str) or not data["structure"]:
-        raise ValueError(
-            f"structure is {_short(data['structure'])}; give the hash that `python -m bench questions` has"
-        )
+        raise ValueError(f"structure is {_short(data['structure'])}; `python -m bench questions` has its hash")
     if digest and data["structure"] != digest:
         raise ValueError(
             f"it is for another structure: its hash {data['structure'][:12]} is not {digest[:12]} of {structure.name}; "
@@ -202,9 +200,7 @@ def _presses(value: Any, place: str, parts: int | None) -> tuple[Press, ...]:
     found = []
     for entry in value:
         if not isinstance(entry, list) or len(entry) != 2 or not isinstance(entry[1], list) or len(entry[1]) != 6:
-            raise ValueError(
-                f"{place}: a press is {_short(entry)}; give a part and its wrench, six numbers in N and N m"
-            )
+            raise ValueError(f"{place}: a press is {_short(entry)}; give a part and its wrench, six numbers (N, N m)")
         part = _count(entry[0], f"{place}: pressed part", 0, None if parts is None else parts - 1)
         wrench = tuple(_number(entry, f"{place}: wrench", -math.inf, math.inf) for entry in entry[1])
         found.append(Press(part, wrench))
