@@ -227,13 +227,12 @@ class Check(Selection):
         for question, assembly in loaded([answer.question for answer in answers.values()], self.root):
             answer = answers[question.name]
             judgement = judge(answer, assembly)
-            refuted += answer.steps is not None and not judgement.solved
+            refuted += judgement.outcome == "refuted"
             judged[question.name] = judged_line(answer, judgement)
-            kind = "solved" if judgement.solved else "open" if answer.steps is None else "refuted"
             what = f"{judgement.steps} steps, {judgement.robots} robots, reserve {judgement.reserve:g}"
-            say(f"{kind:8} {question.name}: {what if judgement.solved else judgement.reason}")
+            say(f"{judgement.outcome:8} {question.name}: {what if judgement.solved else judgement.reason}")
             said = known.get(question.name)
-            if said is not None and said["solved"] != judgement.solved:
+            if said is not None and said["outcome"] != judgement.outcome:
                 say(f"{path} has another judgement of {question.name}", error=True)
                 refuted += 1
         if self.record:
@@ -245,7 +244,7 @@ class Check(Selection):
                 "checked": {"commit": commit(), "date": date.today().isoformat(), "versions": versions()},
             }
             write_record(path, about, {**known, **judged})
-        solved = sum(line["solved"] for line in judged.values())
+        solved = sum(line["outcome"] == "solved" for line in judged.values())
         say(
             f"{solved} solved of {len(judged)} judged, {len(answers) - len(judged)} skipped, {len(found.faults)} faults"
         )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from bench.questions import Question
 from bench.submission import Answer
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, Mask, States
+from falsework.errors import FalseworkError
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_check import validate_plan
 from falsework.stability.settings import StabilitySettings
@@ -35,9 +36,10 @@ _WORDS = {REMOVED: "not there", INSTALLED: "installed", HELD: "held"}
 class Judgement:
     """What the judge found."""
 
-    solved: bool
+    outcome: Literal["solved", "refuted", "open"]
+    """Whether every step and state is right, or one is not, or the method found nothing."""
     reason: str = ""
-    """Why not, in one sentence."""
+    """Why it is not solved, in one sentence."""
     steps: int = 0
     robots: int = 0
     reserve: float = 1.0
@@ -46,9 +48,14 @@ class Judgement:
     seconds: float = 0.0
     """That the check took."""
 
+    @property
+    def solved(self) -> bool:
+        """Whether the answer is right."""
+        return self.outcome == "solved"
+
     def to_dict(self) -> dict[str, Any]:
         """Return it as a JSON object."""
-        entries = {"solved": self.solved, "steps": self.steps, "robots": self.robots, "reserve": self.reserve}
+        entries = {"outcome": self.outcome, "steps": self.steps, "robots": self.robots, "reserve": self.reserve}
         numbers = {"residual": float(f"{self.residual:.3g}"), "check_seconds": round(self.seconds, 3)}
         return {**entries, **numbers, **({} if self.solved else {"reason": self.reason})}
 
@@ -67,14 +74,14 @@ def judge(answer: Answer, assembly: Assembly) -> Judgement:
     """
     begun = time.perf_counter()
     if answer.steps is None:
-        return Judgement(False, f"no answer: {answer.reason}", robots=answer.robots)
+        return Judgement("open", answer.reason, robots=answer.robots)
     found = _judge(answer, assembly)
     return replace(found, seconds=time.perf_counter() - begun)
 
 
 def _judge(answer: Answer, assembly: Assembly) -> Judgement:
     question = answer.question
-    no = Judgement(False, steps=len(answer.steps or ()), robots=answer.robots, reserve=answer.reserve)
+    no = Judgement("refuted", steps=len(answer.steps or ()), robots=answer.robots, reserve=answer.reserve)
     if not question.structure.digest and answer.structure != assembly.identity:
         return replace(no, reason=f"it is for another structure than {question.structure.name} on this machine")
     if answer.robots > assembly.part_count:
@@ -82,8 +89,11 @@ def _judge(answer: Answer, assembly: Assembly) -> Judgement:
     states, wrong = _follow(answer, assembly.boundary)
     if wrong:
         return replace(no, reason=wrong)
-    report = validate_plan(_plan(answer, assembly, states), assembly, settings_of(question, answer.reserve))
-    return replace(no, solved=report.good, reason=report.reason, residual=report.residual)
+    try:
+        report = validate_plan(_plan(answer, assembly, states), assembly, settings_of(question, answer.reserve))
+    except FalseworkError as error:  # such as presses that no solver takes
+        return replace(no, reason=str(error))
+    return replace(no, outcome="solved" if report.good else "refuted", reason=report.reason, residual=report.residual)
 
 
 def _follow(answer: Answer, boundary: Mask) -> tuple[States, str]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -24,7 +24,7 @@ from falsework.assembly.state import Mask, States, complete_state
 from falsework.errors import InputError
 from falsework.replanning.replanner import replan
 from falsework.search.fewest_robots import robots_needed
-from falsework.search.find import PLANS, find_plans, task_of
+from falsework.search.find import FIRST_SHARE, PLANS, find_plans, task_of
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.task import Direction
 from falsework.stability.oracle import Stability
@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 
 STATE_LIMIT = 100_000
 """States after which depth-first search gives up, as in the paper."""
+_TRIED = 4
+"""Numbers of robots that it tries, from one on, where the fewest are asked for."""
 
 
 @dataclass(frozen=True)
@@ -93,14 +95,13 @@ def steps_of(plan: Plan) -> list[list[Any]]:
 
 
 def falsework(question: Question, assembly: Assembly, limit: float) -> Found:
-    """Answer with the planner of the package at its defaults, the reserve among them."""
+    """Answer with the planner of the package at its defaults: with a reserve if it can, else without.
+
+    The limit is of processor time for `plan`, else of time.
+    """
     settings = settings_of(question, PLANS.reserve if question.criterion == "contact" else 1.0)
     if question.task == "plan":
-        planning = find_plans(
-            assembly, robots=question.robots, stability=settings, deadline=limit, forces=False, progress=_silent
-        )
-        reason = planning.result.notes[0] if not planning.plans and planning.result.notes else ""
-        return _of_plan(planning.plans[0] if planning.found else None, reason)
+        return _planned(question, assembly, settings, limit)
     if question.task == "fewest":
         needed = robots_needed(assembly, stability=settings, deadline=limit, forces=False, progress=_silent)
         return _of_plan(needed.plan, needed.impossible or "; ".join(needed.reasons))
@@ -116,27 +117,45 @@ def falsework(question: Question, assembly: Assembly, limit: float) -> Found:
     return _of_plan(answer.plans[0] if stands else None, answer.reason)
 
 
+def _planned(question: Question, assembly: Assembly, settings: StabilitySettings, limit: float) -> Found:
+    """Search for a plan, half of the time for one with the reserve."""
+    begun, reason = time.process_time(), ""
+    for reserve in sorted({settings.reserve, 1.0}, reverse=True):
+        until = begun + limit * (FIRST_SHARE if reserve > 1.0 else 1.0)
+        planning = find_plans(
+            assembly,
+            robots=question.robots,
+            oracle=Stability(assembly, replace(settings, reserve=reserve)),
+            stop=lambda until=until: time.process_time() > until,
+            forces=False,
+            progress=_silent,
+        )
+        if planning.found:
+            return _of_plan(planning.plans[0], "")
+        result = planning.result
+        reason = "; ".join(result.notes) or result.limit or result.outcome.value
+    return Found(None, reason)
+
+
 def depth_first(question: Question, assembly: Assembly, limit: float) -> Found:
     """Answer by depth-first search as the paper has it: from the complete structure, actions in random order.
 
     Verdicts are those of the package, each on its state alone, so that under `contact` the judge may refute the plan.
+    For `fewest` each number of robots, from one to four, has the same share of the time.
     """
-    until = time.process_time() + limit
-    start = complete_state(assembly.boundary)
-    target = question.begin(assembly.boundary)
+    start, target = complete_state(assembly.boundary), question.begin(assembly.boundary)
+    numbers = [question.robots] if question.robots else list(range(1, min(assembly.part_count, _TRIED) + 1))
     reason = ""
-    for robots in [question.robots] if question.robots else range(1, assembly.part_count + 1):
+    for robots in numbers:
         task = task_of(assembly, robots, start=start, target=target)
         oracle = Stability(assembly, settings_of(question))
-        search = DepthFirstSearch(
-            task, oracle, DepthFirstSettings(Direction.DISASSEMBLY, state_limit=STATE_LIMIT), guide=_no_preference
-        )
-        result = search.run(stop=lambda: time.process_time() > until)
+        settings = DepthFirstSettings(Direction.DISASSEMBLY, state_limit=STATE_LIMIT)
+        search = DepthFirstSearch(task, oracle, settings, guide=_no_preference)
+        until = time.process_time() + limit / len(numbers)
+        result = search.run(stop=lambda until=until: time.process_time() > until)
         if result.found:
             return Found(_steps_between(result.routes[0].states[::-1]), robots=robots)
         reason = f"{result.outcome.value} after {result.counters.states} states"
-        if time.process_time() > until:
-            return Found(None, f"{reason} and {limit:g} s")
     return Found(None, reason)
 
 

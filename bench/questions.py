@@ -125,9 +125,11 @@ def questions_of(known: Mapping[str, Structure]) -> Iterator[Question]:
     for structure in known.values():
         for robots in structure.robots:
             for criterion in CRITERIA["plan"]:
-                yield Question("plan", criterion, structure, robots)
+                if criterion in structure.criteria:
+                    yield Question("plan", criterion, structure, robots)
         for criterion in CRITERIA["fewest"]:
-            yield Question("fewest", criterion, structure)
+            if criterion in structure.criteria:
+                yield Question("fewest", criterion, structure)
     for row, states in state_sets().items():
         task, criterion, name, robots = row.split("/")
         digits = len(str(len(states) - 1))

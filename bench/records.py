@@ -1,4 +1,4 @@
-"""Records of the judge, from which the tables are made: beside a submission, one line for each answer that it checked."""
+"""Records of the judge, from which the tables are made: a line for each answer, in a file beside the submission."""
 
 from __future__ import annotations
 

@@ -26,6 +26,7 @@ from falsework.assembly.library import built_in, is_built_in
 from falsework.assembly.store import FILE
 from falsework.assembly.store import FORMAT as ASSEMBLY_FORMAT
 from falsework.errors import InputError
+from falsework.stability.verdict import Criterion
 from falsework.utils.json_file import write_json
 
 HERE = Path(__file__).resolve().parent
@@ -54,6 +55,8 @@ class Structure:
     """Number of parts, boundary included; 0 if unknown before it is read."""
     robots: tuple[int, ...] = (2,)
     """Numbers of robots that are asked about."""
+    criteria: tuple[Criterion, ...] = ("contact", "equilibrium")
+    """Those under which the complete structure is stable, without which it has no plan."""
     identity: str = ""
     """`Assembly.identity`, the hash of geometry, boundary, density and friction; empty of a generated structure, whose
     coordinates may differ in the last digit from machine to machine."""
@@ -129,7 +132,8 @@ def manifest(path: Path = MANIFEST) -> Mapping[str, Structure]:
     """
     found: dict[str, Structure] = {}
     for entry in json.loads(path.read_text(encoding="utf-8"))["structures"]:
-        made = Structure(**{**entry, "robots": tuple(entry.get("robots", (2,)))})
+        lists: dict[str, Any] = {name: tuple(entry.pop(name)) for name in ("robots", "criteria") if name in entry}
+        made = Structure(**entry, **lists)
         if made.name in found:
             raise InputError(f"{path} has {made.name} twice; remove one")
         found[made.name] = made

@@ -72,7 +72,7 @@ def _plans() -> str:
     quoted = _quoted("plan/")
     body = []
     for question in _questions():
-        if question.task != "plan" or question.structure.generated:
+        if question.task != "plan" or question.structure.split == "generated":
             continue
         cells = [_cell(record.judged.get(question.name)) for record in records]
         about = quoted.get(question.name)
@@ -87,7 +87,7 @@ def _fewest() -> str:
     for question in _questions():
         if question.task == "fewest":
             found = [record.judged.get(question.name) for record in records]
-            cells = ["" if one is None else str(one["robots"]) if one["solved"] else _failure(one) for one in found]
+            cells = ["" if one is None else _failure(one) or str(one["robots"]) for one in found]
             body.append([f"`{question.name}`", *cells])
     heads = ["question", *(record.about["method"] for record in records)]
     return _markdown(heads, [row for row in body if any(row[1:])])
@@ -155,9 +155,9 @@ def _share(record: Record, some: Sequence[Question]) -> str:
     judged = [record.judged[question.name] for question in some if question.name in record.judged]
     if not judged:
         return ""
-    solved = [one for one in judged if one["solved"]]
+    solved = [one for one in judged if one["outcome"] == "solved"]
     seconds = [one["seconds"] for one in solved if "seconds" in one]
-    refuted = sum(not one["solved"] and not _is_open(one) for one in judged)
+    refuted = sum(one["outcome"] == "refuted" for one in judged)
     words = f"{len(solved)} of {len(judged)}"
     words += f", {refuted} refuted" if refuted else ""
     return words + (f"; {_seconds(median(seconds))}" if seconds else "")
@@ -166,18 +166,14 @@ def _share(record: Record, some: Sequence[Question]) -> str:
 def _cell(judged: Mapping[str, Any] | None) -> str:
     if judged is None:
         return ""
-    if not judged["solved"]:
+    if judged["outcome"] != "solved":
         return _failure(judged)
     reserve = f", reserve {judged['reserve']:g}" if judged["reserve"] > 1 else ""
     return f"solved{reserve}; {_seconds(judged['seconds'])}" if "seconds" in judged else f"solved{reserve}"
 
 
 def _failure(judged: Mapping[str, Any]) -> str:
-    return "not found" if _is_open(judged) else "refuted"
-
-
-def _is_open(judged: Mapping[str, Any]) -> bool:
-    return judged["steps"] == 0 and not judged["solved"]
+    return {"solved": "", "open": "not found", "refuted": "refuted"}[judged["outcome"]]
 
 
 def _seconds(value: float) -> str:
