@@ -32,8 +32,8 @@ from bench import bricks, table
 from bench.judge import judge
 from bench.methods import METHODS, Method, line_of, policy_of, timed
 from bench.questions import STATES, Question, questions, state_sets
-from bench.records import file_digest, read_record, record_path, write_record
 from bench.records import line_of as judged_line
+from bench.records import read_record, record_path, still_true, write_record
 from bench.states import draw, row_name, rows, write_states
 from bench.structures import MANIFEST, NotHereError, Structure, data_root, manifest, pinned, structures
 from bench.submission import FORMAT, Submission, read_submission
@@ -202,9 +202,11 @@ class Check(Selection):
     """File of JSON lines."""
     line: int | None = None
     """Judge only the answer in this line of the file."""
+    new: bool = False
+    """Judge only answers that have no judgement on record."""
     record: bool = False
-    """Keep the judgements in a file beside the submission, from which the table is made; those that are there for the
-    same submission stay."""
+    """Keep the judgements in a file beside the submission, from which the table is made; those of
+    answers that have not changed stay."""
 
     def run(self) -> int:
         """Judge, and compare with the judgements on record."""
@@ -220,9 +222,13 @@ class Check(Selection):
         }
         if not answers and not found.faults:
             raise InputError(f"{self.submission} answers no question that was asked for; leave out --only and --line")
-        path, digest = record_path(self.submission), file_digest(self.submission)
-        earlier = read_record(path) if path.exists() else None
-        known = dict(earlier.judged) if earlier and earlier.about["sha256"] == digest else {}
+        path = record_path(self.submission)
+        known = still_true(read_record(path), found) if path.exists() else {}
+        if self.new:
+            answers = {name: answer for name, answer in answers.items() if name not in known}
+            if not answers and not found.faults:
+                say(f"{path} has a judgement of each answer")
+                return DONE
         judged, refuted = {}, 0
         for question, assembly in loaded([answer.question for answer in answers.values()], self.root):
             answer = answers[question.name]
@@ -239,7 +245,6 @@ class Check(Selection):
             about = {
                 **found.about,
                 "submission": self.submission.name,
-                "sha256": digest,
                 "faults": len(found.faults),
                 "checked": {"commit": commit(), "date": date.today().isoformat(), "versions": versions()},
             }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,7 +10,7 @@ from typing import Any
 
 from bench.judge import Judgement
 from bench.structures import HERE
-from bench.submission import Answer
+from bench.submission import Answer, Submission
 from falsework.errors import InputError
 
 RESULTS = HERE / "results"
@@ -24,7 +23,7 @@ class Record:
     """Judgements of a submission."""
 
     about: Mapping[str, Any]
-    """Method, file and hash of the submission; commit, date and device of the check."""
+    """Method and file of the submission; commit, date and versions of the last check."""
     judged: Mapping[str, Mapping[str, Any]]
     """Judgement by the name of the question."""
 
@@ -34,15 +33,16 @@ def record_path(submission: Path) -> Path:
     return submission.with_name(submission.name.removesuffix(".jsonl") + _SUFFIX)
 
 
-def file_digest(path: Path) -> str:
-    """Return the hash of a file, whatever ends its lines."""
-    return hashlib.sha256(path.read_bytes().replace(b"\r\n", b"\n")).hexdigest()
-
-
 def line_of(answer: Answer, found: Judgement) -> dict[str, Any]:
     """Return the line of an answer."""
     claimed = {} if answer.seconds is None else {"seconds": answer.seconds}
-    return {"question": answer.question.name, "line": answer.line, **found.to_dict(), **claimed}
+    return {"question": answer.question.name, "answer": answer.digest, **found.to_dict(), **claimed}
+
+
+def still_true(record: Record, submission: Submission) -> dict[str, Mapping[str, Any]]:
+    """Return the judgements of a record that are about answers as they now are in a submission."""
+    answers = {answer.question.name: answer.digest for answer in submission.answers}
+    return {name: line for name, line in record.judged.items() if answers.get(name) == line["answer"]}
 
 
 def write_record(path: Path, about: Mapping[str, Any], judged: Mapping[str, Mapping[str, Any]]) -> None:

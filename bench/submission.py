@@ -5,10 +5,11 @@ A line that cannot be used is a fault with its number and one sentence. It spoil
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +55,8 @@ class Answer:
     """Why there are no steps."""
     structure: str = ""
     """Hash of the structure that the answer is for."""
+    digest: str = ""
+    """Hash of the line."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +113,8 @@ def read_submission(path: Path, root: Path) -> Submission:
         except ValueError as error:
             faults.append(Fault(number, str(error)))
             continue
-        answers[answer.question.name] = answer
+        digest = hashlib.sha256(line.strip().encode()).hexdigest()
+        answers[answer.question.name] = replace(answer, digest=digest)
     return Submission(about, tuple(answers.values()), tuple(faults))
 
 
