@@ -1,7 +1,9 @@
 from falsework.learn.algorithms.curriculum import Curriculum as Curriculum
+from falsework.learn.algorithms.learner import Learner as Learner
 from falsework.learn.algorithms.policy_search import SolveReport as SolveReport
 from falsework.learn.algorithms.policy_search import solve_all as solve_all
 from falsework.learn.algorithms.ppo import PPO as PPO
+from falsework.learn.algorithms.reward import environment_reward as environment_reward
 from falsework.learn.config.imitation import ImitationPhase as ImitationPhase
 from falsework.learn.config.policy import PolicySettings as PolicySettings
 from falsework.learn.config.policy import recommended as recommended
@@ -20,6 +22,7 @@ from falsework.learn.env.environment import Environment as Environment
 from falsework.learn.env.environment import EnvironmentCounters as EnvironmentCounters
 from falsework.learn.env.environment import Rollouts as Rollouts
 from falsework.learn.env.gymnasium_env import DisassemblyEnv as DisassemblyEnv
+from falsework.learn.env.rollout import Move as Move
 from falsework.learn.env.rollout import roll_out as roll_out
 from falsework.learn.networks.factory import make_policy as make_policy
 from falsework.learn.networks.factory import transfer as transfer
@@ -30,5 +33,7 @@ from falsework.learn.training.checkpoint import load_policy as load_policy
 from falsework.learn.training.checkpoint import load_run as load_run
 from falsework.learn.training.evaluate import Success as Success
 from falsework.learn.training.evaluate import evaluate as evaluate
+from falsework.learn.training.iteration import Iteration as Iteration
+from falsework.learn.training.learner_context import LearnerContext as LearnerContext
+from falsework.learn.training.result import TrainResult as TrainResult
 from falsework.learn.training.train import train as train
-from falsework.learn.training.trainer import TrainResult as TrainResult

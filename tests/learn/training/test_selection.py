@@ -153,7 +153,7 @@ def test_progress_is_written_between_evaluations(
     assert len(between) >= 7
     wanted = {"steps_per_second", "environment_steps_per_second", "seconds", "train/loss"}
     assert all(wanted < set(line) for line in between)
-    wanted = {f"train/{name}" for name in ("divergence", "explained_variance", "rollout_success", "entropy")}
+    wanted = {f"train/{name}" for name in ("kl", "rollout_return", "explained_variance", "rollout_success", "entropy")}
     assert [wanted < set(line) for line in between] == [line["step"] > 8 for line in between]
     assert all(line["steps_per_second"] > 0 for line in between)
     monkeypatch.setattr(progress_lines, "LINE_EVERY", 1e9)
