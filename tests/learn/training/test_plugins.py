@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import sys
 from collections.abc import Iterator
@@ -88,9 +89,7 @@ def nets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     (tmp_path / "users_nets.py").write_text(NETS)
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.delitem(sys.modules, "users_nets", raising=False)
-    import users_nets
-
-    yield users_nets
+    yield importlib.import_module("users_nets")
     sys.modules.pop("users_nets", None)
 
 
@@ -296,6 +295,7 @@ class Broken(nn.Module):
 
 
 GOOD = torch.zeros(2, 18)
+WRONG: dict[str, Any] = {"breadth": 3}
 
 
 @pytest.mark.parametrize(

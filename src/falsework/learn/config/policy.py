@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Literal, get_args
 
 from falsework.errors import InputError
-from falsework.utils.import_path import is_import_path
+from falsework.learn.config.import_path import is_import_path
 
 Kind = Literal["resmlp", "transformer", "gat", "mlp"]
 

@@ -10,9 +10,9 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 from falsework.assembly.state import check_robots
 from falsework.errors import InputError
 from falsework.learn.config.imitation import ImitationPhase
+from falsework.learn.config.import_path import is_import_path
 from falsework.learn.config.policy import PolicySettings
 from falsework.learn.config.ppo import REINFORCEMENT, PpoPhase
-from falsework.utils.import_path import is_import_path
 from falsework.utils.quantity import check_seed
 
 Phase = ImitationPhase | PpoPhase

@@ -20,8 +20,8 @@ from torch import nn
 
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
+from falsework.learn.config.import_path import import_by_path, import_path_of
 from falsework.learn.config.policy import PolicySettings
-from falsework.utils.import_path import import_by_path, import_path_of
 
 PolicyOrClass = nn.Module | type[nn.Module] | partial[nn.Module]
 """A module, or a class that is called with the assembly, alone or as a `functools.partial` with its options."""

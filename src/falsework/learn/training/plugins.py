@@ -9,11 +9,11 @@ from typing import Any
 from falsework.errors import InputError
 from falsework.learn.algorithms.learner import Learner
 from falsework.learn.algorithms.reward import Reward, environment_reward
+from falsework.learn.config.import_path import import_by_path, import_path_of
 from falsework.learn.config.train import TrainSettings
 from falsework.learn.networks.custom_policy import PolicyOrClass, settings_of_custom
 from falsework.learn.training.iteration import Callback
 from falsework.learn.training.learner_context import LearnerContext
-from falsework.utils.import_path import import_by_path, import_path_of
 
 LearnerMaker = Callable[[LearnerContext], Learner]
 """Function, or class, that makes the learner in place of PPO."""
@@ -37,10 +37,12 @@ class Plugins:
         """
         if self.policy is not None:
             settings = replace(settings, policy=settings_of_custom(self.policy))
-        for role, thing in (("reward", self.reward), ("learner", self.learner)):
-            if thing is not None and thing is not environment_reward:
-                _check_callable(role, thing)
-                settings = replace(settings, **{role: import_path_of(thing)})
+        if self.reward is not environment_reward:
+            _check_callable("reward", self.reward)
+            settings = replace(settings, reward=import_path_of(self.reward))
+        if self.learner is not None:
+            _check_callable("learner", self.learner)
+            settings = replace(settings, learner=import_path_of(self.learner))
         return settings
 
     def filled_from(self, settings: TrainSettings) -> Plugins:
