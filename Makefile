@@ -8,6 +8,7 @@
 #   make results the tables, from benchmarks/results/*.jsonl
 #   make fuzz    ten minutes of damaged files for all readers
 #   make kernels the portable code of the kernels, after a change of one
+#   make reference  help texts, benchmarks and public names in the documentation, after a change of one
 
 PYTHON ?= python3
 VENV   ?= .venv
@@ -36,7 +37,7 @@ GLTF_VALIDATOR ?= gltf-validator@2.0.0-dev.3.10
 # One worker a core; test files stay whole, since their fixtures are shared, in the order that tests/conftest.py gives.
 PYTEST_ARGS ?= -n logical --dist loadfile --no-loadscope-reorder
 
-.PHONY: demo install compile kernels test lint types docs package lock images results fuzz check clean help
+.PHONY: demo install compile kernels test lint types docs package lock images results reference fuzz check clean help
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -134,6 +135,10 @@ images: $(VENV)/.docs $(VENV)/.test
 # The tables of README, documentation and benchmarks/RESULTS.md, from the records of the benchmarks.
 results:
 	$(PYTHON) benchmarks/tables.py
+
+# What pages of the documentation take from the source: help texts, descriptions of benchmarks, public names.
+reference: $(VENV)/.core
+	$(BIN)/python docs/reference.py
 
 # Files with random damage, each read in a process of its own; FUZZ_ARGS="--seed 3 --kinds plan" narrows it.
 fuzz: $(VENV)/.test $(VENV)/.compiled

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import ast
-import contextlib
 import gc
-import io
-import os
 import re
 import sys
-import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +18,6 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent / "src"))
 
 from falsework import __version__  # noqa: E402
-from falsework.cli.main import COMMANDS, main  # noqa: E402
 
 project = "falsework"
 author = "The falsework authors"
@@ -31,7 +25,7 @@ project_copyright = "The falsework authors, Apache-2.0"
 version = release = __version__
 
 extensions = ["sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode", "myst_parser"]
-exclude_patterns = ["_build", "_generated", "pictures"]
+exclude_patterns = ["_build", "pictures"]
 nitpicky = False
 
 html_math_renderer = "mathml"
@@ -91,34 +85,21 @@ def setup(app: Sphinx) -> None:
     )
     # Before napoleon, which takes the first colon for the end of a type even inside code.
     app.connect("autodoc-process-docstring", _code_in_backticks, priority=400)
+    app.connect("doctree-read", _leave_out_of_search)
 
 
-def _write_help_texts() -> None:
-    """Help texts as the command prints them, for the page on the command line."""
-    folder = HERE / "_generated"
-    folder.mkdir(exist_ok=True)
-    os.environ["COLUMNS"] = "84"
-    for name in ["", *COMMANDS]:
-        text = io.StringIO()
-        with contextlib.redirect_stdout(text):
-            code = main([*name.split(), "--help-all" if name else "--help"])
-        if code != 0:
-            raise RuntimeError(f"falsework {name} --help failed")
-        lines = [line if line[:1] in ("", " ") else textwrap.fill(line, 84) for line in text.getvalue().splitlines()]
-        page = f"help-{name.replace(' ', '-') or 'falsework'}.txt"
-        (folder / page).write_text("\n".join(lines) + "\n", encoding="utf-8")
+def _write_changelog() -> None:
+    """Copy the changelog to where Sphinx finds it, with links as from there."""
+    text = (HERE.parent / "CHANGELOG.md").read_text(encoding="utf-8")
+    (HERE / "_generated").mkdir(exist_ok=True)
+    (HERE / "_generated" / "changelog.md").write_text(text.replace("](docs/", "](../"), encoding="utf-8")
 
 
-def _write_benchmarks() -> None:
-    """Write the descriptions of the benchmarks, for the page on benchmarks."""
-    texts = []
-    for path in sorted((HERE.parent / "benchmarks").glob("[!_]*.py")):
-        about = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
-        first, _, rest = about.partition("\n")
-        if f"benchmarks/{path.name}" in rest:  # others are helpers without a command line
-            texts.append(f"## {path.name}\n\n{first}\n\n```text\n{rest.strip()}\n```\n")
-    (HERE / "_generated" / "benchmarks.md").write_text("\n".join(texts), encoding="utf-8")
+def _leave_out_of_search(app: Sphinx, _document: nodes.document) -> None:
+    """Keep decision records out of the search, whose answers they would fill."""
+    name = app.env.docname
+    if name.startswith("decisions/") and name != "decisions/index":
+        app.env.metadata[name]["nosearch"] = ""
 
 
-_write_help_texts()
-_write_benchmarks()
+_write_changelog()

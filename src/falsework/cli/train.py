@@ -43,8 +43,8 @@ class Train(JudgingCommand):
     )
 
     examples: ClassVar[tuple[str, ...]] = (
-        "falsework train arch:blocks=7 --robots 2 --out run --minutes 0.05",
-        "falsework train arch:blocks=7 --out run --resume --minutes 0.08",
+        "falsework train bottle --robots 2 --out run --minutes 1",
+        "falsework train bottle --out run --resume --minutes 2",
     )
 
     structure: StructureOptions
@@ -53,7 +53,7 @@ class Train(JudgingCommand):
     robots: int = 2
     """Number of robots: parts that can be held at a time."""
     minutes: Annotated[float | None, arg(metavar="M", help_behavior_hint="(default: by structure and device)")] = None
-    """Total time, data and earlier sessions included."""
+    """Total time, the search for data and earlier sessions included."""
     steps: Annotated[int | None, arg(metavar="N", help_behavior_hint=UNSET)] = None
     """Optimizer steps in place of a time limit, for a reproducible run."""
     resume: bool = False

@@ -4,6 +4,9 @@ from falsework.learn.algorithms.policy_search import SolveReport as SolveReport
 from falsework.learn.algorithms.policy_search import solve_all as solve_all
 from falsework.learn.algorithms.ppo import PPO as PPO
 from falsework.learn.algorithms.reward import environment_reward as environment_reward
+from falsework.learn.algorithms.rollout_storage import Transitions as Transitions
+from falsework.learn.algorithms.rollout_storage import collect_transitions as collect_transitions
+from falsework.learn.algorithms.start_states import StartBatch as StartBatch
 from falsework.learn.config.imitation import ImitationPhase as ImitationPhase
 from falsework.learn.config.policy import PolicySettings as PolicySettings
 from falsework.learn.config.policy import recommended as recommended
@@ -28,6 +31,7 @@ from falsework.learn.networks.factory import make_policy as make_policy
 from falsework.learn.networks.factory import transfer as transfer
 from falsework.learn.networks.policy import Policy as Policy
 from falsework.learn.networks.policy import confidences as confidences
+from falsework.learn.networks.policy import masked_log_probabilities as masked_log_probabilities
 from falsework.learn.training.checkpoint import Run as Run
 from falsework.learn.training.checkpoint import load_policy as load_policy
 from falsework.learn.training.checkpoint import load_run as load_run

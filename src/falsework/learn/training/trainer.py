@@ -188,6 +188,11 @@ class Trainer:
             success = self._evaluate(learner, self._data.curve)
             self._consider(learner, success["validation"])
             self._log(journal, numbers, success)
+        if not self.steps and not self._ended:
+            self.notes.append(
+                f"no time was left to train: the search for data took {self.data_seconds:.0f} s of "
+                f"{60 * settings.minutes:.0f}; give more minutes"
+            )
         self._best.write(self._exported)
         success |= self._succeeded({"train": self._data.curve["train"], **self._data.test})
         success["validation"] = self._best.success
