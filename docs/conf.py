@@ -86,13 +86,22 @@ def setup(app: Sphinx) -> None:
     # Before napoleon, which takes the first colon for the end of a type even inside code.
     app.connect("autodoc-process-docstring", _code_in_backticks, priority=400)
     app.connect("doctree-read", _leave_out_of_search)
+    app.connect("source-read", _link_to_copies)
 
 
-def _write_changelog() -> None:
-    """Copy the changelog to where Sphinx finds it, with links as from there."""
-    text = (HERE.parent / "CHANGELOG.md").read_text(encoding="utf-8")
+def _copy(source: str, name: str, replaced: dict[str, str]) -> None:
+    """Copy a page from elsewhere in the repository to where Sphinx finds it, with links as from there."""
+    text = (HERE.parent / source).read_text(encoding="utf-8")
+    for pattern, link in replaced.items():
+        text = re.sub(pattern, link, text)
     (HERE / "_generated").mkdir(exist_ok=True)
-    (HERE / "_generated" / "changelog.md").write_text(text.replace("](docs/", "](../"), encoding="utf-8")
+    (HERE / "_generated" / name).write_text(text, encoding="utf-8")
+
+
+def _link_to_copies(_app: Sphinx, name: str, text: list[str]) -> None:
+    """Let links to the results lead to their copy."""
+    up = "../" * name.count("/")
+    text[0] = text[0].replace(f"]({up}../benchmarks/RESULTS.md", f"]({up}_generated/results.md")
 
 
 def _leave_out_of_search(app: Sphinx, _document: nodes.document) -> None:
@@ -102,4 +111,9 @@ def _leave_out_of_search(app: Sphinx, _document: nodes.document) -> None:
         app.env.metadata[name]["nosearch"] = ""
 
 
-_write_changelog()
+_copy("CHANGELOG.md", "changelog.md", {r"\]\(docs/": "](../"})
+_copy(
+    "benchmarks/RESULTS.md",
+    "results.md",
+    {r"\]\(\.\./docs/": "](../", r"\[([\w.]+)\]\((results/[\w.]+)\)": r"`benchmarks/\2`"},
+)

@@ -11,7 +11,6 @@ from tyro.conf import arg
 
 from falsework.cli.command import CONE_HINT, UNSET, Command, StructureOptions
 from falsework.cli.exit_code import Exit
-from falsework.cli.output import counted
 from falsework.cli.planning import (
     HoldOptions,
     SupportOptions,
@@ -26,6 +25,7 @@ from falsework.cli.planning import (
     writable,
 )
 from falsework.errors import InputError
+from falsework.utils.quantity import counted
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output
@@ -295,7 +295,7 @@ class MakePlan(Command):
         path, first = plans[0]
         output.say(
             f"{path}: {counted(len(first), 'step')} with {counted(first.robots, 'robot')}, every state proven stable "
-            f"(criterion {first.claim.criterion}, {seconds:.1f} s, {asked} verdicts)"
+            f"(criterion {first.claim.criterion}, {seconds:.1f} s, {counted(asked, 'verdict')})"
         )
         for line in promise_lines(first, robust=self.robust):
             output.say(line)

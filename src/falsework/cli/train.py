@@ -15,6 +15,7 @@ from falsework.cli.planning import refuse_unstable
 from falsework.errors import InputError
 from falsework.learn.config.policy import recommended
 from falsework.learn.config.train import METHODS, Method, TrainSettings
+from falsework.utils.quantity import counted
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output
@@ -140,7 +141,7 @@ class Train(JudgingCommand):
         output.say(
             f"{self.out}: {tested if test.states else 'no states are left to test on; '}"
             f"{100 * train.share:.1f} % of {train.states} training states succeed, "
-            f"{result.steps} steps in {result.seconds:.0f} s; {result.solved} states learned from"
+            f"{counted(result.steps, 'step')} in {result.seconds:.0f} s; {counted(result.solved, 'state')} learned from"
         )
         if result.interrupted:
             output.note(f"interrupted; falsework train ... --out {self.out} --resume continues")

@@ -12,6 +12,7 @@ import numpy as np
 
 from falsework.errors import DependencyError
 from falsework.interop.instruction_table import AssemblyInstruction, AssemblyInstructions, way_in_words
+from falsework.utils.quantity import counted
 from falsework.viewer.appearance import appearance_at
 from falsework.viewer.arrows import arrows_of_step
 from falsework.viewer.palette import INK, PRESS, mix, robot_color
@@ -100,7 +101,8 @@ def _head(canvas: Canvas, sheet: AssemblyInstructions) -> None:
     _text(canvas, left, y, assembly.name, _BOLD, 18, width=_PAGE[0] - 2 * _MARGIN)
     placed = [step.part for step in sheet.steps if step.place]
     mass = float(assembly.mass.mass[placed].sum())
-    facts = f"{len(placed)} parts to place, {mass:.4g} kg; {sheet.supports} supports, {len(sheet.steps)} steps"
+    work = f"{counted(sheet.supports, 'support')}, {counted(len(sheet.steps), 'step')}"
+    facts = f"{counted(len(placed), 'part')} to place, {mass:.4g} kg; {work}"
     _text(canvas, left, y - 16, facts, _REGULAR, 10.5)
     lines = [
         "A support is a robot, a prop or a pair of hands that keeps a part exactly where it is. Keep to the order.",
