@@ -105,15 +105,18 @@ def _link_to_copies(_app: Sphinx, name: str, text: list[str]) -> None:
 
 
 def _leave_out_of_search(app: Sphinx, _document: nodes.document) -> None:
-    """Keep decision records out of the search, whose answers they would fill."""
-    name = app.env.docname
-    if name.startswith("decisions/") and name != "decisions/index":
-        app.env.metadata[name]["nosearch"] = ""
+    """Leave the pages on decisions, which repeat the words of the manual, out of the search."""
+    if app.env.docname.startswith("decisions/"):
+        app.env.metadata[app.env.docname]["nosearch"] = True
 
 
 _copy("CHANGELOG.md", "changelog.md", {r"\]\(docs/": "](../"})
 _copy(
     "benchmarks/RESULTS.md",
     "results.md",
-    {r"\]\(\.\./docs/": "](../", r"\[([\w.]+)\]\((results/[\w.]+)\)": r"`benchmarks/\2`"},
+    {
+        r"\]\(\.\./docs/": "](../",
+        r"\[[^]]*\]\((results[^)]*)\)": r"`benchmarks/\1`",
+        r"\[([^]]*)\]\(\.\./README\.md[^)]*\)": r"\1",
+    },
 )
