@@ -169,6 +169,16 @@ def test_make_targets_exist() -> None:
             assert re.search(rf"^{target}:", makefile, re.MULTILINE), f"{page.name} names make {target}"
 
 
+def test_smoke_tests_touch_every_layer() -> None:
+    makefile = (REPOSITORY / "Makefile").read_text(encoding="utf-8").replace("\\\n", " ")
+    chosen = re.search(r"^SMOKE := (.*)$", makefile, re.MULTILINE)
+    assert chosen is not None
+    places = chosen[1].split()
+    assert all((REPOSITORY / place).exists() for place in places)
+    layers = {path.name for path in (REPOSITORY / "tests").iterdir() if path.is_dir() and any(path.rglob("test_*.py"))}
+    assert {place.split("/")[1] for place in places} >= layers - {"benchmarks"}
+
+
 def test_links_lead_somewhere() -> None:
     for page in PAGES:
         for link in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
