@@ -139,6 +139,8 @@ class MakePlan(Command):
             return self._with_fewest_robots(output)
         settings, checkpoint = self._settings(), None if self.task.wider else self._checkpoint()
         assembly = self.task.with_places(self.structure.load())
+        if assembly.boundary.all():
+            raise InputError(f"every part of {assembly.name} is boundary, so there is nothing to plan; fix fewer parts")
         task = task_of(assembly, self._robot_count(), **self.task.rules(assembly))
         stability = self.holds.settings(self.criterion, self.cone, self.solver)
         plain = replace(stability, reserve=1.0)

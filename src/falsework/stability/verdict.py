@@ -35,6 +35,12 @@ class Verdict(IntEnum):
     UNDECIDED = 0
     STABLE = 1
 
+    def __str__(self) -> str:
+        return self.name.lower()
+
+    def __format__(self, form: str) -> str:
+        return format(int(self), form) if form else str(self)
+
     @property
     def words(self) -> str:
         """What a structure with this verdict does."""
