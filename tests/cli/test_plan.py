@@ -470,6 +470,6 @@ def test_the_real_vault(falsework: Run, shared_assembly: Callable[[str], Path], 
 
 def test_a_structure_without_a_free_part_has_no_plan(falsework: Run, tmp_path: Path) -> None:
     done = falsework("plan", "arch:blocks=3", "--boundary", "0-4", "--out", tmp_path / "plan.json")
-    assert done.returncode == 2
-    assert "every part of arch:blocks=3 is boundary, so there is nothing to plan; fix fewer parts" in done.stderr
+    assert done.code == 2
+    assert "every part of arch:blocks=3 is boundary, so there is nothing to plan; fix fewer parts" in done.error
     assert not (tmp_path / "plan.json").exists()

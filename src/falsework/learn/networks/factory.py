@@ -14,6 +14,7 @@ from falsework.errors import InputError
 from falsework.learn.config.policy import PolicySettings
 from falsework.learn.networks.custom_policy import PolicyOrClass, make_custom
 from falsework.learn.networks.graph_attention import GraphAttentionPolicy
+from falsework.learn.networks.local_attention import LocalAttentionPolicy
 from falsework.learn.networks.mlp import MlpPolicy
 from falsework.learn.networks.part_transformer import PartTransformerPolicy
 from falsework.learn.networks.policy import Policy
@@ -23,6 +24,7 @@ NETWORKS: dict[str, type[Policy]] = {
     "mlp": MlpPolicy,
     "resmlp": ResidualMlpPolicy,
     "transformer": PartTransformerPolicy,
+    "local": LocalAttentionPolicy,
     "gat": GraphAttentionPolicy,
 }
 """Class of each kind of network."""

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 _REPEATS, _LEAST = 1.1, 1e-9
 """Factor and length in m within which two replays of the same plan agree, on different processors too."""
 
+_PIECE = 8
+"""Steps replayed at a time."""
+
 
 @dataclass(frozen=True)
 class PlanReplay:
@@ -73,15 +76,19 @@ class PlanReplay:
         return ""
 
 
-def _histories(
-    replayer: VariableReplayer, states: States, presses: tuple[tuple[Press, ...], ...]
-) -> tuple[History, ...]:
-    """Return the histories along a route that stands, step by step: a replayer with a deadline keeps none of them."""
+def _histories(replayer: VariableReplayer, states: States, presses: tuple[tuple[Press, ...], ...]) -> list[History]:
+    """Return the histories along a route, up to the first state that does not come to rest.
+
+    A few steps at a time: a replayer with a deadline looks at the clock between them, and keeps no histories of more.
+    """
     found = list(replayer.replay(states[:1], presses=presses[:1]).histories)
-    for row in range(1, len(states)):
-        step = replayer.replay(states[row - 1 : row + 1], found[-1], [(), presses[row]])
-        found.append(step.histories[-1])
-    return tuple(found)
+    while 0 < (done := len(found)) < len(states):
+        rows = slice(done - 1, done + _PIECE)
+        step = replayer.replay(states[rows], found[-1], presses[rows])
+        found += step.histories[1:]
+        if not step.good:
+            break
+    return found
 
 
 def _of_all(presses: tuple[tuple[Press, ...], ...], states: States) -> tuple[tuple[Press, ...], ...]:
@@ -124,17 +131,12 @@ class Acceptance:
         if plain is None or self._replayer is None:
             return found
         presses = _of_all(found.presses, states)
-        true = plain.replay(states, presses=presses)
-        if not true.good:
-            return PlanReplay.of(true)
-        histories = true.histories or _histories(plain, states, presses)
-        tips = plain.first_tipping(states, histories)
-        if tips is not None:
-            return replace(PlanReplay.of(true), stands=False, falls_at=tips)
-        if self._variations is not None:
+        histories = _histories(plain, states, presses)
+        row = len(histories) if len(histories) < len(states) else plain.first_tipping(states, histories)
+        if row is None and self._variations is not None:
             row = self._variations.falls_at(states, presses)
-            if row is not None:
-                return replace(found, stands=False, falls_at=row)
+        if row is not None:
+            return replace(found, stands=False, falls_at=row)
         return replace(found, loads=plain.loads(states, histories), varied=self._replayer.varies)
 
     def judged(self, states: States, found: PlanReplay, stop: Stop | None = None) -> PlanReplay:

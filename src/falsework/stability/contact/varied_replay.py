@@ -117,11 +117,10 @@ _PRESSES = tuple(
     )
 )
 GROUPS: tuple[tuple[Change, ...], ...] = (
-    (_SMALL_RATIO, _AT_ONCE, _THICK, _SOFT, _draw(1), _PRESSES[0]),
-    (_LARGE_RATIO, _AT_ONCE, _THIN, _STIFF, _draw(2), _PRESSES[1]),
+    (_SMALL_RATIO, _THICK, _SOFT, _draw(1), _PRESSES[0]),
+    (_LARGE_RATIO, _THIN, _STIFF, _draw(2), _PRESSES[1], _AT_ONCE),
 )
-"""Changes under which an `EnsembleReplayer` replays, all of a group together. A release in one increment is the
-farthest from a slow one, and takes the least time."""
+"""Changes under which an `EnsembleReplayer` replays, all of a group together."""
 
 
 def changed(
