@@ -295,7 +295,8 @@ class Broken(nn.Module):
 
 
 GOOD = torch.zeros(2, 18)
-WRONG: dict[str, Any] = {"breadth": 3}
+UNKNOWN: dict[str, Any] = {"breadth": 3}
+BREADTH: Any = partial(Broken, **UNKNOWN)
 
 
 @pytest.mark.parametrize(
@@ -311,7 +312,7 @@ WRONG: dict[str, Any] = {"breadth": 3}
         (lambda states: states, "a policy is a torch.nn.Module, a class of such or a partial of one"),
         (partial(Broken, GOOD), "options of a policy have names"),
         (partial(Broken, logits=GOOD), "options of a policy are JSON values by name"),
-        (partial(Broken, breadth=3), r"cannot be made from an assembly and the options \{'breadth': 3\} \("),
+        (BREADTH, r"cannot be made from an assembly and the options \{'breadth': 3\} \("),
     ],
 )
 def test_policies_that_break_the_protocol_are_refused_at_once(policy: Any, words: str) -> None:
