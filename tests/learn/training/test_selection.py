@@ -159,3 +159,10 @@ def test_progress_is_written_between_evaluations(
     monkeypatch.setattr(progress_lines, "LINE_EVERY", 1e9)
     train(arch, SETTINGS, folder=tmp_path / "other", device="cpu", logs=())
     assert all("success/validation" in line for line in read_progress(tmp_path / "other"))
+
+
+def test_a_run_without_a_step_says_so(arch: Assembly) -> None:
+    result = train(arch, replace(SETTINGS, steps=0, minutes=1e-4), folder=None, device="cpu", logs=())
+    assert result.steps == 0
+    (note,) = (note for note in result.notes if "nothing was trained" in note)
+    assert note.endswith("give more minutes")

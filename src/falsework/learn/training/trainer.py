@@ -190,7 +190,7 @@ class Trainer:
             self._log(journal, numbers, success)
         if not self.steps and not self._ended:
             self.notes.append(
-                f"no time was left to train: the search for data took {self.data_seconds:.0f} s of "
+                f"nothing was trained: the search for data took {self.data_seconds:.0f} s of "
                 f"{60 * settings.minutes:.0f}; give more minutes"
             )
         self._best.write(self._exported)
