@@ -24,6 +24,7 @@ from falsework.geometry.contact.interfaces import Contacts, ContactSettings, fin
 from falsework.geometry.contact.joints import JointReport
 from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh, mass_properties
 from falsework.utils.display.notebook import Displayed
+from falsework.utils.quantity import counted
 
 DENSITY = 2400.0
 """Default density, kg/m3: concrete."""
@@ -141,8 +142,8 @@ class Assembly(Displayed):
     def __repr__(self) -> str:
         fixed = int(self.boundary.sum())
         return (
-            f"<Assembly {self.name}: {self.part_count} parts, {fixed} of them boundary, {len(self.contacts)} contacts, "
-            f"friction {self.friction:g}>"
+            f"<Assembly {self.name}: {counted(self.part_count, 'part')}, {fixed} of them boundary, "
+            f"{counted(len(self.contacts), 'contact')}, friction {self.friction:g}>"
         )
 
     @property

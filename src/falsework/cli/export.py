@@ -12,6 +12,7 @@ from falsework.cli.command import UNSET, Command, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.errors import InputError
 from falsework.utils.files.formats import EXPORTERS, format_names
+from falsework.utils.quantity import counted
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output
@@ -99,6 +100,6 @@ class Export(Command):
         output.file(self.out)
         output.record({"parts": parts, "identity": made.identity, "kind": chosen})
         output.record({"steps": None if plan is None else len(plan)})
-        what = f"{parts} parts" if plan is None else f"{len(plan)} steps"
+        what = counted(parts, "part") if plan is None else counted(len(plan), "step")
         output.say(f"{what} of {made.name} are in {self.out}")
         return Exit.DONE

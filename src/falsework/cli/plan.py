@@ -11,7 +11,6 @@ from tyro.conf import arg
 
 from falsework.cli.command import CONE_HINT, UNSET, Command, StructureOptions
 from falsework.cli.exit_code import Exit
-from falsework.cli.output import counted
 from falsework.cli.planning import (
     HoldOptions,
     SupportOptions,
@@ -26,6 +25,7 @@ from falsework.cli.planning import (
     writable,
 )
 from falsework.errors import InputError
+from falsework.utils.quantity import counted
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -148,6 +148,8 @@ class MakePlan(Command):
             return self._with_fewest_robots(output)
         settings, checkpoint = self._settings(), None if self.task.wider else self._checkpoint()
         assembly = self.task.with_places(self.structure.load())
+        if assembly.boundary.all():
+            raise InputError(f"every part of {assembly.name} is boundary, so there is nothing to plan; fix fewer parts")
         task = task_of(assembly, self._robot_count(), **self.task.rules(assembly))
         stability = self.holds.settings(self.criterion, self.cone, self.solver)
         plain = replace(stability, reserve=1.0)
@@ -316,7 +318,7 @@ class MakePlan(Command):
         path, first = plans[0]
         output.say(
             f"{path}: {counted(len(first), 'step')} with {counted(first.robots, 'robot')}, every state proven stable "
-            f"(criterion {first.claim.criterion}, {seconds:.1f} s, {asked} verdicts)"
+            f"(criterion {first.claim.criterion}, {seconds:.1f} s, {counted(asked, 'verdict')})"
         )
         for line in promise_lines(first, robust=self.robust):
             output.say(line)

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from falsework.cli.output import counted
 from falsework.cli.planning import replay_text
-from falsework.utils.quantity import format_quantity
+from falsework.utils.quantity import counted, format_quantity
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -217,7 +216,7 @@ def scope_text(plan: RobotPlan, assembly: Assembly, cell: Cell, place: str) -> s
     first, last = (int((state != 0).sum()) for state in plan.states[[0, -1]])
     starts = f"; {' and '.join(record['not_at_home'])} not at home at the start" if record["not_at_home"] else ""
     return (
-        f"{plan.direction.value} of {assembly.name} ({assembly.identity[:12]}) in {len(plan)} steps from "
+        f"{plan.direction.value} of {assembly.name} ({assembly.identity[:12]}) in {counted(len(plan), 'step')} from "
         f"{first} to {last} parts, in cell {cell.name} of {place} ({plan.cell_identity[:12]}) with "
         f"{', '.join(record['robots'])}, criterion {record['criterion']}{starts}"
     )

@@ -13,7 +13,6 @@ from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.begun_robot_plan import BegunPlan
 from falsework.cli.command import UNSET, Command, StructureOptions
 from falsework.cli.exit_code import Exit
-from falsework.cli.output import counted
 from falsework.cli.planning import HoldOptions, lacks_reserve, press_text, refuse_unstable, writable
 from falsework.cli.robot_arguments import parse_grips, parse_holding, parse_joints, parse_now
 from falsework.cli.robot_reports import (
@@ -25,6 +24,7 @@ from falsework.cli.robot_reports import (
     times_record,
 )
 from falsework.errors import InputError
+from falsework.utils.quantity import counted
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly

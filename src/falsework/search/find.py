@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TypedDict, Unpack
 
@@ -151,6 +152,10 @@ def find_plans(
     named = [*rules, *(["robots"] if robots is not None else [])]
     if task is not None and named:
         raise InputError(f"a task and {', '.join(named)} were given; put them into the task, or leave the task out")
+    odd = next((name for name in rules if name not in TaskRules.__annotations__), None)
+    if odd is not None:
+        meant = get_close_matches(odd, ["robots", "stability", "settings", "deadline", *TaskRules.__annotations__], n=1)
+        raise InputError(f"find_plans takes no {odd!r}" + (f"; did you mean {meant[0]!r}?" if meant else ""))
     assembly = as_assembly(assembly)
     progress = or_notebook(progress, "searching")
     if oracle is None:

@@ -34,7 +34,7 @@ def metadata(assembly: Any, policy: Any, **source: Any) -> dict[str, Any]:
     return {
         "structure": describe_structure(assembly, source),
         "settings": to_dict(SETTINGS),
-        "policy": describe(policy),
+        "policy": describe(policy, SETTINGS.policy),
         "results": {},
         "versions": {},
     }

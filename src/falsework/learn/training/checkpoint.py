@@ -16,6 +16,7 @@ from falsework.assembly.model import Assembly
 from falsework.errors import FalseworkError, InputError
 from falsework.learn.config.train import TrainSettings, from_dict
 from falsework.learn.networks import policy as policies
+from falsework.learn.networks.custom_policy import PolicyOrClass
 from falsework.learn.networks.factory import make_policy
 from falsework.search.plans.plan_model import SourceEntry
 from falsework.search.plans.plan_source import check_source
@@ -117,7 +118,7 @@ def save_run(folder: Path, policy: torch.nn.Module, metadata: Mapping[str, Any])
     from safetensors.torch import save
 
     folder.mkdir(parents=True, exist_ok=True)
-    weights = {name: tensor.detach().cpu().contiguous() for name, tensor in policy.state_dict().items()}
+    weights = {name: tensor.detach().cpu().clone() for name, tensor in policy.state_dict().items()}
     _write(folder / WEIGHTS, save(weights, {"format": FORMAT}))
     write_run(folder, metadata)
 
@@ -209,16 +210,25 @@ def check_structure(folder: Path, metadata: Mapping[str, Any], assembly: Assembl
         )
 
 
-def load_run(folder: Path | str, device: torch.device | str = "cpu", *, assembly: Assembly | None = None) -> Run:
+def load_run(
+    folder: Path | str,
+    device: torch.device | str = "cpu",
+    *,
+    assembly: Assembly | None = None,
+    policy: PolicyOrClass | None = None,
+) -> Run:
     """Read a trained policy and the structure that it is for.
 
     Args:
         folder: folder of the run, or `general` for the policy for any structure that comes with the package.
         device: where the policy is to live.
         assembly: the structure if it is at hand; it must be the one of the run, unless that is for any structure.
+        policy: of a run with a policy of your own: its class, or a module that gets the weights, in place of the class
+            that would be imported.
 
     Raises:
-        InputError: no run, a damaged one, one of another version or structure, or no such device.
+        InputError: no run, a damaged one, one of another version or structure, no such device, or a policy whose class
+            cannot be imported or has other weights.
     """
     from falsework.utils.tensors import choose_device
 
@@ -231,17 +241,25 @@ def load_run(folder: Path | str, device: torch.device | str = "cpu", *, assembly
         else:
             check_structure(folder, metadata, assembly)
         settings = settings_of(metadata)
-        policy = make_policy(assembly, settings.policy, where)
-        policy.of_task(settings.robots, equilibrium=settings.criterion == "equilibrium")
-        load_weights(policy, folder / WEIGHTS)
-    return Run(folder, assembly, settings, policy.eval(), metadata)
+    if policy is not None and not settings.policy.custom:
+        raise InputError(f"the policy of {folder} is a {settings.policy.kind} of falsework; leave the policy out")
+    trained = make_policy(assembly, settings.policy, where, given=policy)
+    if not settings.policy.custom:
+        trained.of_task(settings.robots, equilibrium=settings.criterion == "equilibrium")
+    with blamed_on(folder, "train again"):
+        load_weights(trained, folder / WEIGHTS)
+    return Run(folder, assembly, settings, trained.eval(), metadata)
 
 
 def load_policy(
-    folder: Path | str, device: torch.device | str = "cpu", *, assembly: Assembly | None = None
+    folder: Path | str,
+    device: torch.device | str = "cpu",
+    *,
+    assembly: Assembly | None = None,
+    policy: PolicyOrClass | None = None,
 ) -> policies.Policy:
     """Read the trained policy of a run, as `load_run` does, without the rest of it."""
-    return load_run(folder, device, assembly=assembly).policy
+    return load_run(folder, device, assembly=assembly, policy=policy).policy
 
 
 def load_weights(policy: torch.nn.Module, path: Path) -> None:

@@ -25,6 +25,7 @@ from falsework.stability.state_arrays import StateArrays
 from falsework.stability.verdict import Proof, Verdict, Verdicts
 from falsework.utils.display.notebook import Displayed
 from falsework.utils.models import FileModel
+from falsework.utils.quantity import counted
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -192,7 +193,7 @@ class Plan(Displayed):
 
     def __repr__(self) -> str:
         return (
-            f"<Plan of {self.name}: {len(self)} steps with {self.robots} robot{'s' * (self.robots > 1)}, "
+            f"<Plan of {self.name}: {counted(len(self), 'step')} with {counted(self.robots, 'robot')}, "
             f"criterion {self.claim.criterion}>"
         )
 

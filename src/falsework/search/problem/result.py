@@ -13,6 +13,7 @@ from falsework.assembly.state import HELD, REMOVED, States
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Verdict
+from falsework.utils.quantity import counted
 
 
 class Outcome(StrEnum):
@@ -43,7 +44,7 @@ class Route:
         return cls(states, np.where(holds, part, part + states.shape[1]).astype(np.int64))
 
     def __repr__(self) -> str:
-        return f"<Route of {len(self.actions)} steps>"
+        return f"<Route of {counted(len(self.actions), 'step')}>"
 
     def removal_rank(self) -> NDArray[np.int64]:
         """Return for each part the number removed before it, or -1 if it stays. Shape (parts,)."""
@@ -77,7 +78,7 @@ def beam_failure(
     if undecided:
         return (
             Outcome.NOT_FOUND,
-            f"{undecided} state{'s' * (undecided > 1)} could be proved neither stable nor unstable",
+            f"{counted(undecided, 'state')} could be proved neither stable nor unstable",
         )
     if sliding:
         slide = "1 state slides" if sliding == 1 else f"{sliding} states slide"
@@ -137,7 +138,7 @@ class SearchProgress:
         """The progress on one line."""
         backwards = self.direction is Direction.DISASSEMBLY
         doing = f"width {self.width}, {progress_text(self.level, self.levels, backwards=backwards)}"
-        return f"{doing}, {self.kept} states kept, {self.asked} verdicts"
+        return f"{doing}, {counted(self.kept, 'state')} kept, {counted(self.asked, 'verdict')}"
 
 
 Progress = Callable[[SearchProgress], None]

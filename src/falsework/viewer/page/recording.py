@@ -19,6 +19,7 @@ from falsework.search.problem.task import Direction
 from falsework.utils.files.formats import Exporter
 from falsework.utils.files.output_file import write_whole
 from falsework.utils.files.printable import printable
+from falsework.utils.quantity import counted
 from falsework.viewer.appearance import Appearance
 from falsework.viewer.arrows import Arrows, arrows_of_step
 from falsework.viewer.page.page_text import legend_text
@@ -222,7 +223,7 @@ def _frame(model: ViewerState, scene: RecordedScene, title: Any) -> dict[str, Ar
 
 def _panel(model: ViewerState, shown: dict[str, Arrows]) -> str:
     steps = len(model.timeline)
-    about = f"{model.assembly.part_count} parts" + (f", {steps} steps" if steps else "")
+    about = counted(model.assembly.part_count, "part") + (f", {counted(steps, 'step')}" if steps else "")
     inside = legend_text(model, shown) + (step_list(model.timeline, names=model.robot_name) if steps else "")
     return (
         f"<div style='{_PANEL}'><details><summary><b>{html_text(model.assembly.name)}</b>, {about}</summary>"
