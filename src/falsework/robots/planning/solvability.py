@@ -26,7 +26,7 @@ from falsework.search.beam.backjumping import BackjumpingBeam, BackjumpingSettin
 from falsework.search.planner import Planner
 from falsework.search.plans.plan_replay import Acceptance
 from falsework.search.problem.guide import Guide, SupportGuide
-from falsework.search.problem.result import Route, SearchResult, Stop
+from falsework.search.problem.result import Route, SearchResult, Stop, barred_row
 from falsework.search.problem.rollout import roll_out
 from falsework.search.problem.task import Direction, Task
 from falsework.search.settings import PlannerSettings
@@ -145,8 +145,6 @@ class SolvabilityCheck:
     def forbid(self, route: Route, row: int) -> int | None:
         """Forbid the state in which the replay of a route collapses, and all states that continue only through it.
 
-        If that is the first or the last state of the task, which every plan has, its neighbour is forbidden.
-
         Args:
             route: route whose replay collapses.
             row: index of that state in assembly order.
@@ -154,13 +152,11 @@ class SolvabilityCheck:
         Returns:
             Index of the forbidden state in assembly order; None for a route without states between its ends.
         """
-        states, last = route.states[::-1], len(route.states) - 1
-        row = min(max(row, 1), last - 1)
-        if row < 1:
-            return None
-        self._forbidden.add(states[row].tobytes())
-        self._prune()
-        return row
+        barred = barred_row(row, len(route.states))
+        if barred is not None:
+            self._forbidden.add(route.states[::-1][barred].tobytes())
+            self._prune()
+        return barred
 
     def stays(self, state: States) -> bool:
         """Return whether a state is known to be solvable."""
