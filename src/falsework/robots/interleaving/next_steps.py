@@ -155,7 +155,7 @@ class NextSteps:
         for robot, rest in enumerate(partial.rests):
             if robot != unit.robot:
                 wait = leg.waits.get(rest)
-                if (self.work.wait(leg, rest) if wait is None else wait) >= 0:
+                if (self.work.wait(leg, rest) if wait is None else wait) > -np.inf:
                     return False
         # A part is not withdrawn past one that had left before: free exits may be so narrow that it would jam.
         return not self.work.blocked(leg, partial.present & ~(1 << unit.part))

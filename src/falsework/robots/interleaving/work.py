@@ -21,7 +21,6 @@ from falsework.robots.schedule.swept_bodies import SweptBodies
 
 Array = NDArray[np.float64]
 
-
 Box = tuple[float, float, float, float, float, float]
 """Lower and upper corner of a box whose sides are parallel to the axes, metres."""
 
@@ -73,8 +72,8 @@ class Leg:
     """Parts that were not in place where it was planned, as bits."""
     waits: dict[ArmSweep, float] = field(default_factory=dict)
     """Known results of `Work.wait`."""
-    blocked: dict[int, bool] = field(default_factory=dict)
-    """Known results of `Work.blocked`."""
+    meetings: dict[int, float] = field(default_factory=dict)
+    """Known results of `Work.meets`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,11 +108,24 @@ class Unit:
 
 
 class Work:
-    """Motions of the arms of a plan, and their conflicts, each computed once."""
+    """Motions of the arms of a plan, and their conflicts, each computed once.
 
-    def __init__(self, graph: KeyframeGraph, timed: dict[PathSegment, Trajectory | None]) -> None:
-        """Prepare for motions of a cell; some have trajectories."""
-        self.graph, self.timed = graph, timed
+    All times are those of the disassembly. A plan that is executed as an assembly runs backwards through them, so its
+    waits are found backwards, too: there the later of two motions must be over before the earlier one, which then
+    comes second, enters what they share.
+    """
+
+    def __init__(
+        self, graph: KeyframeGraph, timed: dict[PathSegment, Trajectory | None], *, builds: bool = False
+    ) -> None:
+        """Prepare for motions of a cell; some have trajectories.
+
+        Args:
+            graph: keyframes of the structure in the cell.
+            timed: trajectories that are known.
+            builds: whether plans are executed as an assembly.
+        """
+        self.graph, self.timed, self.builds = graph, timed, builds
         self.bodies = SweptBodies(graph.world)
         self._rests: dict[tuple[int, bytes, LoadKey | None], ArmSweep] = {}
         self._boxes: dict[int, Box] = {}
@@ -209,7 +221,7 @@ class Work:
 
     def prove(self, leg: Leg, robot: int, rests: Sequence[ArmSweep]) -> None:
         """Note that a motion of an arm keeps clear of the other arms at rest."""
-        leg.waits.update({rest: -1.0 for other, rest in enumerate(rests) if other != robot})
+        leg.waits.update({rest: -np.inf for other, rest in enumerate(rests) if other != robot})
 
     def rest(self, robot: int, values: Array, load: Load | None = None) -> ArmSweep:
         """Return the body of an arm at rest."""
@@ -224,19 +236,25 @@ class Work:
         return [self.rest(robot, values) for robot, values in enumerate(node.configurations)]
 
     def wait(self, leg: Leg, other: ArmSweep) -> float:
-        """Return how long after the begin of what another arm did before a motion may begin; -1 if at any time.
+        """Return how long after what another arm did before a motion may begin, seconds; -inf if at any time.
 
-        Neither the motion nor the rest after it is then in conflict with it. What is in conflict with a rest may begin
-        when that ends.
+        Neither the motion nor the rest after it is then in conflict with it. The time counts from when that began in a
+        disassembly, and from its end in an assembly and where it is a rest.
         """
         found = leg.waits.get(other)
         if found is None:
-            found = -1.0
+            found = -np.inf
             for mine in (leg.body, leg.rest):
                 margin = min(mine.margin, other.margin)
                 if not are_far(mine.box, other.box, margin):
-                    hit = conflicts(mine.swept, other.swept, margin).any(axis=0)
-                    found = max(found, float(other.ends[hit].max(initial=-1.0)))
+                    hit = conflicts(mine.swept, other.swept, margin)
+                    if not hit.any():
+                        continue
+                    if self.builds:
+                        free = leg.seconds if mine.rest else _before(leg.body.ends, int(hit.any(axis=1).argmax()))
+                        found = max(found, -free)
+                    else:
+                        found = max(found, float(other.ends[np.flatnonzero(hit.any(axis=0))[-1]]))
             leg.waits[other] = found
         return found
 
@@ -247,25 +265,30 @@ class Work:
             leg: the motion.
             parts: the parts, as bits.
         """
+        return self.meets(leg, parts) < np.inf
+
+    def meets(self, leg: Leg, parts: int) -> float:
+        """Return the seconds into a motion at which it is first in conflict as in `blocked`; inf if it never is."""
         parts &= leg.absent
-        found = leg.blocked.get(parts)
+        found = leg.meetings.get(parts)
         if found is None:
             lowest = parts & -parts
             if parts == lowest:
-                found = bool(parts) and self._meets(leg.body, parts.bit_length() - 1)
+                found = self._meets(leg.body, parts.bit_length() - 1) if parts else np.inf
             else:
-                found = self.blocked(leg, lowest) or self.blocked(leg, parts ^ lowest)
-            leg.blocked[parts] = found
+                found = min(self.meets(leg, lowest), self.meets(leg, parts ^ lowest))
+            leg.meetings[parts] = found
         return found
 
-    def _meets(self, body: ArmSweep, part: int) -> bool:
-        """Return whether a motion is in conflict with a part in place."""
+    def _meets(self, body: ArmSweep, part: int) -> float:
+        """Return the seconds into a motion at which it is first in conflict with a part in place; inf if never."""
         place = self.bodies.standing(part)
         if part not in self._boxes:
             self._boxes[part] = box_of(place)
         if are_far(body.box, self._boxes[part], body.margin):
-            return False
-        return bool(conflicts(body.swept, (place, place), body.margin).any())
+            return np.inf
+        hit = conflicts(body.swept, (place, place), body.margin)[:, 0]
+        return _before(body.ends, int(hit.argmax())) if hit.any() else np.inf
 
     def replan(self, node: Node, unit: Unit, place: int, rests: Sequence[ArmSweep]) -> Leg | None:
         """Return another free motion of a step: to the part from where the arm is, or from the part to the same place.
@@ -289,6 +312,11 @@ class Work:
         segment = PathSegment("free", motion.path, part=old.part, view=view)
         load = None if old.part is None else Load(old.part, here, np.eye(4))
         return self.leg(robot, segment, load, node, rests, on_way=old is not edge.segments[-1])
+
+
+def _before(ends: Array, cell: int) -> float:
+    """Return when a cell of a motion begins, seconds into the motion."""
+    return float(ends[cell - 1]) if cell else 0.0
 
 
 def loads_of(node: Node, edge: Edge) -> list[Load | None]:
