@@ -175,15 +175,6 @@ def test_the_deadline_ends_later_searches_too() -> None:
     assert len(solvability) == known
 
 
-def test_ways_that_are_never_found_cost_little_more_than_those_that_are() -> None:
-    solvability = SolvabilityCheck(ARCH, TASK, Stability(ARCH))
-    assert solvability.prepare().found
-    first, state = solvability.joining.allowance, complete_state(ARCH.boundary)
-    solvability.joining._costs = [1] * 20
-    assert solvability.joining.allowance < first
-    assert any(solvability.solvable(state, action) for action in solvability.legal(state))
-
-
 def test_a_forbidden_state_takes_its_only_ways_with_it() -> None:
     """One part at a time on one way: whatever comes before the forbidden state is not solvable any more."""
     oracle = Stability(ARCH)

@@ -17,6 +17,8 @@ _TILT_DEGREES = (20.0, 50.0, 85.0)
 """Angles to the vertical of the directions that are tried besides straight up, degrees."""
 _HEADINGS = 6
 _LOWEST_SLOPE = -1e-6
+_SAME_WAY = 1 - 1e-6
+"""Cosine above which two directions count as the same."""
 
 
 class ExitDirections:
@@ -83,6 +85,11 @@ class ExitDirections:
         """Return the exit directions that no present part blocks, in the world, steepest first, shape (n, 3)."""
         directions, blockers = self._ways[part]
         return directions[~(blockers & (state != REMOVED)).any(axis=1)]
+
+    def allows(self, part: int, state: States, way: Array) -> bool:
+        """Return whether a direction, a unit vector of shape (3,), is one in which no present part blocks a part."""
+        free = self.free(part, state)
+        return bool(len(free) and (free @ way).max() >= _SAME_WAY)
 
 
 def _fan() -> Array:

@@ -121,23 +121,23 @@ class OrderSearch:
             seed: seed of the windows that lead to worse orders.
         """
         rng, steps = np.random.default_rng(seed), len(self.best) - 1
+        windows = [(first, size) for size in _LENGTHS for first in range(max(steps - size, 1))]
         self.improve(0, steps, own=1, others=0)  # first the sequences of the arms are merged, each as it is
         self._descend(0, steps)
         best = base = self.order
-        tries = 0
-        while tries < len(self.units) and not self.stop():
-            tries += 1
-            size = int(rng.choice(_LENGTHS))
-            first = int(rng.integers(max(steps - size, 1)))
+        since, left = 0, rng.permutation(windows).tolist()
+        while left and since < len(self.units) and not self.stop():
+            first, size = left.pop()
             if not self.improve(first, size, far=self._behind(min(first + size, steps)), worse=_WORSE):
                 continue
+            since += 1
             self._descend(first - size, first + 2 * size)
             if self.cost < base[2] * (1 + _DRIFT):
-                base = self.order
+                base, left = self.order, rng.permutation(windows).tolist()
             else:
                 self.take(base)
             if base[2] < best[2]:
-                best, tries = base, 0
+                best, since = base, 0
         self.take(best)
 
     def _descend(self, first: int, last: int) -> None:
