@@ -272,8 +272,10 @@ def test_longer_lines_are_tried_where_short_ones_lead_to_no_plan(
     assert found.statistics["search"] == "together"
 
     def search(*given: Any) -> HybridSearch:
-        settings = given[4]
-        return HybridSearch(*given) if given_lines(settings) else HybridSearch(*given[:-1], Deadline(1e-9))
+        made = HybridSearch(*given)
+        if not given_lines(made.settings):
+            made.clock = Deadline(1e-9)
+        return made
 
     monkeypatch.setattr("falsework.robots.planning.hybrid_planner.HybridSearch", search)
     other = plan_robots(row, wide, settings=settings)

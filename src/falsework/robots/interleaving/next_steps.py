@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, States
 from falsework.robots.interleaving.partial_order import Partial, UnitStep
-from falsework.robots.interleaving.work import Leg, Unit, Work
+from falsework.robots.interleaving.work import NO_WAIT, Leg, Unit, Work
 from falsework.robots.keyframes.keyframes import Edge, Node, state_after
 from falsework.robots.keyframes.trajectory_assembly import STANDSTILL
 from falsework.robots.kinematics.forward import tool_pose
@@ -148,7 +148,7 @@ class NextSteps:
         for robot, rest in enumerate(partial.rests):
             if robot != unit.robot:
                 wait = leg.waits.get(rest)
-                if (self.work.wait(leg, rest) if wait is None else wait) > -np.inf:
+                if (self.work.wait(leg, rest) if wait is None else wait) != NO_WAIT:
                     return False
         # A part is not withdrawn past one that had left before: free exits may be so narrow that it would jam.
         return not self.work.blocked(leg, partial.present & ~(1 << unit.part))

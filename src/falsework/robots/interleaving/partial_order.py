@@ -100,15 +100,13 @@ def bound(free: Sequence[float], ahead: Sequence[float], event: float, before: S
     return max(ends) + _MEAN * sum(ends) / len(ends)
 
 
-def expected(work: Work, partial: Partial, robot: int, unit: Unit, place: int, hold: float) -> float:
+def expected(partial: Partial, robot: int, unit: Unit, place: int, hold: float) -> float:
     """Return the score after a step if nothing waits for other robots and replacements take as long."""
     edge, seconds = unit.edges[place], unit.seconds
     free, ahead = list(partial.free), list(partial.ahead)
     if edge.action >= len(partial.node.state):
         event = max(partial.event, free[robot])
         free[robot] = event + seconds[place]
-        if work.builds and unit.legs[place]:
-            event += unit.legs[place][0][0].seconds
     else:
         event = free[robot] = max(partial.event, free[robot] + seconds[place])
     if place == 0:
@@ -142,7 +140,7 @@ def beginning(work: Work, root: Node, units: Sequence[Unit]) -> Partial:
     )
 
 
-def extended(work: Work, partial: Partial, step: UnitStep, owner: Unit) -> Partial:
+def extended(work: Work, partial: Partial, step: UnitStep, owner: Unit, *, builds: bool = False) -> Partial:
     """Return an order with one more step, whose motions begin as early as all before it allow.
 
     A removal changes the state as its first motion begins; executed backwards, an insertion as that motion ends, and
@@ -153,11 +151,11 @@ def extended(work: Work, partial: Partial, step: UnitStep, owner: Unit) -> Parti
         partial: the order before.
         step: the step.
         owner: the unit with the same job whose duration is part of what is left.
+        builds: whether the order is executed backwards, as an assembly; times then count from its end.
     """
     unit, robot, edge = step.unit, step.unit.robot, step.unit.edges[step.place]
     parts = len(partial.node.state)
     removes = edge.action >= parts
-    builds = work.builds
     opens = not removes and partial.node.held[robot] == edge.action
     time, event, rest = partial.free[robot], partial.event, partial.rests[robot]
     mine = list(partial.past[robot])
@@ -180,7 +178,7 @@ def extended(work: Work, partial: Partial, step: UnitStep, owner: Unit) -> Parti
                         wait = known(body)
                         if wait is None:
                             wait = work.wait(leg, body)
-                        begin = max(begin, (end if builds or body.rest else since) + wait)
+                        begin = max(begin, end + wait[1] if builds else (end if body.rest else since) + wait[0])
         for part, moment in partial.left:
             if moment > begin:
                 meets = work.meets(leg, 1 << part)

@@ -60,7 +60,7 @@ def reorder(
         stop: tells when to end with the order found so far.
         builds: whether the plan is executed as an assembly, backwards.
     """
-    search = OrderSearch(Work(graph, dict(timed), builds=builds), oracle, root, chain, legal=legal, stop=stop)
+    search = OrderSearch(Work(graph, dict(timed)), oracle, root, chain, legal=legal, stop=stop, builds=builds)
     while True:  # a step that fails is excluded in its state, so this ends
         search.run(graph.seed)
         if not search.changed:

@@ -7,11 +7,13 @@ nearby are searched (iterated local search, after Lourenço, Martin and Stützle
 
 Whatever fails is excluded for the rest of the search: a state without a stable verdict, the last steps of an order
 whose replay ends early, and a step for which there is no motion in some state. Waits are those of a schedule in which
-of two motions in conflict the earlier in the order of disassembly goes first, as the plan is executed.
+of two motions in conflict the earlier in the order of disassembly goes first. The beam compares beginnings by the times
+of a disassembly; what decides between complete orders are the times at which they are executed.
 """
 
 from __future__ import annotations
 
+import functools
 import itertools
 from bisect import insort
 from collections.abc import Callable, Iterator, Sequence
@@ -35,7 +37,7 @@ _CHOICES = 4
 _SAME = 2
 """Partial orders of the same steps that are kept."""
 _ENDS = 4
-"""Orders of a window that are continued to the end of the plan."""
+"""Orders of a window that are continued to the end of the plan; and searches of it, where none of them stands."""
 _WORSE = 0.02
 """Share by which an order may be worse for better ones to be searched from it."""
 _DRIFT = 0.002
@@ -43,8 +45,8 @@ _DRIFT = 0.002
 _TOTAL = 0.01
 """Weight of the total time in the comparison of complete orders, which decides between those with equal makespan."""
 
-Order = tuple[list[Unit], list[Partial], float]
-"""Units, beginnings and cost of an order."""
+Order = tuple[float, list[Unit], list[Partial], list[Partial]]
+"""Cost, units and beginnings of an order, with the times of a disassembly and those of its execution."""
 Signature = tuple[tuple[int, int, int], ...]
 """Jobs of an order with the places in them, and the robots."""
 
@@ -61,6 +63,7 @@ class OrderSearch:
         *,
         legal: Callable[[States], Sequence[int]],
         stop: Callable[[], bool],
+        builds: bool = False,
     ) -> None:
         """Prepare the search.
 
@@ -71,7 +74,9 @@ class OrderSearch:
             chain: the edges of the plan.
             legal: actions that the rules of the task allow in a state, releases aside.
             stop: tells when to end with the order found so far.
+            builds: whether the plan is executed backwards, as an assembly.
         """
+        self.builds = builds
         self.work, self.graph = work, work.graph
         self.root, self.legal, self.stop = root, legal, stop
         self.parts = len(root.state)
@@ -87,13 +92,16 @@ class OrderSearch:
         holds = [unit.seconds[0] for unit in self.units if unit.movable]
         self._hold = sum(holds) / max(len(holds), 1)
         self._width = _WIDTH * len(root.configurations)
-        self.best = self._as_planned(chain)
-        """Beginnings of the best order, from that without steps to the complete one."""
+        self.best: list[Partial] = []
+        """Beginnings of the best order, from that without steps to the complete one, with the times of a disassembly."""
+        self.executed = self.best
+        """The same with the times at which they are executed."""
+        self._begin_with(self._as_planned(chain))
         self._planned = self.order
         self._futile: dict[Signature, set[tuple[float, ...]]] = {}
         """Of each order that was the best one, the windows that led to no other order."""
 
-    def _as_planned(self, chain: Sequence[Edge]) -> list[Partial]:
+    def _as_planned(self, chain: Sequence[Edge]) -> list[UnitStep]:
         place_of = {edge: (unit, k) for unit in self.units for k, edge in enumerate(unit.edges)}
         last: dict[int, Unit] = {}
         steps = []
@@ -103,16 +111,30 @@ class OrderSearch:
             if place == 0 and unit.approaches and unit.legs[0] and unit.legs[0][0][0].segment.kind == "free":
                 self.next.add_approach(last.get(unit.robot), unit)
             last[unit.robot] = unit
-        return self._beginnings(steps)
+        return steps
 
-    def _beginnings(self, steps: Sequence[UnitStep]) -> list[Partial]:
-        found = [beginning(self.work, self.root, self.units)]
+    def _begin_with(self, steps: Sequence[UnitStep]) -> None:
+        """Let an order be the best one."""
         for step in steps:
-            found.append(self._extended(found[-1], step))
-        return found
+            self.units[step.unit.job] = step.unit
+        first = beginning(self.work, self.root, self.units)
+        self.best = list(itertools.accumulate(steps, self._extended, initial=first))
+        if self.builds:
+            self.executed = list(itertools.accumulate(steps, self._executed, initial=first))
+        else:
+            self.executed = self.best
 
     def _extended(self, partial: Partial, step: UnitStep) -> Partial:
         return extended(self.work, partial, step, self.units[step.unit.job])
+
+    def _executed(self, partial: Partial, step: UnitStep) -> Partial:
+        return extended(self.work, partial, step, self.units[step.unit.job], builds=True)
+
+    def _cost(self, order: Partial, first: int) -> float:
+        """Return what the search minimises, of an order that differs from the best one from some step on."""
+        if self.builds:
+            order = functools.reduce(self._executed, order.steps[first:], self.executed[first])
+        return order.end + _TOTAL * sum(order.free)
 
     def run(self, seed: int = 0) -> None:
         """Find a better order.
@@ -132,11 +154,11 @@ class OrderSearch:
                 continue
             since += 1
             self._descend(first - size, first + 2 * size)
-            if self.cost < base[2] * (1 + _DRIFT):
+            if self.cost < base[0] * (1 + _DRIFT):
                 base, left = self.order, rng.permutation(windows).tolist()
             else:
                 self.take(base)
-            if base[2] < best[2]:
+            if base[0] < best[0]:
                 best, since = base, 0
         self.take(best)
 
@@ -164,12 +186,12 @@ class OrderSearch:
     @property
     def changed(self) -> bool:
         """Whether the best order is not that of the plan."""
-        return self.best is not self._planned[1]
+        return self.best is not self._planned[2]
 
     @property
     def order(self) -> Order:
         """The best order, to go back to."""
-        return list(self.units), self.best, self.cost
+        return self.cost, list(self.units), self.best, self.executed
 
     def _behind(self, last: int) -> list[Unit]:
         """Return the next units from behind the end of a window, of each arm, that nothing blocks at its end."""
@@ -208,28 +230,32 @@ class OrderSearch:
         window = (first, last, own, others, len(far), worse)
         if window in futile:
             return False
-        completed = [order for order in self._completed(first, last, own, others, far) if self._may(order)]
-        if worse:
-            completed = [order for order in completed if _signature(order) not in self._futile]
         limit = cost * (1 + worse) if worse else cost - 1e-6
-        for found in sorted((order for order in completed if _cost(order) < limit), key=_cost):
-            if self._stands(found):
-                for step in found.steps:
-                    self.units[step.unit.job] = step.unit
-                self.best = self._beginnings(found.steps)
-                self._futile.setdefault(_signature(found), set())
-                return True
+        for _ in range(_ENDS):  # what does not stand is excluded, and the window searched again
+            completed = [order for order in self._completed(first, last, own, others, far) if self._may(order)]
+            if worse:
+                completed = [order for order in completed if _signature(order) not in self._futile]
+            costs = [self._cost(order, first) for order in completed]
+            better = [k for k in np.argsort(costs, kind="stable").tolist() if costs[k] < limit]
+            for k in better:
+                if self._stands(completed[k]):
+                    self._begin_with(completed[k].steps)
+                    self._futile.setdefault(_signature(completed[k]), set())
+                    return True
+            if not better:
+                break
         futile.add(window)
         return False
 
     @property
     def cost(self) -> float:
         """What the search minimises, of the best order."""
-        return _cost(self.best[-1])
+        return self._cost(self.executed[-1], len(self.executed) - 1)
 
     def take(self, order: Order) -> None:
         """Go back to an earlier order."""
-        self.units, self.best = list(order[0]), order[1]
+        _, units, self.best, self.executed = order
+        self.units = list(units)
 
     def _may(self, order: Partial) -> bool:
         """Return whether the replay of an order is not known to end early."""
@@ -287,7 +313,7 @@ class OrderSearch:
         beam, width = [self.best[first]], self._width
         for level in range(first + 1, last + 1):
             made = sorted(  # a robot does a job at most once after each order, so units are never compared
-                (expected(self.work, partial, robot, unit, place, self._hold), row, robot, unit.job, unit, place)
+                (expected(partial, robot, unit, place, self._hold), row, robot, unit.job, unit, place)
                 for row, partial in enumerate(beam)
                 for robot, unit, place in self._steps(partial, window, inside, own, others, far)
             )
@@ -347,10 +373,6 @@ class OrderSearch:
             for unit in far:
                 if unit.robot == robot and unit.job not in partial.jobs:
                     yield robot, unit, 0
-
-
-def _cost(order: Partial) -> float:
-    return order.end + _TOTAL * sum(order.free)
 
 
 def _signature(order: Partial) -> Signature:

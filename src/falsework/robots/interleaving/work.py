@@ -60,6 +60,14 @@ class ArmSweep:
         return box_of(self.swept[0])
 
 
+Wait = tuple[float, float]
+"""How long after what another arm did a motion may begin, seconds: after that began, or if it is a rest after its end,
+where the plan is executed as a disassembly; and after its end where it is executed backwards, as an assembly. There the
+earlier of two motions comes second, and the later must be over by then."""
+NO_WAIT: Wait = (-np.inf, -np.inf)
+"""That of motions without a conflict."""
+
+
 @dataclass(frozen=True, eq=False)
 class Leg:
     """Motion of an arm, and its rest after it."""
@@ -70,7 +78,7 @@ class Leg:
     rest: ArmSweep
     absent: int
     """Parts that were not in place where it was planned, as bits."""
-    waits: dict[ArmSweep, float] = field(default_factory=dict)
+    waits: dict[ArmSweep, Wait] = field(default_factory=dict)
     """Known results of `Work.wait`."""
     meetings: dict[int, float] = field(default_factory=dict)
     """Known results of `Work.meets`."""
@@ -108,24 +116,11 @@ class Unit:
 
 
 class Work:
-    """Motions of the arms of a plan, and their conflicts, each computed once.
+    """Motions of the arms of a plan, and their conflicts, each computed once."""
 
-    All times are those of the disassembly. A plan that is executed as an assembly runs backwards through them, so its
-    waits are found backwards, too: there the later of two motions must be over before the earlier one, which then
-    comes second, enters what they share.
-    """
-
-    def __init__(
-        self, graph: KeyframeGraph, timed: dict[PathSegment, Trajectory | None], *, builds: bool = False
-    ) -> None:
-        """Prepare for motions of a cell; some have trajectories.
-
-        Args:
-            graph: keyframes of the structure in the cell.
-            timed: trajectories that are known.
-            builds: whether plans are executed as an assembly.
-        """
-        self.graph, self.timed, self.builds = graph, timed, builds
+    def __init__(self, graph: KeyframeGraph, timed: dict[PathSegment, Trajectory | None]) -> None:
+        """Prepare for motions of a cell; some have trajectories."""
+        self.graph, self.timed = graph, timed
         self.bodies = SweptBodies(graph.world)
         self._rests: dict[tuple[int, bytes, LoadKey | None], ArmSweep] = {}
         self._boxes: dict[int, Box] = {}
@@ -221,7 +216,7 @@ class Work:
 
     def prove(self, leg: Leg, robot: int, rests: Sequence[ArmSweep]) -> None:
         """Note that a motion of an arm keeps clear of the other arms at rest."""
-        leg.waits.update({rest: -np.inf for other, rest in enumerate(rests) if other != robot})
+        leg.waits.update({rest: NO_WAIT for other, rest in enumerate(rests) if other != robot})
 
     def rest(self, robot: int, values: Array, load: Load | None = None) -> ArmSweep:
         """Return the body of an arm at rest."""
@@ -235,27 +230,24 @@ class Work:
         """Return the bodies of all arms at a keyframe."""
         return [self.rest(robot, values) for robot, values in enumerate(node.configurations)]
 
-    def wait(self, leg: Leg, other: ArmSweep) -> float:
-        """Return how long after what another arm did before a motion may begin, seconds; -inf if at any time.
+    def wait(self, leg: Leg, other: ArmSweep) -> Wait:
+        """Return how long a motion has to wait for what another arm did before.
 
-        Neither the motion nor the rest after it is then in conflict with it. The time counts from when that began in a
-        disassembly, and from its end in an assembly and where it is a rest.
+        Neither the motion nor the rest after it is then in conflict with it.
         """
         found = leg.waits.get(other)
         if found is None:
-            found = -np.inf
+            forward, backward = NO_WAIT
             for mine in (leg.body, leg.rest):
                 margin = min(mine.margin, other.margin)
-                if not are_far(mine.box, other.box, margin):
-                    hit = conflicts(mine.swept, other.swept, margin)
-                    if not hit.any():
-                        continue
-                    if self.builds:
-                        free = leg.seconds if mine.rest else _before(leg.body.ends, int(hit.any(axis=1).argmax()))
-                        found = max(found, -free)
-                    else:
-                        found = max(found, float(other.ends[np.flatnonzero(hit.any(axis=0))[-1]]))
-            leg.waits[other] = found
+                if are_far(mine.box, other.box, margin):
+                    continue
+                hit = conflicts(mine.swept, other.swept, margin)
+                if hit.any():
+                    free = leg.seconds if mine.rest else _before(leg.body.ends, int(hit.any(axis=1).argmax()))
+                    forward = max(forward, float(other.ends[np.flatnonzero(hit.any(axis=0))[-1]]))
+                    backward = max(backward, -free)
+            found = leg.waits[other] = forward, backward
         return found
 
     def blocked(self, leg: Leg, parts: int) -> bool:
