@@ -93,7 +93,7 @@ class OrderSearch:
         self._hold = sum(holds) / max(len(holds), 1)
         self._width = _WIDTH * len(root.configurations)
         self.best: list[Partial] = []
-        """Beginnings of the best order, from that without steps to the complete one, with the times of a disassembly."""
+        """Beginnings of the best order, from none of its steps to all of them, with the times of a disassembly."""
         self.executed = self.best
         """The same with the times at which they are executed."""
         self._begin_with(self._as_planned(chain))
