@@ -23,11 +23,10 @@ _TASK = 16
 """States per task of a thread: few enough to balance the load, enough to hide the cost of a call."""
 FIRST_REACH = 2
 """Contacts by which the first region of a repair reaches beyond a change. Each next one reaches twice as far, until it
-has more than half of the parts. From 2 on that takes no longer than reaches that were chosen one by one, on vaults and
-shells of 63 to 510 parts (decision 165)."""
+has more than half of the parts."""
 LEFT_OPEN = 1000
 """Parts from which states that repairs leave undecided stay undecided within a search: ADMM on the whole and the exact
-solver take seconds for one of them and mostly decide nothing, on vaults of 2,012 and 3,998 parts."""
+solver take seconds for one of them, and mostly decide nothing."""
 _LEAST_FRICTION = 1e-3
 """Coefficient of friction below which cones are too narrow for forces to be kept inside them."""
 
@@ -79,7 +78,7 @@ class CpuSolver:
     Attempts follow each other in the order of their work; each stops at the first proof. With a state near by: a
     mechanism near the difference (`neighbourhood.py`), then forces that change in growing regions around it, then
     everywhere (`repair.py`). Then, and without one, ADMM on the whole with one sparse factorisation per state, and an
-    interior point method (`docs/decisions/0002`). What they leave undecided is up to the exact solver.
+    interior point method (`docs/decisions/cpu-solver.md`). What they leave undecided is up to the exact solver.
     """
 
     starts_from_guesses = True
