@@ -100,13 +100,15 @@ def bound(free: Sequence[float], ahead: Sequence[float], event: float, before: S
     return max(ends) + _MEAN * sum(ends) / len(ends)
 
 
-def expected(partial: Partial, robot: int, unit: Unit, place: int, hold: float) -> float:
+def expected(partial: Partial, robot: int, unit: Unit, place: int, hold: float, *, builds: bool) -> float:
     """Return the score after a step if nothing waits for other robots and replacements take as long."""
     edge, seconds = unit.edges[place], unit.seconds
     free, ahead = list(partial.free), list(partial.ahead)
     if edge.action >= len(partial.node.state):
         event = max(partial.event, free[robot])
         free[robot] = event + seconds[place]
+        if builds and unit.legs[place]:
+            event += unit.legs[place][0][0].seconds
     else:
         event = free[robot] = max(partial.event, free[robot] + seconds[place])
     if place == 0:

@@ -7,13 +7,11 @@ nearby are searched (iterated local search, after Lourenço, Martin and Stützle
 
 Whatever fails is excluded for the rest of the search: a state without a stable verdict, the last steps of an order
 whose replay ends early, and a step for which there is no motion in some state. Waits are those of a schedule in which
-of two motions in conflict the earlier in the order of disassembly goes first. The beam compares beginnings by the times
-of a disassembly; what decides between complete orders are the times at which they are executed.
+of two motions in conflict the earlier in the order of disassembly goes first, as the plan is executed.
 """
 
 from __future__ import annotations
 
-import functools
 import itertools
 from bisect import insort
 from collections.abc import Callable, Iterator, Sequence
@@ -45,8 +43,8 @@ _DRIFT = 0.002
 _TOTAL = 0.01
 """Weight of the total time in the comparison of complete orders, which decides between those with equal makespan."""
 
-Order = tuple[float, list[Unit], list[Partial], list[Partial]]
-"""Cost, units and beginnings of an order, with the times of a disassembly and those of its execution."""
+Order = tuple[float, list[Unit], list[Partial]]
+"""Cost, units and beginnings of an order."""
 Signature = tuple[tuple[int, int, int], ...]
 """Jobs of an order with the places in them, and the robots."""
 
@@ -93,11 +91,11 @@ class OrderSearch:
         self._hold = sum(holds) / max(len(holds), 1)
         self._width = _WIDTH * len(root.configurations)
         self.best: list[Partial] = []
-        """Beginnings of the best order, from none of its steps to all of them, with the times of a disassembly."""
-        self.executed = self.best
-        """The same with the times at which they are executed."""
+        """Beginnings of the best order, from none of its steps to all of them."""
         self._begin_with(self._as_planned(chain))
         self._planned = self.order
+        self._record = self.cost
+        """Cost of the best order whose replay succeeds."""
         self._futile: dict[Signature, set[tuple[float, ...]]] = {}
         """Of each order that was the best one, the windows that led to no other order."""
 
@@ -119,22 +117,9 @@ class OrderSearch:
             self.units[step.unit.job] = step.unit
         first = beginning(self.work, self.root, self.units)
         self.best = list(itertools.accumulate(steps, self._extended, initial=first))
-        if self.builds:
-            self.executed = list(itertools.accumulate(steps, self._executed, initial=first))
-        else:
-            self.executed = self.best
 
     def _extended(self, partial: Partial, step: UnitStep) -> Partial:
-        return extended(self.work, partial, step, self.units[step.unit.job])
-
-    def _executed(self, partial: Partial, step: UnitStep) -> Partial:
-        return extended(self.work, partial, step, self.units[step.unit.job], builds=True)
-
-    def _cost(self, order: Partial, first: int) -> float:
-        """Return what the search minimises, of an order that differs from the best one from some step on."""
-        if self.builds:
-            order = functools.reduce(self._executed, order.steps[first:], self.executed[first])
-        return order.end + _TOTAL * sum(order.free)
+        return extended(self.work, partial, step, self.units[step.unit.job], builds=self.builds)
 
     def run(self, seed: int = 0) -> None:
         """Find a better order.
@@ -163,7 +148,7 @@ class OrderSearch:
         self.take(best)
 
     def _descend(self, first: int, last: int) -> None:
-        """Search windows of some steps of the order until none leads to a better one."""
+        """Search windows in a part of the order until none leads to a better one."""
         first, last, since = max(first, 0), min(last, len(self.best) - 1), 0
         for size in itertools.cycle(_LENGTHS):
             since += 1
@@ -191,7 +176,7 @@ class OrderSearch:
     @property
     def order(self) -> Order:
         """The best order, to go back to."""
-        return self.cost, list(self.units), self.best, self.executed
+        return self.cost, list(self.units), self.best
 
     def _behind(self, last: int) -> list[Unit]:
         """Return the next units from behind the end of a window, of each arm, that nothing blocks at its end."""
@@ -235,12 +220,11 @@ class OrderSearch:
             completed = [order for order in self._completed(first, last, own, others, far) if self._may(order)]
             if worse:
                 completed = [order for order in completed if _signature(order) not in self._futile]
-            costs = [self._cost(order, first) for order in completed]
-            better = [k for k in np.argsort(costs, kind="stable").tolist() if costs[k] < limit]
-            for k in better:
-                if self._stands(completed[k]):
-                    self._begin_with(completed[k].steps)
-                    self._futile.setdefault(_signature(completed[k]), set())
+            better = sorted((order for order in completed if _cost(order) < limit), key=_cost)
+            for order in better:
+                if self._stands(order):
+                    self._begin_with(order.steps)
+                    self._futile.setdefault(_signature(order), set())
                     return True
             if not better:
                 break
@@ -250,11 +234,11 @@ class OrderSearch:
     @property
     def cost(self) -> float:
         """What the search minimises, of the best order."""
-        return self._cost(self.executed[-1], len(self.executed) - 1)
+        return _cost(self.best[-1])
 
     def take(self, order: Order) -> None:
         """Go back to an earlier order."""
-        _, units, self.best, self.executed = order
+        _, units, self.best = order
         self.units = list(units)
 
     def _may(self, order: Partial) -> bool:
@@ -263,16 +247,23 @@ class OrderSearch:
         return all(actions[-len(last) :] != last for last in self._fallen)
 
     def _stands(self, order: Partial) -> bool:
-        """Return whether the states and the replay in assembly order of an order are stable; note what is not."""
+        """Return whether the states of an order are stable, and where it is the best so far its replay; note failures.
+
+        The replay is in the order of assembly.
+        """
         states, actions = [self.root.state], [step.action for step in order.steps if not step.hands_over]
         for action in actions:
             states.append(state_after(states[-1], action))
         if not all(self.next.is_stable(after, before) for before, after in itertools.pairwise(states)):
             return False
+        if _cost(order) >= self._record:
+            return True
         row = self._acceptance.falls_at(np.array(states[::-1], dtype=np.uint8))
         if row is not None:
             # The same state may stand with other forces from before it, so it is the history that is excluded.
             self._fallen.add(tuple(actions[len(actions) - row :]))
+        else:
+            self._record = _cost(order)
         return row is None
 
     def _completed(self, first: int, last: int, own: int, others: int, far: Sequence[Unit]) -> Iterator[Partial]:
@@ -313,7 +304,14 @@ class OrderSearch:
         beam, width = [self.best[first]], self._width
         for level in range(first + 1, last + 1):
             made = sorted(  # a robot does a job at most once after each order, so units are never compared
-                (expected(partial, robot, unit, place, self._hold), row, robot, unit.job, unit, place)
+                (
+                    expected(partial, robot, unit, place, self._hold, builds=self.builds),
+                    row,
+                    robot,
+                    unit.job,
+                    unit,
+                    place,
+                )
                 for row, partial in enumerate(beam)
                 for robot, unit, place in self._steps(partial, window, inside, own, others, far)
             )
@@ -373,6 +371,10 @@ class OrderSearch:
             for unit in far:
                 if unit.robot == robot and unit.job not in partial.jobs:
                     yield robot, unit, 0
+
+
+def _cost(order: Partial) -> float:
+    return order.end + _TOTAL * sum(order.free)
 
 
 def _signature(order: Partial) -> Signature:
