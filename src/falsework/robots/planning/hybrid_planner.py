@@ -14,13 +14,15 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from falsework.assembly.load import AnyStructure, as_assembly
+from falsework.assembly.model import Assembly
 from falsework.robots.cells.cell_file import AnyCell, as_cell
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
+from falsework.robots.model.cell import Cell
+from falsework.robots.model.cell_holds import stability_in
 from falsework.robots.planning.end_motions import Ends, inserted_first, parts_of
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings, Progress
 from falsework.robots.planning.hybrid_search import HybridSearch
 from falsework.robots.planning.initial_keyframe import given_keyframe, task_in_cell
-from falsework.robots.planning.reserve import keeping_reserve
 from falsework.robots.schedule.solver import import_ortools
 from falsework.search.find import PLANS
 from falsework.search.problem.deadline import Deadline
@@ -89,7 +91,7 @@ def plan_robots(
     if oracle is None:
         given: dict[str, Any] = {"task": task, "configurations": configurations, "held": held, "gripped": gripped}
         given |= {"guide": guide, "progress": progress, "graph": graph}
-        return keeping_reserve(
+        return _keeping_reserve(
             lambda oracle, limits: plan_robots(assembly, cell, oracle=oracle, settings=limits, **given),
             assembly,
             cell,
@@ -121,6 +123,27 @@ def plan_robots(
     return _together(search, settings, graph, clock) if settings.together else search(settings, graph, clock)
 
 
+def _keeping_reserve(
+    search: Callable[[Stability, HybridSettings], HybridResult],
+    assembly: Assembly,
+    cell: Cell,
+    stability: StabilitySettings,
+    settings: HybridSettings,
+) -> HybridResult:
+    """Return the result of a search with the reserve, or where it finds no order of the parts, of one without.
+
+    Args:
+        search: finds a plan with an oracle, within limits.
+        assembly, cell, stability, settings: as in `plan_robots`; the limits are those of both searches together.
+    """
+    clock = Deadline(settings.deadline)
+    result = search(Stability(assembly, stability_in(cell, assembly, stability)), settings)
+    if not result.no_order or stability.reserve <= 1.0 or clock.passed:
+        return result
+    plain = stability_in(cell, assembly, replace(stability, reserve=1.0))
+    return search(Stability(assembly, plain), replace(settings, deadline=clock.left if clock.limited else None))
+
+
 def _together(
     search: Callable[[HybridSettings, KeyframeGraph | None, Deadline], HybridResult],
     settings: HybridSettings,
@@ -140,17 +163,13 @@ def _together(
     if graph is None and _may_exist(result):
         again = search(settings, graph, clock)
         # Without a plan, the longer partial one is kept.
-        if again.explanation is None or again.explanation.reached >= _reached(result):
+        reached = 0 if result.explanation is None else result.explanation.reached
+        if again.explanation is None or again.explanation.reached >= reached:
             result, kind = again, "sequential"
     found = {"search": kind, "seconds": round(clock.seconds, 3)}
     for plan in filter(None, (result.plan, result.partial)):
         plan.statistics.update(found)
     return replace(result, statistics=result.statistics | found)
-
-
-def _reached(result: HybridResult) -> int:
-    """Return the steps that the partial plan of a failed search has done."""
-    return 0 if result.explanation is None else result.explanation.reached
 
 
 def _may_exist(result: HybridResult) -> bool:
