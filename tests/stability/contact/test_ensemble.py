@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,8 +12,8 @@ from falsework.assembly import Assembly, load_structure
 from falsework.search import Plan, PlannerSettings, find_plans
 from falsework.stability import Replayer, Stability, StabilitySettings
 from falsework.stability.contact.ensemble_replay import EnsembleReplayer
-from falsework.stability.contact.history import Presses
 from falsework.stability.contact.varied_replay import GROUPS, changed, variations
+from falsework.stability.holds import Press
 
 CONTACT = StabilitySettings(criterion="contact", reserve=1.1)
 
@@ -22,7 +23,7 @@ def planned(assembly: Assembly, seed: int, reserve: float) -> Plan:
     return find_plans(assembly, stability=replace(CONTACT, reserve=reserve), settings=settings).plans[0]
 
 
-def members(replayer: Replayer, plan: Plan) -> list[tuple[Replayer, Presses]]:
+def members(replayer: Replayer, plan: Plan) -> list[tuple[Replayer, list[Sequence[Press]]]]:
     """Return a replayer for each group of changes, and the presses that err as it says."""
     found = []
     for group in GROUPS:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from experiments.generalist import GeneralistSettings, fine_tune, train_generalist
 from experiments.policy_cost import policy_cost
 from experiments.structure_generator import rotated_copies
 from experiments.transfer import Budget, Harness, compare_networks, transfer_experiment
@@ -19,48 +18,7 @@ from falsework.learn.training.evaluate import greedy_success
 SMALL = PolicySettings("transformer", layers=2, channels=32, heads=4)
 
 
-def tiny(**options: object) -> GeneralistSettings:
-    values = {
-        "policy": SMALL, "kinds": ("arch", "stack"), "structures": 6, "unseen": 4, "turns": 2, "width": 16, "batch": 64,
-        "steps": 60,
-    }  # fmt: skip
-    return GeneralistSettings(**{**values, **options})  # type: ignore[arg-type]
-
-
-def test_one_policy_takes_apart_structures_it_has_never_seen() -> None:
-    trained = train_generalist(tiny(steps=80))
-    names = {seen: {row["structure"] for row in trained.rows if row["seen"] == seen} for seen in (True, False)}
-    assert not names[True] & names[False]
-    assert trained.steps == 80
-    assert trained.success(seen=True) > 0.85
-    assert trained.success(seen=False) > 0.75
-
-    rows = list(fine_tune(trained, load_structure("arch:blocks=6"), budget=Budget(steps=40)))
-    assert [(row["tuned"], row["from"]) for row in rows[1:4]] == [(0, "nothing"), (10, "generalist"), (10, "nothing")]
-    start, nothing = (row["success"]["test"] for row in rows[:2])
-    assert start >= nothing
-    assert rows[-2]["success"]["train"] > 0.9
-
-
-def test_the_same_seed_trains_the_same_policy() -> None:
-    one, same, other = (train_generalist(tiny(steps=3, structures=2, unseen=0, seed=seed)) for seed in (1, 1, 2))
-    assert all(torch.equal(one.weights[name], same.weights[name]) for name in one.weights)
-    assert any(not torch.equal(one.weights[name], other.weights[name]) for name in one.weights)
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"policy": PolicySettings("mlp")}, "fits one structure only; choose transformer or gat"),
-        ({"mix": 0}, "mix is 0"),
-    ],
-)
-def test_wrong_settings_are_refused(options: dict, words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        tiny(**options)
-
-
-@pytest.mark.parametrize("kind", ["transformer", "gat"])
+@pytest.mark.parametrize("kind", ["transformer", "local", "gat"])
 def test_a_policy_moves_to_another_structure(kind: str) -> None:
     settings = PolicySettings(kind, layers=2, channels=16, heads=2)  # type: ignore[arg-type]
     source, other = load_structure("arch:blocks=5"), load_structure("arch:blocks=6,thickness=0.3")
