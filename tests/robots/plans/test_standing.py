@@ -52,9 +52,9 @@ class Falling:
         stands, history = self.real.step(history, before, after)
         return stands and not (self.inside and self.bad(after)), history
 
-    def replay(self, states: np.ndarray, presses: Any = None) -> Replay:
-        found = self.real.replay(states, presses=presses)
-        if len(states) == 1:  # where a search begins
+    def replay(self, states: np.ndarray, history: History | None = None, presses: Any = None) -> Replay:
+        found = self.real.replay(states, history, presses)
+        if history is not None or len(states) == 1:  # where a search begins, or pieces of a route that stands
             return found
         self.routes.append(states)
         falls = [row for row, state in enumerate(states) if self.bad(state)]
