@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -38,12 +37,6 @@ def can_schedule(output: Output) -> bool:
         output.note(f"falsework: one robot moves at a time: {error}")
         return False
     return True
-
-
-def statistics_record(statistics: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the statistics of a search, with units in names."""
-    names = {"replanning_saves": "replanning_saves_s"}
-    return {names.get(name, name): value for name, value in statistics.items()}
 
 
 def times_record(plan: RobotPlan) -> dict[str, Any]:

@@ -31,7 +31,6 @@ from falsework.robots.planning.hybrid_planner import plan_robots as plan_robots
 from falsework.robots.planning.hybrid_result import HybridProgress as HybridProgress
 from falsework.robots.planning.hybrid_result import HybridResult as HybridResult
 from falsework.robots.planning.hybrid_result import HybridSettings as HybridSettings
-from falsework.robots.planning.plan_together import plan_together as plan_together
 from falsework.robots.plans.grip_loads import GripLoad as GripLoad
 from falsework.robots.plans.grip_loads import grip_loads as grip_loads
 from falsework.robots.plans.plan_problem import PlanProblem as PlanProblem

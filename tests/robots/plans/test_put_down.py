@@ -101,10 +101,10 @@ def two(cell_of: Callable[..., Cell]) -> Cell:
 def timed(stack: Assembly, two: Cell) -> RobotPlan:
     """A plan in which one arm puts the slab down while the other moves."""
     pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'falsework[schedule]'")
-    from falsework.robots.planning.plan_together import plan_together
 
     task = task_of(stack, two, support=True)
-    found = plan_together(stack, two, task=task, settings=HybridSettings(Direction.DISASSEMBLY, attempts=3)).plan
+    settings = HybridSettings(Direction.DISASSEMBLY, attempts=3, together=True)
+    found = plan_robots(stack, two, task=task, settings=settings).plan
     assert found is not None
     assert sum(step.put_down is not None for step in found.steps) == 1
     return found

@@ -61,6 +61,14 @@ def insertion_steps(route: Route, task: Task) -> tuple[int, ...]:
     return tuple(sorted(int(steps) for steps in present.argmax(axis=0) - 1))
 
 
+def barred_row(row: int, count: int) -> int | None:
+    """Return which state to exclude where a sequence of some states fails in one; None if it has only ends.
+
+    Both ends belong to every sequence, so if one fails, it is the state next to it.
+    """
+    return min(max(row, 1), count - 2) if count > 2 else None
+
+
 def beam_failure(
     width: int, exhaustive: bool, undecided: int, sliding: int = 0, doubt: str = ""
 ) -> tuple[Outcome, str]:

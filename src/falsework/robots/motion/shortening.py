@@ -1,4 +1,4 @@
-"""Shortening of the free motions of a plan: other trees, shortcuts of single joints, and rounded corners.
+"""Shortening of free motions: other trees, shortcuts of single joints, and rounded corners.
 
 The search accepts any path; where arms move at the same time, the longest chain of motions determines the makespan.
 Every path is proven free again, in the scene that it was planned for. Shortcuts of single joints: Geraerts and
@@ -7,14 +7,10 @@ Overmars, Creating high-quality paths for motion planning (2007).
 
 from __future__ import annotations
 
-from collections.abc import Container
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.robots.kernels.rrt_connect import INTERVALS, edges_free
-from falsework.robots.keyframes.keyframes import Edge, PathSegment
 from falsework.robots.motion.collision_world import CollisionQuery
 from falsework.robots.motion.expected_times import expected_seconds
 from falsework.robots.motion.path_planner import plan_free, resolution_of
@@ -37,34 +33,17 @@ _ARC = 10
 """Number of edges of a rounded corner."""
 
 
-def shorten_motions(
-    chain: list[Edge], speed: float, seed: int, *, done: Container[PathSegment] = frozenset()
-) -> list[Edge]:
-    """Return the edges of a plan with shorter free motions where such are found.
+def shorter_path(view: CollisionQuery, path: Array, speed: float, seed: list[int]) -> Array:
+    """Return a path between the same configurations that takes less time, or the same path.
 
     Args:
-        chain: the edges.
+        view: all that the path keeps clear of.
+        path: configurations, shape (points, joints).
         speed: share of the velocity limits of the cell.
         seed: seed of the trees and shortcuts.
-        done: motions that stay unchanged.
     """
-    found = []
-    for k, edge in enumerate(chain):
-        segments = tuple(
-            segment if segment in done else shorter(segment, speed, [seed, k, j])
-            for j, segment in enumerate(edge.segments)
-        )
-        found.append(replace(edge, segments=segments))
-    return found
-
-
-def shorter(segment: PathSegment, speed: float, seed: list[int]) -> PathSegment:
-    """Return a segment with a shorter path if one is found; its view has all that the path keeps clear of."""
-    view, path = segment.view, segment.path
-    if view is None or len(path) < 3:
-        return segment
-    if _cost(view, path, speed) < expected_seconds(view.model, path[[0, -1]], speed) + _EXCESS:
-        return segment
+    if len(path) < 3 or _cost(view, path, speed) < expected_seconds(view.model, path[[0, -1]], speed) + _EXCESS:
+        return path
     rng, opened = np.random.default_rng(seed), np.empty((2, INTERVALS), np.int64)
     paths = [path]
     for _ in range(_TREES):
@@ -74,9 +53,7 @@ def shorter(segment: PathSegment, speed: float, seed: list[int]) -> PathSegment:
     best = min(paths, key=lambda candidate: _cost(view, candidate, speed))
     best = _by_joints(view, best, speed, rng, opened)
     best = _rounded(view, best, opened)
-    if time_path(view.model, best, speed).duration < time_path(view.model, path, speed).duration:
-        return replace(segment, path=best)
-    return segment
+    return min(path, best, key=lambda candidate: time_path(view.model, candidate, speed).duration)
 
 
 def _cost(view: CollisionQuery, path: Array, speed: float) -> float:
