@@ -18,7 +18,7 @@ from falsework.stability.certificate import verify_certificates
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.counters import Counters
-from falsework.stability.cpu.solver import LEFT_OPEN, CpuSolver
+from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.gpu.solver import GpuSolver
 from falsework.stability.margins.margins import QUICK, MarginFinder
 from falsework.stability.margins.prober import Prober
@@ -86,8 +86,7 @@ class Stability:
             states: one state `(parts,)` or a batch `(batch, parts)`; 0 removed, 1 installed, 2 held.
             near: for each state a stable one that differs from it in few parts, such as its predecessor in a plan,
                 or itself. What was found of that one is the first guess, and a mechanism is sought near the difference
-                first. Without certificates, states that local attempts leave undecided in structures of 1,000 parts
-                and more stay so, without the exact solver. Same shape.
+                first. Without certificates the exact solver is not asked, so a state may stay undecided. Same shape.
             require_certificate: return forces, velocity and, under `contact`, displacement, each accepted by the
                 certificate checker, and whether a stable state tips. Else verdicts come from the cache if possible,
                 which keeps no certificates, and only a state that is known to tip is not stable for that.
@@ -279,7 +278,7 @@ class Stability:
         if len(rest) and solver is self._gpu and self._criterion.cpu is not None:
             verdicts.put(rest, self._criterion.cpu.check(states[rest], certificates=False))
             rest = rest[verdicts.undecided[rest]]
-        if len(rest) and (near is None or self.problem.parts < LEFT_OPEN):
+        if len(rest) and near is None:  # a search has other states to try, and none waits for minutes
             exact = self._decide_exactly(states[rest], verdicts[rest])
             self._remember(states[rest], exact)
             verdicts.put(rest, exact)

@@ -17,9 +17,9 @@ from falsework.stability.settings import EQUILIBRIUM
 
 
 @pytest.mark.parametrize("interior", [True, False])
-@pytest.mark.parametrize("reaches", [[2, 4, 8], [0, 1, 3], []])
+@pytest.mark.parametrize("reach", [2, 1, 0])
 def test_repaired_forces_prove_the_state(
-    vault: Assembly, released: tuple[NDArray, NDArray], reaches: list[int], interior: bool
+    vault: Assembly, released: tuple[NDArray, NDArray], reach: int, interior: bool
 ) -> None:
     """Whether they change around the difference, along ways from there to a support, or everywhere."""
     states, before = released
@@ -34,7 +34,7 @@ def test_repaired_forces_prove_the_state(
         states,
         before,
         known.stable,
-        np.array(reaches, dtype=np.int64),
+        reach,
         interior,
         kernel_options(EQUILIBRIUM),
     )
@@ -46,7 +46,7 @@ def test_repaired_forces_prove_the_state(
     checked.forces[:] = forces[good]
     assert verify_certificates(vault, states[good], checked, EQUILIBRIUM.claim).all()
     changed = (forces[good] != known.forces[good]).any(axis=2)
-    if len(reaches):
+    if reach:
         assert (changed.sum(axis=1) < changed.shape[1]).any()  # forces farther away are those of before
 
 

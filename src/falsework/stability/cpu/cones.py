@@ -18,8 +18,9 @@ CONES = {"octagon": OCTAGON, "quadratic": QUADRATIC}
 _C = math.cos(math.pi / 8)
 _S = math.sin(math.pi / 8)
 _DIAGONAL = math.sqrt(0.5)
-_SMOOTH = 1e-9
-"""Friction below which the projection treats a cone with cohesion as a cylinder."""
+NO_FRICTION = 1e-9
+"""Friction up to which a contact point counts as one without: a cone with cohesion as a cylinder, both cones without it
+as the same ray."""
 
 
 @njit(inline="always", fastmath=True)
@@ -65,7 +66,7 @@ def project_joint(cone, n, x, y, mu, stick):
     """
     if stick <= 0.0:
         return project(cone, n, x, y, mu)
-    if mu > _SMOOTH:
+    if mu > NO_FRICTION:
         tip = stick / mu
         a, b, c = project(cone, n + tip, x, y, mu)
         if a >= tip:
