@@ -4,6 +4,7 @@
     python benchmarks/contact.py steps --structures vault:parts=500 vault:parts=1000
     python benchmarks/contact.py replay
     python benchmarks/contact.py plan --seeds 5
+    python benchmarks/contact.py criteria
     python benchmarks/contact.py all --out benchmarks/results/contact.jsonl
 
 `verdicts`: both criteria on the same states in one process, taken from a search under `contact` in its order,
@@ -12,8 +13,9 @@ state without a parent from Python, the median over the states of a plan. `steps
 removed in turn; each state once from the displacement of the one before, once from rest. `replay`: a whole plan, four
 increments each.
 `plan`: from the assembly to the proven and replayed plan, the median over seeds; `seconds_before_replay` leaves out the
-proofs and the last replay. Compilation is not counted. Structures of the paper are read from FALSEWORK_DATA, else
-from the folder `shared` beside the repository.
+proofs and the last replay. `criteria`: the states of a plan found under `equilibrium`, judged under `contact` from
+rest; `changed` are verdicts with other ratios of stiffness, `iterations` those of stable states. Compilation is not
+counted. Structures of the paper are read from FALSEWORK_DATA, else from the folder `shared` beside the repository.
 """
 
 from __future__ import annotations
@@ -43,7 +45,7 @@ STRUCTURES = ("vault", "vault-62", "dome-72", "dog-35", "dome-37", "bottle-12", 
 class Options:
     """Benchmark and its settings."""
 
-    what: tyro.conf.Positional[Literal["verdicts", "steps", "replay", "plan", "all"]]
+    what: tyro.conf.Positional[Literal["verdicts", "steps", "replay", "plan", "criteria", "all"]]
     """Benchmark."""
     structures: tuple[str, ...] = STRUCTURES
     """Built-in names, paths, or names of structures of the paper."""
@@ -182,9 +184,29 @@ def plan(name: str, options: Options) -> Iterator[dict[str, Any]]:
     }
 
 
+def criteria(name: str, options: Options) -> Iterator[dict[str, Any]]:
+    """Judge the states of a plan found under `equilibrium` by `contact`, from rest."""
+    assembly = load_structure(find(name))
+    states = find_plans(assembly, robots=options.robots, stability=EQUILIBRIUM, forces=False).plans[0].states
+    found = Stability(assembly).verdicts(states)
+    changed = {}
+    for kind, ratio in (("ratio_04", 0.4), ("ratio_1", 1.0)):
+        other = Stability(assembly, StabilitySettings(stiffness_ratio=ratio)).verdicts(states)
+        changed[kind] = int((other.verdict != found.verdict).sum())
+    yield {
+        "robots": options.robots,
+        "states": len(states),
+        "stable": int(found.stable.sum()),
+        "slides": int((found.verdict == Verdict.SLIDES).sum()),
+        "iterations": spread([float(count) for count in found.iterations[found.stable]]),
+        "changed": changed,
+        "seeds": (0,),
+    }
+
+
 def main(options: Options) -> None:
     """Run the benchmarks on each structure."""
-    chosen = {"verdicts": verdicts, "steps": steps, "replay": replay, "plan": plan}
+    chosen = {"verdicts": verdicts, "steps": steps, "replay": replay, "plan": plan, "criteria": criteria}
     names = list(chosen) if options.what == "all" else [options.what]
     find_plans(load_structure("arch:blocks=5"))
     write_to(options.out)

@@ -5,7 +5,7 @@
 
 `modes`: a plan with two robots that press under force control, and one under hybrid control; processor seconds with
 proofs, presses, how far parts move, and with `--judge` how far discrete elements build it. `settings`: seconds
-of the search, of one replay of its plan, of the groups of changed settings, and of all changes one by one.
+of the search, of one replay of its plan, of one by an ensemble of changed settings, and of all changes one by one.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ from falsework.assembly import Assembly, load_structure
 from falsework.search import PlannerSettings, find_plans
 from falsework.search.find import PLANS
 from falsework.stability import Replayer
-from falsework.stability.contact.varied_replay import DRAWS, GroupedVariations, replay_varied
+from falsework.stability.contact.ensemble_replay import EnsembleReplayer
+from falsework.stability.contact.varied_replay import DRAWS, replay_varied
 from falsework.stability.holds import HoldMode, HoldSettings
 from falsework.stability.judges import BuildJudge
 
@@ -78,7 +79,7 @@ def modes(options: Options) -> Iterator[dict[str, Any]]:
                     }
                     replay = plan.replay
                     assert replay is not None
-                    row |= {"moved_mm": 1e3 * replay.moved, "varied": replay.varied, "weak_under": replay.weak_under}
+                    row |= {"moved_mm": 1e3 * replay.moved, "varied": replay.varied}
                     if options.judge:
                         judged = BuildJudge(assembly, plan.claim.holds).judge(plan.states, plan.presses_before)
                         row |= {"states": judged.of, "built": judged.built}
@@ -104,8 +105,8 @@ def settings(options: Options) -> Iterator[dict[str, Any]]:
             begun = time.process_time()
             replayer.replay(states, presses=presses)
             begun = timed("replay", begun)
-            GroupedVariations(replayer).failure(states, presses)
-            begun = timed("groups", begun)
+            EnsembleReplayer(assembly, replayer.settings).replay(states, presses=presses)
+            begun = timed("ensemble", begun)
             replay_varied(replayer, states, presses, draws=DRAWS)
             timed("one_by_one", begun)
         measured = {f"{what}_seconds": spread(values) for what, values in seconds.items()}

@@ -486,7 +486,7 @@ def table_of(rows: Sequence[Run]) -> str:
     from table_model import fill_in, markdown
 
     columns = (*RULES_KEY, *RULES)
-    shown = [[write([row], []) if callable(write) else fill_in(write, [row]) for _, write in columns] for row in rows]
+    shown = [[write([row]) if callable(write) else fill_in(write, [row]) for _, write in columns] for row in rows]
     return markdown([head for head, _ in columns], shown)
 
 

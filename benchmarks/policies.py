@@ -4,33 +4,30 @@
     python benchmarks/policies.py speed --structures vault-62 --device cuda
     python benchmarks/policies.py learn --structures bottle-12 --seconds 60
     python benchmarks/policies.py transfer --seconds 60 --widths 1024
-    python benchmarks/policies.py generalist --seconds 600 --device cuda
 
 `cost`: weights and counted operations a state. `speed`: states a second, evaluated and trained on. `learn`: greedy
 success on unseen states after the same time of imitation of the same data, the states of a search of width 64 (the
 paper's Table 5). `transfer`: a policy trained on one structure (`bottle-12` where it is found, else `bottle`), on
-another that it has never seen (`dog-35`, else a dome), before and after fine-tuning. `generalist`: one policy trained
-on many generated structures, on structures that it has never seen, then fine-tuned on `--structures`.
+another that it has never seen (`dog-35`, else a dome), before and after fine-tuning. One policy for all structures:
+`benchmarks/general.py`.
 """
 
 from __future__ import annotations
 
-import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import torch
 import tyro
-from experiments.generalist import GeneralistSettings, fine_tune, train_generalist
 from experiments.policy_cost import policy_cost
 from experiments.transfer import Budget, compare_networks, transfer_experiment
 from record import report, write_to
 from states import find, real_structures
 
 from falsework.assembly import load_structure
-from falsework.learn.config.policy import PolicySettings
+from falsework.learn.config.policy import Kind, PolicySettings
 from falsework.learn.data.dataset import DataSettings
 from falsework.learn.networks.factory import make_policy
 from falsework.learn.networks.policy import masked_log_probabilities
@@ -41,11 +38,11 @@ from falsework.utils.tensors import choose_device
 class Options:
     """Benchmark and its settings."""
 
-    what: tyro.conf.Positional[Literal["cost", "speed", "learn", "transfer", "generalist"]]
+    what: tyro.conf.Positional[Literal["cost", "speed", "learn", "transfer"]]
     """Benchmark."""
     structures: tuple[str, ...] = ()
     """Built-in names, paths, or names of real structures."""
-    kinds: tuple[Literal["mlp", "resmlp", "gat", "transformer"], ...] = ("mlp", "resmlp", "gat", "transformer")
+    kinds: tuple[Kind, ...] = get_args(Kind)
     """Networks."""
     robots: int = 2
     """Parts that may be held at once."""
@@ -164,7 +161,7 @@ def main() -> None:
                 report(
                     "policies learn", structure=name, robots=options.robots, **row, device=device, seeds=(options.seed,)
                 )  # fmt: skip
-    elif options.what == "transfer":
+    else:
         names = options.structures or default_structures(("bottle-12", "dog-35"), ("bottle", "dome:rings=2,blocks=5"))
         source, *others = (load_structure(find(name)) for name in names)
         for kind in options.kinds:
@@ -177,26 +174,6 @@ def main() -> None:
                 seed=options.seed, data=DataSettings(widths=options.widths), turns=options.turns,
             ):  # fmt: skip
                 report("policies transfer", **about, **row, device=device, seeds=(options.seed,))
-    else:
-        generalist(options, device)
-
-
-def generalist(options: Options, device: torch.device) -> None:
-    """Train and evaluate one policy for many structures."""
-    for kind in options.kinds:
-        if not PolicySettings(kind).transfers:
-            continue
-        settings = GeneralistSettings(
-            policy=PolicySettings(kind), seconds=options.seconds, robots=options.robots, seed=options.seed,
-            batch=options.batch,
-        )  # fmt: skip
-        trained = train_generalist(settings, device, report=lambda line: print(line, file=sys.stderr))
-        for row in trained.rows:
-            report("policies generalist", kind=kind, **row, device=device, seeds=(options.seed,))
-        for name in options.structures or default_structures(("bottle-12", "dog-35", "dome-37"), ("bottle", "dome")):
-            assembly = load_structure(find(name))
-            for row in fine_tune(trained, assembly, budget=Budget(options.seconds / 5), device=device):
-                report("policies generalist", kind=kind, fine_tuned=True, **row, device=device, seeds=(options.seed,))
 
 
 if __name__ == "__main__":

@@ -145,7 +145,7 @@ LARGE = (
 
 def with_mean(template: str, runs: Runs) -> str:
     """Put the mean success over draws into a template that asks for it."""
-    return template.replace("{mean}", over_draws("success", "%")(runs, ())) if "{mean}" in template else template
+    return template.replace("{mean}", over_draws("success", "%")(runs)) if "{mean}" in template else template
 
 
 def headline(page: Path) -> str:

@@ -105,7 +105,7 @@ def seeds(runs: Runs) -> str:
 
 def notes(runs: Runs) -> str:
     """Write remarks on the runs: notes, shared machines, missing origins."""
-    found = [run["note"] for run in runs if run.get("note")]
+    found = [part for run in runs for part in (run.get("note") or "").split("; ") if part]
     loads = [run["load_before"] for run in runs if run.get("load_before", 0) > 1]
     if loads:
         found.append(f"shared machine, load {number(max(loads))}")
@@ -127,24 +127,20 @@ class Table:
     """Name of the file of records."""
     key: tuple[tuple[str, str], ...]
     """Header and template of the columns that identify a row."""
-    columns: tuple[tuple[str, str | Callable[[Runs, Runs], str]], ...]
-    """Header, and template or function of the runs of a row and of all earlier runs of the same subject."""
+    columns: tuple[tuple[str, str | Callable[[Runs], str]], ...]
+    """Header, and template or function of the runs of a row."""
     benchmark: str = ""
     """Name of the benchmark in the records; the name of the file if empty."""
     where: Callable[[Record], bool] = lambda _: True
     """Which records belong to the table."""
 
-    def rows(self) -> list[tuple[Runs, Runs]]:
-        """Return the newest and the earlier runs of each subject, in the order of their first records."""
+    def rows(self) -> list[Runs]:
+        """Return the newest runs of each subject, in the order of their first records."""
         groups: dict[tuple[str, ...], list[Record]] = {}
         for record in records(self.source):
             if record["benchmark"] == (self.benchmark or self.source) and self.where(record):
                 groups.setdefault(tuple(fill_in(template, [record]) for _, template in self.key), []).append(record)
-        found: list[tuple[Runs, Runs]] = []
-        for runs in groups.values():
-            newest = [run for run in runs if run["commit"] == runs[-1]["commit"]]
-            found.append((newest, [run for run in runs if run["commit"] != runs[-1]["commit"]]))
-        return found
+        return [[run for run in runs if run["commit"] == runs[-1]["commit"]] for runs in groups.values()]
 
     def text(self, page: Path) -> str:
         """Return the table as Markdown, with its devices and a link to its data."""
@@ -152,12 +148,17 @@ class Table:
         heads = [head for head, _ in (*self.key, *self.columns)]
         body = [
             [fill_in(template, runs) for _, template in self.key]
-            + [column(runs, earlier) if callable(column) else fill_in(column, runs) for _, column in self.columns]
-            + [seeds(runs), commits(runs), notes(runs)]
-            for runs, earlier in rows
+            + [column(runs) if callable(column) else fill_in(column, runs) for _, column in self.columns]
+            for runs in rows
         ]
-        used = [run for runs, _ in rows for run in runs]
-        return markdown([*heads, "seeds", "commit", "note"], body) + "\n\n" + origin(used, (self.source,), page)
+        used = [run for runs in rows for run in runs]
+        below = []
+        if counts := sorted({int(count) for runs in rows if (count := seeds(runs))}):
+            below.append(f"Seeds: {' to '.join(dict.fromkeys(map(str, (counts[0], counts[-1]))))}.")
+        if said := notes(used):
+            below.append(f"{said[0].upper()}{said[1:]}.")
+        below.append(f"{data_link(self.source, page)}.")
+        return "\n\n".join([markdown(heads, body), " ".join([f"{places(used)}.", *below])])
 
 
 def markdown(heads: Sequence[str], body: Sequence[Sequence[str]]) -> str:
@@ -169,12 +170,21 @@ def markdown(heads: Sequence[str], body: Sequence[Sequence[str]]) -> str:
 
 def origin(runs: Iterable[Record], sources: Sequence[str], page: Path) -> str:
     """Write device and date of runs, and where their data and commands are."""
-    devices: dict[str, dict[str, None]] = {}
-    for run in runs:
-        devices.setdefault(f"{run['device']}, {run['date']}", {})[run["commit"] or "not recorded"] = None
-    places = "; ".join(f"{device} ({', '.join(names)})" for device, names in devices.items())
     files = ", ".join(data_link(source, page) for source in dict.fromkeys(sources))
-    return f"{places}. Data and commands: {files}."
+    return f"{places(runs)}. Data and commands: {files}."
+
+
+def places(runs: Iterable[Record]) -> str:
+    """Write devices, dates and commits of runs."""
+    devices: dict[str, dict[str, dict[str, None]]] = {}
+    for run in runs:
+        days = devices.setdefault(run["device"], {})
+        days.setdefault(run["date"], {})[run["commit"] or "not recorded"] = None
+    each = {
+        device: ", ".join(f"{day} ({', '.join(names)})" for day, names in days.items())
+        for device, days in devices.items()
+    }
+    return "; ".join(f"{device}, {days}" for device, days in each.items())
 
 
 def data_link(source: str, page: Path) -> str:

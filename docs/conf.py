@@ -83,8 +83,15 @@ def _display_formula(translator: Any, node: nodes.math_block) -> None:
     raise nodes.SkipNode
 
 
+def _leave_out_of_search(app: Sphinx, _document: nodes.document) -> None:
+    """Leave the pages on decisions, which repeat the words of the manual, out of the search."""
+    if app.env.docname.startswith("decisions/"):
+        app.env.metadata[app.env.docname]["nosearch"] = True
+
+
 def setup(app: Sphinx) -> None:
     """Connect what is defined here."""
+    app.connect("doctree-read", _leave_out_of_search)
     # Formulas as MathML: every browser shows it, without scripts from elsewhere.
     app.add_html_math_renderer(
         "mathml", inline_renderers=(_inline_formula, None), block_renderers=(_display_formula, None)
@@ -120,5 +127,15 @@ def _write_benchmarks() -> None:
     (HERE / "_generated" / "benchmarks.md").write_text("\n".join(texts), encoding="utf-8")
 
 
+def _write_results() -> None:
+    """Write the results as a part of the page on benchmarks: one level lower, and with links that hold there."""
+    text = (HERE.parent / "benchmarks" / "RESULTS.md").read_text(encoding="utf-8")
+    text = re.sub(r"\[[^]]*\]\((results[^)]*)\)", r"`benchmarks/\1`", text)
+    text = re.sub(r"\[([^]]*)\]\(\.\./README\.md[^)]*\)", r"\1", text)
+    text = re.sub(r"^#", "##", text, flags=re.MULTILINE)
+    (HERE / "_generated" / "results.md").write_text(text, encoding="utf-8")
+
+
 _write_help_texts()
 _write_benchmarks()
+_write_results()

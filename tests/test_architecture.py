@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from importlib.metadata import requires
+from itertools import pairwise
 from pathlib import Path
 
 SOURCE = Path(__file__).resolve().parents[1] / "src" / "falsework"
@@ -264,6 +265,34 @@ def test_docstrings_explain_arguments_that_exist() -> None:
                 gone = documented_arguments(function) - known
                 wrong += [f"{path}:{function.lineno}: {function.name} has no {name}" for name in sorted(gone)]
     assert not wrong, "\n".join(wrong)
+
+
+def constants(tree: ast.Module) -> Iterator[tuple[str, str]]:
+    """Yield name and docstring of the module constants that have one."""
+    for node, after in pairwise(tree.body):
+        targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+        names = [name.id for target in targets if target for name in ast.walk(target) if isinstance(name, ast.Name)]
+        said = after.value.value if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant) else None
+        if names and names[0].lstrip("_").isupper() and isinstance(said, str):
+            yield names[0], said
+
+
+MEASURED = re.compile(
+    r"\b(decision|commit|by hand|(vault|dome|dog|bottle|tetris|armadillo|pavilion)s?\b)", re.IGNORECASE
+)
+
+
+def test_docstrings_of_constants_say_what_they_do() -> None:
+    """What was measured when a value was chosen, and on which structure, is in the records and pages on decisions."""
+    found = [
+        f"{dotted(path)}.{name}" for path in MODULES for name, said in constants(parsed(path)) if MEASURED.search(said)
+    ]
+    assert found == []
+
+
+def test_the_check_sees_a_constant() -> None:
+    tree = ast.parse('_STEPS: int = 60\n"""Steps; 64 on vaults of 510 parts."""\n')
+    assert [MEASURED.search(said) is not None for _, said in constants(tree)] == [True]
 
 
 def test_core_needs_only_core_packages() -> None:

@@ -129,14 +129,44 @@ def test_links_lead_somewhere() -> None:
                 assert (page.parent / link).exists(), f"{name_of(page)}: {link}"
 
 
-def test_a_decision_is_one_page() -> None:
-    """As CONTRIBUTING says; what is no word, such as the lines of tables, does not count."""
+DECISIONS = sorted(page for page in (REPOSITORY / "docs" / "decisions").glob("*.md") if page.name != "index.md")
+
+
+def test_pages_on_decisions_are_short() -> None:
+    """As CONTRIBUTING says; generated tables, and what is no word, such as the lines of tables, do not count."""
     said = re.search(r"at most (\d+) words", (REPOSITORY / "CONTRIBUTING.md").read_text(encoding="utf-8"))
     assert said is not None
-    pages = sorted((REPOSITORY / "docs" / "decisions").glob("0*.md"))
-    words = {page.name: len(re.findall(r"\S*\w\S*", page.read_text(encoding="utf-8"))) for page in pages}
+    table = re.compile(r"<!-- results: .*?<!-- /results -->", re.DOTALL)
+    texts = {page.name: table.sub("", page.read_text(encoding="utf-8")) for page in DECISIONS}
+    words = {name: len(re.findall(r"\S*\w\S*", text)) for name, text in texts.items()}
     assert len(words) > 20
     assert {name: count for name, count in words.items() if count > int(said[1])} == {}
+
+
+@pytest.mark.parametrize("page", DECISIONS, ids=name_of)
+def test_pages_on_decisions_say_what_holds_why_and_what_was_tried(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert re.findall(r"^## (.*)$", text, re.MULTILINE) == ["What holds", "Why", "Tried and left"]
+    assert "\n| tried | result | why left |\n| --- | --- | --- |\n|" in text.partition("## Tried and left")[2]
+
+
+def test_every_page_on_decisions_has_a_line_in_the_index() -> None:
+    index = (REPOSITORY / "docs" / "decisions" / "index.md").read_text(encoding="utf-8")
+    described = re.findall(r"^- \[[^]]+\]\(([\w-]+)\.md\): ", index, re.MULTILINE)
+    listed = index.partition(":hidden:")[2].split("```")[0].split()
+    assert sorted(described) == sorted(listed) == [page.stem for page in DECISIONS]
+
+
+def test_decisions_are_named_by_topic() -> None:
+    """Paths such as `docs/decisions/margins.md` exist, and nothing counts decisions, which have no numbers."""
+    places = [REPOSITORY / "CHANGELOG.md", REPOSITORY / "CONTRIBUTING.md", *PAGES]
+    for folder, kinds in {"src": ("*.py", "*.cuh"), "tests": ("*.py",), "benchmarks": ("*.py", "*.md")}.items():
+        places += [path for kind in kinds for path in (REPOSITORY / folder).rglob(kind)]
+    for path in places:
+        text = path.read_text(encoding="utf-8")
+        for named in re.findall(r"docs/decisions/(\w[\w.-]*\w)", text):
+            assert (REPOSITORY / "docs" / "decisions" / named).exists(), f"{name_of(path)}: {named}"
+        assert not re.search(r"\bdecisions? \d", text), name_of(path)
 
 
 def test_extras_that_are_named_exist() -> None:

@@ -1,155 +1,155 @@
-"""Families of generated structures, with states to learn from: what a policy for many structures is trained on."""
+"""Generated structures of many families and sizes: what a policy for all structures is trained and tested on.
+
+A number stands for one structure with its task, always the same: family, parameters, robots and criterion are drawn
+from it.
+"""
 
 from __future__ import annotations
 
+import sys
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 
 import numpy as np
-import torch
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from experiments import families
+from shells import FAMILIES as SHELLS
 
 from falsework.assembly import load_structure
-from falsework.assembly.model import Assembly
+from falsework.assembly.model import Assembly, ContactWarning
+from falsework.assembly.state import complete_state
 from falsework.errors import InputError
 from falsework.geometry.mesh.mesh import TriangleMesh
-from falsework.learn.data.dataset import search_states, task_for
-from falsework.learn.data.solvable_states import SolvableStates
-from falsework.learn.env.environment import Environment
-from falsework.search.device.oracle import HostOracle
 from falsework.stability.oracle import Stability
-from falsework.utils.tensors import choose_device
+from falsework.stability.settings import StabilitySettings
+from falsework.stability.verdict import Criterion
 
 Draw = np.random.Generator
+_LEAST, _MOST = 3, 150
+"""Parts that are not boundary."""
+_ROBOTS = (0.15, 0.45, 0.2, 0.2)
+"""How often structures are built by one, two, three and four robots."""
+_FRICTION = (0.4, 0.9)
+
+
+def _size(draw: Draw, least: int, most: int) -> int:
+    """Draw a number, small ones as often as large ones by their logarithm."""
+    return round(float(np.exp(draw.uniform(np.log(least), np.log(most)))))
 
 
 def _arch(draw: Draw) -> str:
-    return f"arch:blocks={draw.integers(3, 13)},thickness={draw.uniform(0.15, 0.45):.3f}"
+    return f"arch:blocks={_size(draw, 3, 40)},thickness={draw.uniform(0.12, 0.45):.3f}"
 
 
 def _catenary(draw: Draw) -> str:
-    return f"catenary:blocks={draw.integers(3, 13)},rise={draw.uniform(0.5, 1.8):.3f}"
+    rise, thickness = draw.uniform(0.5, 1.8), draw.uniform(0.05, 0.2)
+    return f"catenary:blocks={_size(draw, 3, 40)},rise={rise:.3f},thickness={thickness:.3f}"
 
 
 def _wall(draw: Draw) -> str:
     length, height = draw.uniform(0.15, 0.35), draw.uniform(0.05, 0.15)
-    return f"wall:bricks={draw.integers(2, 5)},courses={draw.integers(2, 6)},length={length:.3f},height={height:.3f}"
+    return f"wall:bricks={_size(draw, 2, 13)},courses={_size(draw, 2, 12)},length={length:.3f},height={height:.3f}"
 
 
 def _dome(draw: Draw) -> str:
-    rings, blocks = draw.integers(1, 4), draw.integers(4, 8)
-    return f"dome:rings={rings},blocks={blocks},thickness={draw.uniform(0.1, 0.3):.3f},stagger={draw.integers(0, 2)}"
+    rings, blocks = _size(draw, 1, 9), _size(draw, 4, 18)
+    return f"dome:rings={rings},blocks={blocks},thickness={draw.uniform(0.08, 0.3):.3f},stagger={draw.integers(0, 2)}"
+
+
+def _vault(draw: Draw) -> str:
+    rise, thickness = draw.uniform(0.8, 1.4), draw.uniform(0.1, 0.2)
+    return f"vault:parts={_size(draw, 30, 150)},rise={rise:.2f},thickness={thickness:.3f}"
 
 
 def _stack(draw: Draw) -> str:
     overhang, height = draw.uniform(0.3, 0.98), draw.uniform(0.08, 0.2)
-    return f"stack:blocks={draw.integers(3, 11)},overhang={overhang:.3f},height={height:.3f}"
+    return f"stack:blocks={_size(draw, 3, 20)},overhang={overhang:.3f},height={height:.3f}"
 
 
 def _corbel(draw: Draw) -> str:
-    return f"corbel:courses={draw.integers(2, 8)},span={draw.uniform(0.6, 1.2):.3f}"
+    return f"corbel:courses={_size(draw, 2, 20)},span={draw.uniform(0.6, 1.2):.3f}"
 
 
 def _bottle(draw: Draw) -> str:
-    return f"bottle:pieces={draw.integers(6, 16)},seed={draw.integers(1, 10**6)}"
+    width, height = draw.integers(5, 11), draw.integers(8, 21)
+    return f"bottle:pieces={_size(draw, 6, 40)},width={width},height={height},seed={draw.integers(1, 10**6)}"
 
 
 def _polycube(draw: Draw) -> str:
-    return f"polycube:pieces={draw.integers(6, 16)},size={draw.integers(3, 5)},seed={draw.integers(1, 10**6)}"
+    return f"polycube:pieces={_size(draw, 5, 40)},size={draw.integers(3, 7)},seed={draw.integers(1, 10**6)}"
 
 
-KINDS: dict[str, Callable[[Draw], str]] = {
-    "arch": _arch,
-    "catenary": _catenary,
-    "wall": _wall,
-    "dome": _dome,
-    "stack": _stack,
-    "corbel": _corbel,
-    "bottle": _bottle,
-    "polycube": _polycube,
+def _house(draw: Draw) -> str:
+    return f"house:storeys={draw.integers(1, 8)},height={draw.uniform(0.2, 0.35):.3f},pitch={draw.uniform(10, 25):.2f}"
+
+
+def _built_in(recipe: Callable[[Draw], str], draw: Draw) -> Assembly:
+    return load_structure(recipe(draw))
+
+
+_BUILT_IN = (_arch, _catenary, _wall, _dome, _vault, _stack, _corbel, _bottle, _polycube, _house)
+TRAINED: dict[str, Callable[[Draw], Assembly]] = {
+    **{recipe.__name__[1:]: partial(_built_in, recipe) for recipe in _BUILT_IN},
+    **{family.__name__: family for family in (families.opening, families.chimney, families.voronoi, families.pile)},
+    "barrel": SHELLS["barrel"],
+    "arcade": SHELLS["arcade"],
 }
-"""Recipes: each draws the parameters of one built-in structure and returns it as text."""
+"""Families to train on, by name."""
+UNSEEN: dict[str, Callable[[Draw], Assembly]] = {"groin": SHELLS["groin"]}
+"""Families that no training sees."""
 
 
 @dataclass(frozen=True, eq=False)
-class TrainingInstance:
-    """One structure of a family, with states that are known to be solvable."""
+class GeneratedTask:
+    """One structure, and how it is to be built."""
 
     name: str
+    """Family and number, such as `arch-17`."""
+    family: str
     assembly: Assembly
-    environment: Environment
-    solved: SolvableStates
+    robots: int
+    criterion: Criterion
 
 
-def specifications(kinds: tuple[str, ...], seed: int, avoid: frozenset[str] = frozenset()) -> Iterator[str]:
-    """Structures as text, for ever, the kinds in turn, none twice and none of `avoid`.
-
-    Raises:
-        InputError: a kind that is not in `KINDS`.
-    """
-    for kind in kinds:
-        if kind not in KINDS:
-            raise InputError(f"no family of structures is called {kind!r}; there are {', '.join(KINDS)}")
-    draw = np.random.default_rng(seed)
-    seen = set(avoid)
-    while True:
-        for kind in kinds:
-            name = KINDS[kind](draw)
-            if name not in seen:
-                seen.add(name)
-                yield name
-
-
-def members(
-    count: int,
-    *,
-    kinds: tuple[str, ...] = tuple(KINDS),
-    seed: int = 0,
-    avoid: frozenset[str] = frozenset(),
-    robots: int = 2,
-    width: int = 64,
-    device: torch.device | str = "cpu",
-    report: Callable[[str], None] | None = None,
-) -> list[TrainingInstance]:
-    """Make structures, and search them from the empty structure.
-
-    Parameters that make no structure, and structures that these robots cannot build or that the search does not
-    finish, are passed over for the next.
+def generated(number: int, choice: tuple[str, ...] = tuple(TRAINED)) -> GeneratedTask:
+    """Return the structure of a number.
 
     Args:
-        count: structures wanted.
-        kinds: recipes, of `KINDS`.
-        seed: of parameters and searches.
-        avoid: structures that must not be among them, such as those of another family.
-        robots: parts that may be held at once.
-        width: of the searches.
-        device: where.
-        report: called with progress messages.
+        number: zero or more.
+        choice: families, of `TRAINED` and `UNSEEN`, which take turns.
 
     Raises:
-        InputError: an unknown kind, or hardly any parameters make a structure that can be built.
+        InputError: an unknown family, or a hundred draws none of which stands.
     """
-    where = choose_device(str(device))
-    found: list[TrainingInstance] = []
-    for tried, name in enumerate(specifications(kinds, seed, avoid)):
-        if len(found) == count:
-            break
-        if tried > 20 * count + 100:
-            raise InputError(f"only {len(found)} of {tried} structures can be built; take other kinds or more robots")
-        try:
-            assembly = load_structure(name)
-        except InputError:
-            continue
-        oracle = Stability(assembly)
-        # On the processor wherever the policy is: these are small, and a GPU would compile its solver for each.
-        states, complete = search_states(task_for(assembly, robots), HostOracle(oracle), width, seed + tried)
-        if not complete:
-            continue
-        environment = Environment(assembly, robots, oracle=oracle, device=where)
-        solved = SolvableStates(environment.rules, torch.from_numpy(states))
-        found.append(TrainingInstance(name, assembly, environment, solved))
-        if report is not None:
-            report(f"{len(found)} of {count}: {name}, {len(solved)} states")
-    return found
+    known = {**TRAINED, **UNSEEN}
+    for family in choice:
+        if family not in known:
+            raise InputError(f"no family of structures is called {family!r}; there are {', '.join(known)}")
+    family = choice[number % len(choice)]
+    draw = np.random.default_rng([number, tuple(known).index(family)])
+    robots = 1 + int(draw.choice(len(_ROBOTS), p=_ROBOTS))
+    criterion: Criterion = "equilibrium" if draw.integers(2) else "contact"
+    for _ in range(100):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ContactWarning)
+            try:
+                assembly = known[family](draw).at_friction(float(draw.uniform(*_FRICTION)))
+            except InputError:
+                continue
+        if _LEAST <= int((~assembly.boundary).sum()) <= _MOST and stands(assembly, criterion):
+            return GeneratedTask(f"{family}-{number}", family, assembly, robots, criterion)
+    raise InputError(f"no draw of {family}-{number} stands and has {_LEAST} to {_MOST} parts")
+
+
+def stands(assembly: Assembly, criterion: Criterion) -> bool:
+    """Return whether the complete structure is proven stable."""
+    oracle = Stability(assembly, StabilitySettings(criterion=criterion))
+    return bool(oracle.verdicts(complete_state(assembly.boundary)).stable[0])
 
 
 def turned(assembly: Assembly, angle: float) -> Assembly:

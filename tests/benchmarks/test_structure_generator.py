@@ -1,50 +1,38 @@
-"""Generated structures: what a policy for many of them is trained on."""
+"""Generated structures: what a policy for all structures is trained and tested on."""
 
 from __future__ import annotations
 
-from itertools import islice
-
 import numpy as np
 import pytest
-from experiments.structure_generator import KINDS, members, specifications, turned
+from experiments.structure_generator import TRAINED, UNSEEN, generated, stands, turned
 
 from falsework.assembly import load_structure
 from falsework.errors import InputError
 from falsework.stability import Stability
 
 
-def test_the_same_seed_draws_the_same_structures_and_none_twice() -> None:
-    kinds = tuple(KINDS)
-    one, same, other = (list(islice(specifications(kinds, seed), 100)) for seed in (1, 1, 2))
-    assert one == same
-    assert one != other
-    assert len(set(one)) == 100
-    assert {name.split(":")[0] for name in one} == set(kinds)
-    avoiding = list(islice(specifications(kinds, 1, frozenset(one[:50])), 50))
-    assert not set(avoiding) & set(one[:50])
+def test_a_number_is_always_the_same_structure() -> None:
+    one, same = generated(3), generated(3)
+    assert one.assembly.identity == same.assembly.identity
+    assert (one.name, one.robots, one.criterion) == (same.name, same.robots, same.criterion)
+    assert one.assembly.identity != generated(3 + len(TRAINED)).assembly.identity
 
 
-def test_most_of_what_is_drawn_can_be_made() -> None:
-    made = 0
-    for name in islice(specifications(tuple(KINDS), 0), 2 * len(KINDS)):
-        try:
-            made += load_structure(name).part_count > 1
-        except InputError:  # a refusal is fine, a crash is not
-            continue
-    assert made >= len(KINDS)
+@pytest.mark.parametrize("family", [*TRAINED, *UNSEEN])
+def test_every_family_stands_and_keeps_its_size(family: str) -> None:
+    made = generated(1, (family,))
+    assert made.family == family
+    assert 3 <= (~made.assembly.boundary).sum() <= 150
+    assert stands(made.assembly, made.criterion)
+
+
+def test_families_take_turns() -> None:
+    assert [generated(number, ("arch", "stack")).family for number in range(4)] == ["arch", "stack"] * 2
 
 
 def test_an_unknown_family_is_refused() -> None:
     with pytest.raises(InputError, match="no family of structures is called 'bridge'; there are arch"):
-        next(specifications(("bridge",), 0))
-
-
-def test_members_are_buildable_and_their_states_stand() -> None:
-    for member in members(2, kinds=("arch", "stack"), seed=3, width=8):
-        states = member.solved.states.numpy()
-        assert Stability(member.assembly).verdicts(states).verdict.all()
-        assert (states == member.environment.rules.complete()[0].numpy()).all(axis=1).any()
-        assert member.solved.valid_actions(member.environment.rules.complete()).any()
+        generated(0, ("bridge",))
 
 
 def test_turning_a_structure_changes_nothing_that_matters() -> None:

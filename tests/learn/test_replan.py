@@ -23,7 +23,8 @@ from falsework.search.planner import Planner
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.problem.task import Direction
 from falsework.stability import Proof, Stability, StabilitySettings
-from falsework.stability.contact.replay import History, Replay, Replayer
+from falsework.stability.contact.history import History, Replay
+from falsework.stability.contact.replay import Replayer
 
 ARCH = load_structure("arch:blocks=5")
 COMPLETE = complete_state(ARCH.boundary)

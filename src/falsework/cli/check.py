@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from falsework.search.plans.plan import Plan
     from falsework.search.plans.plan_report import CheckedPlan, PlanReport
     from falsework.stability import StabilitySettings
-    from falsework.stability.contact.replay import Replay
+    from falsework.stability.contact.history import Replay
 
 _DRAWS = 4
 """Random initial friction states under which a plan is replayed."""

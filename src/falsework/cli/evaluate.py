@@ -41,9 +41,12 @@ class Evaluate(Command):
     )
 
     folder: Annotated[Positional[Path], arg(metavar="RUN")]
-    """Folder that `falsework train` wrote."""
+    """Folder that `falsework train` wrote; of a policy for any structure, or `general` for the one that comes with this
+    program, with --structure."""
     structure: Annotated[str | None, arg(metavar="STRUCTURE", help_behavior_hint=UNSET)] = None
     """Evaluate the policy on a structure other than the one that it was trained for."""
+    robots: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: that of the run)")] = None
+    """Number of robots; with another number than that of the run, evaluate on states of new searches."""
     search: bool = False
     """Search where the policy fails, and report the share of test states with a proven plan."""
     targets: bool = False
@@ -67,7 +70,6 @@ class Evaluate(Command):
         check_torch()
         from falsework.learn.env.environment import Environment
         from falsework.learn.networks.autocast import Network
-        from falsework.learn.training.checkpoint import load_run
         from falsework.learn.training.evaluate import GoalBlindPolicy, evaluate
         from falsework.search.device.oracle import tensor_oracle
         from falsework.stability import Stability, StabilitySettings
@@ -77,10 +79,11 @@ class Evaluate(Command):
             raise InputError(f"--states {self.states} leaves nothing to evaluate; give at least 1")
         begun = time.perf_counter()
         with init_distributed(self.device) as (shards, device):
-            trained = load_run(self.folder, device)
+            trained = self._trained(device)
             settings = trained.settings
             criterion = self.criterion or settings.criterion
             assembly, policy = self._subject(trained)
+            policy.of_task(settings.robots, equilibrium=criterion == "equilibrium")
             oracle = Stability(assembly, StabilitySettings(criterion=criterion))
             environment = Environment(
                 assembly, settings.robots, oracle=oracle, device=device, clearance=settings.removable_only_if_clear
@@ -107,7 +110,7 @@ class Evaluate(Command):
                 return Exit.DONE
         record = {
             "structure": assembly.name,
-            "trained_on": trained.assembly.name,
+            "trained_on": "" if trained.metadata["structure"] is None else trained.assembly.name,
             "robots": settings.robots,
             "criterion": criterion,
             "phases": [phase.algorithm for phase in settings.phases],
@@ -130,12 +133,28 @@ class Evaluate(Command):
             output.say(f"with search: {100 * searched['share']:.2f} % of the test states have a proven plan")
         return Exit.DONE
 
+    def _trained(self, device: torch.device) -> Run:
+        """Load the run, one for any structure with the structure to evaluate it on, and with other robots if asked."""
+        from dataclasses import replace
+
+        from falsework.assembly import load_structure
+        from falsework.learn.training.checkpoint import load_run, read_run, run_folder
+
+        folder = run_folder(self.folder)
+        assembly = None
+        if self.structure is not None and read_run(folder)["structure"] is None:
+            assembly = load_structure(self.structure)
+        trained = load_run(folder, device, assembly=assembly)
+        if self.robots is None:
+            return trained
+        return replace(trained, settings=replace(trained.settings, robots=self.robots))
+
     def _subject(self, trained: Run) -> tuple[Assembly, Policy]:
         """Return the structure and policy: those of the run, or the policy transferred to another structure."""
         from falsework.assembly import load_structure
         from falsework.learn.networks.factory import transfer
 
-        if self.structure is None:
+        if self.structure is None or trained.metadata["structure"] is None:
             return trained.assembly, trained.policy
         assembly = load_structure(self.structure)
         device = next(trained.policy.parameters()).device
@@ -160,7 +179,8 @@ class Evaluate(Command):
         from falsework.learn.training.checkpoint import DATA
 
         settings: Any = trained.settings
-        if self.structure is None and self.criterion in (None, settings.criterion) and (self.folder / DATA).is_file():
+        same = self.structure is None and self.robots is None and self.criterion in (None, settings.criterion)
+        if same and (self.folder / DATA).is_file():
             return load_dataset(self.folder / DATA, assembly)
         task = task_for(assembly, settings.robots, settings.removable_only_if_clear)
         return build_dataset(assembly, task, oracle=oracle, device=str(device))

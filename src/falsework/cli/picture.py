@@ -26,6 +26,7 @@ _STILLS = ("step", "gantt", "forces", "limits", "policy", "frames", "columns", "
 _MOVING = ("step_seconds", "rate", "speed")
 """Options that only videos have."""
 _VIDEO_WIDTH = 800
+"""Width of videos where none is given, pixels."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -28,9 +28,12 @@ from falsework.cli.planning import (
 from falsework.errors import InputError
 
 if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
     from falsework.search.find import Planning
     from falsework.search.plans.plan import Plan
+    from falsework.search.problem.guide import Guide
+    from falsework.search.problem.task import Task
     from falsework.search.settings import PlannerSettings
 
 
@@ -47,6 +50,7 @@ class MakePlan(Command):
     rare: ClassVar[tuple[str, ...]] = (
         "width",
         "search_from",
+        "guide",
         "seed",
         "cone",
         "solver",
@@ -80,6 +84,9 @@ class MakePlan(Command):
     search_from: Literal["both", "beginning", "end"] = "both"
     """Ends of the assembly from which to search: its beginning, the empty structure; its end, the complete one; or both
     in turn."""
+    guide: Annotated[Path | None, arg(metavar="RUN", help_behavior_hint="(default: support first)")] = None
+    """Trained run, of this structure or of a policy for any, or `general` for the one that comes with this program: its
+    policy says which actions a search tries first. Without it, parts with much support are inserted first."""
     seed: int = 0
     """Random seed; results are reproducible on one machine."""
     criterion: Literal["contact", "equilibrium"] = "contact"
@@ -121,6 +128,8 @@ class MakePlan(Command):
 
         if self.maximise and (self.alternatives > 1 or self.resume):
             raise InputError("--maximise looks for one plan, from the beginning; leave out --alternatives and --resume")
+        if self.guide is not None and (self.task.wider or self.maximise or self.robots == "auto"):
+            raise InputError("--guide takes neither --support, --props, --maximise nor --robots auto; leave it out")
         if self.task.wider and (self.alternatives > 1 or self.resume or self.margin or self.maximise):
             raise InputError("--support and --props take neither --alternatives, --resume, --margin nor --maximise")
         if self.robust and self.criterion != "contact":
@@ -148,6 +157,7 @@ class MakePlan(Command):
         if demands:  # a search that was saved under other margins is another search
             task = replace(task, identity=f"{task.identity} {demands}")
         demanding = oracle if isinstance(oracle, DemandingStability) else None
+        guide = self._guide(assembly, task.judged_by(oracle))
         if demanding is not None and refuse_weak_end(demanding, task, output):
             return Exit.NO
         with output.search_progress() as report:
@@ -172,6 +182,7 @@ class MakePlan(Command):
                     oracle=demanding,
                     stability=stability,
                     settings=settings,
+                    guide=guide,
                     progress=report,
                     deadline=self.deadline,
                     checkpoint=checkpoint,
@@ -223,6 +234,14 @@ class MakePlan(Command):
             return int(self.robots)
         except ValueError:
             raise InputError(f"--robots is {self.robots!r}; give a number, or auto") from None
+
+    def _guide(self, assembly: Assembly, task: Task) -> Guide | None:
+        if self.guide is None:
+            return None
+        from falsework.learn import load_run  # says what to install where torch is missing
+        from falsework.replanning.policy_guide import PolicyGuide
+
+        return PolicyGuide(load_run(self.guide, assembly=assembly).policy, task=task)
 
     def _settings(self) -> PlannerSettings:
         from falsework.search.settings import PlannerSettings

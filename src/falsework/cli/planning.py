@@ -163,7 +163,7 @@ def promise_lines(plan: Plan, *, robust: bool = False) -> list[str]:
     stands = plan.replay is not None and plan.replay.stands
     judgement = None if plan.replay is None else plan.replay.judgement
     judged = judge_text(judgement) if judgement is not None and judgement.stands else ""
-    lines = [press_text(plan), load_text(plan, plan.loads), judged, marginal_text(plan)]
+    lines = [press_text(plan), load_text(plan, plan.loads), judged]
     return [*([replay_text(plan, also)] if stands else []), *filter(None, lines)]
 
 
@@ -171,16 +171,6 @@ def lacks_reserve(plan: Plan, asked: float) -> str:
     """Return the remark on a plan that keeps less reserve than was asked; empty if it keeps it."""
     kept = plan.claim.reserve
     return f"no plan was found with the reserve of {asked:g}; this one keeps {kept:g}" if kept < asked else ""
-
-
-def marginal_text(plan: Plan) -> str:
-    """Return the change of settings under which the replay of a plan fails, in words; empty if none was found."""
-    replay = plan.replay
-    if replay is None or not replay.weak_under or replay.weak_at is None:
-        return ""
-    action = f" ({plan.words(replay.weak_at)})" if replay.weak_at else ""
-    where = f"after step {replay.weak_at} of assembly{action}"
-    return f"the plan is marginal: its replay fails {where} under {replay.weak_under}"
 
 
 def judge_text(judgement: Judgement) -> str:

@@ -21,6 +21,7 @@ from falsework.errors import InputError
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
+    from falsework.learn.training.checkpoint import Run
     from falsework.replanning.request import Request
     from falsework.replanning.result import ReplanResult
     from falsework.search.plans.plan import Plan
@@ -46,6 +47,7 @@ class MakeReplan(Command):
         "removable_only_if_clear",
         "alternatives",
         "seed",
+        "policy",
         "confidences",
         "device",
         "solver",
@@ -95,6 +97,9 @@ class MakeReplan(Command):
     """Seconds after which the best certified plan so far is returned, loading not counted."""
     compare: Annotated[Path | None, arg(metavar="PLAN", help_behavior_hint=UNSET)] = None
     """Old plan to compare with."""
+    policy: Annotated[Path | None, arg(metavar="RUN", help_behavior_hint=UNSET)] = None
+    """Trained run whose policy proposes the steps, of this structure or of a policy for any, or `general` for the one
+    that comes with this program; for a run in place of the structure that is its own."""
     confidences: bool = False
     """Report the action probabilities of the policy, with --json."""
     out: Annotated[Path, arg(metavar="FILE")] = Path("replan.json")
@@ -112,11 +117,20 @@ class MakeReplan(Command):
 
         writable(self.out)
         plan, assembly, policy, source, robots, clear = self._load()
+        if self.policy is not None:
+            if policy is not None:
+                raise InputError(f"{self.structure.spec} is a run already; leave --policy out, or name the structure")
+            criterion = self._stability(plan).criterion
+            policy = self._load_run(self.policy, assembly).policy.of_task(
+                robots, equilibrium=criterion == "equilibrium"
+            )
         old = plan if self.compare is None else load_plan(self.compare)
         if old is not None and old.identity != assembly.identity:
             raise InputError(f"{self.compare} is a plan for another structure, {old.name}; compare plans of one")
         if self.confidences and policy is None:
-            raise InputError("--confidences needs a policy: give a run, the folder that falsework train wrote")
+            raise InputError(
+                "--confidences needs a policy: give a run, the folder that falsework train wrote, or --policy"
+            )
         request = self._request(plan, assembly, robots, clear)
         request.task(assembly)  # refuse bad input before anything is loaded
         stability = self._stability(plan)
@@ -188,14 +202,7 @@ class MakeReplan(Command):
             return self.holds.settings(criterion, solver=self.solver)
         return replace(own, solver=self.solver)
 
-    def _load_structure(self) -> tuple[Assembly, Any, Mapping[str, Any], int, bool]:
-        folder = Path(self.structure.spec)
-        if not (folder / "run.json").is_file():
-            robots = 2 if self.robots is None else self.robots
-            return self.structure.load(), None, self.structure.source(self.out), robots, self.removable_only_if_clear
-        if self.structure.given():
-            option = next(iter(self.structure.given()))
-            raise InputError(f"--{option}: a run is for one structure as it was trained; leave the option out")
+    def _load_run(self, folder: Path, assembly: Assembly | None = None) -> Run:
         from falsework.utils.optional_packages import check_torch
 
         check_torch()
@@ -205,7 +212,17 @@ class MakeReplan(Command):
 
         # Single states make for small matrices, which threads only get in each other's way with.
         torch.set_num_threads(1)
-        run = load_run(folder, self.device)
+        return load_run(folder, self.device, assembly=assembly)
+
+    def _load_structure(self) -> tuple[Assembly, Any, Mapping[str, Any], int, bool]:
+        folder = Path(self.structure.spec)
+        if not (folder / "run.json").is_file():
+            robots = 2 if self.robots is None else self.robots
+            return self.structure.load(), None, self.structure.source(self.out), robots, self.removable_only_if_clear
+        if self.structure.given():
+            option = next(iter(self.structure.given()))
+            raise InputError(f"--{option}: a run is for one structure as it was trained; leave the option out")
+        run = self._load_run(folder)
         source = dict(run.metadata["structure"]["source"])
         if "path" in source:
             path = (folder.resolve() / source["path"]).resolve()

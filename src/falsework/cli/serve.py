@@ -83,9 +83,9 @@ class Serve(JudgingCommand):
             assembly = self.structure.load()
             if self.policy is not None:
                 check_torch()
-                from falsework.learn.training.checkpoint import check_structure, read_run
+                from falsework.learn.training.checkpoint import check_structure, read_run, run_folder
 
-                check_structure(self.policy, read_run(self.policy), assembly)
+                check_structure(self.policy, read_run(run_folder(self.policy)), assembly)
             return assembly, self.policy
         if self.policy is not None:
             raise InputError(f"{folder} is a run already; leave --policy out, or name the structure instead")

@@ -26,11 +26,17 @@ Progress = Callable[[int, int], None]
 _POINT = 72.0 / 25.4
 """Points a millimetre."""
 _PAGE = (210.0 * _POINT, 297.0 * _POINT)
+"""Width and height of a page, A4, in points like all lengths below."""
 _MARGIN = 14.0 * _POINT
+"""Space at the left and the right of a page."""
 _ROW = 41.0 * _POINT
+"""Height of the row of a step."""
 _FIRST_TOP = 58.0 * _POINT
+"""Space above the rows of the first page, which has the title."""
 _TOP = 16.0 * _POINT
+"""Space above the rows of other pages."""
 _PICTURE = (60.0 * _POINT, 38.0 * _POINT)
+"""Width and height of the picture of a step."""
 _COLUMNS = (0.0, 13.0 * _POINT, 76.0 * _POINT, 126.0 * _POINT)
 """Left edges of the columns: number, picture, action, parts to hold."""
 _LISTED_PARTS = 12

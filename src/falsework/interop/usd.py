@@ -1,7 +1,7 @@
 """USD export with physics: bodies, masses, friction and supports, and a plan as time samples.
 
 Written as text (`.usda`), which needs no package and shows in a difference what changed; `usdcat` makes it binary. Why
-USD and not URDF: docs/decisions/0071.
+USD and not URDF: docs/decisions/files-and-formats.md.
 """
 
 from __future__ import annotations

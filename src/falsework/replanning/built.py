@@ -11,7 +11,7 @@ from falsework.errors import PlanError
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Task
-from falsework.stability.contact.replay import Presses
+from falsework.stability.contact.history import Presses
 
 
 @dataclass(frozen=True, eq=False)

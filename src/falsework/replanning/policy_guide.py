@@ -134,6 +134,8 @@ class PolicyGuide:
     def _ask(self, states: States, targets: States | None) -> NDArray[np.float64]:
         torch = self._torch
         begun = time.perf_counter()
+        if self.task is not None and hasattr(self.policy, "of_task"):
+            self.policy.of_task(self.task.robots, equilibrium=self.task.holds_keep_stable)
         with torch.inference_mode():
             asked = torch.from_numpy(np.ascontiguousarray(states)).to(self.device)
             aim = None if targets is None else torch.from_numpy(np.ascontiguousarray(targets)).to(self.device)

@@ -26,6 +26,7 @@ from falsework.search.problem.timed_replayer import DeadlineReplayer
 from falsework.stability.verdict import Verdict, Verdicts
 
 _SAMPLES_GPU, _SAMPLES_CPU = 16, 4
+"""Sampled rollouts where the settings give no number, see `ReplanSettings.samples`."""
 _SAFETY = 1.3
 """Safety factor on the expected time of a proof."""
 _PROVING = 0.25
@@ -94,9 +95,9 @@ class ReplanSession:
         self.built = done if self.way is Direction.ASSEMBLY else None
         """Steps that are done, with which the plans begin; plans that take the structure apart begin anew."""
         replayer, history = context.prover.oracle.replayer, None if self.built is None else self.built.history
-        self.replayer = (
-            None if replayer is None else DeadlineReplayer(replayer, self.clock, lambda: self.yield_control(), history)
-        )
+        self.replayer = None  # under the settings alone: changed ones would take as long again
+        if replayer is not None:
+            self.replayer = DeadlineReplayer(replayer.vary(), self.clock, lambda: self.yield_control(), history)
         self.oracle = TimedOracle(context.prover.oracle, self.clock, lambda: self.yield_control(), self.replayer)
         needed = _SAFETY * context.prover.seconds_for(self.task.steps + 1)
         self.clock.reserve = min(needed, _PROVING * request.deadline) if request.deadline is not None else 0.0

@@ -80,7 +80,7 @@ class Planning(Displayed):
     result: SearchResult
     """Outcome of the search and, if it found nothing, its progress."""
     plans: tuple[Plan, ...]
-    """Plans for disassembly, the first one first; `Plan.reverse` gives those for assembly."""
+    """Plans, the one found first first."""
     alternatives: Alternatives
     """How much the plans differ; its routes are those of `plans`."""
     fallen: Plan | None = None
@@ -130,8 +130,8 @@ def find_plans(
             deadline is left to search for one that comes to rest under the true friction; `Plan.claim` has its reserve.
             So too where the judge of `settings` accepts none; if that finds none either, the first plan is returned.
         settings: effort of the search, and number of plans.
-        guide: scores actions; by default parts with much support are inserted first, and where three robots or more
-            build a shell, or under `equilibrium` one of 700 to 3,000 parts is built, its free edges.
+        guide: scores actions; by default parts with much support are inserted first, and in shells the free edges,
+            where `SupportGuide.edges_first` has them of use.
         progress: called after every level of every attempt; notebooks show it if not given.
         stop: called before every level; true ends the search with the plans found so far.
         deadline: seconds after which the search ends with the best that it has; the plans are proved after that.

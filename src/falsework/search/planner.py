@@ -78,7 +78,6 @@ class Planner:
         self._oracle, self._falls = oracle, 0
         self.tests = RouteTests(oracle, settings, task.part_count)
         """Of complete routes, with their replays and the one that falls last."""
-        self.tests.asked = self._asked
         self._edge_guide = self._preferring("edges_first", guide)
         self._guide = self._preferring("beside_held", guide) or guide
         self._stage = "plan"
@@ -237,21 +236,16 @@ class Planner:
         if name not in self._beams:
             rules = self.task.postpone(self._trial), self._oracle, portfolio, self.settings.seed
             self._beams[name] = start(name, *rules, self._beam_guide)
-        beam, paused, settles = self._beams[name], False, False
+        beam, paused = self._beams[name], False
 
         def halt() -> bool:
-            nonlocal paused, settles
-            settles = self._stage == "plan" and self.tests.impatient
-            paused = settles or beam.asked >= portfolio.allowance(self._round)
+            nonlocal paused
+            paused = beam.asked >= portfolio.allowance(self._round)
             return paused or (stop is not None and stop())
 
         result = self._last[name] = beam.run(portfolio.widest, progress=report, stop=halt)
         if paused and not result.found:
-            if settles and self.tests.doubted is not None:
-                self.routes = [self.tests.doubted]
-                self._next_trial(begin=True)
-            else:
-                self._turn += 1
+            self._turn += 1
         elif result.interrupted:
             return True
         elif self._stage == "alternatives":

@@ -5,7 +5,9 @@ from __future__ import annotations
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 
 _SECONDS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 60.0)
+"""Upper ends of the buckets of times, seconds."""
 _SIZES = (1, 2, 4, 8, 16, 32, 64)
+"""Upper ends of the buckets of batch sizes, requests."""
 PATHS = frozenset(
     {"/", "/docs", "/openapi.json", "/replan", "/stability", "/picture", "/structure", "/health", "/metrics"}
 )

@@ -35,6 +35,7 @@ STANDING: tuple[Kind, ...] = ("replan", "stability")
 START_SECONDS = 300.0
 """Time limit for a worker to load its structure."""
 _TRIES = 2
+"""Workers that a request may cost before it is refused."""
 _EXPRESS = 2
 """Requests that the first of several planners takes at a time."""
 _HEAD_START = 0.02

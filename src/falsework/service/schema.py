@@ -23,7 +23,9 @@ from falsework.stability.verdict import Criterion
 SHORTEST_DEADLINE = 10
 """Milliseconds."""
 MOST_ROBOTS, MOST_ALTERNATIVES = 64, 8
+"""Robots and plans that a request may ask for."""
 MOST_RESERVE = 100.0
+"""Largest reserve of friction that a request may ask for."""
 MOST_FRAMES, NARROWEST, WIDEST = 24, 80, 1600
 """States of a contact sheet, and pixels across each."""
 _NAME = 1000

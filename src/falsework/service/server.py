@@ -22,6 +22,7 @@ from falsework.service.pool import Pool
 from falsework.service.settings import CONNECTIONS, HEADER_BYTES, LONGEST_DEADLINE, STUCK_SECONDS, ServiceSettings
 
 _STOP_SECONDS = 3
+"""Seconds in which open requests may end when the service stops."""
 
 
 def run_service(

@@ -11,6 +11,7 @@ from falsework.utils.cores import core_count
 
 TOKEN_VARIABLE = "FALSEWORK_TOKEN"
 SHORTEST_TOKEN = 16
+"""Fewest characters of a token."""
 STABILITY_BATCH = 64
 """Requests about stability that a worker takes at a time."""
 WINDOW = 0.003

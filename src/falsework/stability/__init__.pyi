@@ -1,10 +1,10 @@
 from falsework.stability import judges as judges
 from falsework.stability.certificate import StabilityCriterion as StabilityCriterion
 from falsework.stability.certificate import verify_certificates as verify_certificates
+from falsework.stability.contact.history import Replay as Replay
+from falsework.stability.contact.history import ReplaySettings as ReplaySettings
 from falsework.stability.contact.pressed_states import PressingStability as PressingStability
-from falsework.stability.contact.replay import Replay as Replay
 from falsework.stability.contact.replay import Replayer as Replayer
-from falsework.stability.contact.replay import ReplaySettings as ReplaySettings
 from falsework.stability.counters import Counters as Counters
 from falsework.stability.margins.state_margins import Bound as Bound
 from falsework.stability.margins.state_margins import HeldLoad as HeldLoad

@@ -74,7 +74,10 @@ class Stability:
 
     @cached_property
     def replayer(self) -> Replayer | None:
-        """Replayer of state sequences of the structure; None under `equilibrium`, which has no history."""
+        """Replayer of state sequences of the structure; None under `equilibrium`, which has no history.
+
+        With a reserve it is an `EnsembleReplayer`.
+        """
         return self._criterion.replayer
 
     def verdicts(

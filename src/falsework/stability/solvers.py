@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import Mask, States
 from falsework.errors import InputError
+from falsework.stability.contact.ensemble_replay import EnsembleReplayer
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.cpu.solver import CpuSolver
@@ -40,7 +41,7 @@ class CriterionSolver(Protocol):
 
     @property
     def replayer(self) -> Replayer | None:
-        """Replayer of state sequences; None under a criterion without history."""
+        """Replayer of state sequences, of an ensemble where there is a reserve; None without history."""
         ...
 
     def blank(self, batch: int) -> Verdicts:
@@ -133,7 +134,8 @@ class RestSolver:
     @cached_property
     def replayer(self) -> Replayer | None:
         """See `CriterionSolver`."""
-        return Replayer(self._assembly, self._settings, solver=self.cpu)
+        kind = EnsembleReplayer if self._settings.reserve > 1.0 else Replayer
+        return kind(self._assembly, self._settings, solver=self.cpu)
 
     def blank(self, batch: int) -> Verdicts:
         """See `CriterionSolver`."""

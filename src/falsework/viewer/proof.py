@@ -26,6 +26,7 @@ from falsework.viewer.arrows import Arrows, arrows_of_forces, arrows_of_motion, 
 from falsework.viewer.palette import MOTION, SLIDING
 
 _NAMED = 3
+"""Parts that a text names; the rest is counted."""
 _TIPS = "forces balance every part, but a small motion grows"
 _WHY = "balancing forces exist, but the contacts do not develop them"
 _REST, _REACHED = "from rest", "as reached in assembly"

@@ -18,8 +18,8 @@ from falsework.learn.config.train import from_dict
 from falsework.learn.networks.factory import describe, make_policy, share, transfer
 from falsework.learn.networks.policy import confidences, masked_log_probabilities
 
-KINDS = ("transformer", "gat", "mlp", "resmlp")
-TRANSFER = ("transformer", "gat")
+KINDS = ("transformer", "local", "gat", "mlp", "resmlp")
+TRANSFER = ("transformer", "local", "gat")
 SMALL = {"layers": 2, "channels": 16, "heads": 2}
 
 
@@ -232,7 +232,7 @@ def test_describe_counts_the_weights(arch: Assembly) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"kind": "rnn"}, "unknown policy kind 'rnn'; choose resmlp, transformer, gat, mlp"),
+        ({"kind": "rnn"}, "unknown policy kind 'rnn'; choose resmlp, transformer, local, gat, mlp"),
         ({"layers": -1}, "layers is -1"),
         ({"kind": "transformer", "channels": 30}, "30 do not divide among 8 heads"),
     ],

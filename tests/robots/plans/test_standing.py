@@ -20,7 +20,7 @@ from falsework.search import Route, Task
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.problem.task import Direction
 from falsework.stability import Replay, Stability, StabilitySettings
-from falsework.stability.contact.replay import History
+from falsework.stability.contact.history import History
 from tests.robots.plans.orders import APART
 
 ARCH = load_structure("arch:blocks=5")

@@ -16,8 +16,7 @@ from falsework.stability import Replayer, Stability, StabilitySettings
 from falsework.stability.contact.build_verifier import BuildVerifier, StepCertificate, StepProof
 from falsework.stability.contact.newton import MOVES_AWAY, OVERLOADS, RESTS
 from falsework.stability.contact.press_kernel import press_responses
-from falsework.stability.contact.replay import inexact_presses
-from falsework.stability.holds import HoldMode, HoldSettings, Press, limits_of
+from falsework.stability.holds import HoldMode, HoldSettings, Press, inexact_presses, limits_of
 from falsework.stability.stiffness import normal_stiffness
 
 SOFT = HoldSettings(stiffness=1e4)

@@ -15,6 +15,7 @@ Piece = frozenset[Cell]
 STEPS: tuple[Cell, ...] = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
 _ACROSS = tuple((a, b, c) for a in (-1, 0, 1) for b in (-1, 0, 1) for c in (-1, 0, 1) if abs(a) + abs(b) + abs(c) == 2)
 _ATTEMPTS = 200
+"""Random divisions that are tried before the request is refused."""
 
 
 def random_pieces(region: Iterable[Cell], pieces: int, *, smallest: int, seed: int) -> tuple[Piece, ...]:

@@ -7,17 +7,18 @@ from typing import Literal, get_args
 
 from falsework.errors import InputError
 
-Kind = Literal["resmlp", "transformer", "gat", "mlp"]
+Kind = Literal["resmlp", "transformer", "local", "gat", "mlp"]
 
 _DEFAULTS: dict[str, dict[str, int]] = {
     "resmlp": {"layers": 4, "channels": 512, "heads": 1},
     "transformer": {"layers": 4, "channels": 128, "heads": 8},
+    "local": {"layers": 5, "channels": 64, "heads": 4},
     "gat": {"layers": 8, "channels": 16, "heads": 2},
     "mlp": {"layers": 3, "channels": 64, "heads": 1},
 }
 """Sizes that 0 stands for. The sizes of `gat` and `mlp` are those of the paper (section 5.4)."""
 EXPANSION = 2
-"""Hidden channels of a feed-forward layer of `resmlp` and `transformer`, as a multiple of the channels."""
+"""Hidden channels of a feed-forward layer of `resmlp`, `transformer` and `local`, as a multiple of the channels."""
 _FEW = 20
 """Number of parts up to which a policy can memorise the states of many searches, and all pairs of them."""
 
@@ -27,16 +28,16 @@ class PolicySettings:
     """Kind and sizes of a network; a size of 0 is the default of the kind."""
 
     kind: Kind = "resmlp"
-    """`resmlp`: residual layers over the state vector; `transformer`: attention between parts; `gat`: the paper's
-    force-torque graph; `mlp`: the paper's baseline."""
+    """`resmlp`: residual layers over the state vector; `transformer`: attention between parts; `local`: attention of
+    parts to their neighbours, for any structure; `gat`: the paper's force-torque graph; `mlp`: its baseline."""
     goal_conditioned: bool = False
     """Whether the policy is conditioned on a goal state; without, it disassembles everything that is not fixed."""
     layers: int = 0
-    """0: resmlp and transformer 4, gat 8, mlp 3."""
+    """0: resmlp and transformer 4, local 5, gat 8, mlp 3."""
     channels: int = 0
-    """0: resmlp 512, transformer 128, gat 16, mlp 64."""
+    """0: resmlp 512, transformer 128, local 64, gat 16, mlp 64."""
     heads: int = 0
-    """Attention heads, which share the channels; 0: transformer 8, gat 2."""
+    """Attention heads, which share the channels; 0: transformer 8, local 4, gat 2."""
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(Kind):
@@ -46,7 +47,7 @@ class PolicySettings:
             if not isinstance(value, int) or value < 0:
                 raise InputError(f"policy {name} is {value!r}; give a positive number, or 0 for the default")
         sizes = self.resolved()
-        if self.kind in ("transformer", "gat") and sizes.channels % sizes.heads:
+        if self.kind in ("transformer", "local", "gat") and sizes.channels % sizes.heads:
             raise InputError(
                 f"policy channels {sizes.channels} do not divide among {sizes.heads} heads; choose a multiple"
             )
@@ -64,7 +65,7 @@ class PolicySettings:
     @property
     def transfers(self) -> bool:
         """Whether the weights fit any structure."""
-        return self.kind in ("transformer", "gat")
+        return self.kind in ("transformer", "local", "gat")
 
 
 def recommended(parts: int, *, goal_conditioned: bool = False, kind: Kind | None = None) -> PolicySettings:

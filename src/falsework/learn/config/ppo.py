@@ -90,7 +90,7 @@ class PpoPhase:
     """Weight of imitating states known to be solvable, or paths to goals, which preserves what imitation learned."""
     hindsight: float = 0.0
     """With goals: weight of imitating failed rollouts as successes at states that they passed. Pays where few pairs of
-    start and goal are known (0.03), and costs where thousands are (docs/decisions/0023)."""
+    start and goal are known, and costs where thousands are (docs/decisions/learning-protocol.md)."""
     target_divergence: float = 0.0
     """Kullback-Leibler divergence from the old policy after which an update ends early; 0: never."""
     curriculum: CurriculumSettings = CurriculumSettings()

@@ -21,7 +21,7 @@ Criterion = Literal["contact", "equilibrium"]
 """As `falsework.stability.verdict.Criterion`, which would load more than the command line needs to show its help."""
 
 METHODS: dict[Method, tuple[Phase, ...]] = {
-    # More imitation overfits the states of the searches, which makes the fine-tuning slower and worse (decision 20).
+    # More imitation overfits the states of the searches, which makes the fine-tuning slower and worse.
     "default": (ImitationPhase(until=0.5, steps=1000), PpoPhase()),
     "reinforcement": (REINFORCEMENT,),
 }

@@ -22,6 +22,7 @@ from falsework.search.problem.state_graph import StateGraph
 from falsework.utils.tensors import put
 
 _WORD = 64
+"""Targets whose bits share a machine word."""
 _TARGETS = 1024
 """Targets processed together."""
 

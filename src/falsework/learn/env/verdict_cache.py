@@ -12,7 +12,9 @@ from falsework.utils.tensors import mix
 
 _UNKNOWN, _STABLE = int(Verdict.UNDECIDED), int(Verdict.STABLE)
 _LEAST = 1 << 10
+"""Fewest slots of the table."""
 _MOST = 1 << 23
+"""Most slots of the table, whatever memory there is."""
 
 
 class VerdictTable:

@@ -13,6 +13,7 @@ from falsework.assembly.model import Assembly
 from falsework.errors import InputError
 from falsework.learn.config.policy import PolicySettings
 from falsework.learn.networks.graph_attention import GraphAttentionPolicy
+from falsework.learn.networks.local_attention import LocalAttentionPolicy
 from falsework.learn.networks.mlp import MlpPolicy
 from falsework.learn.networks.part_transformer import PartTransformerPolicy
 from falsework.learn.networks.policy import Policy
@@ -22,6 +23,7 @@ NETWORKS: dict[str, type[Policy]] = {
     "mlp": MlpPolicy,
     "resmlp": ResidualMlpPolicy,
     "transformer": PartTransformerPolicy,
+    "local": LocalAttentionPolicy,
     "gat": GraphAttentionPolicy,
 }
 """Class of each kind of network."""

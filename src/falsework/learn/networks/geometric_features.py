@@ -17,8 +17,11 @@ from scipy.sparse.csgraph import shortest_path
 from falsework.assembly.model import Assembly
 
 PART_FEATURES = 14
+"""Features of a part."""
 PAIR_FEATURES = 24
+"""Features of a pair of parts."""
 PORTS = 7
+"""Shares of contact area between two parts: all of it, and by direction."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,8 @@ rules, which are applied as a mask (`falsework.search.device.rules`).
 
 from __future__ import annotations
 
+from typing import Self
+
 import torch
 from torch import Tensor, nn
 
@@ -63,6 +65,14 @@ class Policy(nn.Module):
         """Return the same one-hot, shape (batch, parts, kinds_of_part), bool."""
         numbers = self.numbers(states, targets)
         return numbers[..., None] == torch.arange(self.kinds_of_part, device=states.device, dtype=numbers.dtype)
+
+    def of_task(self, robots: int, *, equilibrium: bool) -> Self:
+        """Tell the policy how many parts may be held and under which criterion, and return it.
+
+        Only networks for many structures and tasks have an input for it; others change nothing. A `PolicyGuide` with a
+        task says it itself.
+        """
+        return self
 
     def forward(self, states: Tensor, targets: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Return logits of all actions and an estimate of success.

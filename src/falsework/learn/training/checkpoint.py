@@ -17,7 +17,6 @@ from falsework.errors import FalseworkError, InputError
 from falsework.learn.config.train import TrainSettings, from_dict
 from falsework.learn.networks import policy as policies
 from falsework.learn.networks.factory import make_policy
-from falsework.learn.networks.policy import Policy
 from falsework.search.plans.plan_source import wrong_source
 from falsework.utils.files.damage import blamed_on
 from falsework.utils.files.output_file import write_whole
@@ -31,6 +30,10 @@ WEIGHTS = "weights.safetensors"
 CHECKPOINT = Path("checkpoint") / "last.safetensors"
 DATA = "data.npz"
 SEARCHED = "searched.npz"
+
+GENERAL = "general"
+"""Name of the policy for any structure that comes with the package, in place of the folder of a run."""
+_COMES_WITH_PACKAGE = Path(__file__).resolve().parents[1] / "pretrained"
 
 _KEYS = {"format", "structure", "settings", "policy", "results", "versions"}
 
@@ -80,7 +83,7 @@ def write_run(folder: Path, metadata: Mapping[str, Any]) -> None:
     _write(folder / FILE, text.encode())
 
 
-def save_run(folder: Path, policy: Policy, metadata: Mapping[str, Any]) -> None:
+def save_run(folder: Path, policy: torch.nn.Module, metadata: Mapping[str, Any]) -> None:
     """Write the weights of a policy and `run.json`, each whole or not at all.
 
     Args:
@@ -99,6 +102,12 @@ def save_run(folder: Path, policy: Policy, metadata: Mapping[str, Any]) -> None:
     write_run(folder, metadata)
 
 
+def run_folder(folder: Path | str) -> Path:
+    """Return the folder of a run; that of the package for the name `general`, unless there is a folder of this name."""
+    folder = Path(folder)
+    return _COMES_WITH_PACKAGE if str(folder) == GENERAL and not folder.exists() else folder
+
+
 def read_run(folder: Path) -> dict[str, Any]:
     """Read `run.json`.
 
@@ -106,6 +115,10 @@ def read_run(folder: Path) -> dict[str, Any]:
         InputError: no such folder, no run in it, damaged, or of another version.
     """
     path = folder / FILE
+    if folder == _COMES_WITH_PACKAGE and not folder.is_dir():
+        raise InputError(
+            "this installation has no policy for any structure; make one by benchmarks/general.py, and give its folder"
+        )
     if folder.is_file():
         raise InputError(f"{folder} is a file; a run is the folder that falsework train writes")
     if not folder.is_dir():
@@ -122,7 +135,7 @@ def read_run(folder: Path) -> dict[str, Any]:
     if set(content) != _KEYS:
         odd = ", ".join(sorted(set(content) ^ _KEYS))
         raise InputError(f"{path} is not a valid {FORMAT} file: unexpected or absent entries {odd}")
-    wrong = _wrong_structure(content["structure"])
+    wrong = "" if content["structure"] is None else _wrong_structure(content["structure"])
     if wrong:
         raise InputError(f"{path} is not a valid {FORMAT} file: {wrong}; train again")
     return content
@@ -155,6 +168,8 @@ def load_structure_of(folder: Path, metadata: Mapping[str, Any]) -> Assembly:
     from falsework.assembly import library, load_structure
 
     structure = metadata["structure"]
+    if structure is None:
+        raise InputError(f"{folder} is a policy for any structure; name the structure that it is to be used for")
     source = dict(structure["source"])
     spec = source.pop("built_in", None)
     if spec is None:
@@ -178,7 +193,7 @@ def check_structure(folder: Path, metadata: Mapping[str, Any], assembly: Assembl
         InputError: it is another one.
     """
     trained = metadata["structure"]
-    if trained["identity"] != assembly.identity:
+    if trained is not None and trained["identity"] != assembly.identity:
         raise InputError(
             f"{folder} was trained for another structure ({trained['name']}, {trained['parts']} parts) than "
             f"{assembly.name} as it is now; train again, or give the structure of the run"
@@ -189,16 +204,16 @@ def load_run(folder: Path | str, device: torch.device | str = "cpu", *, assembly
     """Read a trained policy and the structure that it is for.
 
     Args:
-        folder: folder of the run.
+        folder: folder of the run, or `general` for the policy for any structure that comes with the package.
         device: where the policy is to live.
-        assembly: the structure if it is at hand; it must be the one of the run.
+        assembly: the structure if it is at hand; it must be the one of the run, unless that is for any structure.
 
     Raises:
         InputError: no run, a damaged one, one of another version or structure, or no such device.
     """
     from falsework.utils.tensors import choose_device
 
-    folder = Path(folder)
+    folder = run_folder(folder)
     where = choose_device(device) if isinstance(device, str) else device
     with blamed_on(folder, "train again"):
         metadata = read_run(folder)
@@ -208,6 +223,7 @@ def load_run(folder: Path | str, device: torch.device | str = "cpu", *, assembly
             check_structure(folder, metadata, assembly)
         settings = settings_of(metadata)
         policy = make_policy(assembly, settings.policy, where)
+        policy.of_task(settings.robots, equilibrium=settings.criterion == "equilibrium")
         load_weights(policy, folder / WEIGHTS)
     return Run(folder, assembly, settings, policy.eval(), metadata)
 

@@ -37,6 +37,7 @@ from falsework.utils.files.output_file import write_whole
 Array = NDArray[np.float64]
 
 _NANO = 1_000_000_000
+"""Nanoseconds a second."""
 _ADD, _REMOVE = 0, 1
 _WORLD = "world"
 """Frame of the parts in place."""

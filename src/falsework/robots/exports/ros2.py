@@ -28,6 +28,7 @@ GOALS_FORMAT = "falsework.ros2-goals/1"
 ONE_AFTER_THE_OTHER = ("ros2-json", "ros2-yaml", "csv")
 """Formats that do not keep a schedule."""
 _NANO = 1_000_000_000
+"""Nanoseconds a second."""
 
 
 def joint_trajectory(plan: RobotPlan, robot: int, trajectory: Trajectory, prefix: str = "") -> dict[str, Any]:

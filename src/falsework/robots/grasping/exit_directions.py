@@ -16,7 +16,9 @@ Array = NDArray[np.float64]
 _TILT_DEGREES = (20.0, 50.0, 85.0)
 """Angles to the vertical of the directions that are tried besides straight up, degrees."""
 _HEADINGS = 6
+"""Headings of the tilted directions, evenly around the vertical."""
 _LOWEST_SLOPE = -1e-6
+"""Least upward component of a direction: level ones count in spite of rounding."""
 
 
 class ExitDirections:

@@ -1,7 +1,7 @@
 """Compiled collision check of an arm with its load at given joint values.
 
 Forward kinematics, broad phase (spheres against boxes, of groups and of single pieces) and narrow phase (`gjk.gap`) run
-in one function on flat arrays. The result "clear" is a proof for every pair; see `docs/decisions/0040`.
+in one function on flat arrays. The result "clear" is a proof for every pair; see `docs/decisions/arms-motion.md`.
 """
 
 from __future__ import annotations

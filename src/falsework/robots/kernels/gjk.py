@@ -22,6 +22,7 @@ OUTER: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
 """Options of functions that Python calls."""
 
 ITERATIONS = 40
+"""Steps after which the best bound so far is returned."""
 
 
 @njit(inline="always", **INNER)

@@ -31,6 +31,7 @@ from falsework.robots.model.shapes import Pieces, inverse_pose, move
 Array = NDArray[np.float64]
 
 NO_FLOOR = -1e9
+"""Height of the floor of a cell without one, metres: below everything."""
 _OBSTACLE, _ROBOT, _SUPPORT = -1, -2, -3
 """Owners of obstacles that are no parts."""
 BESIDE = -4

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from falsework.search.beam.frontier import Level, PackedLevel
 from falsework.stability.holds import Press
 
 if TYPE_CHECKING:
-    from falsework.stability.contact.replay import History
+    from falsework.stability.contact.history import History
     from falsework.stability.contact.varied_replay import AnyReplayer
-    from falsework.stability.problem import Problem
 
 ReplaySummary = tuple[float, int, None, tuple[tuple[Press, ...], ...]]
 """Replay of a route that comes to rest: the largest movement of a part in m, that part, no state at which it fails, and
@@ -19,11 +20,9 @@ _HISTORY_BYTES = 256 << 20
 """Memory for histories; the earliest are computed anew where they are needed again."""
 
 
-def histories_in_memory(problem: Problem) -> int:
-    """Return how many contact histories of a structure a search keeps."""
-    displacements_and_springs = 8 * (6 * problem.parts + 3 * problem.points)
-    torn_and_age = (1 + 4) * problem.points
-    return _HISTORY_BYTES // (displacements_and_springs + torn_and_age)
+def histories_in_memory(history: History) -> int:
+    """Return how many contact histories of the size of one a search keeps."""
+    return _HISTORY_BYTES // max(history.nbytes, 1)
 
 
 class Histories:
@@ -38,7 +37,7 @@ class Histories:
         """
         self.replayer = replayer
         self._levels = levels
-        self._most = histories_in_memory(replayer.problem)
+        self._most: float = np.inf
         self._known: list[dict[int, History | None]] = []
         self._known_steps: list[dict[int, tuple[float, int, tuple[Press, ...]]]] = []
         """Of the states at rest: the largest movement of a part, that part, and the presses of the step."""
@@ -72,6 +71,7 @@ class Histories:
         self._fit(level + 1)
         self._known[level][row] = history
         if history is not None:
+            self._most = histories_in_memory(history)
             self._known_steps[level][row] = history.moved, history.part, history.presses
 
     def drop_oldest(self) -> None:

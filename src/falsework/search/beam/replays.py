@@ -12,7 +12,7 @@ from falsework.search.beam.frontier import Level, PackedLevel
 from falsework.search.beam.histories import Histories
 
 if TYPE_CHECKING:
-    from falsework.stability.contact.replay import History
+    from falsework.stability.contact.history import History
     from falsework.stability.contact.varied_replay import AnyReplayer
 
 

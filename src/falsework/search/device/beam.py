@@ -100,8 +100,8 @@ class DeviceBeam(LevelSearch):
     random numbers come from the hashes of states, and all candidates of a level are put in clusters while verdicts are
     awaited, so that a cluster may be left without a stable state. A level reads five sizes of lists back to the host,
     one more with a clearance table; nothing else leaves the device before the end. Several processes share verdicts and
-    clustering and repeat the rest, which is cheap, each for itself (docs/decisions/0012): for one seed the levels are
-    the same whatever the number of processes.
+    clustering and repeat the rest, which is cheap, each for itself (docs/decisions/gpu-solver.md): for one seed the
+    levels are the same whatever the number of processes.
     """
 
     def __init__(

@@ -16,8 +16,9 @@ from falsework.search.plans.plan_report import PlanReport, unstable_in_words
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Task
 from falsework.stability.contact.build_verifier import BuildVerifier, StepCertificate
+from falsework.stability.contact.history import Presses
 from falsework.stability.contact.hold_loads import CLOSE, Loads, larger_loads, largest_load, loads_in
-from falsework.stability.contact.replay import Presses, Replayer
+from falsework.stability.contact.replay import Replayer
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Proof, Solver, Verdict, Verdicts

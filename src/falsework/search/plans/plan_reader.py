@@ -334,18 +334,12 @@ class PlanReader(Reader):
             self._fail(f"replay.falls_at is {falls_at}", f"the plan has {states} states")
         if not isinstance(value.get("varied", False), bool):
             self._fail("replay.varied must be true or false")
-        weak_under, weak_at = value.get("weak_under", ""), value.get("weak_at")
-        if not isinstance(weak_under, str) or bool(weak_under) != (weak_at is not None):
-            self._fail("replay.weak_under must be a text, with weak_at where it is not empty")
-        if weak_at is not None and self._count(weak_at, "replay.weak_at") >= states:
-            self._fail(f"replay.weak_at is {weak_at}", f"the plan has {states} states")
         moved = self._number(value["moved"], "replay.moved")
         try:
             judgement = Judgement.read(value["judgement"], states, parts) if "judgement" in value else None
         except InputError as error:
             self._fail(f"replay.judgement: {error}")
-        varied = {"varied": value.get("varied", False), "weak_under": weak_under, "weak_at": weak_at}
-        return PlanReplay(stands, moved, part, falls_at, **varied, judgement=judgement)
+        return PlanReplay(stands, moved, part, falls_at, varied=value.get("varied", False), judgement=judgement)
 
     def _packed(self, value: Any, name: str, counted: str, shape: tuple[int, ...]) -> NDArray[np.float64] | StateArrays:
         """Return the proofs of all states, of so many states and parts: forces of points, or displacements of parts."""

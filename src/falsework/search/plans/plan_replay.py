@@ -1,4 +1,4 @@
-"""Replayer of a search, and the summary of a replay that plans and plan files carry."""
+"""Last test of the routes of a search, and the summary of a replay that plans and plan files carry."""
 
 from __future__ import annotations
 
@@ -9,21 +9,22 @@ import numpy as np
 
 from falsework.assembly.state import States
 from falsework.errors import InputError
+from falsework.stability.contact.history import ReplaySettings
 from falsework.stability.contact.hold_loads import Loads
-from falsework.stability.contact.replay import ReplaySettings
-from falsework.stability.contact.varied_replay import GroupedVariations
+from falsework.stability.contact.varied_replay import AllVariations
 from falsework.stability.holds import Press
 from falsework.stability.judges.judgement import Judgement
 
 if TYPE_CHECKING:
-    from falsework.search.problem.oracle import Oracle
     from falsework.search.problem.result import Stop
-    from falsework.search.settings import PlannerSettings
-    from falsework.stability.contact.replay import History, Replay
-    from falsework.stability.contact.varied_replay import AnyReplayer, VariableReplayer
+    from falsework.stability.contact.history import History, Replay
+    from falsework.stability.contact.varied_replay import VariableReplayer
 
 _REPEATS, _LEAST = 1.1, 1e-9
 """Factor and length in m within which two replays of the same plan agree, on different processors too."""
+
+_PIECE = 8
+"""Steps replayed at a time."""
 
 
 @dataclass(frozen=True)
@@ -41,11 +42,7 @@ class PlanReplay:
     presses: tuple[tuple[Press, ...], ...] = field(default=(), compare=False, repr=False)
     """Presses of the step to each state in the order of assembly; empty where they are not known."""
     varied: bool = False
-    """Whether it also comes to rest under changed settings (`GroupedVariations`)."""
-    weak_under: str = ""
-    """Change of settings under which it does not, though it stands; empty if none was found."""
-    weak_at: int | None = None
-    """First state that does not come to rest then, in the order of assembly."""
+    """Whether it also comes to rest under changed settings, see `EnsembleReplayer`."""
     judgement: Judgement | None = None
     """How far discrete elements built the plan, where that was asked for."""
     loads: Loads = field(default=(), compare=False, repr=False)
@@ -79,15 +76,19 @@ class PlanReplay:
         return ""
 
 
-def _histories(
-    replayer: VariableReplayer, states: States, presses: tuple[tuple[Press, ...], ...]
-) -> tuple[History, ...]:
-    """Return the histories along a route that stands, step by step: a replayer with a deadline keeps none of them."""
+def _histories(replayer: VariableReplayer, states: States, presses: tuple[tuple[Press, ...], ...]) -> list[History]:
+    """Return the histories along a route, up to the first state that does not come to rest.
+
+    A few steps at a time: a replayer with a deadline looks at the clock between them, and keeps no histories of more.
+    """
     found = list(replayer.replay(states[:1], presses=presses[:1]).histories)
-    for row in range(1, len(states)):
-        step = replayer.replay(states[row - 1 : row + 1], found[-1], [(), presses[row]])
-        found.append(step.histories[-1])
-    return tuple(found)
+    while 0 < (done := len(found)) < len(states):
+        rows = slice(done - 1, done + _PIECE)
+        step = replayer.replay(states[rows], found[-1], presses[rows])
+        found += step.histories[1:]
+        if not step.good:
+            break
+    return found
 
 
 def _of_all(presses: tuple[tuple[Press, ...], ...], states: States) -> tuple[tuple[Press, ...], ...]:
@@ -98,11 +99,10 @@ def _of_all(presses: tuple[tuple[Press, ...], ...], states: States) -> tuple[tup
 class Acceptance:
     """Last test of a route: it comes to rest under the true friction too, and no state of it tips.
 
-    A route with a reserve is also tried under changed settings: other ratios of stiffness, damping, release and initial
-    friction, and presses that err. Where it is asked for, discrete elements build the route as well.
+    Where it is asked for, it comes to rest under every change of settings, and discrete elements build it as well.
     """
 
-    def __init__(self, replayer: VariableReplayer | None, *, judge: bool = False) -> None:
+    def __init__(self, replayer: VariableReplayer | None, *, robust: bool = False, judge: bool = False) -> None:
         """Prepare the test; without a replayer there is none.
 
         Raises:
@@ -116,36 +116,28 @@ class Acceptance:
 
             self._judge = BuildJudge(replayer.assembly, replayer.settings.holds)
         self._replayer, self._plain = replayer, replayer
-        self._varied: GroupedVariations | None = None
+        self._variations = AllVariations(replayer) if robust and replayer is not None else None
         if replayer is not None and replayer.settings.reserve != 1.0:
             self._plain = replayer.vary(replace(replayer.settings, reserve=1.0), ReplaySettings())
-            self._varied = GroupedVariations(replayer)
 
     def tested(self, states: States, found: PlanReplay) -> PlanReplay:
         """Return the replay of a route with what robots bear; the one that fails if a state slides or tips.
-
-        With a reserve it says whether the route also comes to rest under changed settings.
 
         Args:
             states: in assembly order, shape (steps + 1, parts).
             found: replay with the reserve, which stands.
         """
         plain = self._plain
-        if plain is None:
+        if plain is None or self._replayer is None:
             return found
         presses = _of_all(found.presses, states)
-        true = plain.replay(states, presses=presses)
-        if not true.good:
-            return PlanReplay.of(true)
-        histories = true.histories or _histories(plain, states, presses)
-        tips = plain.first_tipping(states, histories)
-        if tips is not None:
-            return replace(PlanReplay.of(true), stands=False, falls_at=tips)
-        found = replace(found, loads=plain.loads(states, histories))
-        if self._varied is None:
-            return found
-        weak = self._varied.failure(states, presses)
-        return replace(found, varied=True) if weak is None else replace(found, weak_under=weak[0], weak_at=weak[1])
+        histories = _histories(plain, states, presses)
+        row = len(histories) if len(histories) < len(states) else plain.first_tipping(states, histories)
+        if row is None and self._variations is not None:
+            row = self._variations.falls_at(states, presses)
+        if row is not None:
+            return replace(found, stands=False, falls_at=row)
+        return replace(found, loads=plain.loads(states, histories), varied=self._replayer.varies)
 
     def judged(self, states: States, found: PlanReplay, stop: Stop | None = None) -> PlanReplay:
         """Return the replay of a route that stands with how far discrete elements built it, if that is asked for.
@@ -173,13 +165,3 @@ class Acceptance:
             return None
         found = PlanReplay.of(self._replayer.replay(states))
         return (self.tested(states, found) if found.stands else found).falls_at
-
-
-def replayer_of(oracle: Oracle, settings: PlannerSettings) -> AnyReplayer | None:
-    """Return the replayer for the routes of a search; None for an oracle without replays."""
-    replayer: VariableReplayer | None = getattr(oracle, "replayer", None)
-    if replayer is None or not settings.robust:
-        return replayer
-    from falsework.stability.contact.varied_replay import RobustReplayer
-
-    return RobustReplayer(replayer)

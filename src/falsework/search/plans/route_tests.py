@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from falsework.assembly.state import States
 from falsework.search.beam.histories import ReplaySummary
-from falsework.search.plans.plan_replay import Acceptance, PlanReplay, replayer_of
+from falsework.search.plans.plan_replay import Acceptance, PlanReplay
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import Route, Stop
 from falsework.search.settings import PlannerSettings
+from falsework.stability.contact.varied_replay import VariableReplayer
 
 
 def barred_state(states: States, row: int) -> States:
@@ -40,18 +39,14 @@ class RouteTests:
         self.replays: dict[bytes, PlanReplay] = {}
         """Replays that come to rest in every state, by the states of the routes."""
         self.doubted: Route | None = None
-        """Of the routes that stand in their replays, and that the judge does not accept, the one built farthest;
-        without a judge, the last that fails under changed settings."""
+        """Of the routes that stand in their replays, and that the judge does not accept, the one built farthest."""
         self.forbidden = np.empty((0, parts), dtype=np.uint8)
         """Excluded states, shape (count, parts)."""
-        self.replayer = replayer_of(oracle, settings)
+        self.replayer: VariableReplayer | None = getattr(oracle, "replayer", None)
         """Replayer of complete routes; None where there is no history to take into account."""
         self._settings = settings
-        self._acceptance = Acceptance(getattr(oracle, "replayer", None), judge=settings.judge)
+        self._acceptance = Acceptance(self.replayer, robust=settings.robust, judge=settings.judge)
         self._keeps = getattr(oracle, "keeps", None)
-        self.asked: Callable[[], int] | None = None
-        """Verdicts that the search has asked for; without it, routes that fail under changed settings are accepted."""
-        self._patience: int | None = None
 
     def passes(self, route: Route, known: ReplaySummary | None = None, stop: Stop | None = None) -> bool:
         """Return whether the replay of a route comes to rest in every state; exclude the first state that fails.
@@ -74,16 +69,11 @@ class RouteTests:
         if self.replayer is None:
             return True
         states = route.states[::-1]
-        found = PlanReplay(True, *known) if known and not self._settings.robust else None
-        found = found or PlanReplay.of(self.replayer.replay(states))
+        found = PlanReplay(True, *known) if known else PlanReplay.of(self.replayer.replay(states))
         if found.stands:
             found = self._acceptance.tested(states, found)
         if found.stands:
             self.replays[route.states.tobytes()] = found
-            if found.weak_at is not None and not self._settings.judge and self._may_go_on():
-                self.doubted = route
-                self._bar(states, found.weak_at)
-                return False
             if self._settings.judge:
                 found = self._judge(route, found, stop)
             if found.fails_at is None:
@@ -91,25 +81,8 @@ class RouteTests:
         row = found.fails_at or 0
         if not found.stands and (self.fallen is None or row > self.fallen[1]):
             self.fallen = route, row
-        self._bar(states, row)
-        return False
-
-    def _bar(self, states: States, row: int) -> None:
-        """Exclude the state of a route, in the order of assembly, because of which it fails."""
         self.forbidden = np.concatenate([self.forbidden, barred_state(states, row)[None]])
-
-    @property
-    def impatient(self) -> bool:
-        """Whether a route that stands under changed settings was sought as long as the first that does not."""
-        return self._patience is not None and self.asked is not None and self.asked() >= self._patience
-
-    def _may_go_on(self) -> bool:
-        """Return whether to search for a route that stands under changed settings."""
-        if self.asked is None:
-            return False
-        if self._patience is None:
-            self._patience = 2 * self.asked()
-        return not self.impatient
+        return False
 
     def _judge(self, route: Route, found: PlanReplay, stop: Stop | None) -> PlanReplay:
         """Return the replay of a route with what the judge says; keep the route if it gets farther than others."""

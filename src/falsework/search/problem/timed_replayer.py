@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
+from falsework.stability.contact.history import History, Presses, Replay, ReplaySettings
 from falsework.stability.contact.hold_loads import Loads
 from falsework.stability.contact.newton import RESTS
-from falsework.stability.contact.replay import History, Presses, Replay, Replayer, ReplaySettings
+from falsework.stability.contact.replay import Replayer
 from falsework.stability.holds import Press
 from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
@@ -142,6 +143,11 @@ class DeadlineReplayer:
     def problem(self) -> Problem:
         """As of `Replayer`."""
         return self._replayer.problem
+
+    @property
+    def varies(self) -> bool:
+        """As of `Replayer`."""
+        return self._replayer.varies
 
     @property
     def settings(self) -> StabilitySettings:

@@ -31,7 +31,7 @@ from falsework.search.problem.task import Direction, Task
 from falsework.search.support.histories import WayHistories
 
 if TYPE_CHECKING:
-    from falsework.stability.contact.replay import History
+    from falsework.stability.contact.history import History
 
 _NEW_HOLDS = 8
 """Number of other holds to find for a level before the next level is tried again."""

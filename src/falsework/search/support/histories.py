@@ -12,7 +12,7 @@ from falsework.assembly.state import States
 from falsework.search.beam.histories import histories_in_memory
 
 if TYPE_CHECKING:
-    from falsework.stability.contact.replay import History
+    from falsework.stability.contact.history import History
     from falsework.stability.contact.varied_replay import AnyReplayer
 
 
@@ -28,7 +28,6 @@ class WayHistories:
         """
         self._replayer, self._parent = replayer, parent
         self._known: OrderedDict[bytes, History] = OrderedDict()
-        self._most = max(histories_in_memory(replayer.problem), 4)
 
     def along(self, origin: bytes, states: Sequence[States]) -> list[History] | None:
         """Return the histories after each of some moves from a state; None where one does not come to rest."""
@@ -46,7 +45,7 @@ class WayHistories:
         """Store the histories of states that were reached for the first time."""
         for state, history in zip(states, histories, strict=True):
             self._known.setdefault(state.tobytes(), history)
-        while len(self._known) > self._most:
+        while histories and len(self._known) > max(histories_in_memory(histories[-1]), 4):
             self._known.popitem(last=False)
 
     def _of(self, state: bytes) -> History | None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -20,11 +20,11 @@ from scipy.sparse import csr_array
 from falsework.assembly.joints import SET
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states
-from falsework.errors import InputError
 from falsework.stability.contact.build_verifier import StepCertificate
+from falsework.stability.contact.history import History, Presses, Replay, ReplaySettings, joined
 from falsework.stability.contact.hold_loads import Loads, loads_of_build
 from falsework.stability.contact.kernel import NEAR_RINGS, ContactOptions
-from falsework.stability.contact.newton import FIRST_STEP, OPEN, RESTS
+from falsework.stability.contact.newton import OPEN, RESTS
 from falsework.stability.contact.press import PressPlanner
 from falsework.stability.contact.replay_kernel import replay_range
 from falsework.stability.contact.solver import ContactSolver
@@ -46,94 +46,13 @@ _LONGER_STEP = 1e4
 """Factor on the first time step of the whole structure after the parts near the change came to rest."""
 _TRACKED = 64
 """Steps whose certificates are in memory at once."""
-Presses = Sequence[Sequence[Press]]
-"""Presses of the steps that lead to each state, one entry a state."""
-
-
-@dataclass(frozen=True)
-class ReplaySettings:
-    """Numerical settings of a replay; the result for a stable plan must not depend on them."""
-
-    increments: int = 4
-    """Increments in which the load of a robot is transferred to the contacts when it releases a part."""
-    first_step: float = FIRST_STEP
-    """First time step of the Newton iterations; a shorter one means higher viscosity."""
-    friction_noise: float = 0.0
-    """Largest tangential force in new contact points before they carry load, as a share of the friction limit of a
-    typical point under its share of a part's weight."""
-    seed: int = 0
-    """Seed of the noise."""
-    steps: int = 400
-    """Newton iterations per increment before it is left undecided."""
-
-    def __post_init__(self) -> None:
-        if self.increments < 1 or self.steps < 1:
-            raise InputError("a replay needs at least one increment and one iteration a step")
-        if not (np.isfinite(self.first_step) and self.first_step > 0):
-            raise InputError(f"first_step is {self.first_step}; give a positive number")
-        if not (np.isfinite(self.friction_noise) and self.friction_noise >= 0):
-            raise InputError(f"friction_noise is {self.friction_noise}; give a number from 0 up")
-
-
-@dataclass(frozen=True, eq=False)
-class History:
-    """Contact history of a structure under construction."""
-
-    displacement: Array
-    """Displacement of each part since it was placed, m and rad, shape (parts, 6)."""
-    springs: Array
-    """Spring forces of the contact points in scaled variables, shape (points, 3)."""
-    torn: NDArray[np.bool_]
-    """Contact points whose tensile strength was exceeded, shape (points,)."""
-    age: NDArray[np.int32]
-    """Steps for which both parts of each contact point have been present, shape (points,)."""
-    moved: float = 0.0
-    """Largest movement of a part since it was placed, m."""
-    part: int = -1
-    """The part that moved most, -1 where none moved."""
-    presses: tuple[Press, ...] = ()
-    """Presses of the step that led here."""
-
-
-@dataclass(frozen=True, eq=False)
-class Replay:
-    """Result of a replay in assembly order, up to the first state that does not come to rest."""
-
-    stands: NDArray[np.int8]
-    """For each state: 1 it comes to rest, -1 parts move away, -2 a robot bears more than it can, 0 undecided or not
-    reached; shape (states,)."""
-    moved: Array
-    """Largest movement of a part since it was placed, m, shape (states,)."""
-    part: NDArray[np.int32]
-    """The part that moved most, -1 where none moved, or whose robot bears too much, shape (states,)."""
-    residual: Array
-    """Residual at rest, in the units of the tolerance, shape (states,)."""
-    size: float
-    """Diagonal of the structure, m."""
-    histories: tuple[History, ...] = ()
-    """Histories after each state that was reached."""
-    presses: tuple[tuple[Press, ...], ...] = ()
-    """Presses of the step to each state that was reached."""
-
-    @property
-    def good(self) -> bool:
-        """Whether every state comes to rest."""
-        return bool((self.stands == RESTS).all())
-
-    @property
-    def falls_at(self) -> int | None:
-        """First state that does not come to rest; None if all do."""
-        bad = np.flatnonzero(self.stands != RESTS)
-        return int(bad[0]) if len(bad) else None
-
-    @property
-    def largest(self) -> float:
-        """Largest movement of a part in the states that come to rest, m."""
-        return float(self.moved[self.stands == RESTS].max(initial=0.0))
 
 
 class Replayer:
     """Contact replay of state sequences of one structure."""
+
+    varies = False
+    """Whether every step must come to rest under changed settings too."""
 
     def __init__(
         self,
@@ -188,19 +107,19 @@ class Replayer:
         """
         batch = np.require(as_states(states, self.assembly.boundary), requirements=COMPILED_LAYOUT)
         if presses is not None:
-            return self._replay(batch, history, presses)
+            return self._replay_all(batch, history, presses)
         none: list[tuple[Press, ...]] = [()] * len(batch)
-        found = self._replay(batch, history, none)
+        found = self._replay_all(batch, history, none)
         parts = [found]
         done = len(found.histories)
         while 0 < done < len(batch):
             helped = self._press(batch[done - 1], batch[done], found.histories[-1])
             if helped is None:
                 break
-            found = self._replay(batch[done:], helped, none[done:])
+            found = self._replay_all(batch[done:], helped, none[done:])
             parts.append(found)
             done += len(found.histories)
-        return _joined(parts, len(batch))
+        return joined(parts, len(batch))
 
     def step(
         self, history: History, before: States, after: States, presses: Sequence[Press] | None = None
@@ -283,19 +202,22 @@ class Replayer:
         """Return the history of a step in which robots press before a part is released; None if none is found."""
         if not self.settings.holds.presses or not ((before == HELD) & (after == INSTALLED)).any():
             return None
-        shares = self._set_shares(history.age[None])[0]
+        shares, pair = self._set_shares(history.age[None])[0], np.stack([before, after])
         for presses in self._presses.proposals(before, after, history.springs, history.torn, shares):
-            if all(
-                (found := self._replay(np.stack([before, after]), history, [(), varied])).good
-                for varied in (*inexact_presses(presses), presses)
-            ):
-                return found.histories[-1]
+            if all(self._replay(pair, history, [(), varied]).good for varied in inexact_presses(presses)):
+                found = self._replay_all(pair, history, [(), presses])
+                if found.good:
+                    return found.histories[-1]
         return None
 
     def _set_shares(self, ages: NDArray[np.int32]) -> Array:
         """Return shares of the strength that contact points have reached, shape (states, points) or (states, 0)."""
         joints = self.assembly.joints
         return np.zeros((len(ages), 0)) if joints is None or not joints.setting else joints.set_share(ages)
+
+    def _replay_all(self, batch: States, history: History | None, presses: Presses) -> Replay:
+        """Replay checked states with given presses; an ensemble does so under all of its settings."""
+        return self._replay(batch, history, presses)
 
     def _replay(self, batch: States, history: History | None, presses: Presses, track: Array | None = None) -> Replay:
         """Replay checked states with given presses; `track` as in `replay_range`."""
@@ -369,28 +291,10 @@ class Replayer:
         return noise
 
 
-def _joined(parts: list[Replay], count: int) -> Replay:
-    """Join replays of consecutive states, each of which begins with the state at which the one before it ended."""
-    if len(parts) == 1:
-        return parts[0]
-    histories: list[History] = []
-    stands, residual = np.full(count, OPEN, np.int8), np.full(count, np.nan)
-    moved, most = np.zeros(count), np.full(count, -1, np.int32)
-    for replay in parts:
-        begin = len(histories)
-        for whole, piece in zip(
-            (stands, residual, moved, most), (replay.stands, replay.residual, replay.moved, replay.part), strict=True
-        ):
-            whole[begin:] = piece
-        histories += replay.histories
-    presses = tuple(history.presses for history in histories)
-    return Replay(stands, moved, most, residual, parts[0].size, tuple(histories), presses)
-
-
 def replay_plans(replayer: Replayer, plans: Sequence[States]) -> list[Replay]:
     """Replay several sequences of states, one per thread."""
     with ThreadPoolExecutor(core_count()) as pool:
         return list(pool.map(replayer.replay, plans))
 
 
-__all__ = ["History", "Replay", "ReplaySettings", "Replayer", "replay_plans"]
+__all__ = ["Replayer", "replay_plans"]

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
+from falsework.stability.contact.history import History, Presses, Replay, ReplaySettings
 from falsework.stability.contact.hold_loads import Loads
 from falsework.stability.contact.newton import FIRST_STEP
-from falsework.stability.contact.replay import History, Presses, Replay, ReplaySettings
 from falsework.stability.holds import inexact_presses
 from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
@@ -35,6 +35,11 @@ class AnyReplayer(Protocol):
     @property
     def settings(self) -> StabilitySettings:
         """Settings of the verdicts."""
+        ...
+
+    @property
+    def varies(self) -> bool:
+        """Whether every step must come to rest under changed settings too."""
         ...
 
     def replay(self, states: ArrayLike, history: History | None = None, presses: Presses | None = None) -> Replay:
@@ -113,11 +118,9 @@ _PRESSES = tuple(
 )
 GROUPS: tuple[tuple[Change, ...], ...] = (
     (_SMALL_RATIO, _THICK, _SOFT, _draw(1), _PRESSES[0]),
-    (_LARGE_RATIO, _THIN, _STIFF, _draw(2), _PRESSES[1]),
-    (_AT_ONCE, _draw(3), _PRESSES[2]),
+    (_LARGE_RATIO, _THIN, _STIFF, _draw(2), _PRESSES[1], _AT_ONCE),
 )
-"""Changes that are tried together first, one replay a group. Releases in many increments, which take as long as all
-groups, and further draws and directions are left to `variations`."""
+"""Changes under which an `EnsembleReplayer` replays, all of a group together."""
 
 
 def changed(
@@ -146,41 +149,6 @@ def variations(settings: StabilitySettings, draws: int, presses: Presses = ()) -
     return [*found, *map(_draw, range(1, draws + 1)), *(_PRESSES if any(presses) else ())]
 
 
-class GroupedVariations:
-    """Test of a plan under changed settings, several of them at a time.
-
-    A plan that comes to rest under all changes of a group together counts as one that does under each of them; where it
-    does not, they are tried one by one. So most plans cost one replay a group.
-    """
-
-    def __init__(self, replayer: VariableReplayer) -> None:
-        """Prepare the test of plans with the settings of a replayer."""
-        self._replayer, self._groups = replayer, list(GROUPS)
-
-    def failure(self, states: States, presses: Presses) -> tuple[str, int] | None:
-        """Return the change under which a plan does not come to rest, and the first such state; None if there is none.
-
-        Args:
-            states: in assembly order, shape (steps + 1, parts).
-            presses: of the steps that lead to each state, one entry a state.
-        """
-        some = variations(self._replayer.settings, DRAWS, presses)
-        for place, group in enumerate(self._groups):
-            changes = [change for change in group if change in some]
-            if self._falls_at(changes, states, presses) is None:
-                continue
-            for change in changes if len(changes) > 1 else ():
-                falls_at = self._falls_at([change], states, presses)
-                if falls_at is not None:
-                    self._groups.insert(0, self._groups.pop(place))  # others mostly fail under the same
-                    return change.name, falls_at
-        return None
-
-    def _falls_at(self, changes: Sequence[Change], states: States, presses: Presses) -> int | None:
-        settings, replay, pressed = changed(changes, self._replayer.settings, presses)
-        return self._replayer.vary(settings, replay).replay(states, presses=pressed).falls_at
-
-
 def replay_varied(
     replayer: VariableReplayer, states: States, presses: Presses | None = None, *, draws: int = DRAWS
 ) -> list[Variation]:
@@ -203,60 +171,40 @@ def replay_varied(
         return list(pool.map(run, variations(replayer.settings, draws, given)))
 
 
-class RobustReplayer:
-    """Replayer under which a plan succeeds only if it does so under every variation.
+class AllVariations:
+    """Test of plans under every change of settings, one by one, and under many draws of initial friction.
 
-    Variations under which plans failed come first, and the first failure ends a replay: while a search excludes one
-    state after another, most plans cost one additional replay.
+    Changes under which plans failed come first, and the first failure ends the test: while a search excludes one state
+    after another, most plans cost one replay.
     """
 
     def __init__(self, replayer: VariableReplayer) -> None:
+        """Prepare the test of plans with the settings of a replayer."""
         self._replayer, self._first = replayer, list[Change]()
 
-    @property
-    def problem(self) -> Problem:
-        """Contact problem of the structure."""
-        return self._replayer.problem
-
-    @property
-    def settings(self) -> StabilitySettings:
-        """Settings of the verdicts."""
-        return self._replayer.settings
-
-    def replay(self, states: ArrayLike, history: History | None = None, presses: Presses | None = None) -> Replay:
-        """Replay under the settings, and a complete plan under every variation too.
+    def falls_at(self, states: States, presses: Presses) -> int | None:
+        """Return the first state in which a plan does not come to rest under some change; None if there is none.
 
         Args:
-            states: in assembly order, shape (states, parts).
-            history: history of the first state; with it nothing is varied, since it belongs to one setting.
-            presses: of the steps that lead to each state; chosen where needed if not given.
-
-        Returns:
-            The plain replay if it and all variations succeed, else one that fails.
+            states: in assembly order, shape (steps + 1, parts).
+            presses: of the steps that lead to each state, one entry a state.
         """
-        plain = self._replayer.replay(states, history, presses)
-        if history is not None or not plain.good:
-            return plain
-        changes = variations(self._replayer.settings, DRAWS, plain.presses)
+        changes = variations(self._replayer.settings, DRAWS, presses)
         changes.sort(key=lambda change: self._first.index(change) if change in self._first else len(self._first))
         workers = core_count()
 
-        def run(change: Change) -> Replay:
-            settings, varied, pressed = changed([change], self._replayer.settings, plain.presses)
-            return self._replayer.vary(settings, varied).replay(states, presses=pressed)
+        def run(change: Change) -> int | None:
+            settings, varied, pressed = changed([change], self._replayer.settings, presses)
+            return self._replayer.vary(settings, varied).replay(states, presses=pressed).falls_at
 
         with ThreadPoolExecutor(workers) as pool:
             for first in range(0, len(changes), workers):
                 some = changes[first : first + workers]
-                for change, varied in zip(some, pool.map(run, some), strict=True):
-                    if not varied.good:
+                for change, row in zip(some, pool.map(run, some), strict=True):
+                    if row is not None:
                         self._first = [change, *(other for other in self._first if other != change)]
-                        return varied
-        return plain
-
-    def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
-        """Take one step under the settings; see `Replayer.step`."""
-        return self._replayer.step(history, before, after)
+                        return row
+        return None
 
 
-__all__ = ["DRAWS", "GroupedVariations", "RobustReplayer", "Variation", "replay_varied", "variations"]
+__all__ = ["DRAWS", "GROUPS", "AllVariations", "Change", "Variation", "changed", "replay_varied", "variations"]

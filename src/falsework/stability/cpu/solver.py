@@ -74,7 +74,7 @@ class CpuSolver:
     Attempts follow each other in the order of their work; each stops at the first proof. With a state near by: a
     mechanism near the difference (`neighbourhood.py`), then forces that change in a region that is extended, then
     everywhere (`repair.py`). Then, and without one, ADMM on the whole with one sparse factorisation per state, and an
-    interior point method (`docs/decisions/0002`). What they leave undecided is up to the exact solver.
+    interior point method (`docs/decisions/cpu-solver.md`). What they leave undecided is up to the exact solver.
     """
 
     starts_from_guesses = True

@@ -80,9 +80,9 @@ class GpuSolver:
 
     The same methods as on the CPU, with the same certificates. For the equilibrium problem (`CpuSolver`), ADMM
     iterates in float32, both proofs are found in float64, and an interior point method in float64 processes the states
-    that ADMM leaves undecided (`docs/decisions/0011`). Under `contact` (`ContactSolver`), Newton iterations decide
-    which of the states that are not proven unstable come to rest, steps in float32 and proofs in float64
-    (`docs/decisions/0013`). Lists on the device pass states from one kernel to the next.
+    that ADMM leaves undecided. Under `contact` (`ContactSolver`), Newton iterations decide which of the states that are
+    not proven unstable come to rest, steps in float32 and proofs in float64. Lists on the device pass states from one
+    kernel to the next (`docs/decisions/gpu-solver.md`).
 
     Args:
         assembly, problem: the structure, and its scaled equilibrium problem.

@@ -1,4 +1,4 @@
-"""Stability of rest positions to second order: small motions that grow (docs/decisions/0151)."""
+"""Stability of rest positions to second order: small motions that grow (docs/decisions/contact-law.md)."""
 
 from __future__ import annotations
 

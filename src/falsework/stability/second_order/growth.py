@@ -31,7 +31,7 @@ def growth_of_motion(
     """Return how fast a small motion from rest grows: positive where it proves that the equilibrium is unstable.
 
     After the motion contact forces have changed, by the law of springs and friction and because their points, and
-    without friction their normals too, turn with the parts (docs/decisions/0151). Where the unbalanced forces
+    without friction their normals too, turn with the parts (docs/decisions/contact-law.md). Where the unbalanced forces
     accelerate every part along the motion, it grows exponentially.
 
     Args:

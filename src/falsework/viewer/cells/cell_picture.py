@@ -24,9 +24,11 @@ from falsework.viewer.pictures.render import Camera, ColoredSolid, render
 Array = NDArray[np.float64]
 
 _WIDTH = 1200
+"""Width of pictures where none is given, pixels."""
 _LINE = 24
 """Pixels for a line of text."""
 _RING_POINTS = 180
+"""Points on each edge of the ring of a reach."""
 _NEAR_TEXT = "#7a5c00"
 """Colour of near pairs in words, darker than that of their bodies."""
 

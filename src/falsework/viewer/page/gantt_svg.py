@@ -17,6 +17,7 @@ _WIDTH, _ROW, _AXIS = 360.0, 22.0, 16.0
 _LETTER = 5.2
 """Width of a letter in a bar, pixels."""
 _TICKS = 5
+"""Intervals between the times below the chart."""
 
 
 def gantt_svg(plan: RobotPlan) -> str:

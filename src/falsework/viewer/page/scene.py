@@ -31,8 +31,11 @@ CHUNK = 32
 EDGES_UP_TO = 400
 """Largest number of parts for which sharp edges are drawn as lines; above, parts are drawn slightly smaller instead."""
 _SHRUNK = 0.985
+"""Size of parts that have no edges drawn, as a share of their own."""
 _PALE = 0.18
+"""Opacity of pale parts."""
 _SHARP = np.cos(np.radians(25.0))
+"""Cosine of the angle between faces from which their edge is drawn."""
 
 
 class ViserScene:

@@ -26,8 +26,11 @@ Array = NDArray[np.float64]
 _FLAT = 1e-3
 """Largest component of a normal along the axis of a two-dimensional structure."""
 _MARGIN = 12.0
+"""Space around a drawing, pixels."""
 _TEXT = 13.0
+"""Size of letters, pixels."""
 _LINE = 24.0
+"""Height of a line of text, pixels."""
 
 
 def flat_axis(assembly: Assembly) -> int:

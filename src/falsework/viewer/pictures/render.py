@@ -22,6 +22,7 @@ Image = NDArray[np.float64]
 Array = NDArray[np.float64]
 
 INK = np.array([0.13, 0.14, 0.16])
+"""Colour of edges, shares of red, green and blue."""
 SHADOW = 1000
 """Pixels along an edge of the shadow map."""
 _LEVEL = 1e-6

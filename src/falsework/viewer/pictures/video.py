@@ -27,6 +27,7 @@ HOLD = 1.0
 """Seconds that the first and the last picture stay."""
 KINDS = (".mp4", ".gif")
 FILM = Camera(width=800, height=560, zoom=0.95)
+"""Camera of videos by default."""
 
 
 def frames_of(

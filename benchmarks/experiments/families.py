@@ -1,0 +1,135 @@
+"""Families of structures beside the built-in ones: walls with an opening, chimneys, Voronoi walls and piles of bricks.
+
+Each draws its own parameters and returns an assembly on a ground slab. Whether it stands is for the caller to check.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from falsework.assembly.library.blocks import Solid, box, gather, ground, prism
+from falsework.assembly.model import Assembly
+
+Draw = np.random.Generator
+_SLIVER = 0.2
+"""Shortest brick, as a share of a whole one."""
+_CARRIED = 0.6
+"""Least share of the underside of a brick of a pile that lies on others."""
+
+
+def opening(draw: Draw) -> Assembly:
+    """Wall in running bond with a door or a window under a lintel."""
+    bricks, courses = int(draw.integers(4, 11)), int(draw.integers(4, 12))
+    length, height, depth = draw.uniform(0.2, 0.35), draw.uniform(0.06, 0.15), draw.uniform(0.1, 0.25)
+    left = int(draw.integers(1, bricks - 2))
+    right = int(draw.integers(left + 1, bricks - 1))
+    below = int(draw.integers(0, courses - 2))
+    above = int(draw.integers(below + 1, courses - 1))
+    gap, bearing = (left * length, right * length), draw.uniform(0.25, 0.6) * length
+    lintel = gap[0] - bearing, gap[1] + bearing
+    solids = []
+    for course in range(courses):
+        joints = np.arange(bricks + 1) * length
+        if course % 2:
+            joints = np.array([0.0, *(joints[:-1] + length / 2), bricks * length])
+        hole = gap if below <= course < above else lintel if course == above else None
+        if course == above:
+            solids.append(_brick("lintel", *lintel, course * height, height, depth))
+        for start, end in pairwise(joints):
+            for low, high in _outside(start, end, hole):
+                if high - low > _SLIVER * length:
+                    solids.append(_brick("brick", low, high, course * height, height, depth))
+    return _on_ground(solids, height)
+
+
+def chimney(draw: Draw) -> Assembly:
+    """Square shaft whose courses turn alternately one way and the other, a few bricks a side."""
+    courses, each = int(draw.integers(2, 11)), int(draw.integers(1, 4))
+    thickness, height = draw.uniform(0.1, 0.2), draw.uniform(0.08, 0.2)
+    side = thickness * draw.uniform(2.5, 3.5) * each
+    solids = []
+    for course in range(courses):
+        for quarter in range(4):
+            cuts = np.linspace(0, side - thickness, each + 1)
+            for low, high in pairwise(cuts):
+                base = np.array([(low, 0), (high, 0), (high, thickness), (low, thickness)]) - side / 2
+                if course % 2:
+                    base = base * (-1, 1)
+                turn = np.array([(0, -1), (1, 0)]) if quarter % 2 else np.eye(2)
+                base = base @ turn.T * (-1 if quarter > 1 else 1)
+                corners = np.column_stack([base, np.full(4, course * height)])
+                solids.append(prism("brick", corners, (0.0, 0.0, height)))
+    return _on_ground(solids, height)
+
+
+def voronoi(draw: Draw) -> Assembly:
+    """Wall between two fixed piers, cut into Voronoi cells straight through."""
+    width, height, depth = draw.uniform(1.0, 3.0), draw.uniform(0.8, 1.6), draw.uniform(0.3, 0.6)
+    count = int(np.exp(draw.uniform(np.log(5), np.log(70))))
+    points = draw.uniform(size=(count, 2)) * (width, height)
+    frame = shapely.box(0, 0, width, height)
+    for _ in range(3):  # moved to the centres of their cells, points make rounder ones
+        cells = [cell for cell in _cells(points, frame) if cell.area > 0]
+        points = np.array([(cell.centroid.x, cell.centroid.y) for cell in cells])
+    solids = []
+    for cell in cells:
+        corners = np.array(shapely.simplify(cell, 1e-9).exterior.coords)[:-1]
+        base = np.column_stack([corners[:, 0], np.zeros(len(corners)), corners[:, 1]])
+        solids.append(prism("cell", base, (0.0, depth, 0.0)))
+    for low, high in ((-0.2, 0.0), (width, width + 0.2)):
+        solids.append(box("pier", (low, 0.0, 0.0), (high, depth, height), fixed=True))
+    return _on_ground(solids, 0.2)
+
+
+def pile(draw: Draw) -> Assembly:
+    """Layers of bricks of a few sizes on a grid, placed at random, each for the most part on others."""
+    across, layers = draw.integers(2, 7, size=2), int(draw.integers(2, 8))
+    cell, height = draw.uniform(0.05, 0.2), draw.uniform(0.04, 0.15)
+    sizes = [(1, 2), (2, 1), (2, 2), (1, 3), (3, 1), (2, 4), (4, 2), (1, 1)]
+    below = np.ones(across, dtype=bool)
+    solids = []
+    for layer in range(layers):
+        here = np.zeros(across, dtype=bool)
+        for _ in range(int(draw.integers(2, 4 + across.prod() // 2))):
+            size = np.array(sizes[int(draw.integers(len(sizes)))])
+            if (size > across).any():
+                continue
+            low = np.array([draw.integers(0, limit + 1) for limit in across - size])
+            place = tuple(slice(a, a + b) for a, b in zip(low, size, strict=True))
+            if here[place].any() or below[place].mean() < _CARRIED:
+                continue
+            here[place] = True
+            corner = np.array([*(low * cell), layer * height])
+            solids.append(box("brick", corner, corner + [*(size * cell), height]))
+        below = here
+    return _on_ground(solids, height)
+
+
+def _outside(start: float, end: float, hole: tuple[float, float] | None) -> Iterator[tuple[float, float]]:
+    if hole is None:
+        yield start, end
+        return
+    yield start, min(end, hole[0])
+    yield max(start, hole[1]), end
+
+
+def _brick(kind: str, low: float, high: float, bottom: float, height: float, depth: float) -> Solid:
+    return box(kind, (low, 0.0, bottom), (high, depth, bottom + height))
+
+
+def _cells(points: NDArray[np.float64], frame: shapely.Polygon) -> list[shapely.Polygon]:
+    diagram = shapely.voronoi_polygons(shapely.MultiPoint(points), extend_to=frame)
+    cells = (shapely.intersection(cell, frame) for cell in diagram.geoms)
+    return [cell for cell in cells if isinstance(cell, shapely.Polygon)]
+
+
+def _on_ground(solids: list[Solid], depth: float) -> Assembly:
+    corners = np.concatenate([solid.vertices for solid in solids])
+    slab = ground(corners[:, :2].min(axis=0), corners[:, :2].max(axis=0), margin=depth, depth=depth)
+    blocks = gather([*solids, slab])
+    return Assembly.from_meshes(list(blocks.meshes), boundary=blocks.boundary)

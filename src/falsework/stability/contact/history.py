@@ -1,0 +1,129 @@
+"""Contact histories of structures under construction, and the results of replays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.errors import InputError
+from falsework.stability.contact.newton import FIRST_STEP, OPEN, RESTS
+from falsework.stability.holds import Press
+
+Array = NDArray[np.float64]
+
+Presses = Sequence[Sequence[Press]]
+"""Presses of the steps that lead to each state, one entry a state."""
+
+
+@dataclass(frozen=True)
+class ReplaySettings:
+    """Numerical settings of a replay; the result for a stable plan must not depend on them."""
+
+    increments: int = 4
+    """Increments in which the load of a robot is transferred to the contacts when it releases a part."""
+    first_step: float = FIRST_STEP
+    """First time step of the Newton iterations; a shorter one means higher viscosity."""
+    friction_noise: float = 0.0
+    """Largest tangential force in new contact points before they carry load, as a share of the friction limit of a
+    typical point under its share of a part's weight."""
+    seed: int = 0
+    """Seed of the noise."""
+    steps: int = 400
+    """Newton iterations per increment before it is left undecided."""
+
+    def __post_init__(self) -> None:
+        if self.increments < 1 or self.steps < 1:
+            raise InputError("a replay needs at least one increment and one iteration a step")
+        if not (np.isfinite(self.first_step) and self.first_step > 0):
+            raise InputError(f"first_step is {self.first_step}; give a positive number")
+        if not (np.isfinite(self.friction_noise) and self.friction_noise >= 0):
+            raise InputError(f"friction_noise is {self.friction_noise}; give a number from 0 up")
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """Contact history of a structure under construction."""
+
+    displacement: Array
+    """Displacement of each part since it was placed, m and rad, shape (parts, 6)."""
+    springs: Array
+    """Spring forces of the contact points in scaled variables, shape (points, 3)."""
+    torn: NDArray[np.bool_]
+    """Contact points whose tensile strength was exceeded, shape (points,)."""
+    age: NDArray[np.int32]
+    """Steps for which both parts of each contact point have been present, shape (points,)."""
+    moved: float = 0.0
+    """Largest movement of a part since it was placed, m."""
+    part: int = -1
+    """The part that moved most, -1 where none moved."""
+    presses: tuple[Press, ...] = ()
+    """Presses of the step that led here."""
+    changed: tuple[History, ...] = ()
+    """The same under the changed settings of an `EnsembleReplayer`; empty where one setting alone is replayed."""
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that the arrays take, bytes."""
+        own = self.displacement.nbytes + self.springs.nbytes + self.torn.nbytes + self.age.nbytes
+        return own + sum(history.nbytes for history in self.changed)
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """Result of a replay in assembly order, up to the first state that does not come to rest."""
+
+    stands: NDArray[np.int8]
+    """For each state: 1 it comes to rest, -1 parts move away, -2 a robot bears more than it can, 0 undecided or not
+    reached; shape (states,)."""
+    moved: Array
+    """Largest movement of a part since it was placed, m, shape (states,)."""
+    part: NDArray[np.int32]
+    """The part that moved most, -1 where none moved, or whose robot bears too much, shape (states,)."""
+    residual: Array
+    """Residual at rest, in the units of the tolerance, shape (states,)."""
+    size: float
+    """Diagonal of the structure, m."""
+    histories: tuple[History, ...] = ()
+    """Histories after each state that was reached."""
+    presses: tuple[tuple[Press, ...], ...] = ()
+    """Presses of the step to each state that was reached."""
+
+    @property
+    def good(self) -> bool:
+        """Whether every state comes to rest."""
+        return bool((self.stands == RESTS).all())
+
+    @property
+    def falls_at(self) -> int | None:
+        """First state that does not come to rest; None if all do."""
+        bad = np.flatnonzero(self.stands != RESTS)
+        return int(bad[0]) if len(bad) else None
+
+    @property
+    def largest(self) -> float:
+        """Largest movement of a part in the states that come to rest, m."""
+        return float(self.moved[self.stands == RESTS].max(initial=0.0))
+
+
+def joined(parts: list[Replay], count: int) -> Replay:
+    """Join replays of consecutive states, each of which begins with the state at which the one before it ended."""
+    if len(parts) == 1:
+        return parts[0]
+    histories: list[History] = []
+    stands, residual = np.full(count, OPEN, np.int8), np.full(count, np.nan)
+    moved, most = np.zeros(count), np.full(count, -1, np.int32)
+    for replay in parts:
+        begin = len(histories)
+        for whole, piece in zip(
+            (stands, residual, moved, most), (replay.stands, replay.residual, replay.moved, replay.part), strict=True
+        ):
+            whole[begin:] = piece
+        histories += replay.histories
+    presses = tuple(history.presses for history in histories)
+    return Replay(stands, moved, most, residual, parts[0].size, tuple(histories), presses)
+
+
+__all__ = ["History", "Presses", "Replay", "ReplaySettings", "joined"]

@@ -1,0 +1,86 @@
+"""Commands that make and test a policy for all structures, on a few small ones."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from experiments import general_cases
+from experiments.general_cases import CASES, TESTED, evaluate_case
+from experiments.structure_generator import TRAINED, UNSEEN
+from general import PER_FILE, VALIDATION, Library, Options, _label, card, number_of
+
+from falsework.learn.config.policy import PolicySettings
+from falsework.learn.data.structure_batches import StructureBatches
+from falsework.learn.training.general import GeneralSettings, GeneralTraining
+
+SMALL = PolicySettings("local", layers=1, channels=16, heads=2)
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with data and a run of hardly any training."""
+    folder = tmp_path_factory.mktemp("general")
+    library = Library(folder)
+    for number in (0, 5, 8):
+        library.add(*_label(number, None, None))
+    library.add(*_label(VALIDATION, None, None))
+    library.add(17, None)
+    library.save()
+    training = GeneralTraining(folder, GeneralSettings(SMALL, steps=3, tokens=256))
+    training.run(StructureBatches(list(library.structures.values()), "cpu"), 60.0)
+    training.save()
+    return folder
+
+
+def test_a_library_keeps_its_structures(trained: Path) -> None:
+    library = Library.load(trained)
+    assert sorted(library.structures) == [0, 5, 8]
+    assert library.failed == {17}
+    assert [number_of(one) for one in library.validation.values()] == [VALIDATION]
+    assert PER_FILE > 3
+    assert (trained / "data-00.npz").exists()
+
+
+def test_known_structures_are_improved_by_rollouts(trained: Path) -> None:
+    known = Library.load(trained).structures[0]
+    number, again = _label(0, known, trained)
+    assert number == 0
+    assert again.success is not None
+    assert (again.name, again.robots) == (known.name, known.robots)
+
+
+def test_no_case_is_a_structure_of_training() -> None:
+    groups = {case.group for case in CASES.values()}
+    assert groups == {"unseen member", "unseen family", "paper", "public"}
+    assert not set(TRAINED) & set(UNSEEN)
+    for case in CASES.values():
+        if case.group.startswith("unseen"):
+            assert int(case.structure.rpartition("-")[2]) >= TESTED > VALIDATION
+
+
+def test_a_case_has_success_and_verdicts(trained: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(general_cases, "_STATES", 6)
+    monkeypatch.setattr(general_cases, "_WIDTH", 8)
+    row = evaluate_case(f"stack-{TESTED}", trained)
+    assert 0 <= row["greedy"] <= row["sampled"] <= 1
+    assert row["states"] <= 8
+    assert row["plans"]["support"]["found"]
+    assert row["ratio"] is None or row["ratio"] > 0
+    json.dumps(row)
+
+
+def test_the_card_is_made_of_the_evaluation(trained: Path, capsys: pytest.CaptureFixture) -> None:
+    row = {"case": "a", "group": "paper", "states": 4, "greedy": 0.5, "sampled": 0.25, "ratio": 2.0}
+    rows = [row, {**row, "case": "b", "greedy": 1.0, "sampled": 1.0, "ratio": None}, {"case": "c", "group": "paper"}]
+    (trained / "evaluation.jsonl").write_text("".join(json.dumps(one) + "\n" for one in rows))
+    card(Options("card", folder=trained))
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    group = next(line for line in lines if line["benchmark"] == "general group")
+    assert group["cases"] == 3
+    assert group["without"] == ["c"]
+    assert group["failures"] == ["a"]
+    assert group["greedy"]["mean"] == pytest.approx(0.75)
+    assert np.isclose(group["ratio"]["median"], 2.0)
