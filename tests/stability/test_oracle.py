@@ -378,10 +378,13 @@ def test_what_the_fast_solver_leaves_goes_to_the_exact_one(arch: Assembly, state
         assert balanced(stability)
 
 
-def test_searches_do_not_wait_for_the_exact_solver(arch: Assembly, states: NDArray, expected: NDArray) -> None:
+def test_searches_of_large_structures_do_not_wait_for_the_exact_solver(
+    arch: Assembly, states: NDArray, expected: NDArray, monkeypatch: pytest.MonkeyPatch
+) -> None:
     cpu = CpuSettings(iterations=1, interior_steps=0)
     parents = states[np.flatnonzero(expected == 1)[:1]].repeat(len(states), axis=0)
     stability = Stability(arch, StabilitySettings(criterion="equilibrium", cpu=cpu))
+    monkeypatch.setattr("falsework.stability.oracle.LEFT_OPEN", arch.part_count)
     verdicts = stability.verdicts(states, near=parents)
     decided = ~verdicts.undecided
     assert not decided.all()

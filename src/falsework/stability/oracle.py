@@ -34,6 +34,9 @@ if TYPE_CHECKING:
 
 _BATCH = 32 * 1024 * 1024
 """Memory for contact forces or displacements of one batch, bytes."""
+LEFT_OPEN = 1000
+"""Parts from which a search does not ask the exact solver, which takes ten seconds and more for one state: a bound on
+its work, not a choice of method. Of 1,503 states of a vault of 2,012 parts it would be asked for none."""
 _WORTH_A_GPU = 8
 """States from which `auto` uses the GPU: a launch costs as much as a few states on the CPU."""
 
@@ -89,7 +92,8 @@ class Stability:
             states: one state `(parts,)` or a batch `(batch, parts)`; 0 removed, 1 installed, 2 held.
             near: for each state a stable one that differs from it in few parts, such as its predecessor in a plan,
                 or itself. What was found of that one is the first guess, and a mechanism is sought near the difference
-                first. Without certificates the exact solver is not asked, so a state may stay undecided. Same shape.
+                first. Without certificates, states that the other solvers leave undecided in structures of 1,000 parts
+                and more stay so. Same shape.
             require_certificate: return forces, velocity and, under `contact`, displacement, each accepted by the
                 certificate checker, and whether a stable state tips. Else verdicts come from the cache if possible,
                 which keeps no certificates, and only a state that is known to tip is not stable for that.
@@ -281,7 +285,7 @@ class Stability:
         if len(rest) and solver is self._gpu and self._criterion.cpu is not None:
             verdicts.put(rest, self._criterion.cpu.check(states[rest], certificates=False))
             rest = rest[verdicts.undecided[rest]]
-        if len(rest) and near is None:  # a search has other states to try, and none waits for minutes
+        if len(rest) and (near is None or self.problem.parts < LEFT_OPEN):
             exact = self._decide_exactly(states[rest], verdicts[rest])
             self._remember(states[rest], exact)
             verdicts.put(rest, exact)

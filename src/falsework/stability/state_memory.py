@@ -16,6 +16,8 @@ _WHOLE = 256 * 1024 * 1024
 """Memory for arrays stored whole, bytes."""
 _SHARED = 3 * 1024 * 1024 * 1024
 """Memory for blocks, bytes: nearly all forces of a plan of ten thousand parts, which takes as much for its proofs."""
+REMEMBERED = 1 << 16
+"""States whose answers are kept by key, until all are forgotten together: chosen for memory, 33 MB at 510 parts."""
 _UNHELD = 3
 """Held parts of which a guess is looked up for the state before they were held: as many as robots mostly hold."""
 

@@ -29,8 +29,8 @@ from falsework.stability.cpu.neighbourhood import extend_region, hold_beside_cor
 from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED, residual_of_part
 from falsework.utils.kernels import njit
 
-_ROUNDING = 1e-12
-"""Distance of forces from their cones, as a share of them, that is left to rounding."""
+_ROUNDING = float(np.finfo(np.float64).eps ** 0.75)
+"""Distance of forces from their cones, as a share of them, that is left to rounding; the checker allows more."""
 
 
 @njit(cache=True)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.stability.contact.kernel import build_contact_structure
-from falsework.stability.cpu.cones import CONES, NO_FRICTION
+from falsework.stability.cpu.cones import CONES, NEGLIGIBLE
 from falsework.stability.gpu.contact_layout import add_contact
 from falsework.stability.gpu.driver import CudaDriver, Driver
 from falsework.stability.gpu.layout import KernelBatch, build_layout, kernel_options
@@ -106,7 +106,7 @@ class GpuSolver:
     ) -> None:
         if assembly.joints is not None:
             raise InputError("joints are not checked on a GPU; use the solver cpu (--solver cpu) or auto")
-        smooth = problem.strength.friction <= NO_FRICTION
+        smooth = problem.strength.friction <= NEGLIGIBLE
         if problem.strength.idle.any() or (smooth.any() and not smooth.all()):
             raise InputError(
                 "faces that are inclined to each other by more than friction holds are not checked on a GPU; use the "
