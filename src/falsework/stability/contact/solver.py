@@ -123,7 +123,7 @@ class ContactSolver:
             displacement = np.zeros((batch, problem.parts, 6))
         warm = np.zeros(batch, dtype=bool)
         if guess is not None and parents is not None:
-            warm = np.isfinite(guess).all(axis=(1, 2))
+            warm = np.asarray(np.isfinite(guess).all(axis=(1, 2)))
         origins = states if parents is None else parents
         steps = np.zeros(batch, np.int32)
         found = np.full(batch, RESTS, np.int8)
