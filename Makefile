@@ -8,6 +8,7 @@
 #   make results the tables, from benchmarks/results/*.jsonl
 #   make fuzz    ten minutes of damaged files for all readers
 #   make kernels the portable code of the kernels, after a change of one
+#   make schemas the JSON Schemas of files, after a change of a model
 
 PYTHON ?= python3
 VENV   ?= .venv
@@ -36,7 +37,7 @@ GLTF_VALIDATOR ?= gltf-validator@2.0.0-dev.3.10
 # One worker a core; test files stay whole, since their fixtures are shared, in the order that tests/conftest.py gives.
 PYTEST_ARGS ?= -n logical --dist loadfile --no-loadscope-reorder
 
-.PHONY: demo install compile kernels test lint types docs package lock images results fuzz check clean help
+.PHONY: demo install compile kernels schemas test lint types docs package lock images results fuzz check clean help
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -87,6 +88,9 @@ $(VENV)/.compiled: $(VENV)/.core $(shell grep -rl njit src --include='*.py')
 # Portable code of the kernels that every plan needs; it travels in the package.
 kernels: $(VENV)/.core
 	$(BIN)/python tests/make_kernels.py
+
+schemas: $(VENV)/.core
+	$(BIN)/python docs/schemas/write.py
 
 install: $(VENV)/.lint $(VENV)/.test $(VENV)/.docs
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.library.blocks import Solid, box, gather, ground, prism
 from falsework.assembly.model import Assembly
+from falsework.errors import InputError
 
 Draw = np.random.Generator
 _SLIVER = 0.2
@@ -107,6 +108,8 @@ def pile(draw: Draw) -> Assembly:
             corner = np.array([*(low * cell), layer * height])
             solids.append(box("brick", corner, corner + [*(size * cell), height]))
         below = here
+    if not solids:
+        raise InputError("no brick was drawn that fits the grid")
     return _on_ground(solids, height)
 
 

@@ -183,11 +183,11 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert run("export", plan, "--out", tmp_path / "site.pdf", "--elevation", "90") == 2
     assert "elevation" in capsys.readouterr().err
     assert run("export", plan, "--out", tmp_path / "site.csv", "--azimuth", "30") == 2
-    assert "--azimuth is for the pictures of a PDF sheet" in capsys.readouterr().err
+    assert "--azimuth is no option of csv" in capsys.readouterr().err
     assert run("export", plan, "--out", tmp_path / "site.pdf", "--step-seconds", "1") == 2
-    assert "plans in motion" in capsys.readouterr().err
+    assert "--step-seconds is no option of pdf" in capsys.readouterr().err
     assert run("export", "arch:blocks=3", "--out", tmp_path / "site.pdf") == 2
-    assert "pdf has the steps of a plan; give a plan" in capsys.readouterr().err
+    assert "pdf cannot show a structure; give a plan" in capsys.readouterr().err
     assert run("export", "arch:blocks=3", "--structure", "arch", "--out", tmp_path / "arch.glb") == 2
     assert "which arch:blocks=3 is not" in capsys.readouterr().err
     assert not (tmp_path / "site.pdf").exists()

@@ -11,13 +11,14 @@ from tyro.conf import arg
 from falsework.cli.command import UNSET, Command, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.errors import InputError
+from falsework.utils.files.formats import EXPORTERS, format_names
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output
 
-Format = Literal[
-    "folder", "glb", "gltf", "usd", "html", "compas", "compas-assembly", "compas-dem", "pdf", "csv"
-]  # fmt: skip
+    Format = str
+else:
+    Format = Literal[format_names(EXPORTERS)]
 
 
 @dataclass(frozen=True, kw_only=True)

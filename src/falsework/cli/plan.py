@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -290,6 +290,8 @@ class MakePlan(Command):
         output.note(f"falsework: the best plan is in {path}: its replay fails {place_in_words(saved, step)}")
 
     def _report(self, plans: list[tuple[Path, Plan]], planning: Planning, output: Output) -> None:
+        from msgspec import to_builtins
+
         from falsework.cli.demands import margin_lines
         from falsework.search.problem.task import Direction
 
@@ -297,14 +299,14 @@ class MakePlan(Command):
         for number, (path, plan) in enumerate(plans):
             output.file(path)
             record: dict[str, Any] = {"file": str(path), "steps": len(plan), "robots": plan.robots}
-            record["needs"] = [asdict(need) for need in plan.needs]
+            record["needs"] = to_builtins(plan.needs)
             record["criterion"] = plan.claim.criterion
             record["replay"] = _replay_record(plan)
             record["reserve"] = plan.claim.reserve
             record["presses"] = sum(map(bool, plan.presses))
             record |= load_record(plan.loads)
             if plan.props:
-                record["props"] = [prop.to_dict() for prop in plan.props]
+                record["props"] = to_builtins(plan.props)
             if plan.margins is not None:
                 record["margins"] = plan.margins.to_dict()
             if self.alternatives > 1:

@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from falsework.errors import DependencyError
-from falsework.interop.instruction_table import AssemblyInstruction, AssemblyInstructions, way_in_words
+from falsework.errors import DependencyError, InputError
+from falsework.interop.instruction_table import (
+    AssemblyInstruction,
+    AssemblyInstructions,
+    assembly_instructions,
+    way_in_words,
+    write_sheet,
+)
+from falsework.utils.files.formats import Exporter
 from falsework.viewer.appearance import appearance_at
 from falsework.viewer.arrows import arrows_of_step
 from falsework.viewer.palette import INK, PRESS, mix, robot_color
@@ -20,6 +28,9 @@ from falsework.viewer.pictures.render import Camera
 
 if TYPE_CHECKING:
     from reportlab.pdfgen.canvas import Canvas
+
+    from falsework.assembly.model import Assembly
+    from falsework.search.plans.plan import Plan
 
 Progress = Callable[[int, int], None]
 
@@ -257,3 +268,22 @@ def _register_fonts() -> None:
     for name, file in ((_REGULAR, "DejaVuSans.ttf"), (_BOLD, "DejaVuSans-Bold.ttf")):
         if name not in getRegisteredFontNames():
             registerFont(TTFont(name, folder / file))
+
+
+def _write_pdf(
+    path: Path | str,
+    assembly: Assembly,
+    plan: Plan,
+    *,
+    azimuth: float = CAMERA.azimuth,
+    elevation: float = CAMERA.elevation,
+    progress: Progress | None = None,
+) -> None:
+    if not -90 < elevation < 90 or elevation == 0:
+        raise InputError(f"an elevation of {elevation:g} degrees sees nothing; give one such as 24")
+    camera = replace(CAMERA, azimuth=azimuth, elevation=elevation)
+    sheet = assembly_instructions(plan, assembly)
+    write_sheet(path, instructions_pdf(sheet, camera=camera, progress=progress))
+
+
+PDF = Exporter(_write_pdf, (".pdf",), ("Plan",), ("azimuth", "elevation", "progress"))

@@ -24,10 +24,10 @@ from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import (
     load_robot_plan,
     robot_plan_from_dict,
-    robot_plan_schema,
     robot_plan_to_dict,
     save_robot_plan,
 )
+from falsework.robots.plans.robot_plan_model import robot_plan_schema
 from falsework.robots.plans.timeline import interruption
 from falsework.robots.schedule.build import schedule_plan
 from falsework.search import Direction, Task
@@ -245,7 +245,7 @@ def test_plans_that_do_not_say_what_is_carried(
     assert not check_robot_plan(silent, column, cell).good
     data = robot_plan_to_dict(rest)
     data["steps"][0]["transit"] = "yes"
-    with pytest.raises(PlanError, match="must be true or false"):
+    with pytest.raises(PlanError, match="transit is 'yes'; give true or false"):
         robot_plan_from_dict(data)
     frame = building.keyframes[step]
     free = go_on(building.states[step], [value + 0.1 for value in cell.homes], frame.held)

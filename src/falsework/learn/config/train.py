@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
-from types import UnionType
-from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, get_args, get_type_hints
 
 from falsework.assembly.state import check_robots
 from falsework.errors import InputError
@@ -181,23 +180,13 @@ def from_dict(kind: type[T], values: Mapping[str, Any]) -> T:
 
 
 def _read(hint: Any, value: Any, name: str) -> Any:
-    origin = get_origin(hint)
+    from falsework.utils.models import plain, read_model  # which the help of the command line does not need
+
     if is_dataclass(hint):
         return from_dict(hint, value)  # type: ignore[arg-type]
     if hint == tuple[Phase, ...]:
         return tuple(_read_phase(one, name) for one in (value if isinstance(value, (list, tuple)) else [value]))
-    if origin is Literal:
-        good = value in get_args(hint)
-    elif origin is tuple:
-        good = isinstance(value, (list, tuple))
-        value = tuple(value) if good else value
-    elif origin is UnionType:
-        good = isinstance(value, get_args(hint))
-    else:
-        good = isinstance(value, (int, float) if hint is float else hint) and (hint is bool or value is not True)
-    if not good:
-        raise InputError(f"{name} is {value!r}, which is not a valid value; see falsework.learn.TrainSettings")
-    return value
+    return read_model(hint, plain(value), "", InputError, name)
 
 
 def _read_phase(value: Any, name: str) -> Phase:

@@ -17,10 +17,12 @@ from falsework.errors import FalseworkError, InputError
 from falsework.learn.config.train import TrainSettings, from_dict
 from falsework.learn.networks import policy as policies
 from falsework.learn.networks.factory import make_policy
-from falsework.search.plans.plan_source import wrong_source
+from falsework.search.plans.plan_model import SourceEntry
+from falsework.search.plans.plan_source import check_source
 from falsework.utils.files.damage import blamed_on
 from falsework.utils.files.output_file import write_whole
 from falsework.utils.json_text import parse_json
+from falsework.utils.models import FileModel, read_model
 
 FORMAT = "falsework.run/2"
 CHECKPOINT_FORMAT = "falsework.checkpoint/3"
@@ -35,7 +37,26 @@ GENERAL = "general"
 """Name of the policy for any structure that comes with the package, in place of the folder of a run."""
 _COMES_WITH_PACKAGE = Path(__file__).resolve().parents[1] / "pretrained"
 
-_KEYS = {"format", "structure", "settings", "policy", "results", "versions"}
+
+class RunStructure(FileModel, frozen=True):
+    """Structure of a run: enough to reload it and to detect another one."""
+
+    name: str
+    identity: str
+    parts: int
+    source: SourceEntry
+
+
+class RunFile(FileModel, frozen=True):
+    """`run.json`."""
+
+    format: str
+    structure: RunStructure | None
+    """None in a policy for any structure."""
+    settings: dict[str, Any]
+    policy: Any
+    results: Any
+    versions: Any
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,9 +83,8 @@ def describe_structure(assembly: Assembly, source: Mapping[str, Any]) -> dict[st
         InputError: another source, which `load_run` would refuse.
     """
     plain = {name: _plain(value) for name, value in source.items()}
-    wrong = wrong_source(plain)
-    if wrong:
-        raise InputError(f"the source of {assembly.name} cannot be recorded: {wrong}; give its path or built-in name")
+    about = f"the source of {assembly.name} cannot be recorded: "
+    check_source(read_model(SourceEntry, plain, about, InputError, "structure.source"), about)
     return {
         "name": assembly.name,
         "identity": assembly.identity,
@@ -132,22 +152,11 @@ def read_run(folder: Path) -> dict[str, Any]:
     found = content.get("format") if isinstance(content, dict) else None
     if found != FORMAT:
         raise InputError(f"{path} has format {found!r}; this version reads {FORMAT!r} only; train again")
-    if set(content) != _KEYS:
-        odd = ", ".join(sorted(set(content) ^ _KEYS))
-        raise InputError(f"{path} is not a valid {FORMAT} file: unexpected or absent entries {odd}")
-    wrong = "" if content["structure"] is None else _wrong_structure(content["structure"])
-    if wrong:
-        raise InputError(f"{path} is not a valid {FORMAT} file: {wrong}; train again")
+    about = f"{path} is not a valid {FORMAT} file: "
+    read = read_model(RunFile, content, about, InputError, remedy="; train again")
+    if read.structure is not None:
+        check_source(read.structure.source, about)
     return content
-
-
-def _wrong_structure(value: Any) -> str:
-    """Return why a value is no `describe_structure`; empty if it is one."""
-    kinds = {"name": str, "identity": str, "parts": int, "source": dict}
-    if not isinstance(value, dict) or set(value) != set(kinds):
-        return f"its structure must have {', '.join(kinds)}"
-    wrong = next((key for key, kind in kinds.items() if type(value[key]) is not kind), None)
-    return f"structure.{wrong} is {str(value[wrong])[:40]!r}" if wrong else wrong_source(value["source"])
 
 
 def settings_of(metadata: Mapping[str, Any]) -> TrainSettings:
