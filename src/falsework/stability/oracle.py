@@ -36,7 +36,7 @@ _BATCH = 32 * 1024 * 1024
 """Memory for contact forces or displacements of one batch, bytes."""
 LEFT_OPEN = 1000
 """Parts from which a search does not ask the exact solver, which takes ten seconds and more for one state: a bound on
-its work, not a choice of method. Of 1,503 states of a vault of 2,012 parts it would be asked for none."""
+its work, not a choice of method."""
 _WORTH_A_GPU = 8
 """States from which `auto` uses the GPU: a launch costs as much as a few states on the CPU."""
 

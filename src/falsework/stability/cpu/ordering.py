@@ -11,7 +11,7 @@ from heapq import heapify, heappop, heappush
 Graph = dict[int, set[int]]
 
 _LEAF = 30
-"""Parts that are not dissected further; chosen on vaults and shells of 45 to 2,008 parts."""
+"""Parts that are not dissected further."""
 
 
 def elimination_order(neighbours: Graph) -> list[int]:

@@ -18,7 +18,7 @@ FLOOR = 1e-4
 """Width at which a bracket near zero is narrow enough, in units of the family: shares of gravity, factors, weights of a
 part and the largest settlement."""
 GROWTH = 4.0
-"""Ratio of successive probes while only one end of a bracket is known; on arches, domes and walls (decision 94)."""
+"""Ratio of successive probes while only one end of a bracket is known; chosen by numbers of probes."""
 
 Probe = Callable[[float, Answer], Answer]
 """Solution at a value of the parameter, warm-started from a nearby one."""
