@@ -147,4 +147,4 @@ check: lint types docs test
 
 clean:
 	rm -rf $(VENV) $(OUT) docs/_build build dist .pytest_cache .ruff_cache .hypothesis
-	find src tests client examples benchmarks docs -name __pycache__ -type d -prune -exec rm -rf {} +
+	find src tests client examples bench benchmarks docs -name __pycache__ -type d -prune -exec rm -rf {} +
