@@ -104,7 +104,7 @@ class EquilibriumSolver:
 
     def memory(self) -> WholeMemory | StateMemory:
         """See `CriterionSolver`."""
-        return remembered_forces(self._problem.points)
+        return remembered_forces(self._problem.points, self._problem.parts)
 
     def falls_near(self, states: States, near: States) -> Mask:
         """See `CriterionSolver`; only replays ask this, and there are none."""
