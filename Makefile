@@ -2,12 +2,15 @@
 #
 #   make demo    plan the built-in vault with two robots and check the plan      (installs the core only)
 #   make test    the test suite            make lint    ruff, codespell
+#   make smoke   a minute of tests: one or two files for each layer
 #   make types   pyrefly                   make docs    the documentation, warnings as errors
 #   make package sdist and wheel, tried in an environment of their own
 #   make check   all of it, as CI does     make clean   remove what these made
 #   make results the tables, from benchmarks/results/*.jsonl
 #   make fuzz    ten minutes of damaged files for all readers
 #   make kernels the portable code of the kernels, after a change of one
+#   make schemas the JSON Schemas of files, after a change of a model
+#   make reference  help texts, benchmarks and public names in the documentation, after a change of one
 
 PYTHON ?= python3
 VENV   ?= .venv
@@ -36,7 +39,13 @@ GLTF_VALIDATOR ?= gltf-validator@2.0.0-dev.3.10
 # One worker a core; test files stay whole, since their fixtures are shared, in the order that tests/conftest.py gives.
 PYTEST_ARGS ?= -n logical --dist loadfile --no-loadscope-reorder
 
-.PHONY: demo install compile kernels test lint types docs package lock images results fuzz check clean help
+# One or two files for each layer, about a minute together on two cores.
+SMOKE := tests/test_architecture.py tests/utils tests/geometry/test_contact.py tests/assembly/test_model.py \
+	tests/stability/test_theorems.py tests/search/test_planner.py tests/search/plans/test_plan.py \
+	tests/learn/training/test_checkpoint.py tests/robots/kinematics tests/viewer/test_timeline.py \
+	tests/service/test_answers.py tests/interop/test_export.py tests/cli/test_arguments.py tests/cli/test_plan.py
+
+.PHONY: demo install compile kernels schemas test smoke lint types docs package lock images results reference fuzz check clean help
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -88,6 +97,9 @@ $(VENV)/.compiled: $(VENV)/.core $(shell grep -rl njit src --include='*.py')
 kernels: $(VENV)/.core
 	$(BIN)/python tests/make_kernels.py
 
+schemas: $(VENV)/.core
+	$(BIN)/python docs/schemas/write.py
+
 install: $(VENV)/.lint $(VENV)/.test $(VENV)/.docs
 
 compile: $(VENV)/.compiled
@@ -100,6 +112,9 @@ demo: $(VENV)/.core
 
 test: $(VENV)/.test $(VENV)/.compiled
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+smoke: $(VENV)/.test $(VENV)/.compiled
+	$(BIN)/python -m pytest $(PYTEST_ARGS) -m "not slow" $(SMOKE)
 
 lint: $(VENV)/.lint
 	$(BIN)/ruff check .
@@ -135,6 +150,10 @@ images: $(VENV)/.docs $(VENV)/.test
 results:
 	$(PYTHON) benchmarks/tables.py
 
+# What pages of the documentation take from the source: help texts, descriptions of benchmarks, public names.
+reference: $(VENV)/.core
+	$(BIN)/python docs/reference.py
+
 # Files with random damage, each read in a process of its own; FUZZ_ARGS="--seed 3 --kinds plan" narrows it.
 fuzz: $(VENV)/.test $(VENV)/.compiled
 	$(BIN)/python benchmarks/fuzz_readers.py --out $(OUT)/fuzz $(FUZZ_ARGS)
@@ -143,4 +162,4 @@ check: lint types docs test
 
 clean:
 	rm -rf $(VENV) $(OUT) docs/_build build dist .pytest_cache .ruff_cache .hypothesis
-	find src tests client examples benchmarks docs -name __pycache__ -type d -prune -exec rm -rf {} +
+	find src tests client examples bench benchmarks docs -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -5,7 +5,7 @@
 
 Each seed is planned for robots that move at the same time and interrupted at random times of its schedule, where the
 motions that have begun are finished. From the state, the joint values, and the parts held and carried there, the rest
-of the assembly is planned again, with another seed: `sequential` by `plan_robots`, `together` by `plan_together`, both
+of the assembly is planned again, with another seed: `sequential` and `together` by `plan_robots`, both
 from structure and cell in memory, and `command` by `falsework robots plan --direction assembly --sequential`, all
 processes included. All times are CPU seconds. `holding` and `carrying` count the interruptions at which a robot holds a
 part in place, or carries one. Every plan is checked by Pinocchio and Coal unless `--no-check` is given. The structures
@@ -21,7 +21,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -38,7 +38,6 @@ from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.model.cell import Cell
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridSettings
-from falsework.robots.planning.plan_together import plan_together
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import load_robot_plan, save_robot_plan
 from falsework.robots.plans.timeline import Interruption, interruption
@@ -108,7 +107,7 @@ def main(arguments: Arguments) -> None:
     tried = found = good = holding = carrying = 0
     for seed in seeds:
         settings = HybridSettings(seed=seed, deadline=arguments.deadline)
-        plan = plan_together(assembly, cell, settings=settings).plan
+        plan = plan_robots(assembly, cell, settings=replace(settings, together=True)).plan
         if plan is None:
             continue
         for share in np.random.default_rng(seed).random(arguments.interruptions):
@@ -126,7 +125,7 @@ def main(arguments: Arguments) -> None:
             cpu["sequential"].append(time.process_time() - begun)
             rest.append(one)
             begun = time.process_time()
-            both = plan_together(assembly, cell, task=task, settings=settings, **given).plan
+            both = plan_robots(assembly, cell, task=task, settings=replace(settings, together=True), **given).plan
             cpu["together"].append(time.process_time() - begun)
             rest.append(both)
             with tempfile.TemporaryDirectory() as folder:

@@ -260,7 +260,7 @@ def _learning(assembly: Assembly, plan: Plan, scratch: Path) -> Iterator[tuple[s
     metadata = {
         "structure": describe_structure(assembly, {"built_in": "arch:blocks=3"}),
         "settings": to_dict(settings),
-        "policy": describe(policy),
+        "policy": describe(policy, settings.policy),
         "results": {},
         "versions": {},
     }

@@ -26,8 +26,7 @@ from falsework.assembly import Assembly, load_structure
 from falsework.search import PlannerSettings, find_plans
 from falsework.search.find import PLANS
 from falsework.stability import Replayer
-from falsework.stability.contact.ensemble_replay import EnsembleReplayer
-from falsework.stability.contact.varied_replay import DRAWS, replay_varied
+from falsework.stability.contact.varied_replay import DRAWS, EnsembleReplayer, replay_varied
 from falsework.stability.holds import HoldMode, HoldSettings
 from falsework.stability.judges import BuildJudge
 

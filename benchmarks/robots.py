@@ -18,8 +18,7 @@ memory to a proven plan with timed motions, compilation not counted. The last li
 `--together`: each seed is planned twice, one robot at a time and with robots that move at the same time;
 `makespan_share` is the makespan of the second over the first plan, `extra_seconds` its additional planning time,
 `extra_cpu_seconds` that of all its processes, and the check proves the schedule free of collisions under any delays,
-and `delayed` random runs of it are simulated. `second_plan` tells whether a second plan was there to choose from;
-`replanned_motions` were planned anew around other arms, by which the makespan fell by `replanning_saves` seconds.
+and `delayed` random runs of it are simulated.
 `--plans` writes the plans, so that `falsework robots check` can check them elsewhere.
 `--delays`: each seed is planned with robots that move at the same time, and its schedule checked under any delays, in
 the order of disassembly and reversed: `overlaps` pairs of motions and rests of two arms that can coincide, `early`
@@ -64,7 +63,6 @@ from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.model.shapes import inverse_pose, pose
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
-from falsework.robots.planning.plan_together import plan_together
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import save_robot_plan
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph
@@ -241,7 +239,7 @@ def together(name: str, arguments: Arguments) -> None:
         begun, work = time.perf_counter(), cpu_seconds()
         before = plan_robots(assembly, cell, settings=alone).plan
         middle, used = time.perf_counter(), cpu_seconds()
-        plan = plan_together(assembly, cell, settings=alone).plan
+        plan = plan_robots(assembly, cell, settings=replace(alone, together=True)).plan
         seconds, cpu = time.perf_counter() - middle, cpu_seconds() - used
         if before is None or plan is None or plan.schedule is None:
             both = {"found_sequential": before is not None, "cpu_seconds": round(cpu_seconds() - work, 1)}
@@ -269,9 +267,6 @@ def together(name: str, arguments: Arguments) -> None:
             extra_seconds=round(extra[-1], 1),
             extra_cpu_seconds=round(extra_cpu[-1], 1),
             search=plan.statistics["search"],
-            second_plan=plan.statistics["second_plan"],
-            replanned_motions=plan.statistics["replanned_motions"],
-            replanning_saves=plan.statistics["replanning_saves"],
             **fields,
             seeds=(seed,),
         )
@@ -362,7 +357,8 @@ def delays(name: str, arguments: Arguments) -> None:
     """Plan with several seeds in one built-in cell, and check the schedules under any delays."""
     assembly, cell = structure(STRUCTURES[name]), load_cell(name)
     for seed in range(arguments.first_seed, arguments.first_seed + arguments.seeds):
-        plan = plan_together(assembly, cell, settings=HybridSettings(seed=seed, deadline=arguments.deadline)).plan
+        settings = HybridSettings(seed=seed, deadline=arguments.deadline, together=True)
+        plan = plan_robots(assembly, cell, settings=settings).plan
         if plan is None or plan.schedule is None:
             report("robots delays", cell=name, robots=cell.robot_count, found=False, seeds=(seed,))
             continue

@@ -131,7 +131,7 @@ def _patch_supports() -> None:
 
     def around(call: Callable[..., Any], this: Any, *given: Any, **named: Any) -> None:
         call(this, *given, **named)
-        this.reaches = this.reaches[:1]
+        this.reach = 0
 
     _wrap(solver.CpuSolver, "__init__", around)
 
@@ -168,9 +168,9 @@ RULES: dict[str, Rule] = {
         _probe_few_ahead,
     ),
     "supports": Rule(
-        "Verdicts under `equilibrium` change forces along ways to supports; without it, near the change, or anywhere.",
+        "Verdicts under `equilibrium` change forces in a region; without it, anywhere.",
         _patch_supports,
-        _shown_by(_SOLVER, "CpuSolver", "__init__", lambda _, solver, *__, **___: len(solver.reaches) > 1),
+        _shown_by(_SOLVER, "CpuSolver", "__init__", lambda _, solver, *__, **___: solver.reach > 0),
     ),
 }
 """Rules by their names."""

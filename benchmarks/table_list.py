@@ -313,6 +313,19 @@ TABLES = {
             (record["data"], record["label"], record["rollouts"]) == ("width64", "reinforcement", 8192)
         ),
     ),
+    "paper-table-3": Table(
+        "learning",
+        STRUCTURE_AND_ROBOTS,
+        (
+            ("mean over draws, %", over_draws("success", "%")),
+            ("paper, %", "{paper.test:%}"),
+            ("seconds", "{seconds}"),
+        ),
+        benchmark="learning draws",
+        where=lambda record: (
+            (record["data"], record["label"], record["rollouts"]) == ("width64", "reinforcement", 8192)
+        ),
+    ),
     "pairs": Table(
         "learning",
         (*STRUCTURE, ("further searches", "{searches}")),

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import ast
-import contextlib
 import gc
-import io
-import os
 import re
 import sys
-import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +18,6 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent / "src"))
 
 from falsework import __version__  # noqa: E402
-from falsework.cli.main import COMMANDS, main  # noqa: E402
 
 project = "falsework"
 author = "The falsework authors"
@@ -31,7 +25,7 @@ project_copyright = "The falsework authors, Apache-2.0"
 version = release = __version__
 
 extensions = ["sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode", "myst_parser"]
-exclude_patterns = ["_build", "_generated", "pictures"]
+exclude_patterns = ["_build", "pictures"]
 nitpicky = False
 
 html_math_renderer = "mathml"
@@ -83,59 +77,46 @@ def _display_formula(translator: Any, node: nodes.math_block) -> None:
     raise nodes.SkipNode
 
 
-def _leave_out_of_search(app: Sphinx, _document: nodes.document) -> None:
-    """Leave the pages on decisions, which repeat the words of the manual, out of the search."""
-    if app.env.docname.startswith("decisions/"):
-        app.env.metadata[app.env.docname]["nosearch"] = True
-
-
 def setup(app: Sphinx) -> None:
     """Connect what is defined here."""
-    app.connect("doctree-read", _leave_out_of_search)
     # Formulas as MathML: every browser shows it, without scripts from elsewhere.
     app.add_html_math_renderer(
         "mathml", inline_renderers=(_inline_formula, None), block_renderers=(_display_formula, None)
     )
     # Before napoleon, which takes the first colon for the end of a type even inside code.
     app.connect("autodoc-process-docstring", _code_in_backticks, priority=400)
+    app.connect("doctree-read", _leave_out_of_search)
+    app.connect("source-read", _link_to_copies)
 
 
-def _write_help_texts() -> None:
-    """Help texts as the command prints them, for the page on the command line."""
-    folder = HERE / "_generated"
-    folder.mkdir(exist_ok=True)
-    os.environ["COLUMNS"] = "84"
-    for name in ["", *COMMANDS]:
-        text = io.StringIO()
-        with contextlib.redirect_stdout(text):
-            code = main([*name.split(), "--help-all" if name else "--help"])
-        if code != 0:
-            raise RuntimeError(f"falsework {name} --help failed")
-        lines = [line if line[:1] in ("", " ") else textwrap.fill(line, 84) for line in text.getvalue().splitlines()]
-        page = f"help-{name.replace(' ', '-') or 'falsework'}.txt"
-        (folder / page).write_text("\n".join(lines) + "\n", encoding="utf-8")
+def _copy(source: str, name: str, replaced: dict[str, str]) -> None:
+    """Copy a page from elsewhere in the repository to where Sphinx finds it, with links as from there."""
+    text = (HERE.parent / source).read_text(encoding="utf-8")
+    for pattern, link in replaced.items():
+        text = re.sub(pattern, link, text)
+    (HERE / "_generated").mkdir(exist_ok=True)
+    (HERE / "_generated" / name).write_text(text, encoding="utf-8")
 
 
-def _write_benchmarks() -> None:
-    """Write the descriptions of the benchmarks, for the page on benchmarks."""
-    texts = []
-    for path in sorted((HERE.parent / "benchmarks").glob("[!_]*.py")):
-        about = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
-        first, _, rest = about.partition("\n")
-        if f"benchmarks/{path.name}" in rest:  # others are helpers without a command line
-            texts.append(f"## {path.name}\n\n{first}\n\n```text\n{rest.strip()}\n```\n")
-    (HERE / "_generated" / "benchmarks.md").write_text("\n".join(texts), encoding="utf-8")
+def _link_to_copies(_app: Sphinx, name: str, text: list[str]) -> None:
+    """Let links to the results lead to their copy."""
+    up = "../" * name.count("/")
+    text[0] = text[0].replace(f"]({up}../benchmarks/RESULTS.md", f"]({up}_generated/results.md")
 
 
-def _write_results() -> None:
-    """Write the results as a part of the page on benchmarks: one level lower, and with links that hold there."""
-    text = (HERE.parent / "benchmarks" / "RESULTS.md").read_text(encoding="utf-8")
-    text = re.sub(r"\[[^]]*\]\((results[^)]*)\)", r"`benchmarks/\1`", text)
-    text = re.sub(r"\[([^]]*)\]\(\.\./README\.md[^)]*\)", r"\1", text)
-    text = re.sub(r"^#", "##", text, flags=re.MULTILINE)
-    (HERE / "_generated" / "results.md").write_text(text, encoding="utf-8")
+def _leave_out_of_search(app: Sphinx, _document: nodes.document) -> None:
+    """Leave the pages on decisions, which repeat the words of the manual, out of the search."""
+    if app.env.docname.startswith("decisions/"):
+        app.env.metadata[app.env.docname]["nosearch"] = True
 
 
-_write_help_texts()
-_write_benchmarks()
-_write_results()
+_copy("CHANGELOG.md", "changelog.md", {r"\]\(docs/": "](../"})
+_copy(
+    "benchmarks/RESULTS.md",
+    "results.md",
+    {
+        r"\]\(\.\./docs/": "](../",
+        r"\[[^]]*\]\((results[^)]*)\)": r"`benchmarks/\1`",
+        r"\[([^]]*)\]\(\.\./README\.md[^)]*\)": r"\1",
+    },
+)

@@ -30,6 +30,7 @@ def main() -> None:
         "two-walls": diagrams.two_walls,
         "equilibrium-plan": commands.equilibrium_plan,
         "press": commands.press,
+        "sheet": commands.sheet,
         "arch-stands.svg": commands.arch_that_stands,
         "arch-falls.svg": commands.arch_that_falls,
         "state-graph": commands.state_graph,

@@ -15,11 +15,12 @@ from pathlib import Path
 
 from falsework.assembly import load_structure
 from falsework.robots import (
+    HybridSettings,
     Precedence,
     RobotPlan,
     load_cell,
     nodes_of,
-    plan_together,
+    plan_robots,
 )
 
 CELL = """
@@ -112,7 +113,7 @@ def main() -> None:
         file.write_text(CELL)
         cell = load_cell(file)
     structure = load_structure("stack:blocks=2,length=0.3,height=0.15,depth=0.3")
-    plan = plan_together(structure, cell).plan
+    plan = plan_robots(structure, cell, settings=HybridSettings(together=True)).plan
     assert plan is not None
     print(f"planned: {plan.makespan:.1f} s; one motion after the other {plan.seconds:.1f} s")
     for late in ({}, {1: 2.0}):

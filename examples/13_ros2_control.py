@@ -25,7 +25,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from falsework.assembly import load_structure
-from falsework.robots import Cell, export_plan, load_cell, plan_together
+from falsework.robots import Cell, HybridSettings, export_plan, load_cell, plan_robots
 
 CELL = """
 format = "falsework.cell/1"
@@ -249,7 +249,7 @@ def main() -> None:
         (folder / "cell.toml").write_text(CELL)
         cell = load_cell(folder / "cell.toml")
         structure = load_structure("stack:blocks=2,length=0.2,height=0.15,depth=0.2")
-        plan = plan_together(structure, cell).plan
+        plan = plan_robots(structure, cell, settings=HybridSettings(together=True)).plan
         assert plan is not None
         (file,) = export_plan(plan, folder, "ros2-goals", joint_prefix=PREFIX, cell=cell)
         content = json.loads(file.read_text())

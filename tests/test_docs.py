@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import shlex
 import tomllib
@@ -17,7 +18,11 @@ from falsework.assembly.store import save_assembly
 from falsework.cli.main import COMMANDS, main
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").rglob("*.md"))]
+MADE = {"_build", "_generated"}
+PAGES = [
+    REPOSITORY / "README.md",
+    *(page for page in sorted((REPOSITORY / "docs").rglob("*.md")) if not MADE & set(page.parts)),
+]
 # What the pages call the reader's own files; made here so that the commands run.
 OWN = ("my-folder", "my-vault")
 
@@ -33,6 +38,14 @@ def own_structure(folder: str) -> None:
 def blocks(page: Path, language: str) -> list[str]:
     """Code blocks of a page in one language."""
     return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+
+
+def in_few_steps(words: list[str]) -> list[str]:
+    """Return a command that trains for minutes with a few steps of the optimizer instead."""
+    if words[1] != "train" or "--minutes" not in words:
+        return words
+    place = words.index("--minutes")
+    return [*words[:place], "--steps", "10", *words[place + 2 :]]
 
 
 @pytest.fixture
@@ -73,6 +86,7 @@ def test_commands_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         for line in block.splitlines():
             words = shlex.split(line, comments=True)
             if words[:1] == ["falsework"]:
+                words = in_few_steps(words)
                 said = re.search(r"#.*\bexit code (\d+)", line)
                 assert main(words[1:]) == (int(said[1]) if said else 0), line
 
@@ -103,16 +117,49 @@ def test_examples_in_help_texts_run(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         "picture",
     ):
         for example in entry._command_class(name).examples:
-            words = shlex.split(example)
+            words = in_few_steps(shlex.split(example))
             assert words[:2] == ["falsework", name]
             if not {"shell.glb", "model.3dm", "--cell"} & set(words):
                 assert main(words[1:]) == 0, example
 
 
 def test_every_command_is_in_the_documentation() -> None:
-    text = (REPOSITORY / "docs" / "cli.md").read_text(encoding="utf-8")
+    """On a page of its own, which the list of pages names."""
+    listed = (REPOSITORY / "docs" / "cli.md").read_text(encoding="utf-8")
+    pages = {path.stem for path in (REPOSITORY / "docs" / "cli").glob("*.md")}
+    assert pages == {name.replace(" ", "-") for name in COMMANDS}
     for name in COMMANDS:
-        assert f"## falsework {name}\n" in text
+        page = REPOSITORY / "docs" / "cli" / f"{name.replace(' ', '-')}.md"
+        assert page.read_text(encoding="utf-8").startswith(f"# falsework {name}\n")
+        assert f"<!-- from the source: help {name} -->" in page.read_text(encoding="utf-8")
+        assert f"(cli/{page.name})" in listed
+
+
+def test_what_pages_take_from_the_source_is_up_to_date(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`make reference` writes it; the width of frames does not count."""
+    monkeypatch.syspath_prepend(str(REPOSITORY / "docs"))
+    reference = importlib.import_module("reference")
+    pages = list(reference.pages())
+    assert len(pages) > len(COMMANDS)
+    stale = [
+        name_of(page)
+        for page, wanted in pages
+        if reference.words_of(page.read_text(encoding="utf-8")) != reference.words_of(wanted)
+    ]
+    assert stale == [], "run: make reference"
+
+
+def test_pages_read_well_as_files() -> None:
+    """As hosts of code show them: text in every link, pictures and texts in the page itself, no roles of Sphinx."""
+    for page in PAGES:
+        whole = page.read_text(encoding="utf-8")
+        text = re.sub(r"^( *)```.*?^\1```", "", whole, flags=re.DOTALL | re.MULTILINE)
+        assert "[](" not in text, f"{name_of(page)} has a link without text"
+        assert not re.search(r"\{\w+\}`", text), f"{name_of(page)} has a role of Sphinx"
+        shown = re.findall(r"^ *```\{([\w-]+)\}", whole, re.MULTILINE)
+        assert set(shown) <= {"toctree", "eval-rst"}, f"{name_of(page)} has blocks that only Sphinx shows"
+        words = re.sub(r"^```\{.*?^```|<!--.*?-->|^# [^\n]*", "", whole, flags=re.DOTALL | re.MULTILINE).split()
+        assert len(words) > 10, f"{name_of(page)} says nothing by itself"
 
 
 def test_make_targets_exist() -> None:
@@ -120,6 +167,16 @@ def test_make_targets_exist() -> None:
     for page in (REPOSITORY / "README.md", REPOSITORY / "CONTRIBUTING.md", REPOSITORY / "docs" / "index.md"):
         for target in re.findall(r"^make (\w+)", page.read_text(encoding="utf-8"), re.MULTILINE):
             assert re.search(rf"^{target}:", makefile, re.MULTILINE), f"{page.name} names make {target}"
+
+
+def test_smoke_tests_touch_every_layer() -> None:
+    makefile = (REPOSITORY / "Makefile").read_text(encoding="utf-8").replace("\\\n", " ")
+    chosen = re.search(r"^SMOKE := (.*)$", makefile, re.MULTILINE)
+    assert chosen is not None
+    places = chosen[1].split()
+    assert all((REPOSITORY / place).exists() for place in places)
+    layers = {path.name for path in (REPOSITORY / "tests").iterdir() if path.is_dir() and any(path.rglob("test_*.py"))}
+    assert {place.split("/")[1] for place in places} >= layers - {"benchmarks"}
 
 
 def test_links_lead_somewhere() -> None:

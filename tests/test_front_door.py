@@ -5,11 +5,12 @@ from __future__ import annotations
 import ast
 import importlib
 import inspect
+import os
 import pkgutil
 import re
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -19,10 +20,10 @@ import numpy as np
 import pytest
 
 import falsework as fw
-from falsework.assembly import Assembly, complete_state, register_reader
-from falsework.assembly import load as loading
-from falsework.errors import InputError, PlanError
+from falsework.assembly import Assembly, complete_state
+from falsework.errors import DependencyError, InputError, PlanError, ReadWarning
 from falsework.search import Outcome, plan_to_dict, structure_of_plan, task_of
+from falsework.utils.files import formats as registry
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 ROOMS = ("assembly", "geometry", "interop", "learn", "replanning", "robots", "search", "service", "stability", "viewer")
@@ -259,25 +260,80 @@ def test_one_function_reads_every_structure(arch: Assembly, tmp_path: Path) -> N
         fw.export(arch, tmp_path / "arch.xyz", format="xyz")
 
 
-def is_mine(path: Path) -> bool:
-    return path.suffix == ".mine"
+PACKAGE = """
+from pathlib import Path
+
+import falsework as fw
+from falsework import Exporter, Reader
 
 
-def read_mine(path: Path, **options: float) -> Assembly:
+def load(path, **options):
     return fw.load_structure(path.read_text(), **options)
 
 
-def test_other_formats_can_be_registered(arch: Assembly, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(loading, "_READERS", [])
-    monkeypatch.setitem(sys.modules, "my_reader", sys.modules[__name__])
-    (tmp_path / "arch.mine").write_text("arch:blocks=5")
-    with pytest.raises(InputError):
-        fw.load_structure(tmp_path / "arch.mine")
-    for _ in range(2):
-        register_reader("my_reader:is_mine", "my_reader:read_mine")
-    assert len(loading._READERS) == 1
-    assert fw.load_structure(tmp_path / "arch.mine").identity == arch.identity
-    assert fw.load_structure(tmp_path / "arch.mine", friction=0.9).friction == 0.9
+def write(path, assembly, plan, step_seconds=1.0):
+    Path(path).write_text(f"{assembly.name} {0 if plan is None else len(plan)} {step_seconds}")
+
+
+READER = Reader((".mine",), load, recognizes=lambda path: path.read_text().startswith("arch"))
+EXPORTER = Exporter(write, (".mine",), ("Assembly", "Plan"), ("step_seconds",))
+"""
+
+
+@pytest.fixture
+def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Another package with a format of its own, found as installed packages are."""
+    (tmp_path / "my_format.py").write_text(PACKAGE)
+    metadata = tmp_path / "my_format-1.0.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: my-format\nVersion: 1.0\n")
+    groups = {"readers": "READER", "exporters": "EXPORTER"}
+    text = "".join(f"[falsework.{group}]\nmine = my_format:{name}\n" for group, name in groups.items())
+    (metadata / "entry_points.txt").write_text(text)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    registry._points.cache_clear()
+    yield tmp_path
+    registry._points.cache_clear()
+    sys.modules.pop("my_format", None)
+
+
+def test_another_package_adds_a_format(arch: Assembly, plan: fw.Plan, plugin: Path) -> None:
+    file = plugin / "arch.mine"
+    file.write_text("arch:blocks=5")
+    loaded = fw.load(file)
+    assert isinstance(loaded, Assembly)
+    assert loaded.identity == fw.load_structure(file).identity == arch.identity
+    assert fw.load_structure(file, friction=0.9).friction == 0.9
+    fw.save(arch, plugin / "out.mine")
+    assert (plugin / "out.mine").read_text() == "arch:blocks=5 0 1.0"
+    fw.export(plan, plugin / "plan.mine", arch, step_seconds=2.0)
+    assert (plugin / "plan.mine").read_text() == f"arch:blocks=5 {len(plan)} 2.0"
+    file.write_text("dome")
+    with pytest.raises(InputError, match=r"cannot read .*arch.mine; a structure is .* mine \(\.mine\)"):
+        fw.load_structure(file)
+    with pytest.raises(InputError, match="--azimuth is no option of mine; leave it out"):
+        fw.export(plan, plugin / "plan.mine", arch, azimuth=3.0)
+
+
+def test_the_command_knows_formats_of_other_packages(plugin: Path) -> None:
+    command = [sys.executable, "-m", "falsework", "export", "arch:blocks=5", "--out"]
+    paths = os.pathsep.join(entry for entry in sys.path if entry)
+    for words in ((plugin / "out.mine",), (plugin / "other", "--format", "mine")):
+        done = subprocess.run([*command, *map(str, words)], env={**os.environ, "PYTHONPATH": paths}, check=False)
+        assert done.returncode == 0
+        assert Path(words[0]).read_text() == "arch:blocks=5 0 1.0"
+
+
+def test_a_format_that_cannot_be_imported_is_left_out(plugin: Path) -> None:
+    (plugin / "my_format.py").write_text("import a_package_that_is_not_there")
+    with pytest.warns(ReadWarning, match="the format mine of my_format:READER cannot be used: No module named 'a_pack"):
+        assert "mine" not in registry.formats(registry.READERS)
+
+
+def test_without_an_installation_there_are_no_formats(plugin: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: ())
+    with pytest.raises(DependencyError, match="it is not installed; pip install -e that folder"):
+        registry.formats(registry.READERS)
 
 
 def test_the_structure_of_a_plan_is_found(arch: Assembly, plan: fw.Plan, tmp_path: Path) -> None:

@@ -44,5 +44,5 @@ def policy_cost(
             logits, value = policy(states)
             (logits.sum() + value.sum()).backward()
         operations = {"flops_forward": forward // batch, "flops_training": both.get_total_flops() // batch}
-        rows.append({**describe(policy), **operations})
+        rows.append({**describe(policy, one), **operations})
     return rows

@@ -165,7 +165,7 @@ def compare_networks(
         policy = make_policy(assembly, one, bench.device, seed)
         begin = time.perf_counter()
         trained, steps = bench.imitate(policy, budget, batch=batch, seed=seed)
-        about = describe(trained)
+        about = describe(trained, one)
         yield {
             "kind": one.kind,
             "parameters": about["parameters"],

@@ -49,6 +49,25 @@ def vault_plan(path: Path) -> None:
         run("picture", plan, "--out", str(path))
 
 
+def sheet(path: Path) -> None:
+    """Cover and first steps of an instruction sheet, pages of a PDF side by side."""
+    import numpy as np
+    import pypdfium2
+    from PIL import Image
+
+    with tempfile.TemporaryDirectory() as folder:
+        plan, file = (str(Path(folder) / name) for name in ("plan.json", "sheet.pdf"))
+        run("plan", "arch:blocks=9", "--robots", "2", "--out", plan)
+        run("export", plan, "--out", file)
+        document = pypdfium2.PdfDocument(file)
+        pages = [np.array(document[number].render(scale=0.9).to_pil().convert("RGB")) for number in (0, 1)]
+        document.close()
+    for page in pages:
+        page[[0, -1]] = page[:, [0, -1]] = 190  # the edge of the paper
+    gap = np.full((pages[0].shape[0], 12, 3), 255, dtype=np.uint8)
+    Image.fromarray(np.hstack([pages[0], gap, pages[1]])).save(path, optimize=True)
+
+
 def press(path: Path) -> None:
     """First step of a plan for a vault of 126 parts in which a robot presses, with all forces."""
     with tempfile.TemporaryDirectory() as folder:

@@ -36,6 +36,8 @@ from falsework.stability import Stability as Stability
 from falsework.stability import StabilitySettings as StabilitySettings
 from falsework.stability import Verdict as Verdict
 from falsework.stability import verify_certificates as verify_certificates
+from falsework.utils.files.formats import Exporter as Exporter
+from falsework.utils.files.formats import Reader as Reader
 from falsework.viewer import animate as animate
 from falsework.viewer import open_file as open_file
 from falsework.viewer import picture as picture

@@ -53,6 +53,10 @@ class ReadWarning(UserWarning):
     """Content of a file that the structure does not have, or has in another way than the file."""
 
 
+class ExportWarning(UserWarning):
+    """Property of a structure that a file of another program does not hold."""
+
+
 class SolverError(FalseworkError):
     """Failure of a numerical library where the mathematics excludes one."""
 

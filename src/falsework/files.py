@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 from falsework.assembly.load import load_structure
 from falsework.assembly.model import Assembly
-from falsework.assembly.store import save_assembly
 from falsework.errors import InputError
 from falsework.robots.cells.cell_file import load_cell
 from falsework.robots.model.cell import Cell
@@ -16,6 +15,7 @@ from falsework.robots.plans.robot_plan_file import load_robot_plan, save_robot_p
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_file import load_plan, save_plan
 from falsework.search.problem.state_graph import StateGraph, load_state_graph, save_state_graph
+from falsework.utils.files.formats import exporter_by_suffix, write_format
 from falsework.utils.json_file import read_format
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def save(thing: Assembly | Plan | RobotPlan | StateGraph, path: Path | str, *, p
 
     Args:
         thing: what to write.
-        path: file to write; of a structure a folder, which must be new or empty.
+        path: file to write; of a structure a folder, which must be new or empty, or a file of an export format.
         proofs: write the proofs of the states of a plan too.
 
     Raises:
@@ -87,7 +87,7 @@ def save(thing: Assembly | Plan | RobotPlan | StateGraph, path: Path | str, *, p
     elif isinstance(thing, StateGraph):
         save_state_graph(thing, path)
     elif isinstance(thing, Assembly):
-        save_assembly(thing, path)
+        write_format((exporter_by_suffix(path) if Path(path).suffix else None) or "folder", path, thing)
     else:
         raise InputError(
             f"{type(thing).__name__} has no file; save an assembly, a plan, a robot plan or a state graph; results of "

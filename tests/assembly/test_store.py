@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from falsework.assembly import Assembly, load_assembly, load_structure, save_assembly
+from falsework.assembly.assembly_model import ContactEntry
 from falsework.errors import AssemblyError, InputError, ReadWarning
 from falsework.geometry import ContactSettings, TriangleMesh
 from falsework.geometry.mesh.obj import obj_text
@@ -112,12 +115,12 @@ def test_one_file_with_its_description_beside_it(tmp_path: Path):
     ("changes", "message"),
     [
         ({"format": "falsework.assembly/2"}, r"format 'falsework.assembly/2'; this version reads"),
-        ({"friction": "high"}, "friction in .* is 'high'; expected"),
-        ({"friction": True}, "friction in"),
+        ({"friction": "high"}, "friction is 'high'; give a number"),
+        ({"friction": True}, "friction is True; give a number"),
         ({"friction": -1}, "friction is -1"),
-        ({"density": {}}, "density in"),
+        ({"density": {}}, r"density is \{\}; give a number or a list"),
         ({"density": 0}, "density of part 0 is 0"),
-        ({"boundary": 0}, "boundary in"),
+        ({"boundary": 0}, "boundary is 0; give a list"),
         ({"boundary": [7]}, "boundary part 7 does not exist"),
         ({"boundary": [0, 0]}, "part 0 twice"),
         ({"boundary": ["roof"]}, "boundary is part 'roof', which does not exist; give an id from 0 to 2 or a name"),
@@ -126,19 +129,19 @@ def test_one_file_with_its_description_beside_it(tmp_path: Path):
         ({"boundary": [[0], "0"]}, "boundary parts are"),
         ({"boundary": []}, "--ground"),
         ({"unit": "furlong"}, "unknown unit 'furlong'"),
-        ({"unit": 3}, "unit in"),
+        ({"unit": 3}, "unit is 3; give a text"),
         ({"parts": 4}, "has 3 meshes, but assembly.json says 4"),
         ({"frictoin": 0.3}, "has the entry 'frictoin', which is unknown; write 'friction'"),
         ({"load": []}, "has the entry 'load', which is unknown; write 'loads'"),
         ({"names": ["a", "b"]}, "names in assembly.json must be 3"),
         ({"names": ["a", "a", "b"]}, "names in assembly.json must be 3"),
-        ({"names": [1, 2, 3]}, "must be strings"),
-        ({"contact": {"slack": 1}}, "'slack'; it may have gap, overlap"),
+        ({"names": [1, 2, 3]}, r"names\[0\] is 1; give a text"),
+        ({"contact": {"slack": 1}}, "contact.slack is not known; known are angle, corner"),
         ({"contact": {"gap": -1}}, "gap is -1"),
-        ({"contact": {"gap": "wide"}}, "contact in .* has the gap 'wide'; give a number"),
-        ({"contact": {"gap": []}}, r"contact in .* has the gap \[\]; give a number"),
-        ({"contact": {"angle": True}}, "has the angle True; give a number"),
-        ({"contact": []}, "contact in"),
+        ({"contact": {"gap": "wide"}}, "contact.gap is 'wide'; give a number"),
+        ({"contact": {"gap": []}}, r"contact.gap is \[\]; give a number"),
+        ({"contact": {"angle": True}}, "contact.angle is True; give a number"),
+        ({"contact": []}, r"contact is \[\]; give an object"),
     ],
 )
 def test_a_wrong_description_gets_one_line(folder: Path, changes: dict, message: str):
@@ -209,3 +212,7 @@ def test_structures_by_name(folder: Path, monkeypatch):
     with pytest.warns(ReadWarning, match="arch is a folder or file here, which is read, and .* which is arch:"):
         assert load_structure("arch").name == "door", "the user means what is there"
     assert load_structure("arch:").name == "arch"
+
+
+def test_the_model_has_the_tolerances_of_contacts() -> None:
+    assert structs.asdict(ContactEntry()) == asdict(ContactSettings())

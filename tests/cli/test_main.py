@@ -124,7 +124,7 @@ def test_wrong_usage_is_one_line(arguments: list[str], hint: str, capsys: pytest
         ("plan arch --props 1.5", "--props is '1.5'; give a whole number"),
         ("plan arch --robots", "--robots has no value; give one"),
         ("replan --cell dome-37", "an argument is missing, or an option does not exist; for help"),
-        ("train arch --policy cnn", "--policy is 'cnn'; choose gat, local, mlp, resmlp, transformer; for help"),
+        ("train arch --policy cnn", "unknown policy kind 'cnn'; choose resmlp, transformer, local, gat, mlp, or"),
         ("plna arch", "there is no subcommand 'plna'; perhaps you meant: plan; for all, run falsework --help"),
         ("robot plan", "there is no subcommand 'robot'; perhaps you meant: robots plan; for all"),
     ],

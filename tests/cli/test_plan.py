@@ -508,3 +508,10 @@ def test_the_real_vault(falsework: Run, shared_assembly: Callable[[str], Path], 
     out = tmp_path / "plan.json"
     assert falsework("plan", shared_assembly("vault-62"), "--robots", 2, "--out", out).code == 0
     assert falsework("check", out).code == 0
+
+
+def test_a_structure_without_a_free_part_has_no_plan(falsework: Run, tmp_path: Path) -> None:
+    done = falsework("plan", "arch:blocks=3", "--boundary", "0-4", "--out", tmp_path / "plan.json")
+    assert done.code == 2
+    assert "every part of arch:blocks=3 is boundary, so there is nothing to plan; fix fewer parts" in done.error
+    assert not (tmp_path / "plan.json").exists()

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
 from falsework.search import load_plan
@@ -23,7 +25,7 @@ def test_props_and_what_shows_them(falsework: Run, tmp_path: Path) -> None:
     for prop in plan.props:  # where they stand
         assert f"a prop under {plan.part_names[prop.part]}: from the floor at {prop.floor:.3f} to" in finished.out
     told = falsework("plan", "arch:blocks=7", *options, "--json").answer["plans"][0]["props"]
-    assert told == [prop.to_dict() for prop in plan.props]
+    assert told == json.loads(msgspec.json.encode(plan.props))
     checked = falsework("check", out, "--ground", "--replay", "--json")
     assert checked.code == 0, checked.error
     assert checked.answer["ok"]

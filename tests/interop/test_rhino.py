@@ -47,7 +47,7 @@ class Rhino(ModuleType):
 
 def test_the_script_writes_a_structure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = PAGE.read_text(encoding="utf-8")
-    (script,) = re.findall(r"^```\{code-block\} python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    (script,) = re.findall(r"^```py\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
     arch = load_structure("arch:blocks=5")
     monkeypatch.setitem(sys.modules, "rhinoscriptsyntax", Rhino(arch, tmp_path))
     exec(compile(script, PAGE.name, "exec"), {"__name__": "__main__"})

@@ -755,7 +755,7 @@ def _(folder: Path) -> Case:
 
 @case("assembly.json", "names of parts that are empty")
 def _(folder: Path) -> Case:
-    return Case(pair(folder, names=["low", " "]), says="must be strings that are not empty")
+    return Case(pair(folder, names=["low", " "]), says=r"names\[1\] is ' '; give a text that is not blank")
 
 
 @case("assembly.json", "loads on parts that are boundary")

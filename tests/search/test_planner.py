@@ -311,3 +311,10 @@ def test_built_in_structures_have_plans(name: str) -> None:
     planning = find_plans(assembly)
     assert planning.found
     assert validate_proofs(planning.plans[0], assembly).good
+
+
+def test_a_rule_that_does_not_exist_is_named() -> None:
+    with pytest.raises(InputError, match="find_plans takes no 'robot'; did you mean 'robots'"):
+        find_plans("arch:blocks=3", robot=2)  # type: ignore[call-arg]
+    with pytest.raises(InputError, match=r"find_plans takes no 'xyz'$"):
+        find_plans("arch:blocks=3", xyz=2)  # type: ignore[call-arg]

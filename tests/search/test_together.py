@@ -513,16 +513,16 @@ def test_a_plan_that_moves_one_part_at_a_time_is_written_as_before(shelf: Assemb
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"parts": [3]}, "step 4 does 'insert' with parts \\[3\\]"),
-        ({"parts": [3, 3]}, "step 4: parts names a part twice"),
+        ({"parts": [3]}, "steps\\[3\\].parts is \\[3\\]; give a list of length >= 2"),
+        ({"parts": [3, 3]}, "steps\\[3\\].parts names a part twice"),
         ({"parts": [2, 3]}, "step 4 does 'insert' with parts \\[2, 3\\]"),
-        ({"parts": [3, 9]}, "step 4: parts is not a list of part numbers from 0 to 4"),
+        ({"parts": [3, 9]}, "steps\\[3\\].parts\\[1\\] is 9; it must be a part from 0 to 4"),
         ({"parts": [3, 4]}, "step 4 cannot insert part 4, which is there already"),
         ({"parts": [3, 1]}, "step 4 cannot insert part 1, which is there already"),
-        ({"held": 0}, "step 4: held is 0"),
+        ({"held": 0}, "steps\\[3\\].held is 0; give a whole number >= 1"),
         ({"held": 3}, "step 4 holds 3 of 2 parts"),
-        ({"held": None}, "step 4: held is None"),
-        ({"parts": None}, "step 4: parts is not a list"),
+        ({"held": None}, "step 4 has only one of parts and held"),
+        ({"parts": None}, "step 4 has only one of parts and held"),
         ({"held": 2}, "step 4 needs 3 robots, but the plan has 2"),
     ],
 )
@@ -542,6 +542,9 @@ def test_a_reader_without_such_steps_refuses_the_file(plan: Plan) -> None:
         plan_from_dict(data)
     with pytest.raises(PlanError, match=r"rules.parts_at_once is 0"):
         plan_from_dict(data | {"rules": data["rules"] | {"parts_at_once": 0}})
+    rules = {"parts_at_once": 2, "removable_only_if_clear": False}
+    with pytest.raises(PlanError, match=r"parts move at once only with rules.removable_only_if_clear"):
+        plan_from_dict(data | {"rules": data["rules"] | rules})
 
 
 def without(plan: Plan, **changes: Any) -> Plan:

@@ -15,7 +15,8 @@ from prometheus_client.parser import text_string_to_metric_families
 from falsework.assembly.state import complete_state, empty_state
 from falsework.search import validate_plan
 from falsework.search.plans.plan import Plan
-from falsework.search.plans.plan_file import plan_from_dict, plan_schema
+from falsework.search.plans.plan_file import plan_from_dict
+from falsework.search.plans.plan_model import plan_schema
 from falsework.stability import Stability, StabilitySettings
 
 HALF = [1, 2, 0, 2, 1, 2, 2]
@@ -206,8 +207,8 @@ def test_a_plan_goes_on_from_its_step_without_a_late_part(live: Any) -> None:
         ({"plan": {"format": "falsework.plan/4"}}, "plan: "),
         ({"plan": None}, "step 2 is of no plan"),
         ({"plan": None, "step": None, "state": {"standing": [0], "held": [0]}}, "both stands by itself and is held"),
-        ({"plan": None, "step": None, "state": {"lying": [0]}}, "an object with the parts standing and held"),
-        ({"missing": [2.5]}, "missing 0: give numbers from 0 to 6 or names of parts"),
+        ({"plan": None, "step": None, "state": {"lying": [0]}}, "state.lying is not known; known are held, standing"),
+        ({"missing": [2.5]}, "missing[0] is 2.5; give a whole number or a text"),
     ],
 )
 def test_a_wrong_step_gets_one_line(change: dict[str, Any], message: str, live: Any) -> None:

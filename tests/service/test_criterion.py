@@ -8,14 +8,14 @@ from typing import Any
 import jsonschema
 import numpy as np
 import pytest
+from msgspec import convert
 
 pytest.importorskip("fastapi", reason="the service needs fastapi; pip install 'falsework[service]'")
 
 from falsework.assembly import Assembly
 from falsework.assembly.library.blocks import box, gather
 from falsework.errors import InputError
-from falsework.service.schema import components, models_of, read_holds
-from falsework.service.settings import ServiceSettings
+from falsework.service.schema import Holds, components, read_holds
 from falsework.service.worker import Item, WorkerConfig, _Judge, _Planner
 from falsework.stability.holds import HoldMode, HoldSettings
 
@@ -53,7 +53,7 @@ def test_verdicts(criterion: Any, verdict: str, proof: str, moving: list[int], c
         assert (first["verdict"], first["proof"]) == (verdict, proof)
         assert held["verdict"] == "stable"
         assert held["proof"] == ("displacement" if criterion == "contact" else "forces")
-        schemas = components(models_of(clamp, ServiceSettings()))
+        schemas = components()
         jsonschema.validate(answer, {**schemas["StabilityAnswer"], "components": {"schemas": schemas}})
     assert [record["moving"] for record in pipe.answers[0]["verdicts"]] == [moving, []]
 
@@ -68,20 +68,19 @@ def test_plans(criterion: Any, clamp: Assembly, monkeypatch: pytest.MonkeyPatch)
     answer = pipe.answers[0]
     assert answer["criterion"] == criterion
     assert (answer["outcome"] == "found") == (criterion == "equilibrium")
-    schemas = components(models_of(clamp, ServiceSettings()))
+    schemas = components()
     jsonschema.validate(answer, {**schemas["ReplanAnswer"], "components": {"schemas": schemas}})
     assert [plan["stability"]["criterion"] for plan in answer["plans"]] == ["equilibrium"] * len(answer["plans"])
 
 
 def test_robots_have_limits_under_contact_alone(clamp: Assembly) -> None:
-    model = models_of(clamp, ServiceSettings()).replan
     for given, holds in (
         ({}, HoldSettings()),
         ({"holds": {}}, HoldSettings()),
         ({"holds": {"force": 1e6, "mode": "locked"}}, HoldSettings(force=1e6, mode=HoldMode.LOCKED)),
         ({"holds": {"stiffness": None, "force": None}}, HoldSettings(np.inf, np.inf)),
     ):
-        assert read_holds(model.model_validate(given), clamp, "contact") == holds
-    assert read_holds(model.model_validate({}), clamp, "equilibrium") == HoldSettings()
+        assert read_holds(convert(given.get("holds", {}), Holds), clamp, "contact") == holds
+    assert read_holds(Holds(), clamp, "equilibrium") == HoldSettings()
     with pytest.raises(InputError, match="holds: under equilibrium robots hold with any force"):
-        read_holds(model.model_validate({"holds": {"mode": "locked"}}), clamp, "equilibrium")
+        read_holds(Holds(mode=HoldMode.LOCKED), clamp, "equilibrium")

@@ -24,7 +24,6 @@ from falsework.stability import (
     StabilitySettings,
     Verdict,
     Verdicts,
-    certificate,
     verify_certificates,
 )
 from falsework.stability.certificate import (
@@ -133,9 +132,8 @@ def along_a_plan() -> tuple[Assembly, NDArray, NDArray]:
 
 
 @pytest.fixture(params=["together", "changes"])
-def residual_along(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Any:
+def residual_along(request: pytest.FixtureRequest) -> Any:
     """Return residuals of states all at once, or one after the other only where they change."""
-    monkeypatch.setattr(certificate, "_MANY_POINTS", 0)
     return residual_of_forces if request.param == "together" else residuals_in_order
 
 

@@ -26,6 +26,7 @@ from falsework.stability import (
 from falsework.stability.certificate import CONTACT
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.problem import build_problem
+from falsework.stability.verdict import Verdict
 
 
 @pytest.fixture(scope="module")
@@ -470,3 +471,8 @@ def test_unknown_choices_are_named() -> None:
         StabilitySettings(criterion="equilibrium", solver="magic")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="octagon or quadratic"):
         StabilitySettings(criterion="equilibrium", cone="pyramid")  # type: ignore[arg-type]
+
+
+def test_verdicts_are_written_as_words() -> None:
+    assert [str(Verdict(value)) for value in (1, 0, -1)] == ["stable", "undecided", "unstable"]
+    assert f"{Verdict.SLIDES} {Verdict.SLIDES:d}" == "slides -2"

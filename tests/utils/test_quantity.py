@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from falsework.utils.quantity import format_quantity, parse_quantity
+from falsework.utils.quantity import counted, format_quantity, parse_quantity
 
 
 @pytest.mark.parametrize(
@@ -45,3 +45,8 @@ def test_what_is_written_is_read(kind: str) -> None:
             text = format_quantity(value, kind)
             assert "e" not in text
             assert parse_quantity(text.replace(",", ""), kind, "--test") == pytest.approx(value, rel=5.1e-3)
+
+
+@pytest.mark.parametrize(("number", "text"), [(0, "0 states"), (1, "1 state"), (2, "2 states")])
+def test_counts_agree_with_their_nouns(number: int, text: str) -> None:
+    assert counted(number, "state") == text

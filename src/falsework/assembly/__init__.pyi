@@ -1,4 +1,5 @@
 from falsework.assembly import library as library
+from falsework.assembly.assembly_model import Prop as Prop
 from falsework.assembly.doctor import Diagnosis as Diagnosis
 from falsework.assembly.doctor import PartReport as PartReport
 from falsework.assembly.doctor import diagnose as diagnose
@@ -11,11 +12,9 @@ from falsework.assembly.interfaces import compare_interfaces as compare_interfac
 from falsework.assembly.interfaces import interface_contacts as interface_contacts
 from falsework.assembly.joints import Joints as Joints
 from falsework.assembly.load import load_structure as load_structure
-from falsework.assembly.load import register_reader as register_reader
 from falsework.assembly.loads import Loads as Loads
 from falsework.assembly.model import Assembly as Assembly
 from falsework.assembly.model import ContactWarning as ContactWarning
-from falsework.assembly.prop import Prop as Prop
 from falsework.assembly.props import keep_props as keep_props
 from falsework.assembly.props import prop_places as prop_places
 from falsework.assembly.props import with_props as with_props

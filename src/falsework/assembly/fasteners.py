@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.assembly.assembly_model import FastenerEntry
 from falsework.assembly.joints import Joints
 from falsework.assembly.loads import Loads
 from falsework.assembly.part_numbers import part_id
@@ -17,13 +18,12 @@ from falsework.errors import AssemblyError, ReadWarning
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.contact.patches import frames_of
 from falsework.geometry.mesh.surface import listed
+from falsework.utils.models import plain, read_model
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
 
 Array = NDArray[np.float64]
-
-_ENTRIES = {"parts", "at", "tension", "shear", "axis", "ductile"}
 
 
 def fasten(assembly: Assembly, entries: Sequence[Mapping[str, Any]]) -> Assembly:
@@ -46,33 +46,23 @@ def fasten(assembly: Assembly, entries: Sequence[Mapping[str, Any]]) -> Assembly
     joints = assembly.joints or Joints.of(contacts)
     corner = contacts.areas / np.diff(contacts.start)
     parts, points, axes, areas, strengths = [], [], [], [], []
-    for entry in entries:
-        if not isinstance(entry, Mapping) or not {"parts", "at", "tension"} <= set(entry) <= _ENTRIES:
-            raise AssemblyError(
-                f"fastener {entry!r} is not an object with parts, at, tension and perhaps shear, axis and ductile"
-            )
-        pair = entry["parts"]
-        if not isinstance(pair, (list, tuple)) or len(pair) != 2:
-            raise AssemblyError(f"fastener between {pair!r}; give two parts")
-        a, b = sorted(part_id(item, assembly.names, "a fastener is in part") for item in pair)
+    for entry in read_model(list[FastenerEntry], plain(entries), "", AssemblyError, "fasteners"):
+        a, b = sorted(part_id(item, assembly.names, "a fastener is in part") for item in entry.parts)
         if a == b:
             raise AssemblyError(f"a fastener is between part {assembly.names[a]} and itself; give two parts")
         names = f"the fastener between parts {assembly.names[a]} and {assembly.names[b]}"
         mine = (contacts.parts == (a, b)).all(axis=1)
-        axis = _vector(entry["axis"], f"axis of {names}") if "axis" in entry else _normal(contacts, mine, names)
+        axis = _normal(contacts, mine, names) if entry.axis is None else np.array(entry.axis)
         if not axis.any():
             raise AssemblyError(f"{names} needs an axis that is not zero")
-        if axis @ (assembly.mass.center[b] - assembly.mass.center[a]) < 0 and "axis" in entry:
+        if axis @ (assembly.mass.center[b] - assembly.mass.center[a]) < 0 and entry.axis is not None:
             axis = -axis
         parts.append((a, b))
-        points.append(_place(entry["at"], assembly, (a, b), names))
+        points.append(_place(np.array(entry.at), assembly, (a, b), names))
         axes.append(axis / np.linalg.norm(axis))
         areas.append(float(corner[mine].mean() if mine.any() else corner.mean() if len(corner) else 1.0))
-        if not isinstance(entry.get("ductile", False), bool):
-            raise AssemblyError(f"ductile of {names} is {entry['ductile']!r}; give true or false")
-        tension = _strength(entry["tension"], f"tension of {names}")
-        shear = _strength(entry["shear"], f"shear of {names}") if "shear" in entry else np.nan
-        strengths.append((np.nan, shear, tension, bool(entry.get("ductile", False)), -1))
+        shear = np.nan if entry.shear is None else entry.shear
+        strengths.append((np.nan, shear, entry.tension, entry.ductile, -1))
     if not parts:
         return assembly
     frames = frames_of(np.array(axes))
@@ -135,9 +125,8 @@ def _normal(contacts: Contacts, mine: NDArray[np.bool_], names: str) -> Array:
     return contacts.frames[rows[np.argmax(contacts.areas[rows])], 0]
 
 
-def _place(value: Any, assembly: Assembly, pair: tuple[int, int], names: str) -> Array:
+def _place(at: Array, assembly: Assembly, pair: tuple[int, int], names: str) -> Array:
     """Return the point of a fastener, which may not be farther from either part than the part is large."""
-    at = _vector(value, f"place of {names}")
     for part in pair:
         low, high = (corner(assembly.meshes[part].vertices, axis=0) for corner in (np.min, np.max))
         away = float(np.linalg.norm(np.maximum(np.maximum(low - at, at - high), 0.0)))
@@ -147,19 +136,3 @@ def _place(value: Any, assembly: Assembly, pair: tuple[int, int], names: str) ->
                 "give its place in metres, within the parts"
             )
     return at
-
-
-def _vector(value: Any, what: str) -> Array:
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        array = np.zeros(0)
-    if array.shape != (3,) or not np.isfinite(array).all():
-        raise AssemblyError(f"{what} is {value!r}; give three finite numbers")
-    return array
-
-
-def _strength(value: Any, what: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not (np.isfinite(value) and value >= 0):
-        raise AssemblyError(f"{what} is {value!r}; give a number from 0 up in N")
-    return float(value)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from falsework.assembly.assembly_model import JointEntry
 from falsework.assembly.part_numbers import part_id
 from falsework.errors import AssemblyError
 from falsework.geometry.contact.interfaces import Contacts
+from falsework.utils.models import plain, read_model
 
 Array = NDArray[np.float64]
 
@@ -21,7 +23,6 @@ Setting = tuple[tuple[float, float], ...]
 SET = 1_000_000
 """Age in steps of joints that exist before the first state."""
 _VALUES = ("friction", "cohesion", "tension")
-_ENTRIES = {"between", "parts", "sets", "ductile", *_VALUES}
 _UNITS = {"friction": "", "cohesion": " Pa", "tension": " Pa"}
 
 
@@ -149,12 +150,10 @@ class Joints:
         flat = contacts.dimension == 2
         ways: list[Any] = []
         sets, ductile = np.full(len(contacts), -1, np.int32), np.zeros(len(contacts), bool)
-        for entry in entries:
-            if not isinstance(entry, Mapping) or not set(entry) <= _ENTRIES or not set(entry) & set(_VALUES):
-                raise AssemblyError(
-                    f"joint {entry!r} is not an object with friction, cohesion or tension, and between or parts"
-                )
-            named = {name: _number(entry[name], name) for name in _VALUES if name in entry}
+        for number, entry in enumerate(read_model(list[JointEntry], plain(entries), "", AssemblyError, "joints")):
+            named = {name: getattr(entry, name) for name in _VALUES if getattr(entry, name) is not None}
+            if not named:
+                raise AssemblyError(f"joints[{number}] has no strength; give friction, cohesion or tension")
             rows = _rows(entry, made_of, names, contacts)
             strong = named.get("cohesion", 0.0) > 0 or named.get("tension", 0.0) > 0
             if strong and rows.any() and not flat[rows].any():
@@ -165,13 +164,11 @@ class Joints:
                 )
             for name, value in named.items():
                 values[name][rows if name == "friction" else rows & flat] = value
-            if not isinstance(entry.get("ductile", False), bool):
-                raise AssemblyError(f"ductile of a joint is {entry['ductile']!r}; give true or false")
-            if strong or "ductile" in entry:
-                ductile[rows] = entry.get("ductile", False)
-            if strong or "sets" in entry:
-                sets[rows] = len(ways) if "sets" in entry else -1
-                ways += [entry["sets"]] if "sets" in entry else []
+            if strong or entry.ductile is not None:
+                ductile[rows] = bool(entry.ductile)
+            if strong or entry.sets is not None:
+                sets[rows] = -1 if entry.sets is None else len(ways)
+                ways += [] if entry.sets is None else [entry.sets]
         return Joints.of(contacts, **values, ductile=ductile, setting=ways, sets=sets)
 
     @staticmethod
@@ -291,16 +288,12 @@ def _materials(given: Any, names: Sequence[str]) -> list[str]:
     return made_of
 
 
-def _rows(
-    entry: Mapping[str, Any], made_of: Sequence[str], names: Sequence[str], contacts: Contacts
-) -> NDArray[np.bool_]:
+def _rows(entry: JointEntry, made_of: Sequence[str], names: Sequence[str], contacts: Contacts) -> NDArray[np.bool_]:
     """Return the contacts that an entry applies to, shape (contacts,)."""
-    if "between" in entry and "parts" in entry:
-        raise AssemblyError(f"joint {entry!r} has both between and parts; give one of them")
-    if "between" in entry:
-        pair = entry["between"]
-        if not isinstance(pair, list) or len(pair) != 2:
-            raise AssemblyError(f"joint between {pair!r}; give two materials")
+    if entry.between is not None and entry.parts is not None:
+        raise AssemblyError(f"joint between {' and '.join(entry.between)} has parts too; give one of them")
+    if entry.between is not None:
+        pair = entry.between
         known = sorted(set(made_of) - {""})
         for name in pair:
             if name not in known:
@@ -309,12 +302,9 @@ def _rows(
                 )
         kind = np.array([sorted((str(made_of[a]), str(made_of[b]))) for a, b in contacts.parts.tolist()]).reshape(-1, 2)
         return (kind == sorted(pair)).all(axis=1)
-    if "parts" not in entry:
+    if entry.parts is None:
         return np.ones(len(contacts), dtype=bool)
-    pair = entry["parts"]
-    if not isinstance(pair, list) or len(pair) != 2:
-        raise AssemblyError(f"joint of parts {pair!r}; give two parts")
-    a, b = sorted(part_id(item, names, "a joint is of part") for item in pair)
+    a, b = sorted(part_id(item, names, "a joint is of part") for item in entry.parts)
     rows = (contacts.parts == (a, b)).all(axis=1)
     if not rows.any():
         raise AssemblyError(f"parts {names[a]} and {names[b]} do not meet, so no joint is between them")
@@ -333,9 +323,3 @@ def _setting(given: Any) -> Setting:
             f"a joint sets by {given!r}; give pairs of steps and shares that rise to 1, such as [[0, 0], [5, 1]]"
         )
     return tuple(zip(way[:, 0].tolist(), way[:, 1].tolist(), strict=True))
-
-
-def _number(value: Any, name: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not (np.isfinite(value) and value >= 0):
-        raise AssemblyError(f"{name} of a joint is {value!r}; give a number from 0 up{_UNITS[name] and ' in Pa'}")
-    return float(value)

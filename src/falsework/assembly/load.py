@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from falsework.errors import InputError, ReadWarning
 from falsework.utils.files.damage import blamed_on
+from falsework.utils.files.formats import READERS, Reader, formats, reader_of
 
 if TYPE_CHECKING:
     from falsework.assembly.draft import Draft
@@ -18,26 +17,8 @@ if TYPE_CHECKING:
 AnyStructure: TypeAlias = "Assembly | str | Path"
 """Structure as it is, or what `load_structure` takes."""
 
-_READERS: list[tuple[str, str, str]] = []
-"""Probe, reader and reader of unchecked parts of each format, as `package.module:function`; imported at the first file
-that they may recognise."""
-
 LOAD_OPTIONS = ("loads", "earthquake", "materials", "joints", "fasteners")
 """Options that load or join the parts of a structure and that its reader need not know."""
-
-
-def register_reader(probe: str, reader: str, parts: str = "") -> None:
-    """Let `load_structure` read files of another format.
-
-    Args:
-        probe: `package.module:function` that takes the path of a file and returns whether it is of this format.
-        reader: `package.module:function` that takes the path and the options of `load_structure`, and returns an
-            `Assembly`.
-        parts: `package.module:function` that takes the path and `unit`, and returns a `Draft`, the parts as they are
-            in the file; `falsework doctor` examines them one by one. Empty if there is none.
-    """
-    if (probe, reader, parts) not in _READERS:
-        _READERS.append((probe, reader, parts))
 
 
 def read_draft(path: Path, unit: str | None = None) -> Draft | None:
@@ -46,11 +27,17 @@ def read_draft(path: Path, unit: str | None = None) -> Draft | None:
     Raises:
         InputError: the file cannot be read.
     """
-    for probe, _, parts in _READERS if path.is_file() else ():
-        if parts and _resolve(probe)(path):
-            with blamed_on(path, "write it again"):
-                return _resolve(parts)(path, unit=unit)
-    return None
+    reader = _reader_of(path)
+    if reader is None or reader.parts is None:
+        return None
+    with blamed_on(path, "write it again"):
+        return reader.parts(path, unit=unit)
+
+
+def _reader_of(path: Path) -> Reader | None:
+    from falsework.geometry.mesh.read import SUFFIXES
+
+    return None if path.suffix.lower() in SUFFIXES else reader_of(path)
 
 
 def load_structure(structure: str | Path, **options: Any) -> Assembly:
@@ -131,11 +118,10 @@ def _read_structure(path: Path, text: str, given: dict[str, Any]) -> Assembly:
     if not path.exists() and path.name == text:
         names = ", ".join(entry.name for entry in library.structures())
         raise InputError(f"there is no folder, file or built-in structure {text!r}; built in are {names}")
-    for probe, reader, _ in _READERS if path.is_file() else ():
-        if _resolve(probe)(path):
-            options = {**described_options(path), **given}
-            acting = {name: options.pop(name, None) for name in LOAD_OPTIONS}
-            return furnish(_resolve(reader)(path, **options), **acting)
+    if (reader := _reader_of(path)) is not None:
+        options = {**described_options(path), **given}
+        acting = {name: options.pop(name, None) for name in LOAD_OPTIONS}
+        return furnish(reader.load(path, **options), **acting)
     if given.pop("interfaces", "found") != "found":
         raise InputError(f"{text} is made of meshes and stores no interfaces; leave out --interfaces")
     check_meshes_path(path)
@@ -197,12 +183,7 @@ def check_meshes_path(path: Path) -> None:
     form = read_format(path) if path.suffix.lower() == ".json" else ""
     if form.startswith("falsework."):
         raise InputError(f"{path} is a file of format {form}, not a structure; give the structure that it belongs to")
+    others = [f"{name} ({', '.join(reader.suffixes)})" for name, reader in formats(READERS).items()]
     raise InputError(
-        f"cannot read {path}; a structure is a folder of meshes or one file: {', '.join(SUFFIXES)}, .3dm, .step, "
-        "COMPAS data (.json) or bricks (.ldr, .txt)"
+        f"cannot read {path}; a structure is a folder of meshes or one file: {', '.join(SUFFIXES)}, {', '.join(others)}"
     )
-
-
-def _resolve(place: str) -> Callable[..., Any]:
-    module, _, name = place.partition(":")
-    return getattr(import_module(module), name)

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from falsework.assembly.assembly_model import Earthquake, LoadEntry
 from falsework.assembly.part_numbers import part_id
 from falsework.errors import AssemblyError
+from falsework.utils.models import plain, read_model
 
 Array = NDArray[np.float64]
 
 GRAVITY = 9.81
 """Acceleration of which loads are shares where a file has them in m/s2."""
-MOST = 1e12
-"""Largest load, or margin of one, in SI units: beyond all that can be built, and far from where numbers overflow."""
-_ENTRIES = {"part", "force", "moment", "at"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,25 +68,22 @@ class Loads:
             AssemblyError: a load on a part that does not exist, or invalid numbers.
         """
         wrench = np.zeros((len(names), 6))
-        if not isinstance(entries or [], list):
-            raise AssemblyError(f"loads are {entries!r}; give a list of objects with part and force")
-        for entry in entries or []:
-            if not isinstance(entry, Mapping) or "part" not in entry or not set(entry) <= _ENTRIES:
-                raise AssemblyError(f"load {entry!r} is not an object with part, force and perhaps at and moment")
-            part = part_id(entry["part"], names, "a load acts on part")
-            if not {"force", "moment"} & set(entry):
+        read = read_model(list[LoadEntry], plain(entries or []), "", AssemblyError, "loads", "; give a force in N")
+        for entry in read:
+            part = part_id(entry.part, names, "a load acts on part")
+            if entry.force is None and entry.moment is None:
                 raise AssemblyError(
                     f"the load on part {names[part]} has neither a force nor a moment; give one in N or Nm"
                 )
-            force = _numbers(entry.get("force", [0, 0, 0]), f"the force on part {names[part]}", (3,), "N")
-            moment = _numbers(entry.get("moment", [0, 0, 0]), f"the moment on part {names[part]}", (3,), "Nm")
-            if "at" in entry:
-                at = _numbers(entry["at"], f"the place of the load on part {names[part]}", (3,), "m")
-                moment = moment + np.cross(at - center[part], force)
+            force, moment = (np.array(value or (0.0, 0.0, 0.0)) for value in (entry.force, entry.moment))
+            if entry.at is not None:
+                moment = moment + np.cross(entry.at - center[part], force)
             wrench[part] += np.concatenate([force, moment])
         acceleration = np.zeros(3)
         if earthquake is not None:
-            values = _numbers(np.atleast_1d(earthquake).tolist(), "the earthquake", (1, 2), "shares of gravity")
+            given = plain(earthquake)
+            given = given if isinstance(given, list) else [given]
+            values: list[float] = read_model(Earthquake, given, "", AssemblyError, "earthquake")  # type: ignore[arg-type]
             acceleration[: len(values)] = values
         if not (wrench.any() or acceleration.any()):
             return None
@@ -117,15 +113,3 @@ class Loads:
         wrench = self.wrench.copy()
         wrench[:, :3] += gravity * mass[:, None] * (self.acceleration - [0.0, 0.0, 1.0])
         return wrench
-
-
-def _numbers(value: Any, what: str, counts: Sequence[int], unit: str) -> Array:
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        array = np.empty(0)
-    if array.ndim != 1 or len(array) not in counts or not (np.abs(array) <= MOST).all():
-        raise AssemblyError(
-            f"{what} is {value!r}; give {' or '.join(map(str, counts))} finite numbers in {unit}, at most {MOST:g}"
-        )
-    return array

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from falsework.assembly.assembly_model import Prop
 from falsework.assembly.joints import Joints
 from falsework.assembly.loads import Loads
 from falsework.assembly.part_numbers import part_ids
-from falsework.assembly.prop import Prop
 from falsework.assembly.touching import check_touching, contact_warnings
 from falsework.errors import AssemblyError
 from falsework.geometry.clearance.table import ClearanceTable, clearance_table
@@ -25,6 +25,7 @@ from falsework.geometry.contact.interfaces import Contacts, ContactSettings, fin
 from falsework.geometry.contact.joints import JointReport
 from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh, mass_properties
 from falsework.utils.display.notebook import Displayed
+from falsework.utils.quantity import counted
 
 DENSITY = 2400.0
 """Default density, kg/m3: concrete."""
@@ -142,8 +143,8 @@ class Assembly(Displayed):
     def __repr__(self) -> str:
         fixed = int(self.boundary.sum())
         return (
-            f"<Assembly {self.name}: {self.part_count} parts, {fixed} of them boundary, {len(self.contacts)} contacts, "
-            f"friction {self.friction:g}>"
+            f"<Assembly {self.name}: {counted(self.part_count, 'part')}, {fixed} of them boundary, "
+            f"{counted(len(self.contacts), 'contact')}, friction {self.friction:g}>"
         )
 
     @property

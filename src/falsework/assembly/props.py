@@ -14,9 +14,9 @@ from dataclasses import replace as _replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from falsework.assembly.prop import Prop
+from falsework.assembly.assembly_model import Prop
 from falsework.errors import AssemblyError
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.contact.patches import frames_of
@@ -143,6 +143,13 @@ def keep_props(assembly: Assembly, kept: Sequence[int]) -> Assembly:
         props=(),
     )
     return with_props(plain, [assembly.props[k] for k in kept])
+
+
+def without_props(state: ArrayLike | None, assembly: Assembly) -> ArrayLike | None:
+    """Return a state with its props absent, where it was given without any."""
+    if state is None or not assembly.props or np.shape(state) != (assembly.part_count - len(assembly.props),):
+        return state
+    return np.append(np.asarray(state), np.zeros(len(assembly.props), dtype=np.uint8))
 
 
 @dataclass(frozen=True, eq=False)

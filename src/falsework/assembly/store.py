@@ -6,7 +6,7 @@ import json
 import shutil
 import tempfile
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from falsework.assembly.assembly_model import FORMAT, AssemblyFile
 from falsework.assembly.draft import Draft
 from falsework.assembly.fasteners import furnish
 from falsework.assembly.model import Assembly
@@ -21,31 +22,15 @@ from falsework.errors import AssemblyError, InputError
 from falsework.geometry.contact.interfaces import ContactSettings
 from falsework.geometry.mesh.obj import obj_text
 from falsework.geometry.mesh.surface import listed, warn_of
+from falsework.utils.files.formats import Exporter
 from falsework.utils.json_text import parse_json
+from falsework.utils.models import read_model
 
-FORMAT = "falsework.assembly/1"
 FILE = "assembly.json"
-_ENTRIES: dict[str, tuple[type, ...]] = {
-    "format": (str,),
-    "name": (str,),
-    "unit": (str,),
-    "friction": (int, float),
-    "density": (int, float, list),
-    "boundary": (list,),
-    "parts": (int,),
-    "names": (list,),
-    "contact": (dict,),
-    "loads": (list,),
-    "earthquake": (int, float, list),
-    "materials": (str, list),
-    "joints": (list,),
-    "fasteners": (list,),
-}
-"""Entries of `assembly.json` and their types."""
 _NOTES = frozenset(
     ("source", "licence", "license", "author", "comment", "comments", "note", "notes", "description", "date", "url")
 )
-"""Entries that say nothing about the structure. Any other is warned of, or refused if nearly one of `_ENTRIES`."""
+"""Entries that say nothing about the structure. Any other is warned of, or refused if nearly one that does."""
 _ALIKE = 0.8
 """Similarity from which the name of an entry is taken for a misspelt one."""
 
@@ -204,28 +189,21 @@ def read_description(source: Path) -> dict[str, Any]:
         version = described.get("format", FORMAT)
         if version != FORMAT:
             raise AssemblyError(f"{file} is of format {version!r}; this version reads {FORMAT!r}")
-        unknown = sorted(set(described) - set(_ENTRIES) - _NOTES)
+        known = AssemblyFile.__struct_fields__
+        unknown = sorted(set(described) - set(known) - _NOTES)
         for key in unknown:
-            if near := get_close_matches(key, _ENTRIES, n=1, cutoff=_ALIKE):
+            if near := get_close_matches(key, known, n=1, cutoff=_ALIKE):
                 raise AssemblyError(f"{file} has the entry {key!r}, which is unknown; write {near[0]!r}")
         if unknown:
             warn_of(file, f"entries that are not known have no effect: {listed(unknown)}")
-        for key, kinds in _ENTRIES.items():
-            if key in described and (not isinstance(described[key], kinds) or isinstance(described[key], bool)):
-                raise AssemblyError(
-                    f"{key} in {file} is {described[key]!r}; expected {' or '.join(k.__name__ for k in kinds)}"
-                )
-        if not all(isinstance(name, str) and name.strip() for name in described.get("names", [])):
-            raise AssemblyError(f"names in {file} must be strings that are not empty, one a part")
-    described["contact"] = _contact_settings(described.get("contact", {}), file)
+        described = {key: value for key, value in described.items() if key in known and value is not None}
+        read_model(AssemblyFile, described, f"{file}: ", AssemblyError)
+    described["contact"] = ContactSettings(**described.get("contact", {}))
     return described
 
 
-def _contact_settings(given: Mapping[str, Any], file: Path) -> ContactSettings:
-    known = [field.name for field in fields(ContactSettings)]
-    for key in given:
-        if key not in known:
-            raise AssemblyError(f"contact in {file} has {key!r}; it may have {', '.join(known)}")
-        if given[key] is not None and (isinstance(given[key], bool) or not isinstance(given[key], (int, float))):
-            raise AssemblyError(f"contact in {file} has the {key} {given[key]!r}; give a number")
-    return ContactSettings(**given)
+def _write_folder(path: str | Path, assembly: Assembly, _: None) -> None:
+    save_assembly(assembly, path)
+
+
+EXPORTER = Exporter(_write_folder, complete=True)

@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from falsework.cli.exit_code import Exit
-from falsework.cli.output import counted
 from falsework.errors import CellError
-from falsework.utils.quantity import format_quantity
+from falsework.utils.quantity import counted, format_quantity
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly

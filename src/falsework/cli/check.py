@@ -12,11 +12,10 @@ from tyro.conf import Positional, arg
 
 from falsework.cli.command import CONE_HINT, UNSET, JudgingCommand, LoadOptions
 from falsework.cli.exit_code import Exit
-from falsework.cli.output import counted
 from falsework.cli.overrides import exit_of_good, say_overrides
 from falsework.cli.planning import judge_text, load_record, load_text
 from falsework.errors import InputError
-from falsework.utils.quantity import format_quantity
+from falsework.utils.quantity import counted, format_quantity
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly

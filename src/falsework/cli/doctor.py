@@ -12,9 +12,8 @@ from tyro.conf import Positional, arg
 from falsework.cli.cell_reach import Propose, examine_cell, report_reach
 from falsework.cli.command import UNSET, Command, LoadOptions
 from falsework.cli.exit_code import Exit
-from falsework.cli.output import counted
 from falsework.errors import InputError
-from falsework.utils.quantity import format_quantity
+from falsework.utils.quantity import counted, format_quantity
 
 if TYPE_CHECKING:
     from falsework.assembly.doctor import Diagnosis

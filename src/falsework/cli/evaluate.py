@@ -83,7 +83,8 @@ class Evaluate(Command):
             settings = trained.settings
             criterion = self.criterion or settings.criterion
             assembly, policy = self._subject(trained)
-            policy.of_task(settings.robots, equilibrium=criterion == "equilibrium")
+            if not settings.policy.custom:
+                policy.of_task(settings.robots, equilibrium=criterion == "equilibrium")
             oracle = Stability(assembly, StabilitySettings(criterion=criterion))
             environment = Environment(
                 assembly, settings.robots, oracle=oracle, device=device, clearance=settings.removable_only_if_clear

@@ -11,13 +11,15 @@ from tyro.conf import arg
 from falsework.cli.command import UNSET, Command, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.errors import InputError
+from falsework.utils.files.formats import EXPORTERS, format_names
+from falsework.utils.quantity import counted
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output
 
-Format = Literal[
-    "folder", "glb", "gltf", "usd", "html", "compas", "compas-assembly", "compas-dem", "pdf", "csv"
-]  # fmt: skip
+    Format = str
+else:
+    Format = Literal[format_names(EXPORTERS)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,6 +100,6 @@ class Export(Command):
         output.file(self.out)
         output.record({"parts": parts, "identity": made.identity, "kind": chosen})
         output.record({"steps": None if plan is None else len(plan)})
-        what = f"{parts} parts" if plan is None else f"{len(plan)} steps"
+        what = counted(parts, "part") if plan is None else counted(len(plan), "step")
         output.say(f"{what} of {made.name} are in {self.out}")
         return Exit.DONE

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from falsework.cli.exit_code import Exit
-from falsework.cli.output import counted
 from falsework.cli.planning import SupportOptions, lacks_reserve, promise_lines
+from falsework.utils.quantity import counted
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -59,7 +59,7 @@ def report(answer: RobotsNeeded, reserve: float, path: Path | None, output: Outp
     output.record({name: fields[name] for name in _SHARED})
     if path is not None and answer.plan is not None:
         output.file(path)
-    spent = f"{answer.seconds:.1f} s, {answer.verdicts} verdicts"
+    spent = f"{answer.seconds:.1f} s, {counted(answer.verdicts, 'verdict')}"
     fewer = [f"with {n}: {reason}" for n, reason in enumerate(answer.reasons, 1)]
     if answer.robots is not None:
         least = "proven to be the fewest" if answer.proven else f"at least {answer.least} are proven to be needed"

@@ -14,6 +14,7 @@ from falsework.cli.exit_code import Exit
 from falsework.cli.planning import SearchOptions, TaskOptions, refuse_unstable, writable
 from falsework.cli.state_sets import save_sets
 from falsework.errors import InputError
+from falsework.utils.quantity import counted
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output
@@ -104,7 +105,9 @@ class MakeGraph(JudgingCommand):
                 "seconds": result.seconds,
             }
         )
-        output.say(f"{len(graph)} states and {len(graph.source)} actions between them are in {self.out}")
+        output.say(
+            f"{counted(len(graph), 'state')} and {counted(len(graph.source), 'action')} between them are in {self.out}"
+        )
         if result.interrupted:
             cut = "the deadline ended the search" if clock.passed else "interrupted"
             output.note(f"{cut} at step {result.reached} of {result.steps}; what was found so far is saved")

@@ -10,8 +10,8 @@ from tyro.conf import Positional, arg
 
 from falsework.cli.command import UNSET, Command, LoadOptions
 from falsework.cli.exit_code import Exit
-from falsework.cli.output import counted
 from falsework.errors import CellError, InputError
+from falsework.utils.quantity import counted
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output

@@ -43,11 +43,6 @@ def answer_schema() -> dict[str, Any]:
     return json.loads(resources.files("falsework.cli").joinpath("answer.schema.json").read_text(encoding="utf-8"))
 
 
-def counted(number: int, noun: str) -> str:
-    """Return a number and what it counts, such as `1 step` or `2 steps`."""
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
-
-
 def write_line(text: str, stream: TextIO) -> None:
     """Write one line of text to a stream; what it must not or cannot show is escaped."""
     stream.write(_shown(text, stream) + "\n")

@@ -10,10 +10,10 @@ from tyro.conf import arg
 
 from falsework.cli.command import UNSET, JudgingCommand
 from falsework.cli.exit_code import Exit
-from falsework.cli.output import counted
 from falsework.cli.planning import writable
 from falsework.cli.subject import ViewableOptions
 from falsework.errors import InputError
+from falsework.utils.quantity import counted
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output

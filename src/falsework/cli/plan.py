@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -11,7 +11,6 @@ from tyro.conf import arg
 
 from falsework.cli.command import CONE_HINT, UNSET, Command, StructureOptions
 from falsework.cli.exit_code import Exit
-from falsework.cli.output import counted
 from falsework.cli.planning import (
     HoldOptions,
     SupportOptions,
@@ -26,6 +25,7 @@ from falsework.cli.planning import (
     writable,
 )
 from falsework.errors import InputError
+from falsework.utils.quantity import counted
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -158,6 +158,8 @@ class MakePlan(Command):
         saves = not self.task.wider and self.task.parts_at_once == 1
         settings, checkpoint = self._settings(), self._checkpoint() if saves else None
         assembly = self.task.with_places(self.structure.load())
+        if assembly.boundary.all():
+            raise InputError(f"every part of {assembly.name} is boundary, so there is nothing to plan; fix fewer parts")
         task = task_of(assembly, self._robot_count(), **self.task.rules(assembly))
         stability = self.holds.settings(self.criterion, self.cone, self.solver)
         plain = replace(stability, reserve=1.0)
@@ -300,6 +302,8 @@ class MakePlan(Command):
         output.note(f"falsework: the best plan is in {path}: its replay fails {place_in_words(saved, step)}")
 
     def _report(self, plans: list[tuple[Path, Plan]], planning: Planning, output: Output) -> None:
+        from msgspec import to_builtins
+
         from falsework.cli.demands import margin_lines
         from falsework.search.problem.task import Direction
 
@@ -307,7 +311,7 @@ class MakePlan(Command):
         for number, (path, plan) in enumerate(plans):
             output.file(path)
             record: dict[str, Any] = {"file": str(path), "steps": len(plan), "robots": plan.robots}
-            record["needs"] = [asdict(need) for need in plan.needs]
+            record["needs"] = to_builtins(plan.needs)
             record["criterion"] = plan.claim.criterion
             record["replay"] = _replay_record(plan)
             record["reserve"] = plan.claim.reserve
@@ -319,7 +323,7 @@ class MakePlan(Command):
                     {"step": step.number, "parts": list(step.parts), "held": len(step.robots)} for step in together
                 ]
             if plan.props:
-                record["props"] = [prop.to_dict() for prop in plan.props]
+                record["props"] = to_builtins(plan.props)
             if plan.margins is not None:
                 record["margins"] = plan.margins.to_dict()
             if self.alternatives > 1:
@@ -329,7 +333,7 @@ class MakePlan(Command):
         path, first = plans[0]
         output.say(
             f"{path}: {counted(len(first), 'step')} with {counted(first.robots, 'robot')}, every state proven stable "
-            f"(criterion {first.claim.criterion}, {seconds:.1f} s, {asked} verdicts)"
+            f"(criterion {first.claim.criterion}, {seconds:.1f} s, {counted(asked, 'verdict')})"
         )
         for line in promise_lines(first, robust=self.robust):
             output.say(line)

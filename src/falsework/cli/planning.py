@@ -10,10 +10,9 @@ from tyro.conf import arg
 
 from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET
-from falsework.cli.output import counted
 from falsework.errors import InputError
 from falsework.utils.files.output_file import check_writable
-from falsework.utils.quantity import format_quantity
+from falsework.utils.quantity import counted, format_quantity
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly

@@ -14,9 +14,9 @@ from tyro.conf import arg
 from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET, Command, StructureOptions
 from falsework.cli.exit_code import Exit
-from falsework.cli.output import counted
 from falsework.cli.planning import HoldOptions, first_steps, lacks_reserve, need_text, promise_lines, writable
 from falsework.errors import InputError
+from falsework.utils.quantity import counted
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -268,7 +268,7 @@ class MakeReplan(Command):
         output.say(
             f"{paths[0]}: {counted(len(plan), 'step')} of {answer.direction.value} with "
             f"{counted(plan.robots, 'robot')}{fewer}, every state proven stable (criterion {plan.claim.criterion}, "
-            f"decided by {answer.decided_by.value}, {answer.seconds:.2f} s, {answer.verdicts} verdicts)"
+            f"decided by {answer.decided_by.value}, {answer.seconds:.2f} s, {counted(answer.verdicts, 'verdict')})"
         )
         for line in promise_lines(plan):
             output.say(line)

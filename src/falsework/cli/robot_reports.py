@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from falsework.cli.output import counted
 from falsework.cli.planning import replay_text
-from falsework.utils.quantity import format_quantity
+from falsework.utils.quantity import counted, format_quantity
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -39,12 +37,6 @@ def can_schedule(output: Output) -> bool:
         output.note(f"falsework: one robot moves at a time: {error}")
         return False
     return True
-
-
-def statistics_record(statistics: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the statistics of a search, with units in names."""
-    names = {"replanning_saves": "replanning_saves_s"}
-    return {names.get(name, name): value for name, value in statistics.items()}
 
 
 def times_record(plan: RobotPlan) -> dict[str, Any]:
@@ -217,7 +209,7 @@ def scope_text(plan: RobotPlan, assembly: Assembly, cell: Cell, place: str) -> s
     first, last = (int((state != 0).sum()) for state in plan.states[[0, -1]])
     starts = f"; {' and '.join(record['not_at_home'])} not at home at the start" if record["not_at_home"] else ""
     return (
-        f"{plan.direction.value} of {assembly.name} ({assembly.identity[:12]}) in {len(plan)} steps from "
+        f"{plan.direction.value} of {assembly.name} ({assembly.identity[:12]}) in {counted(len(plan), 'step')} from "
         f"{first} to {last} parts, in cell {cell.name} of {place} ({plan.cell_identity[:12]}) with "
         f"{', '.join(record['robots'])}, criterion {record['criterion']}{starts}"
     )

@@ -13,7 +13,6 @@ from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.begun_robot_plan import BegunPlan
 from falsework.cli.command import UNSET, Command, StructureOptions
 from falsework.cli.exit_code import Exit
-from falsework.cli.output import counted
 from falsework.cli.planning import HoldOptions, lacks_reserve, press_text, refuse_unstable, writable
 from falsework.cli.robot_arguments import parse_grips, parse_holding, parse_joints, parse_now
 from falsework.cli.robot_reports import (
@@ -21,10 +20,10 @@ from falsework.cli.robot_reports import (
     found_texts,
     overloads_of,
     problem_record,
-    statistics_record,
     times_record,
 )
 from falsework.errors import InputError
+from falsework.utils.quantity import counted
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -121,7 +120,6 @@ class PlanRobots(Command):
         from falsework.robots.model.cell_holds import CellScale
         from falsework.robots.planning.hybrid_planner import plan_robots
         from falsework.robots.planning.hybrid_result import HybridSettings
-        from falsework.robots.planning.plan_together import plan_together
         from falsework.search.problem.task import Direction
         from falsework.stability import Stability
 
@@ -133,7 +131,8 @@ class PlanRobots(Command):
             assembly, cell = self._load()
         together = not self.sequential and cell.robot_count > 1 and can_schedule(output)
         order = Direction(self.order)
-        settings = HybridSettings(order, seed=self.seed, deadline=self.deadline, forces=self.proofs)
+        limits: dict[str, Any] = {"seed": self.seed, "deadline": self.deadline, "forces": self.proofs}
+        settings = HybridSettings(order, together=together, **limits)
         building = order is Direction.ASSEMBLY
         if begun is not None:
             held, joints, grips = begun.arms
@@ -153,10 +152,7 @@ class PlanRobots(Command):
             given |= {"configurations": joints, "held": held, "gripped": grips}
         with output.bar("planning motions") as show:
             given["progress"] = lambda now: show(now.reached, now.steps, f"step {now.reached} of {now.steps}")
-            if together:
-                result = plan_together(assembly, cell, **given)
-            else:
-                result = plan_robots(assembly, cell, **given)
+            result = plan_robots(assembly, cell, **given)
         found = result.partial if result.plan is None else result.plan  # a plan without steps is false
         done = self._report(result, found, begun, output)
         if done is not Exit.DONE or found is None:
@@ -229,7 +225,7 @@ class PlanRobots(Command):
                 {
                     "steps": len(saved),
                     "motion_s": round(saved.seconds, 3),
-                    **statistics_record(result.statistics),
+                    **result.statistics,
                     **times_record(saved),
                 }
             )
@@ -242,7 +238,7 @@ class PlanRobots(Command):
             output.note(f"{self.out} has the {which} {counted(len(saved), 'step')}")
         else:
             why = result.explanation.to_dict() if result.explanation else {}
-            output.record({"failure": why, **statistics_record(result.statistics)})
+            output.record({"failure": why, **result.statistics})
         if result.explanation is not None:
             output.note(f"falsework: {result.explanation.text}")
         return Exit.NO

@@ -13,8 +13,9 @@ from falsework.cli.command import UNSET, JudgingCommand, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.planning import refuse_unstable
 from falsework.errors import InputError
-from falsework.learn.config.policy import Kind, recommended
+from falsework.learn.config.policy import recommended
 from falsework.learn.config.train import METHODS, Method, TrainSettings
+from falsework.utils.quantity import counted
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output
@@ -31,11 +32,20 @@ class Train(JudgingCommand):
     Under torchrun several processes share the work.
     """
 
-    rare: ClassVar[tuple[str, ...]] = ("goal_conditioned", "removable_only_if_clear", "data", "seed", "device", "log")
+    rare: ClassVar[tuple[str, ...]] = (
+        "goal_conditioned",
+        "removable_only_if_clear",
+        "reward",
+        "learner",
+        "data",
+        "seed",
+        "device",
+        "log",
+    )
 
     examples: ClassVar[tuple[str, ...]] = (
-        "falsework train arch:blocks=7 --robots 2 --out run --minutes 0.05",
-        "falsework train arch:blocks=7 --out run --resume --minutes 0.08",
+        "falsework train bottle --robots 2 --out run --minutes 1",
+        "falsework train bottle --out run --resume --minutes 2",
     )
 
     structure: StructureOptions
@@ -44,7 +54,7 @@ class Train(JudgingCommand):
     robots: int = 2
     """Number of robots: parts that can be held at a time."""
     minutes: Annotated[float | None, arg(metavar="M", help_behavior_hint="(default: by structure and device)")] = None
-    """Total time, data and earlier sessions included."""
+    """Total time, the search for data and earlier sessions included."""
     steps: Annotated[int | None, arg(metavar="N", help_behavior_hint=UNSET)] = None
     """Optimizer steps in place of a time limit, for a reproducible run."""
     resume: bool = False
@@ -52,9 +62,16 @@ class Train(JudgingCommand):
     method: Method = "default"
     """Preset: a short imitation of searches and then PPO from many rollouts (`default`), or PPO from scratch with a
     curriculum of start states (`reinforcement`), which does better where few states are known (`--data width64`)."""
-    policy: Annotated[Kind | None, arg(help_behavior_hint="(default: resmlp; transformer above 20 parts)")] = None
+    policy: Annotated[
+        str | None, arg(metavar="KIND", help_behavior_hint="(default: resmlp; transformer above 20 parts)")
+    ] = None
     """Network: residual layers over the state (`resmlp`), attention between parts (`transformer`), the paper's graph
-    attention (`gat`) or its baseline (`mlp`). The weights of transformer and gat fit other structures."""
+    attention (`gat`), its baseline (`mlp`), or a class of your own (`package.module:Class`). The weights of transformer
+    and gat fit other structures."""
+    reward: Annotated[str | None, arg(metavar="MODULE:FUNCTION", help_behavior_hint=UNSET)] = None
+    """Reward of your own for PPO."""
+    learner: Annotated[str | None, arg(metavar="MODULE:CLASS", help_behavior_hint=UNSET)] = None
+    """Learner of your own in place of PPO."""
     goal_conditioned: bool = False
     """Train a goal-conditioned policy."""
     removable_only_if_clear: bool = False
@@ -85,6 +102,8 @@ class Train(JudgingCommand):
             phases=METHODS[self.method],
             robots=self.robots,
             policy=recommended(assembly.part_count, goal_conditioned=self.goal_conditioned, kind=self.policy),
+            reward=self.reward or "",
+            learner=self.learner or "",
             removable_only_if_clear=self.removable_only_if_clear,
             criterion=self.criterion,
             data=self.data,
@@ -122,7 +141,7 @@ class Train(JudgingCommand):
         output.say(
             f"{self.out}: {tested if test.states else 'no states are left to test on; '}"
             f"{100 * train.share:.1f} % of {train.states} training states succeed, "
-            f"{result.steps} steps in {result.seconds:.0f} s; {result.solved} states learned from"
+            f"{counted(result.steps, 'step')} in {result.seconds:.0f} s; {counted(result.solved, 'state')} learned from"
         )
         if result.interrupted:
             output.note(f"interrupted; falsework train ... --out {self.out} --resume continues")

@@ -1,15 +1,12 @@
 from falsework.interop import compas_dem as compas_dem
 from falsework.interop.bricks import Brick as Brick
 from falsework.interop.bricks import assemble_bricks as assemble_bricks
-from falsework.interop.bricks import is_bricks as is_bricks
 from falsework.interop.bricks import load_bricks as load_bricks
 from falsework.interop.bricks import read_bricks as read_bricks
-from falsework.interop.compas_read import is_compas as is_compas
 from falsework.interop.compas_read import load_compas as load_compas
 from falsework.interop.compas_read import read_compas as read_compas
 from falsework.interop.compas_write import compas_of as compas_of
 from falsework.interop.compas_write import write_compas as write_compas
-from falsework.interop.formats import ExportWarning as ExportWarning
 from falsework.interop.formats import export as export
 from falsework.interop.gltf import gltf_of as gltf_of
 from falsework.interop.gltf import write_gltf as write_gltf
@@ -19,10 +16,8 @@ from falsework.interop.instruction_table import AssemblyInstructions as Assembly
 from falsework.interop.instruction_table import assembly_instructions as assembly_instructions
 from falsework.interop.instruction_table import instructions_csv as instructions_csv
 from falsework.interop.instruction_table import way_in_words as way_in_words
-from falsework.interop.rhino_read import is_rhino as is_rhino
 from falsework.interop.rhino_read import load_rhino as load_rhino
 from falsework.interop.rhino_read import read_rhino as read_rhino
-from falsework.interop.step_read import is_step as is_step
 from falsework.interop.step_read import load_step as load_step
 from falsework.interop.step_read import read_step as read_step
 from falsework.interop.usd import usd_of as usd_of

@@ -24,6 +24,7 @@ from falsework.errors import AssemblyError, InputError
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.surface import listed, warn_of
+from falsework.utils.files.formats import Reader
 
 Array = NDArray[np.float64]
 
@@ -209,13 +210,10 @@ def _contacts(bricks: Sequence[Brick], low: NDArray, high: NDArray, plate: bool)
     )
 
 
-def is_bricks(path: Path | str) -> bool:
-    """Return whether a path is a file of bricks: text as BrickGPT writes it, or an LDraw model."""
-    path = Path(path)
-    if path.suffix.lower() in (".ldr", ".mpd"):
-        return path.is_file()
-    if path.suffix.lower() != ".txt" or not path.is_file():
-        return False
+def _is_bricks(path: Path) -> bool:
+    """Return whether a file holds bricks: an LDraw model, or text as BrickGPT writes it."""
+    if path.suffix.lower() != ".txt":
+        return True
     lines = (line for line in _text(path).splitlines() if line.strip())
     return _BEGINNING.match(next(lines, "")) is not None
 
@@ -374,3 +372,6 @@ def _bricks_of(
             )
         whole = low.round().astype(int).tolist()
         yield Brick((whole[0], whole[1], whole[2]), (int(size[0].round()), int(size[1].round())), height)
+
+
+READER = Reader((".ldr", ".mpd", ".txt"), load_bricks, read_bricks, _is_bricks)

@@ -22,6 +22,7 @@ from falsework.errors import InputError
 from falsework.geometry.mesh.read import unit_length
 from falsework.geometry.mesh.surface import listed, warn_of, warn_of_curves
 from falsework.interop.compas_shapes import CURVED, box, inner, revolved
+from falsework.utils.files.formats import Reader
 from falsework.utils.json_text import parse_json
 
 LARGEST_FILE = 512 * 1024 * 1024
@@ -49,11 +50,8 @@ _LOAD_KEYS = (("force", "force"), ("moment", "moment"), ("at", "point"))
 """Entries of a load in `assembly.json`, and of a compas_dem `PointLoad`."""
 
 
-def is_compas(path: Path | str) -> bool:
-    """Return whether a path is a file that looks like COMPAS data: JSON that names the class of an object."""
-    path = Path(path)
-    if path.suffix.lower() != ".json" or not path.is_file():
-        return False
+def _is_compas(path: Path) -> bool:
+    """Return whether a file looks like COMPAS data: JSON that names the class of an object."""
     with path.open("rb") as file:
         return b'"dtype"' in file.read(65536)
 
@@ -384,3 +382,6 @@ def _is_assembly(content: Any) -> bool:
 def _content(data: dict[str, Any]) -> Any:
     """Return the content of an object; the first version of COMPAS called it `value`."""
     return data["data"] if "data" in data else data["value"]
+
+
+READER = Reader((".json",), load_compas, read_compas, _is_compas)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 
 from falsework.errors import InputError
+from falsework.utils.files.formats import Exporter
 from falsework.utils.files.output_file import write_whole
 
 if TYPE_CHECKING:
@@ -193,3 +194,10 @@ def _point(point: list[float]) -> list[float]:
 def _frame(origin: np.ndarray, xaxis: np.ndarray, yaxis: np.ndarray) -> dict[str, Any]:
     content = {"point": origin.tolist(), "xaxis": xaxis.tolist(), "yaxis": yaxis.tolist()}
     return {"dtype": "compas.geometry/Frame", "data": content, "inheritance": []}
+
+
+def _exporter(kind: CompasKind, suffixes: tuple[str, ...] = ()) -> Exporter:
+    return Exporter(lambda path, assembly, _: write_compas(path, assembly, kind), suffixes)
+
+
+MESHES, ASSEMBLY, DEM = _exporter("meshes", (".json",)), _exporter("assembly"), _exporter("dem")

@@ -1,69 +1,35 @@
-"""Export formats of structures, plans and robot plans, chosen by file suffix or name."""
+"""Export of structures, plans and robot plans in registered formats, chosen by file suffix or name."""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 from falsework.assembly.load import as_assembly, load_structure
 from falsework.assembly.model import Assembly
-from falsework.assembly.store import save_assembly
 from falsework.errors import InputError
-from falsework.interop.compas_write import CompasKind, write_compas
-from falsework.interop.gltf import write_gltf
-from falsework.interop.instruction_table import assembly_instructions, instructions_csv, write_sheet
-from falsework.interop.usd import write_usd
+from falsework.files import load_own
 from falsework.robots.cells.cell_file import AnyCell
 from falsework.robots.exports.export import export_plan
 from falsework.robots.plans.presses import has_presses
 from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.robots.plans.robot_plan_file import load_robot_plan
 from falsework.search.plans.plan import Plan
-from falsework.search.plans.plan_file import load_plan
 from falsework.search.plans.plan_source import structure_of_plan
-from falsework.utils.json_file import read_format
-from falsework.viewer.page.recording import save_page
-from falsework.viewer.viewable import viewable_of
-
-Format = Literal[
-    "folder", "glb", "gltf", "usd", "html", "compas", "compas-assembly", "compas-dem", "pdf", "csv"
-]  # fmt: skip
-
-_BY_SUFFIX: dict[str, Format] = {
-    ".glb": "glb",
-    ".gltf": "gltf",
-    ".usd": "usd",
-    ".usda": "usd",
-    ".html": "html",
-    ".json": "compas",
-    ".pdf": "pdf",
-    ".csv": "csv",
-}
-_MOVING = ("glb", "gltf", "usd", "html")
-"""Formats that can show a plan in motion."""
-_SHEETS = ("pdf", "csv")
-"""Formats of the assembly instructions of a plan."""
+from falsework.utils.files.formats import EXPORTERS, exporter_by_suffix, formats, write_format
 
 
-class ExportWarning(UserWarning):
-    """Property of a structure that a file of another program does not hold."""
-
-
-def format_of(path: Path | str) -> Format:
+def format_of(path: Path | str) -> str:
     """Return the format that the name of a file stands for; a name without an ending is a folder.
 
     Raises:
         InputError: an ending that stands for no format.
     """
-    suffix = Path(path).suffix.lower()
-    if suffix[1:2].isalpha() and suffix not in _BY_SUFFIX and not Path(path).is_dir():
-        raise InputError(
-            f"no export format ends in {suffix}; write {', '.join(_BY_SUFFIX)}, or choose the format folder"
-        )
-    return _BY_SUFFIX.get(suffix, "folder")
+    found, suffix = exporter_by_suffix(path), Path(path).suffix.lower()
+    if found is None and suffix[1:2].isalpha() and not Path(path).is_dir():
+        known = ", ".join(ending for exporter in formats(EXPORTERS).values() for ending in exporter.suffixes)
+        raise InputError(f"no export format ends in {suffix}; write {known}, or choose the format folder")
+    return found or "folder"
 
 
 def read_exportable(
@@ -82,13 +48,11 @@ def read_exportable(
     Raises:
         InputError: none of them.
     """
-    file = Path(path)
-    kind = read_format(file) if file.suffix.lower() == ".json" and file.is_file() else ""
-    if kind.startswith("falsework.robot-plan/"):
-        return load_robot_plan(file), None
-    if kind.startswith("falsework.plan/"):
-        plan = load_plan(file)
-        return plan, structure_of_plan(plan, file, structure, **options)
+    found = load_own(path) if Path(path).suffix.lower() == ".json" else None
+    if isinstance(found, RobotPlan):
+        return found, None
+    if isinstance(found, Plan):
+        return found, structure_of_plan(found, path, structure, **options)
     assembly = load_structure(path, **options)
     return assembly, assembly
 
@@ -116,7 +80,8 @@ def export(
         path: file to write, or folder, which must be new or empty.
         structure: structure of a plan that does not name it; of a robot plan only where robots press.
         format: `folder` (one mesh a part), `glb`, `gltf`, `usd`, `html` (a page that opens without a server),
-            `compas`, `compas-assembly` or `compas-dem`; for a sheet `pdf` or `csv`; for a robot plan `html`,
+            `compas`, `compas-assembly` or `compas-dem`, or one that another package registers; for a sheet `pdf` or
+            `csv`; for a robot plan `html`,
             `ros2-json`, `ros2-yaml`, `ros2-goals`, `csv`, `rapid`, `urscript` or `mcap`. By the name of the file if
             not given.
         step_seconds: length of a step of a plan in motion; 1 s if not given.
@@ -129,93 +94,23 @@ def export(
     Raises:
         InputError: no such format, one that cannot show the subject, or a place that cannot be written.
     """
-    if format == "html" or (format is None and Path(path).suffix.lower() == ".html"):
-        if step_seconds is not None:
-            raise InputError("--step-seconds: a page plays a step in a second; leave it out")
-        of_itself = isinstance(subject, Assembly)
-        shown = viewable_of(subject, None if of_itself else structure, cell=cell, **options)
-        save_page(path, shown)
-        return
     file, given = subject if isinstance(subject, (str, Path)) else None, structure
     if isinstance(subject, (str, Path)):
         subject, structure = read_exportable(subject, structure, **options)
+    view = {"step_seconds": step_seconds, "azimuth": azimuth, "elevation": elevation, "progress": progress}
     if isinstance(subject, RobotPlan):
         if cell is None and file is not None:
             cell = subject.cell_place(file)
+        chosen = format or ("html" if Path(path).suffix.lower() == ".html" else "ros2-json")
+        if chosen == "html":
+            shown = structure_of_plan(subject.plan, file, given, **options)
+            write_format(chosen, path, shown, subject, cell=cell, **view)
+            return
         pressed = structure_of_plan(subject.plan, file, given, **options) if has_presses(subject) else None
-        export_plan(subject, path, format or "ros2-json", structure=pressed, cell=cell)
+        export_plan(subject, path, chosen, structure=pressed, cell=cell)
         return
     chosen = format_of(path) if format is None else format
-    if chosen not in get_args(Format):
-        raise InputError(f"no export format {chosen!r}; choose {', '.join(get_args(Format))}")
-    _refuse_options(chosen, step_seconds, azimuth, elevation)
-    plan = None
     if isinstance(subject, Plan):
-        plan, assembly = subject, structure_of_plan(subject, None, structure, **options)
-        if chosen in _SHEETS:
-            _write_sheet(path, chosen, plan, assembly, azimuth, elevation, progress)
-            return
-        if chosen not in _MOVING:
-            shows = ", ".join((*_MOVING, *_SHEETS))
-            raise InputError(f"{chosen} cannot show a plan; write {shows}, or name the structure instead")
+        write_format(chosen, path, structure_of_plan(subject, None, structure, **options), subject, **view)
     else:
-        assembly = as_assembly(subject)
-        if chosen in _SHEETS:
-            raise InputError(f"{chosen} has the steps of a plan; give a plan, as `falsework plan` writes it")
-        if step_seconds is not None:
-            raise InputError("--step-seconds is for plans; leave it out")
-    seconds = 1.0 if step_seconds is None else step_seconds
-    held = (("joints", assembly.joints), ("loads", assembly.loads))
-    left_out = " and ".join(name for name, given in held if given is not None)
-    # The writer of a folder knows what it can hold; a plan in motion is looked at only.
-    if left_out and chosen != "folder" and plan is None:
-        warnings.warn(
-            f"{chosen} files have no {left_out}: those of {assembly.name} are left out, without which "
-            "its stability differs",
-            ExportWarning,
-            stacklevel=2,
-        )
-    if chosen == "folder":
-        save_assembly(assembly, path)
-    elif chosen == "usd":
-        write_usd(path, assembly, plan, step_seconds=seconds)
-    elif chosen == "glb" or chosen == "gltf":
-        write_gltf(path, assembly, plan, kind=chosen, step_seconds=seconds)
-    else:
-        kinds: dict[str, CompasKind] = {"compas": "meshes", "compas-assembly": "assembly", "compas-dem": "dem"}
-        write_compas(path, assembly, kinds[chosen])
-
-
-def _refuse_options(chosen: str, step_seconds: float | None, azimuth: float | None, elevation: float | None) -> None:
-    """Refuse options that a format does not have."""
-    if chosen in _SHEETS and step_seconds is not None:
-        raise InputError(f"--step-seconds is for plans in motion, which {chosen} is not; leave it out")
-    for name, value in (("azimuth", azimuth), ("elevation", elevation)):
-        if value is not None and chosen != "pdf":
-            raise InputError(f"--{name} is for the pictures of a PDF sheet; leave it out")
-    if elevation is not None and (not -90 < elevation < 90 or elevation == 0):
-        raise InputError(f"an elevation of {elevation:g} degrees sees nothing; give one such as 24")
-
-
-def _write_sheet(
-    path: Path | str,
-    kind: str,
-    plan: Plan,
-    assembly: Assembly,
-    azimuth: float | None,
-    elevation: float | None,
-    progress: Callable[[int, int], None] | None,
-) -> None:
-    sheet = assembly_instructions(plan, assembly)
-    if kind == "csv":
-        # The byte order mark is how spreadsheets detect the encoding.
-        write_sheet(path, instructions_csv(sheet).encode("utf-8-sig"))
-        return
-    from falsework.interop.instruction_pdf import CAMERA, instructions_pdf
-
-    camera = replace(
-        CAMERA,
-        azimuth=CAMERA.azimuth if azimuth is None else azimuth,
-        elevation=CAMERA.elevation if elevation is None else elevation,
-    )
-    write_sheet(path, instructions_pdf(sheet, camera=camera, progress=progress))
+        write_format(chosen, path, as_assembly(subject), **view)

@@ -22,6 +22,7 @@ from falsework import __version__
 from falsework.errors import InputError
 from falsework.interop.tracks import Track, Tracks, tracks_of
 from falsework.search.plans.steps import NO_ROBOT
+from falsework.utils.files.formats import Exporter
 from falsework.utils.files.output_file import write_whole
 from falsework.viewer.palette import BOUNDARY, INSTALLED, robot_color, unit_rgb
 
@@ -297,3 +298,11 @@ def _linear(color: str) -> list[float]:
     """Return red, green, blue as renderers compute with them, from a colour as screens show it (sRGB)."""
     values = np.array(unit_rgb(color))
     return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4).round(4).tolist()
+
+
+def _write_json(path: Path | str, assembly: Assembly, plan: Plan | None, *, step_seconds: float = 1.0) -> None:
+    write_gltf(path, assembly, plan, kind="gltf", step_seconds=step_seconds)
+
+
+GLB = Exporter(write_gltf, (".glb",), ("Assembly", "Plan"), ("step_seconds",))
+GLTF = Exporter(_write_json, (".gltf",), ("Assembly", "Plan"), ("step_seconds",))

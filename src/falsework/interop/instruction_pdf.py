@@ -1,25 +1,37 @@
-"""Printable PDF of assembly instructions: a picture, the action and a check box for every step."""
+"""Printable PDF of assembly instructions: a cover with the stock list, then a picture and a box for each step."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from falsework.errors import DependencyError
-from falsework.interop.instruction_table import AssemblyInstruction, AssemblyInstructions
-from falsework.viewer.appearance import appearance_at
-from falsework.viewer.arrows import arrows_of_step
+from falsework.errors import DependencyError, InputError
+from falsework.interop.instruction_table import (
+    AssemblyInstruction,
+    AssemblyInstructions,
+    assembly_instructions,
+    write_sheet,
+)
+from falsework.utils.files.formats import Exporter
+from falsework.utils.quantity import counted
+from falsework.viewer.appearance import appearance_at, bounds_of, diagonal
+from falsework.viewer.arrows import Arrows, arrows_of_step
 from falsework.viewer.palette import INK, PRESS, mix, robot_color
 from falsework.viewer.pictures.contact_sheet import draw
 from falsework.viewer.pictures.render import Camera
 
 if TYPE_CHECKING:
     from reportlab.pdfgen.canvas import Canvas
+
+    from falsework.assembly.model import Assembly
+    from falsework.search.plans.plan import Plan
 
 Progress = Callable[[int, int], None]
 
@@ -31,10 +43,16 @@ _MARGIN = 14.0 * _POINT
 """Space at the left and the right of a page."""
 _ROW = 41.0 * _POINT
 """Height of the row of a step."""
-_FIRST_TOP = 58.0 * _POINT
-"""Space above the rows of the first page, which has the title."""
 _TOP = 16.0 * _POINT
-"""Space above the rows of other pages."""
+"""Space above the rows of a page."""
+_COVER = (120.0 * _POINT, 76.0 * _POINT)
+"""Width and height of the picture on the cover."""
+_STOCK_LINE = 11.0
+"""Height of a line of the stock list."""
+_STOCK_COLUMNS = 2
+"""Columns of the stock list."""
+_ARROW = 0.16
+"""Length of the arrow of an insertion, in diagonals of the structure."""
 _PICTURE = (60.0 * _POINT, 38.0 * _POINT)
 """Width and height of the picture of a step."""
 _COLUMNS = (0.0, 13.0 * _POINT, 76.0 * _POINT, 126.0 * _POINT)
@@ -74,46 +92,130 @@ def instructions_pdf(
     canvas = Canvas(buffer, pagesize=_PAGE, pageCompression=1, invariant=1)
     canvas.setTitle(f"{sheet.assembly.name}: how to build it")
     canvas.setCreator("falsework")
-    pages = list(_pages(sheet))
-    done = 0
-    for number, steps in enumerate(pages, 1):
-        top = _FIRST_TOP if number == 1 else _TOP
-        if number == 1:
-            _head(canvas, sheet)
-        for row, step in enumerate(steps):
-            _row(canvas, sheet, step, _PAGE[1] - top - (row + 1) * _ROW, camera)
+    rows = _rows(sheet)
+    room = int((_PAGE[1] - _MARGIN - _TOP) // _ROW)
+    pages = [rows[begin : begin + room] for begin in range(0, len(rows), room)]
+    stock = _cover(canvas, sheet, camera)
+    count = 1 + len(stock) + len(pages)
+    _foot(canvas, sheet, 1, count)
+    canvas.showPage()
+    for number, lines in enumerate(stock, 2):
+        _stock(canvas, sheet, lines, _PAGE[1] - _TOP - 12)
+        _foot(canvas, sheet, number, count)
+        canvas.showPage()
+    box, done = _box(sheet), 0
+    for number, page in enumerate(pages, 2 + len(stock)):
+        for place, steps in enumerate(page):
+            _row(canvas, sheet, steps, _PAGE[1] - _TOP - (place + 1) * _ROW, camera, box)
             done += 1
             if progress is not None:
-                progress(done, len(sheet.steps))
-        _foot(canvas, sheet, number, len(pages))
+                progress(done, len(rows))
+        _foot(canvas, sheet, number, count)
         canvas.showPage()
     canvas.save()
     return buffer.getvalue()
 
 
-def _pages(sheet: AssemblyInstructions) -> Iterator[tuple[AssemblyInstruction, ...]]:
-    """Yield steps of each page; the first has room for fewer."""
-    room = _PAGE[1] - _MARGIN
-    first, rest = int((room - _FIRST_TOP) // _ROW), int((room - _TOP) // _ROW)
-    yield sheet.steps[:first]
-    for begin in range(first, len(sheet.steps), rest):
-        yield sheet.steps[begin : begin + rest]
+def _rows(sheet: AssemblyInstructions) -> list[tuple[AssemblyInstruction, ...]]:
+    """Return the steps of each row: one, or a placing by one support and the release right after it."""
+    rows: list[tuple[AssemblyInstruction, ...]] = []
+    for step in sheet.steps:
+        before = rows[-1] if rows else ()
+        released = not step.place and not step.presses and len(before) == 1 and before[0].place
+        if released and len(before[0].supports) == 1 and before[0].parts[0] == step.parts[0]:
+            rows[-1] = (*before, step)
+        else:
+            rows.append((step,))
+    return rows
 
 
-def _head(canvas: Canvas, sheet: AssemblyInstructions) -> None:
-    """Draw the title, the glossary, and the rules on which the proofs rest."""
+def _cover(canvas: Canvas, sheet: AssemblyInstructions, camera: Camera) -> list[list[tuple[int, int]]]:
+    """Draw the cover, and return the lines of the stock list, part and step, for which it has no room, by page."""
+    y = _head(canvas, sheet) - _COVER[1] - 8
+    view = replace(camera, width=900, height=round(900 * _COVER[1] / _COVER[0]))
+    look = appearance_at(sheet.timeline, len(sheet.timeline), marks={}, travelling=False)
+    canvas.drawImage(_jpeg(draw(sheet.assembly, look, view, samples=2)), _MARGIN, y, *_COVER)
+    _axes(canvas, camera, _MARGIN + _COVER[0] + 40, y + 30, 26)
+    placed = [(part, step.number) for step in sheet.steps if step.place for part in step.parts]
+    y -= 20
+    _text(canvas, _MARGIN, y, "Stock list", _BOLD, 11)
+    first = _STOCK_COLUMNS * int((y - 14 - _MARGIN) // _STOCK_LINE - 1)
+    rest = _STOCK_COLUMNS * int((_PAGE[1] - _TOP - 12 - _MARGIN) // _STOCK_LINE - 1)
+    _stock(canvas, sheet, placed[:first], y - 16)
+    return [placed[begin : begin + rest] for begin in range(first, len(placed), rest)]
+
+
+def _stock(canvas: Canvas, sheet: AssemblyInstructions, lines: list[tuple[int, int]], top: float) -> None:
+    """Draw lines of the stock list: part, mass, centre and the step that places it."""
+    broad = (_PAGE[0] - 2 * _MARGIN) / _STOCK_COLUMNS
+    high = -(-len(lines) // _STOCK_COLUMNS)
+    ends = (0.0, 0.45 * broad, 0.85 * broad, 0.95 * broad)
+    for column in range(_STOCK_COLUMNS if lines else 0):
+        x = _MARGIN + column * broad
+        for end, word in zip(ends, ("part", "kg", "centre x, y, z, m", "step"), strict=True):
+            _text(canvas, x, top, word, _REGULAR, 7.5, color=_GREY, end=None if end == 0 else x + end)
+        for number, (part, step) in enumerate(lines[column * high : (column + 1) * high], 1):
+            y = top - _STOCK_LINE * number
+            _text(canvas, x, y, sheet.name(part), _REGULAR, 7.5, width=0.3 * broad)
+            for end, word in zip(ends[1:], (_mass(sheet, part), _center(sheet, part), str(step)), strict=True):
+                _text(canvas, x, y, word, _REGULAR, 7.5, end=x + end)
+
+
+def _mass(sheet: AssemblyInstructions, *parts: int) -> str:
+    """Return the mass of parts in kg, in full."""
+    mass = float(sheet.assembly.mass.mass[list(parts)].sum())
+    return f"{mass:,.0f}" if mass >= 1000 else f"{mass:.4g}" if mass >= 1 else f"{mass:.3f}"
+
+
+def _center(sheet: AssemblyInstructions, part: int) -> str:
+    """Return the centre of mass of a part, m, to the millimetre."""
+    return ", ".join(f"{value:.3f}" for value in sheet.assembly.mass.center[part].round(3) + 0.0)
+
+
+def _axes(canvas: Canvas, camera: Camera, x: float, y: float, length: float) -> None:
+    """Draw the directions of x, y and z as the camera sees them."""
+    canvas.setStrokeColor(INK)
+    canvas.setLineWidth(0.8)
+    for name, across, up in zip("xyz", *camera.axes[:2], strict=True):
+        canvas.line(x, y, x + length * across, y + length * up)
+        _text(canvas, x + 1.25 * length * across - 2, y + 1.25 * length * up - 2, name, _REGULAR, 7)
+
+
+def _arrows(sheet: AssemblyInstructions, step: AssemblyInstruction) -> Arrows:
+    """Return the arrows along which the parts of a step come in, each outside of its part."""
+    assert step.ways is not None
+    length, ends = _ARROW * diagonal(sheet.assembly), []
+    for part, way in zip(step.parts, step.ways, strict=True):
+        center = sheet.assembly.mass.center[part]
+        half = float(((center - sheet.assembly.meshes[part].vertices) @ way).max())
+        ends.append([center - (half + 1.2 * length) * way, center - (half + 0.2 * length) * way])
+    return Arrows(np.array(ends), INK, breadth=2.0, inside=False)
+
+
+def _box(sheet: AssemblyInstructions) -> NDArray[np.float64]:
+    """Return the box that all pictures show: the structure and the arrows of insertions, shape (2, 3)."""
+    arrows = [_arrows(sheet, step).ends.reshape(-1, 3) for step in sheet.steps if step.place]
+    points = np.concatenate([bounds_of(sheet.assembly), *arrows])
+    box = np.stack([points.min(axis=0), points.max(axis=0)])
+    box[0, 2] = bounds_of(sheet.assembly)[0, 2]
+    return box
+
+
+def _head(canvas: Canvas, sheet: AssemblyInstructions) -> float:
+    """Draw the title, the glossary, and the rules on which the proofs rest; return where they end."""
     assembly, left, y = sheet.assembly, _MARGIN, _PAGE[1] - _MARGIN - 8
     _text(canvas, left, y, assembly.name, _BOLD, 18, width=_PAGE[0] - 2 * _MARGIN)
     placed = [part for step in sheet.steps if step.place for part in step.parts]
     mass = float(assembly.mass.mass[placed].sum())
-    facts = f"{len(placed)} parts to place, {mass:.4g} kg; {sheet.supports} supports, {len(sheet.steps)} steps"
+    work = f"{counted(sheet.supports, 'support')}, {counted(len(sheet.steps), 'step')}"
+    facts = f"{counted(len(placed), 'part')} to place, {mass:,.0f} kg; {work}"
     _text(canvas, left, y - 16, facts, _REGULAR, 10.5)
     lines = [
         "A support is a robot, a prop or a pair of hands that keeps a part exactly where it is. Keep to the order.",
         "Never release a part before the sheet says so: the states between steps were proved to stand, no others.",
         f"The proofs hold for friction of at least {assembly.friction:g} and parts of the masses given, at rest, "
         "where the model has them.",
-        "Axes: x to the right in plan, y away, z up. Dark parts are fixed. Pictures show the state after the step.",
+        "Arrows show how a part comes in. Dark parts are fixed. Pictures show the state in which the part is held.",
     ]
     if any(step.presses for step in sheet.steps):
         lines.append(
@@ -128,74 +230,84 @@ def _head(canvas: Canvas, sheet: AssemblyInstructions) -> None:
     if needed:
         when = ", ".join(f"{sheet.named(step)} for step {step.number}" for step in needed)
         lines.append(f"Not delivered yet, and needed: {when}.")
-    for number, line in enumerate(lines):
-        _text(canvas, left, y - 32 - 11.5 * number, line, _REGULAR, 8.3, width=_PAGE[0] - 2 * _MARGIN)
-    x, y = left, y - 36 - 11.5 * len(lines)
+    y -= 32
+    for line in lines:
+        y = _paragraph(canvas, left, y, line, 8.3, width=_PAGE[0] - 2 * _MARGIN, leading=11.5)
+    x, y = left, y - 4
     for support in range(sheet.supports):
         canvas.setFillColor(robot_color(support))
         canvas.rect(x, y - 2, 10, 10, stroke=0, fill=1)
         x = _text(canvas, x + 14, y, f"support {support + 1}", _REGULAR, 9) + 16
     _text(canvas, x, y, "pale: just released", _REGULAR, 9)
+    return y
 
 
-def _row(canvas: Canvas, sheet: AssemblyInstructions, step: AssemblyInstruction, y: float, camera: Camera) -> None:
-    """Draw one step, between `y` and `y` plus the height of a row."""
+def _row(
+    canvas: Canvas,
+    sheet: AssemblyInstructions,
+    steps: tuple[AssemblyInstruction, ...],
+    y: float,
+    camera: Camera,
+    box: NDArray[np.float64],
+) -> None:
+    """Draw one step, or a placing with its release, between `y` and `y` plus the height of a row."""
+    step, last = steps[0], steps[-1]
     left, top = _MARGIN, y + _ROW
     canvas.setStrokeColor("#d5d3cd")
     canvas.setLineWidth(0.5)
     canvas.line(left, top, _PAGE[0] - _MARGIN, top)
-    _text(canvas, left, top - 17, str(step.number), _BOLD, 14)
+    _text(canvas, left, top - 17, ", ".join(str(one.number) for one in steps), _BOLD, 14 if len(steps) == 1 else 10)
     canvas.setStrokeColor(INK)
     canvas.rect(left, top - 42, 13, 13, stroke=1, fill=0)
-    canvas.drawImage(
-        _picture(sheet, step, camera), left + _COLUMNS[1], y + 1.5 * _POINT, *_PICTURE, preserveAspectRatio=True
-    )
+    picture = _picture(sheet, step, camera, box)
+    canvas.drawImage(picture, left + _COLUMNS[1], y + 1.5 * _POINT, *_PICTURE, preserveAspectRatio=True)
+    _axes(canvas, camera, left + _COLUMNS[1] + 10, y + 12, 11)
     x, width = left + _COLUMNS[2], _COLUMNS[3] - _COLUMNS[2] - 8
     color = robot_color(step.supports[0])
     canvas.setFillColor(color if step.place else mix(color, "#ffffff", 0.55))
     canvas.rect(x, top - 17, 9, 9, stroke=0, fill=1)
-    _text(canvas, x + 13, top - 16, step.verb.upper(), _BOLD, 10.5)
+    _text(canvas, x + 13, top - 16, ", ".join(one.verb.upper() for one in steps), _BOLD, 10.5)
     _text(canvas, x, top - 33, sheet.named(step), _BOLD, 13, width=width)
-    mass, several = float(sheet.assembly.mass.mass[list(step.parts)].sum()), len(step.parts) > 1
+    line = top - 46
+    several, carried = len(step.parts) > 1, len(step.supports) < len(step.parts)
     if step.ways is not None:
-        comes = f"{mass:.4g} kg, {'come in together' if several else 'comes in'} {sheet.comes_in(step)}"
-        _text(canvas, x, top - 47, comes, _REGULAR, 8.3, width=width)
+        about = (
+            f"{_mass(sheet, *step.parts)} kg, {'come in together' if several else 'comes in'} {sheet.comes_in(step)}"
+        )
+        line = _paragraph(canvas, x, line, about, 8.3, width=width)
+        if not several:
+            line = _paragraph(canvas, x, line, f"centre {_center(sheet, step.parts[0])}\u00a0m", 8.3, width=width)
         held = f"and {'are' if several else 'is'} held by {_supports(step)}"
-        if len(step.supports) < len(step.parts):
+        if carried:
             held = f"carried by {_supports(step)}, which holds {sheet.name(step.parts[0])}"
-        _text(canvas, x, top - 59, held, _REGULAR, 8.3, width=width)
-    else:
-        _text(canvas, x, top - 47, f"{_supports(step)} lets go and is free", _REGULAR, 8.3, width=width)
-        presses = sheet.pressing(step)
+        line = _paragraph(canvas, x, line, held, 8.3, width=width)
+    if not last.place:
+        lets_go = "and then lets go" if carried else "which then lets go"
+        then = lets_go if step.place else f"{_supports(step)} lets go and is free"
+        line = _paragraph(canvas, x, line, then, 8.3, width=width)
+        presses = sheet.pressing(last)
         for number, (what, how) in enumerate(presses[:_LISTED_PRESSES]):
             more = len(presses) - _LISTED_PRESSES if number + 1 == _LISTED_PRESSES else 0
             how += f", and {more} more" if more > 0 else ""
-            line = top - 59 - 22 * number
             _text(canvas, x, line, f"PRESS {what}", _BOLD, 8.3, color=PRESS, width=width)
-            _text(canvas, x, line - 10, how, _REGULAR, 8.3, color=PRESS, width=width)
+            line = _paragraph(canvas, x, line - 10, how, 8.3, color=PRESS, width=width)
     if step.needed:
-        _text(canvas, x, top - 72, "was late: is it there?", _BOLD, 8.3, width=width)
-    _text(
-        canvas,
-        x,
-        y + 8,
-        f"{step.placed} part{'' if step.placed == 1 else 's'} placed{'; ' if step.margins else ''}{step.margins}",
-        _REGULAR,
-        8.3,
-        color=_GREY,
-        width=width,
-    )
+        _text(canvas, x, line, "was late: is it there?", _BOLD, 8.3, width=width)
+    placed = f"{counted(last.placed, 'part')} placed{'; ' if last.margins else ''}{last.margins}"
+    lines = _broken(placed, 7.8, _PAGE[0] - 2 * _MARGIN - _COLUMNS[2])
+    for number, words in enumerate(lines):
+        _text(canvas, x, y + 5 + 9.5 * (len(lines) - 1 - number), words, _REGULAR, 7.8, color=_GREY)
     x, width = left + _COLUMNS[3], _PAGE[0] - 2 * _MARGIN - _COLUMNS[3]
-    _text(canvas, x, top - 16, "HOLD until released" if step.hold else "nothing is held", _REGULAR, 8.3, color=_GREY)
-    lines = max(int((_ROW - 30) // 13), 1)
-    shown = step.hold if len(step.hold) <= lines else step.hold[: lines - 1]
+    _text(canvas, x, top - 16, "HOLD until released" if last.hold else "nothing is held", _REGULAR, 8.3, color=_GREY)
+    room = max(int((_ROW - 40) // 13), 1)
+    shown = last.hold if len(last.hold) <= room else last.hold[: room - 1]
     for number, (part, support) in enumerate(shown):
         line = top - 32 - 13 * number
         canvas.setFillColor(robot_color(support))
         canvas.rect(x, line - 1, 8, 8, stroke=0, fill=1)
         _text(canvas, x + 12, line, sheet.name(part), _REGULAR, 9.5, width=width - 12)
-    if len(shown) < len(step.hold):
-        more = f"and {len(step.hold) - len(shown)} more that are coloured"
+    if len(shown) < len(last.hold):
+        more = f"and {len(last.hold) - len(shown)} more that are coloured"
         _text(canvas, x, top - 32 - 13 * len(shown), more, _REGULAR, 8.3)
 
 
@@ -214,18 +326,23 @@ def _foot(canvas: Canvas, sheet: AssemblyInstructions, number: int, pages: int) 
     canvas.drawRightString(_PAGE[0] - _MARGIN, y, f"page {number} of {pages}")
 
 
-def _picture(sheet: AssemblyInstructions, step: AssemblyInstruction, camera: Camera) -> Any:
+def _picture(sheet: AssemblyInstructions, step: AssemblyInstruction, camera: Camera, box: NDArray[np.float64]) -> Any:
     """Return the state after a step, as an image for the page."""
-    from PIL import Image
-    from reportlab.lib.utils import ImageReader
-
     marks = {} if step.place else {step.parts[0]: mix(robot_color(step.supports[0]), "#ffffff", 0.55)}
     look = appearance_at(sheet.timeline, step.number, marks=marks, travelling=False)
     arrows = list(arrows_of_step(sheet.timeline, step.number).values())
-    pixels = np.rint(255 * draw(sheet.assembly, look, camera, arrows=arrows, samples=2)).astype(np.uint8)
-    # JPEG goes into the page as it is, a fifth of the size of what the page would make of the pixels.
+    if step.place:
+        arrows.append(_arrows(sheet, step))
+    return _jpeg(draw(sheet.assembly, look, camera, bounds=box, arrows=arrows, samples=2))
+
+
+def _jpeg(image: NDArray[np.floating]) -> Any:
+    """Return a picture for the page, as JPEG: a fifth of the size of what the page would make of the pixels."""
+    from PIL import Image
+    from reportlab.lib.utils import ImageReader
+
     file = io.BytesIO()
-    Image.fromarray(pixels).save(file, "JPEG", quality=88, subsampling=0)
+    Image.fromarray(np.rint(255 * image).astype(np.uint8)).save(file, "JPEG", quality=88, subsampling=0)
     file.seek(0)
     return ImageReader(file)
 
@@ -240,16 +357,35 @@ def _text(
     *,
     color: str = INK,
     width: float | None = None,
+    end: float | None = None,
 ) -> float:
-    """Write a line, smaller or cut short if there is no room for it, and return where it ends."""
+    """Write a line, smaller if there is no room for it, and return where it ends; before `end` instead, if given."""
     if width is not None:
-        size = max(0.7 * size, min(size, size * width / max(canvas.stringWidth(text, font, size), 1e-9)))
-        while len(text) > 1 and canvas.stringWidth(text, font, size) > width:
-            text = text[:-2] + "…"
+        size = min(size, size * width / max(canvas.stringWidth(text, font, size), 1e-9))
     canvas.setFillColor(color)
     canvas.setFont(font, size)
+    if end is not None:
+        canvas.drawRightString(end, y, text)
+        return end
     canvas.drawString(x, y, text)
     return x + canvas.stringWidth(text, font, size)
+
+
+def _paragraph(
+    canvas: Canvas, x: float, y: float, text: str, size: float, *, width: float, color: str = INK, leading: float = 10.0
+) -> float:
+    """Write a text in as many lines as it takes, and return the place of the line after it."""
+    for line in _broken(text, size, width):
+        _text(canvas, x, y, line, _REGULAR, size, color=color, width=width)
+        y -= leading
+    return y
+
+
+def _broken(text: str, size: float, width: float) -> list[str]:
+    """Return the lines of a text that is broken between words."""
+    from reportlab.lib.utils import simpleSplit
+
+    return simpleSplit(text, _REGULAR, size, width)
 
 
 def _shortened(sheet: AssemblyInstructions, parts: tuple[int, ...]) -> str:
@@ -267,3 +403,22 @@ def _register_fonts() -> None:
     for name, file in ((_REGULAR, "DejaVuSans.ttf"), (_BOLD, "DejaVuSans-Bold.ttf")):
         if name not in getRegisteredFontNames():
             registerFont(TTFont(name, folder / file))
+
+
+def _write_pdf(
+    path: Path | str,
+    assembly: Assembly,
+    plan: Plan,
+    *,
+    azimuth: float = CAMERA.azimuth,
+    elevation: float = CAMERA.elevation,
+    progress: Progress | None = None,
+) -> None:
+    if not -90 < elevation < 90 or elevation == 0:
+        raise InputError(f"an elevation of {elevation:g} degrees sees nothing; give one such as 24")
+    camera = replace(CAMERA, azimuth=azimuth, elevation=elevation)
+    sheet = assembly_instructions(plan, assembly)
+    write_sheet(path, instructions_pdf(sheet, camera=camera, progress=progress))
+
+
+PDF = Exporter(_write_pdf, (".pdf",), ("Plan",), ("azimuth", "elevation", "progress"))

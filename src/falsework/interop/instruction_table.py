@@ -20,6 +20,7 @@ from falsework.assembly.state import REMOVED
 from falsework.errors import PlanError
 from falsework.search.plans.steps import NO_ROBOT, Action, name_together
 from falsework.stability.holds import Press, describe_force
+from falsework.utils.files.formats import Exporter
 from falsework.utils.files.output_file import write_whole
 from falsework.viewer.timeline import Timeline
 
@@ -231,3 +232,11 @@ def _holding(timeline: Timeline, place: int) -> tuple[tuple[int, int], ...]:
     robots = timeline.holders[place]
     held = np.flatnonzero(robots != NO_ROBOT)
     return tuple(sorted(((int(part), int(robots[part])) for part in held), key=lambda pair: pair[1]))
+
+
+def _write_csv(path: Path | str, assembly: Assembly, plan: Plan) -> None:
+    # The byte order mark is how spreadsheets detect the encoding.
+    write_sheet(path, instructions_csv(assembly_instructions(plan, assembly)).encode("utf-8-sig"))
+
+
+CSV = Exporter(_write_csv, (".csv",), ("Plan",))

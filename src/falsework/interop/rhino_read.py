@@ -20,6 +20,7 @@ from falsework.geometry.mesh.read import unit_length
 from falsework.geometry.mesh.sheets import is_sheet
 from falsework.geometry.mesh.surface import PartSurface, separated, warn_of, warn_of_curves
 from falsework.interop.apart import read_apart
+from falsework.utils.files.formats import Reader
 
 _UNITS = {
     "Microns": 1e-6,
@@ -42,12 +43,6 @@ _MESHED = ("Mesh", "Brep", "Extrusion", "SubD")
 """Objects that are read as their meshes."""
 _DEEPEST = 32
 """Levels of blocks in blocks."""
-
-
-def is_rhino(path: Path | str) -> bool:
-    """Return whether a path is a file that looks like a Rhino model, by its name."""
-    path = Path(path)
-    return path.suffix.lower() == ".3dm" and path.is_file()
 
 
 def load_rhino(path: Path | str, *, unit: str | None = None, **options: Any) -> Assembly:
@@ -307,3 +302,6 @@ def _meshes(geometry: Any, kind: str) -> list[Any]:
 def _is_flat(points: NDArray[np.float64]) -> bool:
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(spread[2] <= _FLAT * spread[0])
+
+
+READER = Reader((".3dm",), load_rhino, read_rhino)

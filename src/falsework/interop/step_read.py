@@ -15,6 +15,7 @@ from falsework.assembly.model import Assembly
 from falsework.errors import DependencyError, InputError
 from falsework.geometry.mesh.surface import warn_of, warn_of_curves
 from falsework.interop.apart import read_apart
+from falsework.utils.files.formats import Reader
 
 _MILLIMETRE = 1e-3
 """Unit to which Open CASCADE converts coordinates, in metres."""
@@ -24,12 +25,6 @@ _ANGLE = np.radians(5)
 """Largest angle between neighbouring triangles of a curved face."""
 _NAMELESS = "Open CASCADE STEP translator"
 """Beginning of the names that Open CASCADE gives products without one."""
-
-
-def is_step(path: Path | str) -> bool:
-    """Return whether a path is a file that looks like a STEP model, by its name."""
-    path = Path(path)
-    return path.suffix.lower() in (".step", ".stp") and path.is_file()
 
 
 def load_step(path: Path | str, *, unit: str | None = None, **options: Any) -> Assembly:
@@ -197,3 +192,6 @@ def _block(solid: Any) -> tuple[Block, bool]:
                 faces.append(corners[::-1] if face.Orientation() == TopAbs_REVERSED else corners)
         explorer.Next()
     return Block("", np.array(vertices, dtype=float).reshape(-1, 3), faces), bent
+
+
+READER = Reader((".step", ".stp"), load_step, read_step)

@@ -19,6 +19,7 @@ from falsework import __version__
 from falsework.interop.tracks import Track, Tracks, tracks_of
 from falsework.search.plans.steps import NO_ROBOT
 from falsework.stability.settings import StabilitySettings
+from falsework.utils.files.formats import Exporter
 from falsework.utils.files.output_file import write_whole
 from falsework.viewer.palette import BOUNDARY, INSTALLED, robot_color, unit_rgb
 
@@ -248,3 +249,6 @@ def _tuple(values: Iterable[Any]) -> str:
 
 def _number(value: float) -> str:
     return f"{float(value):.9g}"
+
+
+EXPORTER = Exporter(write_usd, (".usd", ".usda"), ("Assembly", "Plan"), ("step_seconds",))

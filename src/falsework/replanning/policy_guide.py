@@ -51,7 +51,7 @@ class PolicyGuide:
         self.policy.eval()
         weights = next(iter(policy.parameters()), None)
         self.device = torch.device("cpu") if weights is None else weights.device
-        self.goal_conditioned = bool(getattr(getattr(policy, "settings", None), "goal_conditioned", False))
+        self.goal_conditioned = bool(getattr(policy, "goal_conditioned", False))
         self.task = task
         self._seconds: dict[int, float] = {}
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
 import numpy as np
+from msgspec import to_builtins
 from numpy.typing import NDArray
 
 from falsework.search.plans.plan import Plan
@@ -112,7 +113,7 @@ class ReplanResult(Displayed):
             record["actions"] = [
                 f"{step.action} {step.name}" for step in self.plans[0].in_order(self.direction)[self.built :]
             ]
-            record["needs"] = [asdict(need) for need in self.plans[0].needs]
+            record["needs"] = to_builtins(self.plans[0].needs)
             if len(self.plans) > 1:
                 record["distances"] = np.round(self.distance, 4).tolist()
         else:

@@ -31,7 +31,6 @@ from falsework.robots.planning.hybrid_planner import plan_robots as plan_robots
 from falsework.robots.planning.hybrid_result import HybridProgress as HybridProgress
 from falsework.robots.planning.hybrid_result import HybridResult as HybridResult
 from falsework.robots.planning.hybrid_result import HybridSettings as HybridSettings
-from falsework.robots.planning.plan_together import plan_together as plan_together
 from falsework.robots.plans.grip_loads import GripLoad as GripLoad
 from falsework.robots.plans.grip_loads import grip_loads as grip_loads
 from falsework.robots.plans.plan_problem import PlanProblem as PlanProblem
@@ -41,9 +40,9 @@ from falsework.robots.plans.robot_plan import RobotStep as RobotStep
 from falsework.robots.plans.robot_plan import Trajectory as Trajectory
 from falsework.robots.plans.robot_plan_file import load_robot_plan as load_robot_plan
 from falsework.robots.plans.robot_plan_file import robot_plan_from_dict as robot_plan_from_dict
-from falsework.robots.plans.robot_plan_file import robot_plan_schema as robot_plan_schema
 from falsework.robots.plans.robot_plan_file import robot_plan_to_dict as robot_plan_to_dict
 from falsework.robots.plans.robot_plan_file import save_robot_plan as save_robot_plan
+from falsework.robots.plans.robot_plan_model import robot_plan_schema as robot_plan_schema
 from falsework.robots.plans.robot_record import RobotRecord as RobotRecord
 from falsework.robots.plans.temporal_graph import MotionNode as MotionNode
 from falsework.robots.plans.temporal_graph import Precedence as Precedence

@@ -24,9 +24,9 @@ from falsework.search.plans.plan_check import validate_plan as validate_plan
 from falsework.search.plans.plan_check import validate_proofs as validate_proofs
 from falsework.search.plans.plan_file import load_plan as load_plan
 from falsework.search.plans.plan_file import plan_from_dict as plan_from_dict
-from falsework.search.plans.plan_file import plan_schema as plan_schema
 from falsework.search.plans.plan_file import plan_to_dict as plan_to_dict
 from falsework.search.plans.plan_file import save_plan as save_plan
+from falsework.search.plans.plan_model import plan_schema as plan_schema
 from falsework.search.plans.plan_replay import PlanReplay as PlanReplay
 from falsework.search.plans.plan_report import PlanReport as PlanReport
 from falsework.search.plans.plan_source import structure_of_plan as structure_of_plan

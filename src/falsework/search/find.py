@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TypedDict, Unpack
 
@@ -14,7 +15,7 @@ from numpy.typing import ArrayLike
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
 from falsework.assembly.part_numbers import part_ids
-from falsework.assembly.props import keep_props
+from falsework.assembly.props import keep_props, without_props
 from falsework.assembly.state import REMOVED, States
 from falsework.errors import InputError
 from falsework.search.margins.demands import DemandingStability
@@ -154,6 +155,10 @@ def find_plans(
     named = [*rules, *(["robots"] if robots is not None else [])]
     if task is not None and named:
         raise InputError(f"a task and {', '.join(named)} were given; put them into the task, or leave the task out")
+    odd = next((name for name in rules if name not in TaskRules.__annotations__), None)
+    if odd is not None:
+        meant = get_close_matches(odd, ["robots", "stability", "settings", "deadline", *TaskRules.__annotations__], n=1)
+        raise InputError(f"find_plans takes no {odd!r}" + (f"; did you mean {meant[0]!r}?" if meant else ""))
     assembly = as_assembly(assembly)
     progress = or_notebook(progress, "searching")
     if oracle is None:
@@ -229,7 +234,7 @@ def task_of(
             f"props is {props}, which cannot be placed; give a number from 0 on, with support and a structure with "
             "places for props, as with_props(assembly, prop_places(assembly)) makes it"
         )
-    start, target = (_with_places(state, assembly) for state in (start, target))
+    start, target = (without_props(state, assembly) for state in (start, target))
     together = None if parts_at_once == 1 else LockedTogether(assembly, parts_at_once)
     return Task.create(
         assembly.boundary,
@@ -246,13 +251,6 @@ def task_of(
         prop_limit=props,
         together=together,
     )
-
-
-def _with_places(state: ArrayLike | None, assembly: Assembly) -> ArrayLike | None:
-    """Return a state with its props absent, where it was given without any."""
-    if state is None or not assembly.props or np.shape(state) != (assembly.part_count - len(assembly.props),):
-        return state
-    return np.append(np.asarray(state), np.zeros(len(assembly.props), dtype=np.uint8))
 
 
 def plan_of(
@@ -347,10 +345,8 @@ def _run(
         if stop is not None and stop():
             return True
         # The bound does not cover props, nor steps of several parts.
-        paused = (
-            not (planner.routes or task.prop_limit or task.together is not None)
-            and time.process_time() - begun > _BOUND_AFTER
-        )
+        beyond = planner.routes or task.prop_limit or task.together is not None
+        paused = not beyond and time.process_time() - begun > _BOUND_AFTER
         return paused
 
     result = planner.run(progress=progress, stop=halt)

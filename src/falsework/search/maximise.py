@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from msgspec import structs
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
@@ -88,7 +89,7 @@ def maximise_margin(
         if cut:
             break
         level = _next(reached, missed, bound)
-        trial = DemandingStability(assembly, stability, replace(demands, **{kind: level}))
+        trial = DemandingStability(assembly, stability, structs.replace(demands, **{kind: level}))
         planner = Planner(task, trial, settings, guide=SupportGuide(assembly))
         budget = _Budget(max(_EFFORT * effort, _LEAST_EFFORT), progress, stop)
         found = planner.run(progress=budget.note, stop=budget.is_spent)

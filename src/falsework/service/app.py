@@ -9,17 +9,20 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 from fastapi import FastAPI, Request, Response
-from pydantic import BaseModel, ValidationError
+from msgspec import UNSET, UnsetType, structs
+from msgspec.json import encode
 from starlette.exceptions import HTTPException
 
 from falsework import __version__
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
-from falsework.service import schema as description
+from falsework.service import schema
 from falsework.service.docs_page import page_of
 from falsework.service.metrics import Metrics
 from falsework.service.middleware import INSIDE, App, ServiceMiddleware
 from falsework.service.pool import Pool, Reply
+from falsework.service.schema import Holds, PictureRequest, ReplanRequest, StabilityRequest
+from falsework.service.schema import Request as Asked
 from falsework.service.settings import PICTURE_SECONDS, STABILITY_SECONDS, ServiceSettings
 from falsework.service.worker import refusal
 
@@ -74,66 +77,60 @@ def application(assembly: Assembly, pool: Pool, settings: ServiceSettings, metri
         openapi_url=None,
         redirect_slashes=False,
     )
-    models = description.models_of(assembly, settings)
-    _add_questions(app, assembly, pool, settings, models)
+    _add_questions(app, assembly, pool, settings)
     _add_reports(app, assembly, pool, metrics)
     app.add_exception_handler(HTTPException, _refuse)
     app.add_exception_handler(Exception, _admit)
-    app.openapi = _describe(app, models, settings)  # type: ignore[method-assign]
+    app.openapi = _describe(app, settings)  # type: ignore[method-assign]
     _add_pages(app)
     return ServiceMiddleware(app, settings, metrics)
 
 
-def _add_questions(
-    app: FastAPI, assembly: Assembly, pool: Pool, settings: ServiceSettings, models: description.Models
-) -> None:
+def _add_questions(app: FastAPI, assembly: Assembly, pool: Pool, settings: ServiceSettings) -> None:
     """Add the routes for work: plans, verdicts and pictures."""
 
     async def replan(request: Request) -> Response:
-        wanted = await _read(request, models.replan, assembly)
-        if isinstance(wanted, Response):
-            return wanted
-        payload, given = wanted.model_dump(exclude={"deadline"}), wanted.model_fields_set
-        try:
-            if payload["plan"] is not None:
-                if "state" in given:
-                    raise InputError("state: a plan with its step says what the state is; leave one of the two out")
-                payload["state"] = None
-                for name in {"robots", "holds"} - given:  # those of the plan
-                    del payload[name]
-            if "holds" in payload:
-                payload["holds"] = description.read_holds(wanted, assembly, pool.settings.criterion)
-            for name in ("state", "target"):
-                if payload[name] is not None:
-                    payload[name] = description.read_state(payload[name], assembly)
-        except InputError as error:
-            return _response(Reply(422, refusal(str(error))))
-        seconds = wanted.model_dump(include={"deadline"})["deadline"] / 1000
-        return await _wait(request, pool.ask("replan", payload, seconds))
+        def payload(wanted: ReplanRequest) -> dict[str, Any]:
+            if wanted.plan is not None and wanted.state is not UNSET:
+                raise InputError("state: a plan with its step says what the state is; leave one of the two out")
+            given = {name: value for name, value in structs.asdict(wanted).items() if name != "deadline"}
+            if wanted.plan is not None:
+                given["state"] = None
+                given = {name: value for name, value in given.items() if value is not UNSET}  # those of the plan
+            else:
+                given["robots"] = 2 if wanted.robots is UNSET else wanted.robots
+                start = "complete" if wanted.state is UNSET else wanted.state
+                given["state"] = schema.state_of(start, assembly, "state")
+            if wanted.plan is None or wanted.holds is not UNSET:
+                holds = Holds() if isinstance(wanted.holds, UnsetType) else wanted.holds
+                given["holds"] = schema.read_holds(holds, assembly, pool.settings.criterion)
+            if wanted.target is not None:
+                given["target"] = schema.state_of(wanted.target, assembly, "target")
+            return given
+
+        def ask(wanted: ReplanRequest, given: dict[str, Any]) -> Any:
+            seconds = settings.deadline if wanted.deadline is None else wanted.deadline / 1000
+            return pool.ask("replan", given, seconds)
+
+        return await _answer(request, ReplanRequest, payload, ask)
 
     async def stability(request: Request) -> Response:
-        wanted = await _read(request, models.stability, assembly)
-        if isinstance(wanted, Response):
-            return wanted
-        given = wanted.model_dump()
-        try:
-            states = description.read_states(given["states"], assembly)
-        except InputError as error:
-            return _response(Reply(422, refusal(str(error))))
-        return await _wait(request, pool.ask("stability", (states, given["explain"]), STABILITY_SECONDS))
+        def payload(wanted: StabilityRequest) -> Any:
+            return schema.read_states(wanted.states, assembly, settings), wanted.explain
+
+        return await _answer(
+            request, StabilityRequest, payload, lambda _, given: pool.ask("stability", given, STABILITY_SECONDS)
+        )
 
     async def picture(request: Request) -> Response:
-        wanted = await _read(request, models.picture, assembly)
-        if isinstance(wanted, Response):
-            return wanted
-        payload = wanted.model_dump()
-        try:
-            if payload["plan"] is None and payload["step"] is not None:
+        def payload(wanted: PictureRequest) -> dict[str, Any]:
+            if wanted.plan is None and wanted.step is not None:
                 raise InputError("step: a state has no steps; give the plan too, or leave step out")
-            payload["state"] = description.read_state(payload["state"], assembly)
-        except InputError as error:
-            return _response(Reply(422, refusal(str(error))))
-        return await _wait(request, pool.ask("picture", payload, PICTURE_SECONDS), media=_PNG)
+            return structs.asdict(wanted) | {"state": schema.state_of(wanted.state, assembly, "state")}
+
+        return await _answer(
+            request, PictureRequest, payload, lambda _, given: pool.ask("picture", given, PICTURE_SECONDS), media=_PNG
+        )
 
     app.add_api_route("/replan", replan, **_route("POST", "Replan from a state", "ReplanAnswer", "ReplanRequest"))
     app.add_api_route(
@@ -148,8 +145,7 @@ def _add_reports(app: FastAPI, assembly: Assembly, pool: Pool, metrics: Metrics)
 
     async def structure() -> Response:
         if not written:
-            record = description.structure_record(assembly, policy=bool(pool.policy))
-            written.append(json.dumps(record, ensure_ascii=True).encode())
+            written.append(encode(schema.structure_record(assembly, policy=bool(pool.policy))))
         return Response(written[0], media_type=_JSON)
 
     async def health() -> Response:
@@ -166,7 +162,7 @@ def _add_reports(app: FastAPI, assembly: Assembly, pool: Pool, metrics: Metrics)
     async def count() -> Response:
         return Response(metrics.text(pool.waiting, sum(pool.ready.values())), media_type="text/plain; version=0.0.4")
 
-    app.add_api_route("/structure", structure, **_route("GET", "The structure and its parts", "Structure"))
+    app.add_api_route("/structure", structure, **_route("GET", "The structure and its parts", "StructureRecord"))
     app.add_api_route("/health", health, **_route("GET", "Readiness of the workers", "Health"))
     about = _route("GET", "Counters for Prometheus", None)
     app.add_api_route("/metrics", count, **about)
@@ -203,7 +199,7 @@ def _route(method: str, summary: str, answer: str | None, question: str | None =
     if answer == _PNG:
         refused += (501,)
     responses: dict[int | str, dict[str, Any]] = {
-        status: {"description": _WORDS[status], "content": {_JSON: {"schema": _ref("Error")}}} for status in refused
+        status: {"description": _WORDS[status], "content": {_JSON: {"schema": _ref("Refusal")}}} for status in refused
     }
     responses[200] = {"description": "the answer", "content": content}
     if answer == "Health":
@@ -225,7 +221,7 @@ def _ref(model: str) -> dict[str, str]:
     return {"$ref": f"#/components/schemas/{model}"}
 
 
-def _describe(app: FastAPI, models: description.Models, settings: ServiceSettings) -> Callable[[], dict[str, Any]]:
+def _describe(app: FastAPI, settings: ServiceSettings) -> Callable[[], dict[str, Any]]:
     """Make the OpenAPI description: the routes known to FastAPI, with the schemas of this structure."""
     generate = app.openapi
     written: list[dict[str, Any]] = []
@@ -233,7 +229,7 @@ def _describe(app: FastAPI, models: description.Models, settings: ServiceSetting
     def describe() -> dict[str, Any]:
         if not written:
             document = generate()
-            document["components"] = {"schemas": description.components(models)}
+            document["components"] = {"schemas": schema.components()}
             for path in document["paths"].values():
                 for operation in path.values():
                     answers = operation["responses"]
@@ -248,15 +244,23 @@ def _describe(app: FastAPI, models: description.Models, settings: ServiceSetting
     return describe
 
 
-async def _read(request: Request, model: type[BaseModel], assembly: Assembly) -> BaseModel | Response:
-    """Parse a request by its model, or return the error."""
-    kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
-    if kind != _JSON:
+async def _answer(
+    request: Request,
+    kind: type[Asked],
+    payload: Callable[[Asked], Any],
+    ask: Callable[[Asked, Any], Any],
+    *,
+    media: str = _JSON,
+) -> Response:
+    """Read a request, have it answered, and wait for the answer while the client is connected."""
+    if request.headers.get("content-type", "").partition(";")[0].strip().lower() != _JSON:
         return _response(Reply(415, refusal(f"send JSON, with Content-Type: {_JSON}")))
     try:
-        return model.model_validate_json(await request.body())
-    except ValidationError as error:
-        return _response(Reply(422, refusal(description.complaint(error, assembly.part_count))))
+        wanted = schema.read_request(kind, await request.body())
+        given = payload(wanted)
+    except InputError as error:
+        return _response(Reply(422, refusal(str(error))))
+    return await _wait(request, ask(wanted, given), media=media)
 
 
 async def _wait(request: Request, question: Any, *, media: str = _JSON) -> Response:

@@ -33,8 +33,6 @@ from falsework.stability.verdict import Verdict, Verdicts
 
 Array = NDArray[np.float64]
 
-_MANY_POINTS = 4096
-"""Contact points from which states one after the other are evaluated only where they change."""
 _CHUNK_POINTS = 1 << 18
 """Contact points of all states that are checked at once: small enough for the processor's cache."""
 
@@ -170,7 +168,7 @@ def residuals_in_order(
 ) -> Array:
     """Return the residuals of `residual_of_forces` for states one after the other, as in a plan.
 
-    Most forces in a state of a large plan are, bit by bit, those of the state before. So only the parts are evaluated
+    Most forces in a state of a plan are, bit by bit, those of the state before. So only the parts are evaluated
     where forces or the presence of parts differ from those of the state before, which is found by comparing them; all
     other parts keep their residual.
 
@@ -184,10 +182,6 @@ def residuals_in_order(
         Shares of gravity, shape (batch,).
     """
     residual, points = np.empty(len(states)), len(assembly.contacts.points)
-    if points < _MANY_POINTS:
-        for rows in chunks(np.arange(len(states)), points):
-            residual[rows] = residual_of_forces(assembly, states[rows], np.array([forces[k] for k in rows]), claim)
-        return residual
     strength, geometry = (
         strength_of(assembly, claim.gravity, claim.reserve),
         geometry_of(assembly.contacts, assembly.mass),

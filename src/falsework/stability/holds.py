@@ -14,14 +14,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cache
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
+from falsework.utils.models import FileModel
 from falsework.utils.quantity import format_quantity
 
 Array = NDArray[np.float64]
@@ -103,13 +105,12 @@ class HoldSettings:
                 raise InputError(f"the largest {name} of holds is {value:g} {unit}; give 0 or more")
 
 
-@dataclass(frozen=True)
-class Press:
+class Press(FileModel, frozen=True):
     """Wrench that a robot adds to a part that it holds while another part is released."""
 
-    part: int
+    part: Annotated[int, Meta(ge=0)]
     """The held part."""
-    wrench: tuple[float, ...]
+    wrench: Annotated[tuple[float, ...], Meta(min_length=6, max_length=6)]
     """Force in N, and moment about the part's centre of mass in N m; under hybrid control the moment is zero, and the
     part gives way along the force only."""
 
@@ -119,15 +120,14 @@ class Press:
         return float(np.linalg.norm(self.wrench[:3]))
 
 
-@dataclass(frozen=True)
-class HoldLoad:
+class HoldLoad(FileModel, frozen=True):
     """What a robot bears for a part that it holds in one state."""
 
-    part: int
+    part: Annotated[int, Meta(ge=0)]
     """The held part."""
-    force: float
+    force: Annotated[float, Meta(ge=0)]
     """Size of the force, N."""
-    moment: float
+    moment: Annotated[float, Meta(ge=0)]
     """Size of the moment about the part's centre of mass, N m."""
 
 
@@ -210,6 +210,6 @@ def inexact_wrenches() -> Array:
 def inexact_presses(presses: Sequence[Press]) -> list[tuple[Press, ...]]:
     """Return presses as robots may carry them out: 10 % off in size, or 5 degrees in direction."""
     return [
-        tuple(replace(press, wrench=tuple((error @ press.wrench).tolist())) for press in presses)
+        tuple(Press(press.part, tuple((error @ press.wrench).tolist())) for press in presses)
         for error in inexact_wrenches()[1:]
     ]

@@ -18,7 +18,7 @@ from falsework.stability.certificate import verify_certificates
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.counters import Counters
-from falsework.stability.cpu.solver import LEFT_OPEN, CpuSolver
+from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.gpu.solver import GpuSolver
 from falsework.stability.margins.margins import QUICK, MarginFinder
 from falsework.stability.margins.prober import Prober
@@ -34,6 +34,9 @@ if TYPE_CHECKING:
 
 _BATCH = 32 * 1024 * 1024
 """Memory for contact forces or displacements of one batch, bytes."""
+LEFT_OPEN = 1000
+"""Parts from which a search does not ask the exact solver, which takes ten seconds and more for one state: a bound on
+its work, not a choice of method."""
 _WORTH_A_GPU = 8
 """States from which `auto` uses the GPU: a launch costs as much as a few states on the CPU."""
 
@@ -89,8 +92,8 @@ class Stability:
             states: one state `(parts,)` or a batch `(batch, parts)`; 0 removed, 1 installed, 2 held.
             near: for each state a stable one that differs from it in few parts, such as its predecessor in a plan,
                 or itself. What was found of that one is the first guess, and a mechanism is sought near the difference
-                first. Without certificates, states that local attempts leave undecided in structures of 1,000 parts
-                and more stay so, without the exact solver. Same shape.
+                first. Without certificates, states that the other solvers leave undecided in structures of 1,000 parts
+                and more stay so. Same shape.
             require_certificate: return forces, velocity and, under `contact`, displacement, each accepted by the
                 certificate checker, and whether a stable state tips. Else verdicts come from the cache if possible,
                 which keeps no certificates, and only a state that is known to tip is not stable for that.

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import Mask, States
 from falsework.errors import InputError
-from falsework.stability.contact.ensemble_replay import EnsembleReplayer
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.solver import ContactSolver
+from falsework.stability.contact.varied_replay import EnsembleReplayer
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.gpu.solver import GpuSolver
 from falsework.stability.problem import Problem
@@ -104,7 +104,7 @@ class EquilibriumSolver:
 
     def memory(self) -> WholeMemory | StateMemory:
         """See `CriterionSolver`."""
-        return remembered_forces(self._problem.points)
+        return remembered_forces(self._problem.points, self._problem.parts)
 
     def falls_near(self, states: States, near: States) -> Mask:
         """See `CriterionSolver`; only replays ask this, and there are none."""

@@ -16,15 +16,16 @@ _WHOLE = 256 * 1024 * 1024
 """Memory for arrays stored whole, bytes."""
 _SHARED = 3 * 1024 * 1024 * 1024
 """Memory for blocks, bytes: nearly all forces of a plan of ten thousand parts, which takes as much for its proofs."""
-_LARGE = 4096
-"""Contact points from which blocks are shared; below, the forces of all states are mostly in memory whole."""
+REMEMBERED = 1 << 16
+"""States whose answers are kept by key, until all are forgotten together: chosen for memory, 33 MB at 510 parts."""
 _UNHELD = 3
-"""Held parts of which a guess is looked up for the state before they were held."""
+"""Held parts of which a guess is looked up for the state before they were held: as many as robots mostly hold."""
 
 
-def remembered_forces(points: int) -> WholeMemory | StateMemory:
-    """Return a memory for the contact forces of states of a structure."""
-    return StateMemory(points, 3, _SHARED) if points >= _LARGE else WholeMemory(8 * 3 * points)
+def remembered_forces(points: int, parts: int) -> WholeMemory | StateMemory:
+    """Return a memory for the contact forces of a structure: whole if those of the states of a plan have room there."""
+    size = 8 * 3 * points
+    return WholeMemory(size) if 2 * parts * size <= _WHOLE else StateMemory(points, 3, _SHARED)
 
 
 class WholeMemory(OrderedDict[bytes, NDArray[np.floating]]):

@@ -20,7 +20,7 @@ MOVEMENT = 1e-3
 SETTLEMENTS = 100.0
 """... or, where that is more, as a multiple of the largest compression of a contact point. What small bearings settle
 is no sign of collapse. Displacements are inversely proportional to stiffness; this ratio does not depend on it."""
-_LEAST_AREA = 1e-3
+LEAST_AREA = 1e-3
 """Least tributary area of a contact point, as a share of the mean."""
 
 
@@ -35,7 +35,7 @@ def normal_stiffness(assembly: Assembly, gravity: float = 9.81) -> NDArray[np.fl
     area = (contacts.areas / np.maximum(count, 1))[contacts.contact_of_point]
     if not len(area):
         return area
-    area = np.maximum(area, _LEAST_AREA * (area.mean() if area.any() else 1.0))
+    area = np.maximum(area, LEAST_AREA * (area.mean() if area.any() else 1.0))
     immovable = assembly.immovable
     movable = ~immovable if not immovable.all() else immovable
     mass, density = assembly.mass.mass[movable], assembly.density[movable]

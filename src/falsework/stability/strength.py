@@ -17,6 +17,9 @@ Array = NDArray[np.float64]
 
 FORCE_BOUND = 1e3
 """Default bound on the sum of all normal forces, in weights of the structure (the paper bounds forces too)."""
+SMOOTH = 1e-3
+"""Coefficient of friction below which cones are too narrow for forces to be kept inside them, and below which the
+search for the least friction tries none: chosen, not measured."""
 TEARS = 1.0 + 1e-6
 """A contact point breaks at this multiple of its tensile strength; the excess over 1 covers rounding of the solvers."""
 

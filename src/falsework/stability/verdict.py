@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.utils.display.notebook import Displayed
+from falsework.utils.quantity import counted
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -33,6 +34,12 @@ class Verdict(IntEnum):
     UNSTABLE = -1
     UNDECIDED = 0
     STABLE = 1
+
+    def __str__(self) -> str:
+        return self.name.lower()
+
+    def __format__(self, form: str) -> str:
+        return format(int(self), form) if form else str(self)
 
     @property
     def words(self) -> str:
@@ -165,7 +172,7 @@ class Verdicts(Displayed):
     def __repr__(self) -> str:
         counts = ((int((self.verdict == kind).sum()), kind.name.lower()) for kind in Verdict)
         found = ", ".join(f"{count} {name}" for count, name in counts if count)
-        return f"<Verdicts of {len(self)} state{'s' * (len(self) != 1)}{found and f': {found}'}>"
+        return f"<Verdicts of {counted(len(self), 'state')}{found and f': {found}'}>"
 
     def __getitem__(self, index: int | slice | NDArray) -> Verdicts:
         """Return verdicts of selected states, as a batch."""

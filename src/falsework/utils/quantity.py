@@ -1,4 +1,4 @@
-"""Numbers that users give and read: quantities with units, and random seeds."""
+"""Numbers that users give and read: quantities with units, counts, and random seeds."""
 
 from __future__ import annotations
 
@@ -44,6 +44,11 @@ def parse_quantity(text: str, kind: str, option: str) -> float:
     if not (math.isfinite(number) and number > 0):
         raise InputError(f"{option}: {text!r} is not above zero; give {wanted}")
     return number * units[unit]
+
+
+def counted(number: int, noun: str) -> str:
+    """Return a number and what it counts, such as `1 step` or `2 steps`."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 _SCALES: dict[str, tuple[tuple[float, str], ...]] = {

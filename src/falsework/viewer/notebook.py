@@ -20,6 +20,7 @@ from falsework.search.find import Planning
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_source import structure_of_plan
 from falsework.stability.verdict import Proof, Verdict, Verdicts
+from falsework.utils.quantity import counted
 from falsework.viewer.appearance import bounds_of
 from falsework.viewer.page.step_list import step_list
 from falsework.viewer.show import picture
@@ -58,7 +59,7 @@ def _(thing: Assembly) -> str:
 def _(thing: Plan) -> str:
     facts = {
         "plan": thing.name,
-        "steps": f"{len(thing)} with {thing.robots} robot{'s' * (thing.robots > 1)}",
+        "steps": f"{len(thing)} with {counted(thing.robots, 'robot')}",
         "criterion": thing.claim.criterion + (f", reserve {thing.claim.reserve:g}" if thing.claim.reserve > 1 else ""),
     }
     if thing.margins is not None:
@@ -68,10 +69,10 @@ def _(thing: Plan) -> str:
         assembly = structure_of_plan(thing)
     except FalseworkError as error:
         rows = ((step.number, "" if step.robot is None else f"R{step.robot + 1}", step.words) for step in thing)
-        listed = _folded(f"{len(thing)} steps", _table(("step", "robot", "action"), rows))
+        listed = _folded(counted(len(thing), "step"), _table(("step", "robot", "action"), rows))
         return _page([_remark(error)], facts) + listed
     drawn = _picture(lambda: picture(thing, None, assembly, frames=6, columns=3, width=260))
-    return _page([drawn], facts) + _folded(f"{len(thing)} steps", step_list(Timeline.of(thing, assembly)))
+    return _page([drawn], facts) + _folded(counted(len(thing), "step"), step_list(Timeline.of(thing, assembly)))
 
 
 @html_of.register
@@ -111,7 +112,7 @@ def _(thing: RobotPlan) -> str:
 
     arms = _picture(lambda: picture(thing, step=len(thing.plan) // 2, width=_WIDE))
     steps = _table(("step", "action"), enumerate((thing.describe(step) for step in range(len(thing))), 1))
-    return _page([arms, _picture(chart)], facts) + _folded(f"{len(thing)} steps", steps)
+    return _page([arms, _picture(chart)], facts) + _folded(counted(len(thing), "step"), steps)
 
 
 @html_of.register

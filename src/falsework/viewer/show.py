@@ -19,6 +19,7 @@ from falsework.stability.holds import describe_loads, describe_presses
 from falsework.stability.margins.nearness import nearness_to_limit
 from falsework.stability.verdict import Criterion
 from falsework.utils.display.notebook import in_notebook
+from falsework.utils.quantity import counted
 from falsework.viewer.arrows import PRESSES, Arrows, arrows_of_step
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.pictures.contact_sheet import (
@@ -313,7 +314,7 @@ def animate(
     )
     fallen = _unstable(proofs)
     note = f"; {len(fallen)} of {len(proofs)} states are not stable" if verdicts else ""
-    shows = f"{len(timeline)} steps in {count} pictures{note}"
+    shows = f"{counted(len(timeline), 'step')} in {counted(count, 'picture')}{note}"
     return PictureReport(shows, places, fallen if verdicts else None, pictures=count)
 
 
@@ -336,7 +337,7 @@ def _picture_graph(shown: Viewable, kind: Kind, title: str) -> Picture:
     route = shown.timeline.states if len(shown.timeline) else None
     visited: States | None = None if shown.policy is None else _model(shown).visited()
     content = figure_of(graph_figure(shown.graph, shown.assembly, route=route, visited=visited, title=title), kind)
-    shows = f"{len(shown.graph)} states and {len(shown.graph.source)} actions"
+    shows = f"{counted(len(shown.graph), 'state')} and {counted(len(shown.graph.source), 'action')}"
     if visited is None:
         return Picture(shows, content=content, kind=kind)
     seen = int(covered(shown.graph, visited).sum())

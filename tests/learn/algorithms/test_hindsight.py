@@ -69,7 +69,7 @@ def test_pairs_of_one_rollout_are_drawn_evenly(bottle: Assembly) -> None:
     states = torch.zeros((5, bottle.part_count), dtype=torch.uint8)
     states[:, 0], states[:, 1] = number // 3, number % 3
     zero, mask = torch.zeros(5), torch.ones((5, 2 * bottle.part_count), dtype=torch.bool)
-    played = Transitions(states, None, number, mask, zero, zero, zero, rollout, torch.tensor([True, False]))
+    played = Transitions(states, None, number, mask, zero, zero, zero, rollout, torch.tensor([True, False]), zero)
     begin, end, action = relabel(played, 60_000, solved, torch.Generator().manual_seed(0))
     first, last = (3 * one[:, 0].long() + one[:, 1].long() for one in (begin, end))
     assert torch.equal(first, action)

@@ -130,7 +130,7 @@ def test_normalized_advantages() -> None:
     assert normalized(torch.zeros(0)).tolist() == []
 
 
-def transition(log_probability: float, advantage: float, mask: list[bool], returns: float = 0.25) -> Transitions:
+def transition(log_probability: float, advantage: float, mask: list[bool], returns: float = -0.5) -> Transitions:
     one = torch.ones(1)
     return Transitions(
         states=torch.zeros(1, 2, dtype=torch.uint8),
@@ -142,6 +142,7 @@ def transition(log_probability: float, advantage: float, mask: list[bool], retur
         returns=one * returns,
         rollout=torch.tensor([0]),
         success=torch.tensor([True]),
+        total=one,
     )
 
 
@@ -220,7 +221,7 @@ def test_a_game_with_one_answer_is_solved(stack: Environment) -> None:
     assert reports[-1]["rollout_success"] > 0.9 > reports[0]["rollout_success"]
     with torch.no_grad():
         values = ppo.policy(rollouts.states[:-1, 0])[1]
-    assert torch.allclose(0.5 + 0.5 * values, 0.9 ** torch.arange(7, -1, -1.0), atol=0.15)
+    assert torch.allclose(values, 0.9 ** torch.arange(7, -1, -1.0), atol=0.15)
     assert ppo.updates == 50
 
 
@@ -281,7 +282,7 @@ def test_every_action_of_every_rollout_is_stored(arch: Assembly, data: Dataset) 
     left = environment.rules.steps_left(starts)
     assert torch.equal(taken[played.success], left[played.success])
     assert bool(played.mask.gather(1, played.actions[:, None]).all())
-    assert bool(((played.returns >= 0) & (played.returns <= 1)).all())
+    assert bool((played.returns.abs() <= 1).all())
 
 
 def test_rollouts_that_cannot_begin_have_no_transitions(arch: Assembly, data: Dataset) -> None:
@@ -332,7 +333,7 @@ def test_tasks_are_drawn_anew_and_imitated(bottle: Assembly, bottle_graph: State
     def learned(imitation: float) -> float:
         settings = replace(SMALL, imitation=imitation)
         ppo = with_targets(environment, states[:1], targets[:1], settings, tasks=ways)
-        batch = ppo._sampler.sample(64, ppo._generator)
+        batch = ppo._sampler.sample(64, ppo.generator)
         assert batch.targets is not None
         assert len(torch.unique(torch.cat([batch.states, batch.targets], dim=1), dim=0)) > 0.9 * 64
         ppo.block(60, (0.0, 1.0))
@@ -424,15 +425,15 @@ def test_the_weight_of_the_entropy_rises_below_its_floor(stack: Environment) -> 
     """Up to a limit, less late in the phase, and it is part of the checkpoint."""
     ppo = learner(stack, replace(SCRATCH, batch=64, entropy_floor=10.0))
     for _ in range(9):
-        ppo.update(ppo._sampler.sample(4, ppo._generator), progress=0.5)
+        ppo.update(ppo._sampler.sample(4, ppo.generator), progress=0.5)
     assert ppo._entropy_factor == 20.0
     other = learner(stack, replace(SCRATCH, batch=64, entropy_floor=10.0))
     other.load_state_dict(ppo.state_dict(), ppo.local_state_dict())
     assert other._entropy_factor == 20.0
-    other.update(other._sampler.sample(4, other._generator), progress=1.0)
+    other.update(other._sampler.sample(4, other.generator), progress=1.0)
     assert other._entropy_factor == pytest.approx(20.0 / 1.5)  # the floor has fallen to zero
     free = learner(stack, replace(SCRATCH, batch=64, entropy_floor=0.0))
-    free.update(free._sampler.sample(4, free._generator))
+    free.update(free._sampler.sample(4, free.generator))
     assert free._entropy_factor == 1.0
 
 
@@ -446,7 +447,7 @@ def test_an_update_ends_early_once_the_policy_has_moved_far(stack: Environment) 
     counts = []
     for limit in (0.0, 1e-9):
         ppo = learner(stack, replace(SCRATCH, batch=10_000, target_divergence=limit, epochs=4))
-        ppo.update(ppo._sampler.sample(16, ppo._generator))
+        ppo.update(ppo._sampler.sample(16, ppo.generator))
         counts.append(ppo.steps)
     assert counts[0] == 4
     assert counts[1] < 4
@@ -506,7 +507,7 @@ def test_the_guard_names_the_step_that_failed_even_where_nothing_can_be_written(
 
 def test_illegal_actions_have_probability_zero_in_every_rollout(stack: Environment) -> None:
     ppo = learner(stack)
-    ppo.update(ppo._sampler.sample(32, ppo._generator))
+    ppo.update(ppo._sampler.sample(32, ppo.generator))
     played = collect(stack, ppo.policy, stack.rules.complete(32))
     assert played.mask.gather(1, played.actions[:, None]).all()
     logits, _ = ppo.policy(played.states)

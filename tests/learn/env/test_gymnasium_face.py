@@ -203,3 +203,43 @@ def test_a_copy_goes_its_own_way(
     twin.reset(seed=0)
     assert np.array_equal(env.action_masks(), before)
     assert not np.array_equal(twin.action_masks(), before)
+
+
+def test_pictures_show_what_changes(arch: Assembly) -> None:
+    """Of one size, as recorders of videos want them."""
+    pytest.importorskip("PIL", reason="Pillow is not installed: pip install 'falsework[picture]'")
+    environment = DisassemblyEnv(arch, render_mode="rgb_array")
+    _, info = environment.reset(seed=0)
+
+    def render() -> np.ndarray:
+        picture = environment.render()
+        assert isinstance(picture, np.ndarray)
+        return picture
+
+    first = render()
+    assert (first.dtype, first.ndim, first.shape[2]) == (np.uint8, 3, 3)
+    assert np.array_equal(first, render())
+    unstable = False
+    while not unstable:
+        before = render()
+        legal = np.flatnonzero(info["action_mask"])
+        *_, done, _, info = environment.step(legal[-1])
+        after = render()
+        assert after.shape == first.shape
+        assert not np.array_equal(before, after)
+        unstable = info["unstable"]
+        assert unstable or not done
+    assert environment._fell
+    environment.reset(seed=0)
+    assert np.array_equal(first, render())
+
+
+def test_frames_are_collected_for_videos(arch: Assembly) -> None:
+    pytest.importorskip("PIL", reason="Pillow is not installed: pip install 'falsework[picture]'")
+    environment = gymnasium.make(ID, structure=arch, render_mode="rgb_array")
+    recorded = gymnasium.wrappers.RenderCollection(environment)
+    _, info = recorded.reset(seed=0)
+    recorded.step(info["action_mask"].argmax())
+    frames = recorded.render()
+    assert len(frames) == 2
+    assert frames[0].shape == frames[1].shape

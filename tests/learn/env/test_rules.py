@@ -139,7 +139,7 @@ def test_bad_input_is_one_clear_line() -> None:
     with pytest.raises(InputError, match="unknown device"):
         TensorRules(task, "toaster")
     rules = TensorRules(task)
-    with pytest.raises(StateError, match="state 1 has 2 parts held; 1 robots can hold 1"):
+    with pytest.raises(StateError, match="state 1 has 2 parts held; 1 robot can hold 1"):
         rules.put([[2, 1, 1], [2, 2, 2]])
     with pytest.raises(StateError, match="boundary part 0"):
         rules.put([1, 1, 1])

@@ -224,9 +224,9 @@ def test_states_of_another_structure_are_refused(arch: Assembly, dome: Assembly)
 
 def test_describe_counts_the_weights(arch: Assembly) -> None:
     parts = arch.part_count
-    about = describe(make_policy(arch, PolicySettings("mlp")))
+    about = describe(make_policy(arch, PolicySettings("mlp")), PolicySettings("mlp"))
     assert about["parameters"] == 4 * parts * 64 + 2 * 64 * 64 + 3 * 64 + 64 * 2 * parts + 2 * parts + 65
-    assert (about["kind"], about["layers"], about["channels"], about["parts"]) == ("mlp", 3, 64, parts)
+    assert (about["kind"], about["layers"], about["channels"]) == ("mlp", 3, 64)
 
 
 @pytest.mark.parametrize(

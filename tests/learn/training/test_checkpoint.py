@@ -34,7 +34,7 @@ def metadata(assembly: Any, policy: Any, **source: Any) -> dict[str, Any]:
     return {
         "structure": describe_structure(assembly, source),
         "settings": to_dict(SETTINGS),
-        "policy": describe(policy),
+        "policy": describe(policy, SETTINGS.policy),
         "results": {},
         "versions": {},
     }
@@ -90,19 +90,25 @@ def test_a_structure_on_disk_is_found_beside_the_run(arch: Any, tmp_path: Path) 
     ("spoil", "message"),
     [
         (lambda run: change(run, format="falsework.run/3"), "has format 'falsework.run/3'; this version reads"),
-        (lambda run: change(run, extra=1), "unexpected or absent entries extra"),
+        (lambda run: change(run, extra=1), "extra is not known; known are format, policy,"),
         (lambda run: change(run, settings={"robot": 2}), "'robot' is not a setting of TrainSettings"),
         (lambda run: change(run, settings={"robots": "two"}), "TrainSettings.robots is 'two'"),
         (lambda run: change(run, settings={"phases": [{"algorithm": "ppo", "batch": None}]}), "PpoPhase.batch is None"),
         (lambda run: change(run, settings={"phases": [{"batch": 3}]}), "a phase of the algorithm None"),
         (lambda run: change(run, settings={"phases": "ppo"}), "a phase of the algorithm None"),
-        (lambda run: change(run, structure=[]), "its structure must have name, identity, parts, source"),
-        (lambda run: change(run, structure={"name": "arch"}), "its structure must have name, identity, parts, source"),
+        (lambda run: change(run, structure=[]), r"structure is \[\]; give an object"),
+        (lambda run: change(run, structure={"name": "arch"}), "structure.identity is missing; train again"),
         (lambda run: spoil_structure(run, parts="many"), "structure.parts is 'many'"),
         (lambda run: spoil_structure(run, source={}), "structure.source must have either built_in or path"),
-        (lambda run: spoil_structure(run, source={"built_in": "arch", "colour": 1}), "has an unknown entry 'colour'"),
-        (lambda run: spoil_structure(run, source={"path": 3}), "structure.source.path is '3'"),
-        (lambda run: spoil_structure(run, source={"path": "x", "boundary": [[1]]}), r"source.boundary is '\[\[1\]\]'"),
+        (
+            lambda run: spoil_structure(run, source={"built_in": "arch", "colour": 1}),
+            "structure.source.colour is not known",
+        ),
+        (lambda run: spoil_structure(run, source={"path": 3}), "structure.source.path is 3; give a text"),
+        (
+            lambda run: spoil_structure(run, source={"path": "x", "boundary": [[1]]}),
+            r"source.boundary\[0\] is \[1\]; give a whole number or a text",
+        ),
         (
             lambda run: (run / "run.json").write_text('{"format": 1, "format": 2}'),
             "is damaged .*the entry 'format' twice",
@@ -190,6 +196,6 @@ def test_settings_survive_json() -> None:
 
 
 def test_a_source_that_could_not_be_read_again_is_refused_at_once(arch: Any) -> None:
-    with pytest.raises(InputError, match=r"cannot be recorded: structure\.source has an unknown entry 'colour'"):
+    with pytest.raises(InputError, match=r"cannot be recorded: structure\.source\.colour is not known"):
         describe_structure(arch, {"built_in": "arch:blocks=5", "colour": "red"})
     assert describe_structure(arch, {"path": Path("a") / "b"})["source"] == {"path": "a/b"}

@@ -153,9 +153,16 @@ def test_progress_is_written_between_evaluations(
     assert len(between) >= 7
     wanted = {"steps_per_second", "environment_steps_per_second", "seconds", "train/loss"}
     assert all(wanted < set(line) for line in between)
-    wanted = {f"train/{name}" for name in ("divergence", "explained_variance", "rollout_success", "entropy")}
+    wanted = {f"train/{name}" for name in ("kl", "rollout_return", "explained_variance", "rollout_success", "entropy")}
     assert [wanted < set(line) for line in between] == [line["step"] > 8 for line in between]
     assert all(line["steps_per_second"] > 0 for line in between)
     monkeypatch.setattr(progress_lines, "LINE_EVERY", 1e9)
     train(arch, SETTINGS, folder=tmp_path / "other", device="cpu", logs=())
     assert all("success/validation" in line for line in read_progress(tmp_path / "other"))
+
+
+def test_a_run_without_a_step_says_so(arch: Assembly) -> None:
+    result = train(arch, replace(SETTINGS, steps=0, minutes=1e-4), folder=None, device="cpu", logs=())
+    assert result.steps == 0
+    (note,) = (note for note in result.notes if "nothing was trained" in note)
+    assert note.endswith("give more minutes")

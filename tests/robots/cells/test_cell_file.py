@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,9 @@ import pytest
 
 from falsework.assembly import load_structure
 from falsework.errors import CellError
+from falsework.robots.cells import cell_file
 from falsework.robots.cells.cell_file import builtin_cells, load_cell, parse_cell
+from falsework.robots.cells.cell_model import cell_schema
 from falsework.robots.cells.urdf import load_urdf
 from falsework.robots.cells.validate import check_cell
 from falsework.robots.model.cell import Cell, CellRobot, Gripper
@@ -67,15 +70,18 @@ def test_built_in_cells_can_work(name: str, shared_assembly) -> None:
             r"home cannot be reached: joint_2 is 170 degrees, outside its limits -95 to 155",
         ),
         (("cup = 0.02\n", ""), r"grippers\.cup\.cup is missing"),
-        (('kind = "suction"', 'kind = "magnet"'), r"grippers\.cup\.kind is 'magnet'; give suction or jaw"),
-        (("payload = 5.0", "payload = -1"), r"grippers\.cup\.payload is -1; give a number at least 0"),
+        (('kind = "suction"', 'kind = "magnet"'), r"grippers\.cup\.kind is 'magnet'; give one of suction, jaw"),
+        (
+            ("payload = 5.0", "payload = -1"),
+            r"grippers\.cup\.payload is -1; give a number >= 0 \(largest mass that it lifts, kg\)",
+        ),
         (("payload = 5.0", 'payload = "five"'), r"grippers\.cup\.payload is 'five'; give a number"),
         (("scale = 0.5", "scael = 0.5"), r"structure\.scael is not known; did you mean scale\?"),
-        (("free = 0.004", "free = 0.0"), r"margins\.free is 0; give a number between"),
+        (("free = 0.004", "free = 0.0"), r"margins\.free is 0.0; give a number >= 0.0005"),
         (("high = [0.3, 0.3, 0.4]", "high = [0.3, -0.4, 0.4]"), r"obstacles\[0\]\.box\.high .*above that of low"),
         (
             ("position = [0.9, 0.0, 0.0]", "position = [0.9, 0.0]"),
-            r"structure\.position is .*; give 3 numbers",
+            r"structure\.position is .*; give a list of length >= 3",
         ),
         (("falsework.cell/1", "falsework.cell/9"), r"format is 'falsework.cell/9'; this version reads"),
         (('name = "one arm"', "name = "), r"cell\.toml is not valid TOML: .*line 3"),
@@ -194,3 +200,12 @@ def test_wrong_descriptions_name_file_and_joint(tmp_path: Path, change: tuple[st
     file.write_text(URDF)
     with pytest.raises(CellError, match="no link 'hand' for the tip; there are base, one, two"):
         load_urdf(file, tip="hand")
+
+
+@pytest.mark.parametrize("name", builtin_cells())
+def test_cells_follow_their_schema(name: str) -> None:
+    jsonschema = pytest.importorskip("jsonschema")
+    text = (Path(cell_file.__file__).parent / f"{name}.toml").read_text()
+    jsonschema.validate(tomllib.loads(text), cell_schema())
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(tomllib.loads(text.replace("payload", "paylaod")), cell_schema())

@@ -201,7 +201,7 @@ def test_settings_of_exports_are_not_part_of_the_identity(tmp_path: Path) -> Non
     np.testing.assert_allclose(np.diag(robot.gripper.inertia), [0.02, 0.02, 0.01])
     for wrong, message in (
         ("signals = { grip = 3 }\n", r"robots\[0\]\.signals\.grip is 3; give a text"),
-        ("signals = { closed = 2 }\n", r"signals\.closed is 2; give 0 or 1"),
+        ("signals = { closed = 2 }\n", r"signals\.closed is 2; give one of 0, 1"),
         ("signals = { gripp = 'a' }\n", r"signals\.gripp is not known; did you mean grip\?"),
     ):
         with pytest.raises(CellError, match=message):

@@ -19,15 +19,16 @@ from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.exports.commands import Grip, events_of
 from falsework.robots.model.cell import Cell
 from falsework.robots.planning.hybrid_planner import plan_robots
+from falsework.robots.planning.hybrid_result import HybridSettings
 from falsework.robots.plans.loads import load_of, loads_at
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import (
     load_robot_plan,
     robot_plan_from_dict,
-    robot_plan_schema,
     robot_plan_to_dict,
     save_robot_plan,
 )
+from falsework.robots.plans.robot_plan_model import robot_plan_schema
 from falsework.robots.plans.timeline import interruption
 from falsework.robots.schedule.build import schedule_plan
 from falsework.search import Direction, Task
@@ -191,14 +192,13 @@ def test_arms_that_move_at_the_same_time(
     """Another arm keeps clear of a part that waits in a gripper, whatever the delays."""
     pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'falsework[schedule]'")
     from falsework.robots.exports.mcap_bag import write_bag
-    from falsework.robots.planning.plan_together import plan_together
     from falsework.robots.schedule.simulation import simulate
 
     step = inserting(building)[0]
     values, held, gripped = carrying(building, step)
     task = Task.create(column.boundary, 2, target=building.states[step], identity=column.identity)
     now: dict[str, Any] = {"configurations": values, "held": held, "gripped": gripped}
-    rest = plan_together(column, cell, task=task, oracle=oracle, **now).plan
+    rest = plan_robots(column, cell, task=task, oracle=oracle, settings=HybridSettings(together=True), **now).plan
     assert rest is not None
     assert rest.schedule is not None
     check(rest, column, cell)
@@ -245,7 +245,7 @@ def test_plans_that_do_not_say_what_is_carried(
     assert not check_robot_plan(silent, column, cell).good
     data = robot_plan_to_dict(rest)
     data["steps"][0]["transit"] = "yes"
-    with pytest.raises(PlanError, match="must be true or false"):
+    with pytest.raises(PlanError, match="transit is 'yes'; give true or false"):
         robot_plan_from_dict(data)
     frame = building.keyframes[step]
     free = go_on(building.states[step], [value + 0.1 for value in cell.homes], frame.held)

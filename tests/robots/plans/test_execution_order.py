@@ -17,7 +17,6 @@ from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.model.cell import Cell
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridSettings
-from falsework.robots.planning.plan_together import plan_together
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import event_times, schedule_of
 from falsework.robots.schedule.build import schedule_plan
@@ -29,7 +28,8 @@ from falsework.stability import Stability
 def together(row: Assembly, wide: Cell) -> dict[Direction, RobotPlan]:
     """Plans with the same search, for both orders."""
     made = {
-        direction: plan_together(row, wide, settings=HybridSettings(direction, seed=1)).plan for direction in Direction
+        direction: plan_robots(row, wide, settings=HybridSettings(direction, seed=1, together=True)).plan
+        for direction in Direction
     }
     return {direction: plan for direction, plan in made.items() if plan is not None}
 

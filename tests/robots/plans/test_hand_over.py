@@ -62,14 +62,13 @@ def plan(falling: Assembly, roofed: Cell, begun: dict[str, Any]) -> RobotPlan:
 def timed(falling: Assembly, roofed: Cell, begun: dict[str, Any]) -> RobotPlan:
     """A plan in which the arms move at the same time."""
     pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'falsework[schedule]'")
+    from falsework.robots.planning.hybrid_planner import plan_robots
     from falsework.robots.planning.hybrid_result import HybridSettings
-    from falsework.robots.planning.plan_together import plan_together
 
     given = {key: value for key, value in begun.items() if key != "start"}
     task = task_of(falling, begun, support=True)
-    found = plan_together(
-        falling, roofed, task=task, settings=HybridSettings(Direction.DISASSEMBLY, attempts=4), **given
-    ).plan
+    settings = HybridSettings(Direction.DISASSEMBLY, attempts=4, together=True)
+    found = plan_robots(falling, roofed, task=task, settings=settings, **given).plan
     assert found is not None
     assert found.schedule is not None
     return found

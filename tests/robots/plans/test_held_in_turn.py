@@ -57,10 +57,10 @@ def plan(bridge: Assembly, apart: Cell) -> RobotPlan:
 def timed(bridge: Assembly, apart: Cell) -> RobotPlan:
     """The same for arms that move at the same time."""
     pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'falsework[schedule]'")
-    from falsework.robots.planning.plan_together import plan_together
 
     task = Task.create(bridge.boundary, 2, identity=bridge.identity, support=True)
-    found = plan_together(bridge, apart, task=task, settings=HybridSettings(Direction.DISASSEMBLY, attempts=4)).plan
+    settings = HybridSettings(Direction.DISASSEMBLY, attempts=4, together=True)
+    found = plan_robots(bridge, apart, task=task, settings=settings).plan
     assert found is not None
     assert halves(found)
     return found

@@ -40,10 +40,10 @@ from falsework.robots.plans.robot_plan import RobotPlan, RobotStep
 from falsework.robots.plans.robot_plan_file import (
     load_robot_plan,
     robot_plan_from_dict,
-    robot_plan_schema,
     robot_plan_to_dict,
     save_robot_plan,
 )
+from falsework.robots.plans.robot_plan_model import robot_plan_schema
 from falsework.robots.plans.timeline import activities_at, event_times
 from falsework.robots.schedule.conflicts import choices
 from falsework.robots.schedule.itinerary import Itineraries
@@ -101,10 +101,10 @@ def two(cell_of: Callable[..., Cell]) -> Cell:
 def timed(stack: Assembly, two: Cell) -> RobotPlan:
     """A plan in which one arm puts the slab down while the other moves."""
     pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'falsework[schedule]'")
-    from falsework.robots.planning.plan_together import plan_together
 
     task = task_of(stack, two, support=True)
-    found = plan_together(stack, two, task=task, settings=HybridSettings(Direction.DISASSEMBLY, attempts=3)).plan
+    settings = HybridSettings(Direction.DISASSEMBLY, attempts=3, together=True)
+    found = plan_robots(stack, two, task=task, settings=settings).plan
     assert found is not None
     assert sum(step.put_down is not None for step in found.steps) == 1
     return found
@@ -224,8 +224,7 @@ def test_files_that_were_tampered_with_are_refused(plan: RobotPlan) -> None:
     refused("not rigid", lambda step, _: step.update(put_down=(2 * np.eye(4)).tolist()))
     mirrored = pose @ np.diag([1.0, 1.0, -1.0, 1.0])
     refused("not rigid", lambda step, _: step.update(put_down=mirrored.tolist()))
-    refused("shape", lambda step, _: step.update(put_down=[1.0, 2.0]))
-    refused("put_down", lambda step, _: step.update(put_down=None))
+    refused(r"put_down is \[1.0, 2.0\]; give a list", lambda step, _: step.update(put_down=[1.0, 2.0]))
     refused("put_down", lambda step, _: step.update(put_down=np.full((4, 4), np.inf).tolist()))
     refused("carry it, leave it and carry it on", lambda _, moves: moves[-1].update(part=None))
     refused("carry it, leave it and carry it on", lambda _, moves: moves[0].update(part=None))

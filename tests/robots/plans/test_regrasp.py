@@ -168,15 +168,13 @@ def test_programs_open_the_gripper_before_the_retreat(plan: RobotPlan, tmp_path:
 
 def test_a_schedule_keeps_the_order_of_release_and_hold(sunk: Assembly, roofed: Cell, begun: dict) -> None:
     pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'falsework[schedule]'")
-    from falsework.robots.planning.plan_together import plan_together
     from falsework.robots.schedule.build import schedule_plan
     from falsework.robots.schedule.simulation import simulate
 
     task = task_of(sunk, begun, support=True)
     given = {key: value for key, value in begun.items() if key != "start"}
-    plan = plan_together(
-        sunk, roofed, task=task, settings=HybridSettings(Direction.DISASSEMBLY, attempts=4), **given
-    ).plan
+    settings = HybridSettings(Direction.DISASSEMBLY, attempts=4, together=True)
+    plan = plan_robots(sunk, roofed, task=task, settings=settings, **given).plan
     assert plan is not None
     assert "open" in [plan.grip(step) for step in range(len(plan))]
     for one in (plan, schedule_plan(plan.reverse(), sunk, roofed)):

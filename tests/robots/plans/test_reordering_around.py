@@ -21,8 +21,8 @@ from falsework.robots.keyframes.keyframes import Edge, Node
 from falsework.robots.model.cell import Cell
 from falsework.robots.motion.collision_world import CollisionQuery
 from falsework.robots.planning import plan_maker
+from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridSettings
-from falsework.robots.planning.plan_together import plan_together
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import event_times
 from falsework.robots.schedule.build import schedule_plan
@@ -56,19 +56,16 @@ def planned(request: pytest.FixtureRequest, cell_of: Callable[..., Cell]) -> Pla
         assembly, cell = slab(tiles=2), tabled(cell_of(2))
     task = Task.create(assembly.boundary, 2, identity=assembly.identity, support=True)
     plans, given = [], []
+    settings = HybridSettings(Direction.DISASSEMBLY, attempts=4, together=True)
     for change in (True, False):
 
-        def ordered(graph, oracle, root, chain, timed, *, legal, stop, change=change):
+        def ordered(graph, oracle, root, chain, timed, *, change=change, **more):
             given[:] = [graph, root, list(chain)]
-            return reorder(graph, oracle, root, chain, timed, legal=legal, stop=stop) if change else list(chain)
+            return reorder(graph, oracle, root, chain, timed, **more) if change else list(chain)
 
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(plan_maker, "reorder", ordered)
-            plans.append(
-                plan_together(
-                    assembly, cell, task=task, settings=HybridSettings(Direction.DISASSEMBLY, attempts=4)
-                ).plan
-            )
+            plans.append(plan_robots(assembly, cell, task=task, settings=settings).plan)
     better, as_found = plans
     assert better is not None
     assert as_found is not None

@@ -18,10 +18,10 @@ from falsework.robots.model.cell import cell_identity
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.robot_plan_file import (
     load_robot_plan,
-    robot_plan_schema,
     robot_plan_to_dict,
     save_robot_plan,
 )
+from falsework.robots.plans.robot_plan_model import robot_plan_schema
 from falsework.search import Direction, plan_schema
 
 
@@ -166,8 +166,8 @@ def _put(data: dict[str, Any], value: Any, *path: Any) -> None:
 
 DAMAGE: list[tuple[Callable[[dict[str, Any]], None], str]] = [
     (lambda data: _put(data, "falsework.robot-plan/9", "format"), "reads 'falsework.robot-plan/3' only"),
-    (lambda data: _cut(data, "cell", "identity"), "cell lacks 'identity'"),
-    (lambda data: _put(data, 1, "extra"), "unknown entry 'extra'"),
+    (lambda data: _cut(data, "cell", "identity"), "cell.identity is missing; it may be damaged"),
+    (lambda data: _put(data, 1, "extra"), "extra is not known; known are cell, direction,"),
     (lambda data: _cut(data, "keyframes", 0), "do not match a plan of"),
     (lambda data: _put(data, 2, "plan", "rules", "parts_at_once"), "robot plans move one part at a time"),
     (lambda data: _put(data, 5, "steps", 0, "robot"), "robot is 5"),
@@ -177,7 +177,10 @@ DAMAGE: list[tuple[Callable[[dict[str, Any]], None], str]] = [
     (lambda data: _put(data, [[0.0]], "steps", 0, "trajectories", 0, "positions"), "positions has shape (1, 1)"),
     (lambda data: _put(data, [0.0] * 6, "keyframes", 1, "configurations", 0), "step"),
     (lambda data: _put(data, {}, "plan"), "the plan in"),
-    (lambda data: _put(data, [0.0, [1.0, 2.0]], "steps", 0, "trajectories", 0, "times"), "numbers of one shape"),
+    (
+        lambda data: _put(data, [0.0, [1.0, 2.0]], "steps", 0, "trajectories", 0, "times"),
+        "steps[0].trajectories[0].times[1] is [1.0, 2.0]; give a number",
+    ),
     (lambda data: _put(data, 10**400, "steps", 0, "trajectories", 0, "times", -1), "does not fit into 64 bits"),
 ]
 NUMBERS = (
@@ -189,7 +192,7 @@ NUMBERS = (
     ("steps", 0, "trajectories", 0, "velocities", 0, 0),
 )
 DAMAGE += [
-    (lambda data, place=place, value=value: _put(data, value, *place), "does not hold numbers")
+    (lambda data, place=place, value=value: _put(data, value, *place), f"[0] is {value!r}; give a number")
     for place in NUMBERS
     for value in ("0.0", True, None, [[0.0]], {})
 ]

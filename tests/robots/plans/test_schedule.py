@@ -26,13 +26,14 @@ from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
-from falsework.robots.planning.plan_together import plan_together
+from falsework.robots.planning.hybrid_search import HybridSearch
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import load_robot_plan, robot_plan_to_dict, save_robot_plan
 from falsework.robots.plans.temporal_graph import Precedence, TemporalPlanGraph
 from falsework.robots.plans.timeline import arm_shares, event_times, nodes_of
 from falsework.robots.schedule.build import schedule_plan
 from falsework.robots.schedule.simulation import simulate
+from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.task import Direction
 from falsework.utils.kernels import Kernel
 from tests.older_files import as_robot_version_2
@@ -66,7 +67,7 @@ def test_arguments_have_the_types_of_the_portable_code(
         pytest.fail(f"numba is asked to compile {kernel.__name__}")
 
     monkeypatch.setattr(Kernel, "dispatcher", property(refuse))
-    plan = plan_together(row, wide, settings=HybridSettings(Direction.DISASSEMBLY, seed=1)).plan
+    plan = plan_robots(row, wide, settings=HybridSettings(Direction.DISASSEMBLY, seed=1, together=True)).plan
     assert plan is not None
     assert plan.schedule is not None
 
@@ -189,7 +190,7 @@ def test_files_of_the_second_format(scheduled: RobotPlan, tmp_path: Path) -> Non
     damaged = as_robot_version_2(scheduled)
     del damaged["plan"]["direction"]
     (tmp_path / "old.json").write_text(json.dumps(damaged))
-    with pytest.raises(PlanError, match="direction is None; it must be assembly or disassembly"):
+    with pytest.raises(PlanError, match="direction is None; give one of assembly, disassembly"):
         load_robot_plan(tmp_path / "old.json")
 
 
@@ -198,7 +199,11 @@ def test_files_of_the_second_format(scheduled: RobotPlan, tmp_path: Path) -> Non
     [
         ("precedences", {"before": 3, "offset": 0.0, "after": 2, "why": "volume"}, "in a cycle"),
         ("precedences", {"before": 0, "offset": -1.0, "after": 2, "why": "volume"}, "offset is -1.0"),
-        ("precedences", {"before": 0, "offset": 0.0, "after": 999, "why": "volume"}, "after is 999"),
+        (
+            "precedences",
+            {"before": 0, "offset": 0.0, "after": 999, "why": "volume"},
+            "is between motions 0 and 999; motions are numbered from 0 to",
+        ),
         ("precedences", {"before": 0, "offset": 0.0, "after": 2, "why": "luck"}, "why is 'luck'"),
         ("motions", {"robot": 0, "step": 0, "trajectory": 0, "start": 0.0, "seconds": 1.0}, "motions, its steps have"),
     ],
@@ -216,9 +221,9 @@ def test_damaged_schedules(scheduled: RobotPlan, tmp_path: Path, key: str, entry
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
-        ("makespan", "long", "schedule: makespan is 'long'"),
-        ("makespan", 1.0, "schedule: makespan is 1, its motions take"),
-        ("sequential", 1.0, "schedule: sequential is 1, its motions take"),
+        ("makespan", "long", "schedule.makespan is 'long'"),
+        ("makespan", 1.0, "schedule.makespan is 1, its motions take"),
+        ("sequential", 1.0, "schedule.sequential is 1, its motions take"),
         ("lower_bound", 1e6, "above its makespan"),
     ],
 )
@@ -233,22 +238,28 @@ def test_times_that_do_not_fit_the_motions(
 
 
 def test_a_deadline_that_the_first_search_uses_up_ends_without_a_plan(row: Assembly, wide: Cell) -> None:
-    found = plan_together(row, wide, settings=HybridSettings(Direction.DISASSEMBLY, deadline=1e-3))
+    found = plan_robots(row, wide, settings=HybridSettings(Direction.DISASSEMBLY, deadline=1e-3, together=True))
     assert found.plan is None
     assert found.statistics["search"] == "sequential"
+
+
+def given_lines(settings: HybridSettings) -> bool:
+    """Whether a search has the lines of its settings, not shorter ones."""
+    return settings.keyframes == KeyframeSettings()
 
 
 def test_the_longer_of_two_partial_plans_is_kept(row: Assembly, wide: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
     """The second search has what is left of the deadline, and often gets less far."""
     partial = SimpleNamespace(statistics={})
 
-    def search(*given: Any, settings: HybridSettings, **more: Any) -> HybridResult:
-        first = settings.keyframes.approaches != KeyframeSettings().approaches
+    def search(graph: Any, task: Any, oracle: Any, guide: Any, settings: HybridSettings, *more: Any) -> Any:
+        first = not given_lines(settings)
         why = Explanation("interrupted", 3 if first else 1, 6, (), None, (), "stopped")
-        return HybridResult(None, partial if first else None, why, {})  # type: ignore[arg-type]
+        found = HybridResult(None, partial if first else None, why, {})  # type: ignore[arg-type]
+        return SimpleNamespace(run=lambda root: found)
 
-    monkeypatch.setattr("falsework.robots.planning.plan_together.plan_robots", search)
-    found = plan_together(row, wide, settings=HybridSettings(Direction.DISASSEMBLY, deadline=10.0))
+    monkeypatch.setattr("falsework.robots.planning.hybrid_planner.HybridSearch", search)
+    found = plan_robots(row, wide, settings=HybridSettings(Direction.DISASSEMBLY, deadline=10.0, together=True))
     assert found.partial is partial
     assert found.explanation is not None
     assert found.explanation.reached == 3
@@ -258,30 +269,23 @@ def test_the_longer_of_two_partial_plans_is_kept(row: Assembly, wide: Cell, monk
 def test_longer_lines_are_tried_where_short_ones_lead_to_no_plan(
     row: Assembly, wide: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found = plan_together(row, wide, settings=HybridSettings(Direction.DISASSEMBLY, deadline=120.0))
+    settings = HybridSettings(Direction.DISASSEMBLY, deadline=120.0, together=True)
+    found = plan_robots(row, wide, settings=settings)
     assert found.plan is not None
     assert found.plan.schedule is not None
     assert found.statistics["search"] == "together"
 
-    def search(*given: Any, settings: HybridSettings, **more: Any) -> HybridResult:
-        if settings.keyframes.approaches != KeyframeSettings().approaches:
-            settings = replace(settings, deadline=1e-9)
-        return plan_robots(*given, settings=settings, **more)
+    def search(*given: Any) -> HybridSearch:
+        made = HybridSearch(*given)
+        if not given_lines(made.settings):
+            made.clock = Deadline(1e-9)
+        return made
 
-    monkeypatch.setattr("falsework.robots.planning.plan_together.plan_robots", search)
-    other = plan_together(row, wide, settings=HybridSettings(Direction.DISASSEMBLY, deadline=120.0))
+    monkeypatch.setattr("falsework.robots.planning.hybrid_planner.HybridSearch", search)
+    other = plan_robots(row, wide, settings=settings)
     alone = plan_robots(row, wide, settings=APART).plan
     assert other.plan is not None
     assert alone is not None
     assert other.plan.schedule is not None
     assert other.statistics["search"] == other.plan.statistics["search"] == "sequential"
     assert other.plan.makespan <= alone.seconds
-
-
-def test_approaches_go_as_near_as_another_arm_lets_them(row: Assembly, wide: Cell) -> None:
-    plan = plan_robots(row, wide, settings=HybridSettings(Direction.DISASSEMBLY, together=True)).plan
-    assert plan is not None
-    graph, again = graph_of(plan), graph_of(schedule_plan(plan, row, wide))
-    assert graph.makespan == pytest.approx(again.makespan, abs=1e-3)
-    assert check_robot_plan(plan, row, wide).good
-    assert simulate(plan, runs=50).good

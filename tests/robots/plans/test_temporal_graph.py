@@ -27,14 +27,6 @@ def test_times_follow_from_the_precedences(graph: TemporalPlanGraph) -> None:
     assert graph.starts([1.0, 2.0, 1.0]).tolist() == [0.0, 0.5, 2.5]
 
 
-def test_critical_edges_decide_about_the_makespan(graph: TemporalPlanGraph) -> None:
-    assert graph.tails().tolist() == [3.5, 3.0, 1.0]
-    assert graph.critical_edges() == [EDGES[1]]
-    late = replace(graph, edges=(*EDGES[:2], Precedence(1, 3.0, 2, "state")))
-    assert late.critical_edges() == [EDGES[1], late.edges[2]]
-    assert late.tails().tolist() == [4.5, 4.0, 1.0]
-
-
 def test_the_gap_is_the_share_above_the_lower_bound(graph: TemporalPlanGraph) -> None:
     assert replace(graph, lower_bound=0.8 * graph.makespan).gap == pytest.approx(0.2)
     assert replace(graph, lower_bound=graph.makespan).gap == 0.0

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from falsework.assembly import Assembly, load_structure
 from falsework.assembly.state import HELD
@@ -116,23 +117,26 @@ def test_a_plan_that_says_too_little_of_a_load_is_refused(arch: Assembly, plan: 
         return validate_plan(replace(plan, loads=tuple(map(tuple, loads))), arch).reason
 
     assert changed([load]) == ""
-    assert changed([replace(load, **{kind: 1.1 * getattr(load, kind)})]) == ""
+    assert changed([structs.replace(load, **{kind: 1.1 * getattr(load, kind)})]) == ""
     name = arch.names[load.part]
-    assert f"that holds {name} bears" in changed([replace(load, **{kind: 0.95 * getattr(load, kind)})])
+    assert f"that holds {name} bears" in changed([structs.replace(load, **{kind: 0.95 * getattr(load, kind)})])
     assert f"does not say what the robot bears that holds {name}" in changed([])
     stray = next(part for part in range(arch.part_count) if plan.states[row, part] != HELD)
-    assert f"bears for {arch.names[stray]}" in changed([load, replace(load, part=stray)])
+    assert f"bears for {arch.names[stray]}" in changed([load, structs.replace(load, part=stray)])
     assert validate_plan(replace(plan, loads=()), arch).good  # as in older files
 
 
 @pytest.mark.parametrize(
     ("entry", "words"),
     [
-        ({"part": 99, "force": 1.0, "moment": 0.0}, "names part 99, but parts are numbered 0 to"),
-        ({"part": 1, "force": -1.0, "moment": 0.0}, "bears: force"),
-        ({"part": 1, "force": 1.0}, "bears"),
-        ({"part": 1.5, "force": 1.0, "moment": 0.0}, "bears: part"),
-        ("much", "bears"),
+        ({"part": 99, "force": 1.0, "moment": 0.0}, ".bears[0].part is 99; it must be a part from 0 to"),
+        (
+            {"part": 1, "force": -1.0, "moment": 0.0},
+            ".bears[0].force is -1.0; give a number >= 0 (size of the force, N)",
+        ),
+        ({"part": 1, "force": 1.0}, ".bears[0].moment is missing"),
+        ({"part": 1.5, "force": 1.0, "moment": 0.0}, ".bears[0].part is 1.5; give a whole number"),
+        ("much", ".bears[0] is 'much'; give an object"),
     ],
 )
 @pytest.mark.parametrize("place", ["start", "step"])

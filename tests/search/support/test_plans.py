@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from falsework.assembly import Assembly, keep_props, load_structure, prop_places, with_props
 from falsework.errors import AssemblyError, InputError, PlanError
@@ -76,7 +77,7 @@ def test_files(regrasped: Plan, tmp_path: Path) -> None:
     with pytest.raises(PlanError, match="does 'hold' with part"):
         plan_from_dict(data)
     data["rules"]["support"] = 1
-    with pytest.raises(PlanError, match=r"rules\.support must be true or false"):
+    with pytest.raises(PlanError, match=r"rules\.support is 1; give true or false"):
         plan_from_dict(data)
 
 
@@ -196,9 +197,11 @@ def test_damaged_files_of_props(propped: Plan) -> None:
         return str(error.value)
 
     entry = len(propped.boundary) - 1
-    assert "is not a list" in damaged(lambda data: data["structure"].update(props=3))
-    assert "has no place" in damaged(lambda data: data["structure"]["props"][0].update(at=[0, 0]))
-    assert "is under part" in damaged(lambda data: data["structure"]["props"][0].update(part=entry))
+    assert "structure.props is 3; give a list" in damaged(lambda data: data["structure"].update(props=3))
+    assert "structure.props[0].at is [0, 0]; give a list of length 3" in damaged(
+        lambda data: data["structure"]["props"][0].update(at=[0, 0])
+    )
+    assert "structure.props[0].part is" in damaged(lambda data: data["structure"]["props"][0].update(part=entry))
     assert "rules.props" in damaged(lambda data: data["rules"].update(props=-1))
     assert "neither there nor away" in damaged(lambda data: data["start"]["state"].__setitem__(entry, 1))
     first = damaged(lambda data: data["steps"][0].update(do="hold", part=entry))
@@ -218,7 +221,7 @@ def test_the_check_counts_props(propped: Plan, propped_arch: Assembly) -> None:
     report = validate_plan(replace(propped, prop_limit=1), structure)
     assert not report.good
     assert "1 props may stand at a time" in report.reason
-    far = replace(propped.props[0], at=(50.0, 0.0, 0.0))
+    far = structs.replace(propped.props[0], at=(50.0, 0.0, 0.0))
     with pytest.raises(AssemblyError, match="is not below it"):
         structure_of_plan(replace(propped, props=(far,)), structure=keep_props(propped_arch, []))
 

@@ -11,8 +11,7 @@ import pytest
 from falsework.assembly import Assembly, load_structure
 from falsework.search import Plan, PlannerSettings, find_plans
 from falsework.stability import Replayer, Stability, StabilitySettings
-from falsework.stability.contact.ensemble_replay import EnsembleReplayer
-from falsework.stability.contact.varied_replay import GROUPS, changed, variations
+from falsework.stability.contact.varied_replay import GROUPS, EnsembleReplayer, changed, variations
 from falsework.stability.holds import Press
 
 CONTACT = StabilitySettings(criterion="contact", reserve=1.1)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import structs
 from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
@@ -353,7 +354,7 @@ def test_other_presses_are_refused(pressed: Any, presses: tuple[Press, ...], rea
 def test_presses_of_another_size_are_refused(pressed: Any, factor: float) -> None:
     assembly, of, steps = pressed
     (press,) = steps[-1].presses
-    other = replace(press, wrench=tuple(factor * value for value in press.wrench))
+    other = structs.replace(press, wrench=tuple(factor * value for value in press.wrench))
     proof = last_proof(assembly, of.claim, BESIDE, [*steps[:-1], steps[-1]._replace(presses=(other,))])
     assert "does not bear what its stiffness and its presses give" in proof.reason
 

@@ -51,7 +51,7 @@ def test_an_order_takes_every_part_once(width: int, height: int) -> None:
 def test_dissection_is_taken_where_it_fills_less(monkeypatch: pytest.MonkeyPatch) -> None:
     staggered, sheared = sheet(50, 40), sheet(50, 40, shear=True)
     orders = elimination_order(staggered), elimination_order(sheared)
-    monkeypatch.setattr(ordering, "_DISSECTED", 10**6)
+    monkeypatch.setattr(ordering, "_LEAF", 10**6)
     plain = elimination_order(staggered)
     assert (fill(staggered, orders[0]) ** 2).sum() < 0.7 * (fill(staggered, plain) ** 2).sum()
     assert orders[1] == elimination_order(sheared)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, complete_state
 from falsework.stability import Stability, Verdict, verify_certificates
-from falsework.stability.cpu.neighbourhood import hold_beside_corridor
+from falsework.stability.cpu.neighbourhood import extend_region, hold_beside_corridor
 from falsework.stability.cpu.repair import repair_range
 from falsework.stability.cpu.solver import CpuSolver, kernel_options
 from falsework.stability.problem import build_problem
@@ -17,9 +17,9 @@ from falsework.stability.settings import EQUILIBRIUM
 
 
 @pytest.mark.parametrize("interior", [True, False])
-@pytest.mark.parametrize("reaches", [[2, 4, 8], [0, 1, 3], []])
+@pytest.mark.parametrize("reach", [2, 1, 0])
 def test_repaired_forces_prove_the_state(
-    vault: Assembly, released: tuple[NDArray, NDArray], reaches: list[int], interior: bool
+    vault: Assembly, released: tuple[NDArray, NDArray], reach: int, interior: bool
 ) -> None:
     """Whether they change around the difference, along ways from there to a support, or everywhere."""
     states, before = released
@@ -34,7 +34,7 @@ def test_repaired_forces_prove_the_state(
         states,
         before,
         known.stable,
-        np.array(reaches, dtype=np.int64),
+        reach,
         interior,
         kernel_options(EQUILIBRIUM),
     )
@@ -46,7 +46,7 @@ def test_repaired_forces_prove_the_state(
     checked.forces[:] = forces[good]
     assert verify_certificates(vault, states[good], checked, EQUILIBRIUM.claim).all()
     changed = (forces[good] != known.forces[good]).any(axis=2)
-    if len(reaches):
+    if reach:
         assert (changed.sum(axis=1) < changed.shape[1]).any()  # forces farther away are those of before
 
 
@@ -68,6 +68,29 @@ def test_corridors_lead_from_the_change_to_a_support(vault: Assembly, released: 
             reached = reached | ahead
         assert reached == corridor
         assert any(vault.boundary[other] for part in reached for other in links[part])
+
+
+def test_regions_are_extended_where_they_press(vault: Assembly, released: tuple[NDArray, NDArray]) -> None:
+    states, before = released
+    solver = CpuSolver(build_problem(vault))
+    structure, forces = solver.structure, solver.check(before).forces
+    assert forces is not None
+    region, near, wider = np.empty((3, states.shape[1]), np.uint8)
+    velocity = np.zeros((len(structure.elimination.order), 6))
+    velocity[:, 2] = -1.0
+    for state, parent, force in zip(states, before, forces, strict=True):
+        kept, _ = hold_beside_corridor(structure, state, parent, 0, region)
+        near[:], wider[:] = region, region
+        more = extend_region(structure, state, near, velocity, force, 1)
+        assert more == (near == INSTALLED).sum() >= kept
+        assert ((near == region) | ((near == INSTALLED) & (state == INSTALLED))).all()
+        assert (wider == region).all()
+        assert extend_region(structure, state, wider, velocity, force, 2) >= more
+        assert (near != INSTALLED)[wider != INSTALLED].all()
+        pairs = structure.pair_parts
+        inside, added = region[pairs] == INSTALLED, (near != region)[pairs]
+        assert set(pairs[added & inside[:, ::-1]]) == set(np.flatnonzero(near != region))
+        assert extend_region(structure, state, region, velocity, 0.0 * force, 1) == kept  # nothing is pressed
 
 
 def test_corridors_lead_to_a_held_part_where_none_leads_to_a_support(vault: Assembly) -> None:

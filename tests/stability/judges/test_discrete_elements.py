@@ -24,7 +24,6 @@ from falsework.stability.judges import (
     DiscreteElementSettings,
     Judgement,
     Settling,
-    build_judge,
     discrete_elements,
     matched_sink,
     replay_by_discrete_elements,
@@ -351,7 +350,6 @@ def test_springs_are_as_stiff_as_those_of_the_criterion(scenes: Any) -> None:
 
 def test_a_judge_builds_plans_from_where_they_differ(monkeypatch: pytest.MonkeyPatch) -> None:
     """What it says does not depend on the plans before, nor on where it was stopped."""
-    monkeypatch.setattr(build_judge, "_KEPT", 4)
     arch = library.build("arch:blocks=7,thickness=0.13")
     states = find_plans(arch).plans[0].states
     other = states.copy()

@@ -114,7 +114,7 @@ class Imitation(Learner):
             logits, value = self._networks[self.steps % len(self._networks)](states, targets)
             loss = imitation_loss(logits, mask, valid) + _VALUE_WEIGHT * (value - 1.0).square().mean()
             batch = {"states": states} if targets is None else {"states": states, "targets": targets}
-            norm = self._optimizer.step(
+            norm = self.optimizer.step(
                 loss,
                 batch,
                 learning_rate=self._settings.learning_rate * self.schedule(self.steps, place),
@@ -122,7 +122,7 @@ class Imitation(Learner):
                 average=min(_AVERAGE, (2 + self.steps) / (11 + self.steps)),
             )
             sums += torch.stack([loss.detach(), norm])
-        self._optimizer.check()
+        self.optimizer.check()
         self.policy.eval()
         loss, norm = (sums / max(steps, 1)).tolist()
         numbers = {"loss": loss, "gradient_norm": norm, "solved": float(len(self._solved))}
@@ -140,11 +140,11 @@ class Imitation(Learner):
         """Draw states, their targets and valid actions for each of some steps; None where there are no targets."""
         if self._tasks is not None:
             # All at once, since a draw takes as many small kernels for one task as for all of them.
-            drawn = self._tasks.draw(steps * self._share, self._generator)
+            drawn = self._tasks.draw(steps * self._share, self.generator)
             yield from zip(*(column.split(self._share) for column in drawn), strict=True)
             return
         for _ in range(steps):
             rows = torch.randint(
-                len(self._solved), (self._share,), generator=self._generator, device=self._solved.device
+                len(self._solved), (self._share,), generator=self.generator, device=self._solved.device
             )
             yield self._solved.states[rows], None, None

@@ -31,13 +31,13 @@ class Learner(ABC):
         self.policy = policy
         self.listener: Callable[[dict[str, float]], None] = lambda numbers: None
         """Called with numbers to log, more often than blocks end where these take long."""
-        self._generator, self._seed, self._shards = generator, seed, shards
-        self._optimizer = PolicyOptimizer(policy, shards=shards, **optimizer)
+        self.generator, self.seed, self.shards = generator, seed, shards
+        self.optimizer = PolicyOptimizer(policy, shards=shards, **optimizer)
 
     @property
     def steps(self) -> int:
         """Steps of the optimizer taken."""
-        return self._optimizer.steps
+        return self.optimizer.steps
 
     @property
     def widening(self) -> bool:
@@ -61,25 +61,25 @@ class Learner(ABC):
 
     def export_policy(self, policy: Policy) -> Policy:
         """Write the weights to be evaluated into another policy of the same kind, and return it."""
-        self._optimizer.export_policy(policy)
+        self.optimizer.export_policy(policy)
         return policy.eval()
 
     def load_policy(self, policy: Policy) -> None:
         """Continue with the weights of another policy of the same kind, such as the result of the phase before."""
-        self._optimizer.load_policy(policy)
+        self.optimizer.load_policy(policy)
 
     def state_dict(self) -> dict[str, torch.Tensor]:
         """Return the state that is the same in all processes."""
-        return self._optimizer.state_dict()
+        return self.optimizer.state_dict()
 
     def local_state_dict(self) -> dict[str, torch.Tensor]:
         """Return the state that belongs to this process."""
-        return {"generator": self._generator.get_state()}
+        return {"generator": self.generator.get_state()}
 
     def load_state_dict(self, tensors: dict[str, torch.Tensor], local: dict[str, torch.Tensor] | None) -> None:
         """Restore both; `local` is None if the number of processes has changed."""
-        self._optimizer.load_state_dict(tensors)
+        self.optimizer.load_state_dict(tensors)
         if local is not None:
-            self._generator.set_state(local["generator"].cpu())
+            self.generator.set_state(local["generator"].cpu())
         else:  # other processes than before draw other numbers
-            self._generator.manual_seed((self._seed * 1009 + self._shards.rank) * 100_003 + self.steps)
+            self.generator.manual_seed((self.seed * 1009 + self.shards.rank) * 100_003 + self.steps)

@@ -96,7 +96,8 @@ class PolicyOptimizer:
         self._guard.check()
 
     def export_policy(self, policy: torch.nn.Module) -> None:
-        """Write the moving average of the weights into another policy of the same kind."""
+        """Write the moving average of the weights, and all else that a policy remembers, into another of its kind."""
+        policy.load_state_dict(self.policy.state_dict())
         _blend([weight for weight in policy.parameters() if weight.requires_grad], self._average, 1.0)
 
     def load_policy(self, policy: torch.nn.Module) -> None:

@@ -1,7 +1,7 @@
 """Proximal policy optimisation (Schulman et al. 2017) on batches of whole rollouts.
 
 By default it fine-tunes a policy that imitation has prepared: rollouts from mixed start states, no discount, a value
-head that estimates the probability of success, and an additional imitation loss on known states.
+head that estimates the return, and an additional imitation loss on known states.
 `config.ppo.REINFORCEMENT` trains from scratch, as the paper does (section 5.2).
 """
 
@@ -17,6 +17,7 @@ from falsework.learn.algorithms.hindsight import relabel
 from falsework.learn.algorithms.imitation import imitation_loss
 from falsework.learn.algorithms.learner import Learner
 from falsework.learn.algorithms.ppo_loss import Loss, ppo_loss
+from falsework.learn.algorithms.reward import Reward, environment_reward
 from falsework.learn.algorithms.rollout_storage import Transitions, collect_transitions
 from falsework.learn.algorithms.start_states import StartBatch, StartSampler
 from falsework.learn.config.ppo import PpoPhase
@@ -65,6 +66,7 @@ class PPO(Learner):
         compiled: bool = False,
         shards: ProcessGroup = ProcessGroup(),
         folder: Path | str | None = None,
+        reward: Reward = environment_reward,
     ) -> None:
         """Begin with the weights that the policy has.
 
@@ -81,6 +83,7 @@ class PPO(Learner):
             compiled: compile the network for its updates.
             shards: processes, each with its own rollouts, that average their gradients.
             folder: for the batch of a step that is not finite.
+            reward: of each action.
         """
         super().__init__(
             policy,
@@ -99,7 +102,7 @@ class PPO(Learner):
         """Of the weight of the entropy; above 1 where the entropy was below its floor."""
         self._environment, self._sampler, self._settings = environment, starts, settings
         self._solved = SolvableStates(environment.rules) if solved is None else solved
-        self._tasks, self._begin = tasks, begin
+        self._tasks, self._begin, self._reward = tasks, begin, reward
         self._network = Network(policy, precision, compiled=compiled)
         self._playing = Network(policy, precision)
         self._share = max(settings.batch // shards.size, 1)
@@ -115,14 +118,14 @@ class PPO(Learner):
         left, numbers = steps, {}
         while left > 0:
             before = self.steps
-            rollouts = max(self._settings.rollouts // self._shards.size, 1)
+            rollouts = max(self._settings.rollouts // self.shards.size, 1)
             if self._settings.epochs == 1:
                 # No more than the remaining steps can use, for instance in the last minute of a slow network.
                 useful = round(left * self._share / self._sampler.mean_steps)
                 rollouts = max(min(rollouts, useful), _FEWEST_ROLLOUTS)
             done = 1.0 - left / steps
             place = progress[0] + (progress[1] - progress[0]) * done
-            batch = self._sampler.sample(rollouts, self._generator)
+            batch = self._sampler.sample(rollouts, self.generator)
             numbers = self.update(batch, most=left, progress=place)
             left -= max(self.steps - before, 1)
             numbers |= {"updates": float(self.updates), "solved": float(len(self._solved))}
@@ -138,10 +141,12 @@ class PPO(Learner):
             progress: of the whole training, for the learning rate.
 
         Returns:
-            Means over all processes: `rollout_success`, `loss`, `surrogate_loss`, `value_loss`, `entropy`,
-            `divergence`, `clipped`, `learning_rate`, number of `transitions`, and the report of the sampler.
+            Means over all processes: `rollout_success`, `rollout_return`, `loss`, `surrogate_loss`, `value_loss`,
+            `entropy`, `kl`, `clipped`, `explained_variance`, `learning_rate`, number of `transitions`, and the report
+            of the sampler.
 
         Raises:
+            InputError: the reward is not a finite number for each action, or too large.
             TrainingError: a step was not finite.
         """
         settings, device = self._settings, batch.states.device
@@ -151,15 +156,16 @@ class PPO(Learner):
             self._playing,
             batch.states,
             batch.targets,
-            self._generator,
+            self.generator,
             discount=settings.discount,
             gae_lambda=settings.gae_lambda,
+            reward=self._reward,
         )
         if batch.targets is None and len(self._solved) < _MOST_SOLVED:
             self._solved.add(transitions.states[transitions.success[transitions.rollout]])
-        explained = explained_variance(transitions.advantage, transitions.returns, self._shards)
+        explained = explained_variance(transitions.advantage, transitions.returns, self.shards)
         learnable = transitions.take((~self._solved.is_held_out(transitions.states)).nonzero()[:, 0])
-        learnable = replace(learnable, advantage=normalized(learnable.advantage, self._shards))
+        learnable = replace(learnable, advantage=normalized(learnable.advantage, self.shards))
         count = len(learnable)
         if count == 0:  # zero weight: other processes average their gradients with this one
             learnable = _padding(batch, self._environment.part_count)
@@ -180,20 +186,20 @@ class PPO(Learner):
                 piece = learnable.take(rows)
                 weights = weight[piece.rollout] * counts
                 loss, total = self._loss(piece, weights, entropy[piece.rollout], shown)
-                self._optimizer.step(total, _named(piece), learning_rate=rate, average=settings.average)
+                self.optimizer.step(total, _named(piece), learning_rate=rate, average=settings.average)
                 surrogate.index_add_(0, piece.rollout, loss.surrogate.abs() * counts)
                 sums += torch.cat([total.detach()[None], loss.statistics])
                 divergence += loss.statistics[3]
             epochs += 1
-            limit = settings.target_divergence * (self.steps - taken - begun) * self._shards.size
+            limit = settings.target_divergence * (self.steps - taken - begun) * self.shards.size
             begun = self.steps - taken
-            if limit and summed([float(divergence)], self._shards, device)[0] > limit:
+            if limit and summed([float(divergence)], self.shards, device)[0] > limit:
                 break  # all processes see the same sum
-        self._optimizer.check()
+        self.optimizer.check()
         self.policy.eval()
         self.updates += 1
         seen = torch.bincount(learnable.rollout[:count], minlength=rollouts)
-        self._sampler.record(batch, transitions, surrogate / (epochs * seen).clamp(min=1), self._generator)
+        self._sampler.record(batch, transitions, surrogate / (epochs * seen).clamp(min=1), self.generator)
         numbers = self._report(transitions, sums / max(self.steps - taken, 1))
         low = numbers["entropy"] < settings.entropy_floor * (1.0 - self._through(progress))
         factor = self._entropy_factor * (_ENTROPY_STEP if low else 1.0 / _ENTROPY_STEP)
@@ -235,10 +241,10 @@ class PPO(Learner):
             count: transitions of this process.
             most: pieces of a single pass, at most.
         """
-        device, size = self._generator.device, self._share
+        device, size = self.generator.device, self._share
         counts = [count]
-        if self._shards.size > 1:
-            counts = self._shards.gather(torch.tensor([count], device=device)).tolist()
+        if self.shards.size > 1:
+            counts = self.shards.gather(torch.tensor([count], device=device)).tolist()
         if self._settings.epochs == 1:
             number = max(sum(counts) // self._settings.batch if len(counts) > 1 else count // size, 1)
             number = number if most is None else min(number, most)
@@ -246,7 +252,7 @@ class PPO(Learner):
         else:
             number = -(-max(counts) // size)
             size = -(-max(counts) // max(number, 1))
-        order = torch.randperm(count, generator=self._generator, device=device)[: number * size]
+        order = torch.randperm(count, generator=self.generator, device=device)[: number * size]
         rows = torch.zeros(number * size, dtype=torch.int64, device=device)
         rows[: len(order)] = order
         used = (torch.arange(number * size, device=device) < len(order)).float()
@@ -254,7 +260,7 @@ class PPO(Learner):
 
     def _demonstrations(self, transitions: Transitions, steps: int) -> list[list[tuple[float, Demonstrations]]]:
         """Draw the demonstrations for each of some steps, with their weight in the loss."""
-        settings, generator = self._settings, self._generator
+        settings, generator = self._settings, self.generator
         shown: list[list[tuple[float, Demonstrations]]] = [[] for _ in range(steps)]
         count = max(round(self._share * _IMITATED), 1)
         if steps and settings.imitation and self._tasks is not None:
@@ -307,11 +313,13 @@ class PPO(Learner):
         return loss, total
 
     def _report(self, transitions: Transitions, means: torch.Tensor) -> dict[str, float]:
-        sums = [*means.tolist(), float(transitions.success.sum()), float(len(transitions.success))]
-        *totals, success, rollouts, moves = summed([*sums, float(len(transitions))], self._shards, means.device)
-        names = ("loss", "surrogate_loss", "value_loss", "entropy", "divergence", "clipped")
-        averages = {name: total / self._shards.size for name, total in zip(names, totals, strict=True)}
-        return {"rollout_success": success / max(rollouts, 1.0), "transitions": moves, **averages}
+        rollouts = transitions.success
+        sums = [float(one) for one in (rollouts.sum(), transitions.total.sum(), len(rollouts), len(transitions))]
+        *totals, success, returns, count, moves = summed([*means.tolist(), *sums], self.shards, means.device)
+        names = ("loss", "surrogate_loss", "value_loss", "entropy", "kl", "clipped")
+        averages = {name: total / self.shards.size for name, total in zip(names, totals, strict=True)}
+        played = {"rollout_success": success / max(count, 1.0), "rollout_return": returns / max(count, 1.0)}
+        return {**played, "transitions": moves, **averages}
 
 
 def _named(batch: Transitions) -> dict[str, torch.Tensor]:
@@ -332,4 +340,5 @@ def _padding(batch: StartBatch, parts: int) -> Transitions:
         zero,
         zero.long(),
         torch.zeros(len(batch.states), dtype=torch.bool, device=device),
+        torch.zeros(len(batch.states), device=device),
     )

@@ -14,7 +14,7 @@ _CLIP_RATIO = 0.2
 _VALUE_WEIGHT = 0.5
 """Weight of the error of the value head."""
 _PROBABILITY_RANGE = 0.4999
-"""Half the range of estimated success probabilities: never 0 nor 1, whose logarithm would be infinite."""
+"""Half the range of estimated probabilities: never 0 nor 1, whose logarithm would be infinite."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,10 +51,11 @@ def ppo_loss(
     ratio = logarithm.exp()
     low, high = 1.0 - _CLIP_RATIO, 1.0 + _CLIP_RATIO
     surrogate = -torch.min(ratio * batch.advantage, ratio.clamp(low, high) * batch.advantage)
-    # The value estimates the probability of success. The cross entropy is written out: torch's own aborts at values
-    # that are no numbers, which the guard of the optimizer is to report.
-    chance = 0.5 + _PROBABILITY_RANGE * value
-    error = -(batch.returns * chance.log() + (1 - batch.returns) * (1 - chance).log())
+    # The return in [-1, 1] is read as twice a probability less one: with the rewards of the environment it is that of
+    # success. The cross entropy is written out: torch's own aborts at values that are no numbers, which the guard of
+    # the optimizer is to report.
+    chance, true = 0.5 + _PROBABILITY_RANGE * value, 0.5 + 0.5 * batch.returns
+    error = -(true * chance.log() + (1 - true) * (1 - chance).log())
     # An illegal action has probability zero and adds nothing; its logarithm is minus infinity and would make NaN.
     finite = log_probability.masked_fill(~batch.mask, 0.0)
     entropy = -(finite.exp() * batch.mask * finite).sum(dim=1)

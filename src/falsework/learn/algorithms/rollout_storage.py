@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 import torch
 
 from falsework.learn.algorithms.advantages import generalized_advantages
+from falsework.learn.algorithms.reward import Reward, environment_reward, returns_of, rewards_of
 from falsework.learn.env.environment import Environment
 from falsework.learn.env.rollout import Move, PolicyFunction, play
 from falsework.learn.networks.policy import masked_log_probabilities
@@ -29,20 +30,23 @@ class Transitions:
     advantage: torch.Tensor
     """Shape (actions,)."""
     returns: torch.Tensor
-    """Estimated probability of success, the target of the value head, shape (actions,)."""
+    """Estimated sum of the rewards to come, the target of the value head, in [-1, 1], shape (actions,)."""
     rollout: torch.Tensor
     """Rollout that the row belongs to, shape (actions,)."""
     success: torch.Tensor
     """Of every rollout, `bool`, shape (rollouts,)."""
+    total: torch.Tensor
+    """Sum of the rewards of every rollout, discounted, shape (rollouts,)."""
 
     def __len__(self) -> int:
         return len(self.states)
 
     def take(self, rows: torch.Tensor) -> Transitions:
         """Select some of the actions."""
-        columns = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "success"}
+        whole = {"success": self.success, "total": self.total}
+        columns = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in whole}
         taken = {name: None if column is None else column[rows] for name, column in columns.items()}
-        return Transitions(**taken, success=self.success)  # type: ignore[arg-type]
+        return Transitions(**taken, **whole)  # type: ignore[arg-type]
 
 
 def collect_transitions(
@@ -54,6 +58,7 @@ def collect_transitions(
     *,
     discount: float,
     gae_lambda: float,
+    reward: Reward = environment_reward,
 ) -> Transitions:
     """Sample a rollout from each start, with its advantages and returns.
 
@@ -65,6 +70,10 @@ def collect_transitions(
         generator: source of randomness, on the device of the environment.
         discount: worth of a reward one step later.
         gae_lambda: of the advantages.
+        reward: of each action.
+
+    Raises:
+        InputError: a reward that is not a finite number for each action, or too large.
     """
     success = environment.rules.reached(starts, targets)
     moves: list[Move] = []
@@ -77,10 +86,11 @@ def collect_transitions(
         none = torch.empty(0, device=starts.device)
         mask = torch.empty((0, 2 * environment.part_count), dtype=torch.bool, device=starts.device)
         goals = None if targets is None else targets[:0]
-        return Transitions(starts[:0], goals, none.long(), mask, none, none, none, none.long(), success)
+        return Transitions(starts[:0], goals, none.long(), mask, none, none, none, none.long(), success, success * 0.0)
     rows = [move.rows for move in moves]
-    values = [0.5 + 0.5 * move.value for move in moves]
-    rewards = [move.step.success.float() for move in moves]
+    values = [move.value for move in moves]
+    rewards = rewards_of(moves, reward)
+    total = returns_of(moves, rewards, len(starts), discount)
     advantage = torch.cat(generalized_advantages(rows, values, rewards, len(starts), discount, gae_lambda))
     returns = advantage + torch.cat(values)
     return Transitions(
@@ -90,7 +100,8 @@ def collect_transitions(
         torch.cat([move.mask for move in moves]),
         torch.cat(logs),
         advantage,
-        returns.clamp(0.0, 1.0),
+        returns.clamp(-1.0, 1.0),
         torch.cat(rows),
         success,
+        total,
     )

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
-from types import UnionType
-from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, get_args, get_type_hints
 
 from falsework.assembly.state import check_robots
 from falsework.errors import InputError
 from falsework.learn.config.imitation import ImitationPhase
+from falsework.learn.config.import_path import is_import_path
 from falsework.learn.config.policy import PolicySettings
 from falsework.learn.config.ppo import REINFORCEMENT, PpoPhase
 from falsework.utils.quantity import check_seed
@@ -43,6 +43,11 @@ class TrainSettings:
     """Parts held at a time."""
     policy: PolicySettings = field(default_factory=PolicySettings)
     """Network; with `goal_conditioned`, it is conditioned on a goal."""
+    reward: str = ""
+    """Import path of the reward of PPO, `package.module:function` (`falsework.learn.algorithms.reward`); empty: that of
+    the environment."""
+    learner: str = ""
+    """Import path of the learner in place of PPO, `package.module:Class`; empty: PPO."""
     removable_only_if_clear: bool = False
     """Remove a part only if it has a free straight exit."""
     criterion: Criterion = "contact"
@@ -80,6 +85,12 @@ class TrainSettings:
     def __post_init__(self) -> None:
         if not self.phases or any(not isinstance(one, ImitationPhase) for one in self.phases[:-1]):
             raise InputError("phases of training are imitation, PPO, or imitation followed by PPO; give at least one")
+        for role in ("reward", "learner"):
+            path = getattr(self, role)
+            if path and not is_import_path(path):
+                raise InputError(f"the {role} is {path!r}; give an import path, package.module:name")
+            if path and not isinstance(self.phases[-1], PpoPhase):
+                raise InputError(f"a {role} belongs to PPO, and no phase of this run is PPO; add PpoPhase()")
         if self.data not in get_args(Data):
             raise InputError(f"unknown data {self.data!r}; choose {' or '.join(get_args(Data))}")
         if self.criterion not in get_args(Criterion):
@@ -181,23 +192,13 @@ def from_dict(kind: type[T], values: Mapping[str, Any]) -> T:
 
 
 def _read(hint: Any, value: Any, name: str) -> Any:
-    origin = get_origin(hint)
+    from falsework.utils.models import plain, read_model  # which the help of the command line does not need
+
     if is_dataclass(hint):
         return from_dict(hint, value)  # type: ignore[arg-type]
     if hint == tuple[Phase, ...]:
         return tuple(_read_phase(one, name) for one in (value if isinstance(value, (list, tuple)) else [value]))
-    if origin is Literal:
-        good = value in get_args(hint)
-    elif origin is tuple:
-        good = isinstance(value, (list, tuple))
-        value = tuple(value) if good else value
-    elif origin is UnionType:
-        good = isinstance(value, get_args(hint))
-    else:
-        good = isinstance(value, (int, float) if hint is float else hint) and (hint is bool or value is not True)
-    if not good:
-        raise InputError(f"{name} is {value!r}, which is not a valid value; see falsework.learn.TrainSettings")
-    return value
+    return read_model(hint, plain(value), "", InputError, name)
 
 
 def _read_phase(value: Any, name: str) -> Phase:

@@ -23,6 +23,7 @@ from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
+from falsework.utils.display.frame import frame_of
 
 try:
     import gymnasium
@@ -44,7 +45,7 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
     `info` also has `success`, `unstable` and `illegal`, true for the one that ended the episode.
     """
 
-    metadata = {"render_modes": ["ansi"], "render_fps": 2}  # noqa: RUF012 - declared so by gymnasium
+    metadata = {"render_modes": ["ansi", "rgb_array"], "render_fps": 2}  # noqa: RUF012 - declared so by gymnasium
 
     def __init__(
         self,
@@ -72,7 +73,7 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
             illegal: what an illegal action does: `end` the episode with reward -1, or raise an `error`.
             oracle: decides stability; pass an existing one to reuse its cache. If not given, one
                 of the criterion of the graph, else of the default.
-            render_mode: None or `ansi`.
+            render_mode: None, `ansi` or `rgb_array`; see `render`.
 
         Raises:
             InputError: no such structure, fewer than one robot, or another value of `illegal`.
@@ -80,8 +81,8 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
         """
         if illegal not in ("end", "error"):
             raise InputError(f"illegal is {illegal!r}; choose 'end' or 'error'")
-        if render_mode not in (None, "ansi"):
-            raise InputError(f"render mode {render_mode!r} is not supported; choose None or 'ansi'")
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise InputError(f"render mode {render_mode!r} is not supported; choose None, 'ansi' or 'rgb_array'")
         self.assembly = as_assembly(structure)
         self.robots = robots
         self.render_mode = render_mode
@@ -102,7 +103,7 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
         self.action_space = gymnasium.spaces.Discrete(2 * parts)
         self._state = self._starts[0].copy()
         self._mask = self._legal(self._state)
-        self._last = ""
+        self._last, self._fell = "", False
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -123,7 +124,7 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
         else:
             self._state = self._starts[self.np_random.integers(len(self._starts))].copy()
         self._mask = self._legal(self._state)
-        self._last = ""
+        self._last, self._fell = "", False
         return self._observe(), self._tell()
 
     def step(self, action: np.int64 | int) -> tuple[NDArray[np.int64], float, bool, bool, dict[str, Any]]:
@@ -144,6 +145,7 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
         self._last = describe_action(action, self.assembly.names)
         needed = self._task.needs_verdict(actions, Direction.DISASSEMBLY)[0]
         stands = not needed or bool(self._oracle.verdicts(self._state[None], near=before[None]).stable[0])
+        self._fell = not stands
         success = stands and self._reached(self._state)
         failed = not stands or (not success and not self._mask.any())
         info = self._tell(success=success, unstable=not stands)
@@ -153,10 +155,21 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
         """Return the legal actions, shape (2 parts,); under the name that sb3-contrib's MaskablePPO expects."""
         return self._mask.copy()
 
-    def render(self) -> str | None:  # type: ignore[override]
-        """Return the state as a line (removed `.`, installed `o`, held `#`) and the last action."""
+    def render(self) -> str | NDArray[np.uint8] | None:  # type: ignore[override]
+        """Return the state and the last action.
+
+        Returns:
+            For `ansi` a line, with a letter for each part: removed `.`, installed `o`, held `#`; for `rgb_array` a
+            picture, uint8, shape (height, width, 3).
+
+        Raises:
+            DependencyError: for `rgb_array`, Pillow is not installed.
+        """
         if self.render_mode is None:
             return None
+        if self.render_mode == "rgb_array":
+            words = self._last + (", which is not stable" if self._fell else "")
+            return frame_of(self.assembly, self._state, self.robots, words)
         return "".join(_LETTERS[int(value)] for value in self._state) + (f" {self._last}" if self._last else "")
 
     def _refuse(self, action: int) -> tuple[NDArray[np.int64], float, bool, bool, dict[str, Any]]:

@@ -7,8 +7,6 @@ from typing import Any
 
 import torch
 
-from falsework.learn.networks.policy import Policy
-
 
 class Network(torch.nn.Module):
     """A policy evaluated in the precision chosen for its device: the only place where precision is lowered.
@@ -17,7 +15,7 @@ class Network(torch.nn.Module):
     do not converge in less than float32.
     """
 
-    def __init__(self, policy: Policy, precision: str = "float32", *, compiled: bool = False) -> None:
+    def __init__(self, policy: torch.nn.Module, precision: str = "float32", *, compiled: bool = False) -> None:
         """Wrap a policy, whose weights stay its own.
 
         Args:
@@ -27,7 +25,7 @@ class Network(torch.nn.Module):
         """
         super().__init__()
         self.policy = policy
-        self.settings = policy.settings
+        self.goal_conditioned = bool(getattr(policy, "goal_conditioned", False))
         self._half = precision == "bfloat16"
         call: Any = torch.compile(policy) if compiled else policy
         # Hidden from torch in a tuple: the compiled module has no second set of weights.

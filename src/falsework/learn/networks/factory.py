@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
 from falsework.learn.config.policy import PolicySettings
+from falsework.learn.networks.custom_policy import PolicyOrClass, make_custom
 from falsework.learn.networks.graph_attention import GraphAttentionPolicy
 from falsework.learn.networks.local_attention import LocalAttentionPolicy
 from falsework.learn.networks.mlp import MlpPolicy
@@ -30,7 +31,12 @@ NETWORKS: dict[str, type[Policy]] = {
 
 
 def make_policy(
-    assembly: Assembly, settings: PolicySettings | None = None, device: torch.device | str = "cpu", seed: int = 0
+    assembly: Assembly,
+    settings: PolicySettings | None = None,
+    device: torch.device | str = "cpu",
+    seed: int = 0,
+    *,
+    given: PolicyOrClass | None = None,
 ) -> Policy:
     """Make a policy with random weights; the same seed gives the same weights on every device.
 
@@ -39,23 +45,26 @@ def make_policy(
         settings: which network, and how large.
         device: where it lives.
         seed: of the weights.
+        given: for a class of your own, itself or a module of it, in place of the one that would be imported.
+
+    Returns:
+        The policy. One of your own class has what the protocol asks for (`falsework.learn.networks.custom_policy`),
+        and may lack the other attributes of `Policy`.
+
+    Raises:
+        InputError: a class of your own cannot be imported or called, or breaks the protocol of policies.
     """
     settings = settings or PolicySettings()
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        policy = NETWORKS[settings.kind](assembly, settings)
-    return policy.to(device)
+        if settings.custom:
+            return make_custom(settings, assembly, device, given)
+        return NETWORKS[settings.kind](assembly, settings).to(device)
 
 
-def describe(policy: nn.Module) -> dict[str, Any]:
+def describe(policy: nn.Module, settings: PolicySettings) -> dict[str, Any]:
     """Return kind, sizes and number of weights of a policy, as plain JSON values."""
-    inner = getattr(policy, "_orig_mod", policy)  # what torch.compile wrapped
-    assert isinstance(inner, Policy)
-    return {
-        **asdict(inner.settings),
-        "parts": inner.part_count,
-        "parameters": sum(weight.numel() for weight in inner.parameters()),
-    }
+    return {**asdict(settings.resolved()), "parameters": sum(weight.numel() for weight in policy.parameters())}
 
 
 def transfer(
@@ -72,7 +81,7 @@ def transfer(
     Raises:
         InputError: the network identifies parts by number, or the weights are of another network.
     """
-    if not settings.transfers:
+    if not (settings.transfers or settings.custom):  # those of users describe parts as they like
         raise InputError(
             f"a policy of kind {settings.kind} that identifies parts by their number fits its own structure only; "
             "train another kind"

@@ -38,6 +38,11 @@ class Policy(nn.Module):
         self.register_buffer(name, tensor, persistent=False)
 
     @property
+    def goal_conditioned(self) -> bool:
+        """Whether targets count."""
+        return self.settings.goal_conditioned
+
+    @property
     def kinds_of_part(self) -> int:
         """Number of values of `classes`."""
         return 12 if self.settings.goal_conditioned else 4

@@ -16,11 +16,14 @@ from falsework.assembly.model import Assembly
 from falsework.errors import FalseworkError, InputError
 from falsework.learn.config.train import TrainSettings, from_dict
 from falsework.learn.networks import policy as policies
+from falsework.learn.networks.custom_policy import PolicyOrClass
 from falsework.learn.networks.factory import make_policy
-from falsework.search.plans.plan_source import wrong_source
+from falsework.search.plans.plan_model import SourceEntry
+from falsework.search.plans.plan_source import check_source
 from falsework.utils.files.damage import blamed_on
 from falsework.utils.files.output_file import write_whole
 from falsework.utils.json_text import parse_json
+from falsework.utils.models import FileModel, read_model
 
 FORMAT = "falsework.run/2"
 CHECKPOINT_FORMAT = "falsework.checkpoint/3"
@@ -35,7 +38,26 @@ GENERAL = "general"
 """Name of the policy for any structure that comes with the package, in place of the folder of a run."""
 _COMES_WITH_PACKAGE = Path(__file__).resolve().parents[1] / "pretrained"
 
-_KEYS = {"format", "structure", "settings", "policy", "results", "versions"}
+
+class RunStructure(FileModel, frozen=True):
+    """Structure of a run: enough to reload it and to detect another one."""
+
+    name: str
+    identity: str
+    parts: int
+    source: SourceEntry
+
+
+class RunFile(FileModel, frozen=True):
+    """`run.json`."""
+
+    format: str
+    structure: RunStructure | None
+    """None in a policy for any structure."""
+    settings: dict[str, Any]
+    policy: Any
+    results: Any
+    versions: Any
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,9 +84,8 @@ def describe_structure(assembly: Assembly, source: Mapping[str, Any]) -> dict[st
         InputError: another source, which `load_run` would refuse.
     """
     plain = {name: _plain(value) for name, value in source.items()}
-    wrong = wrong_source(plain)
-    if wrong:
-        raise InputError(f"the source of {assembly.name} cannot be recorded: {wrong}; give its path or built-in name")
+    about = f"the source of {assembly.name} cannot be recorded: "
+    check_source(read_model(SourceEntry, plain, about, InputError, "structure.source"), about)
     return {
         "name": assembly.name,
         "identity": assembly.identity,
@@ -97,7 +118,7 @@ def save_run(folder: Path, policy: torch.nn.Module, metadata: Mapping[str, Any])
     from safetensors.torch import save
 
     folder.mkdir(parents=True, exist_ok=True)
-    weights = {name: tensor.detach().cpu().contiguous() for name, tensor in policy.state_dict().items()}
+    weights = {name: tensor.detach().cpu().clone() for name, tensor in policy.state_dict().items()}
     _write(folder / WEIGHTS, save(weights, {"format": FORMAT}))
     write_run(folder, metadata)
 
@@ -132,22 +153,11 @@ def read_run(folder: Path) -> dict[str, Any]:
     found = content.get("format") if isinstance(content, dict) else None
     if found != FORMAT:
         raise InputError(f"{path} has format {found!r}; this version reads {FORMAT!r} only; train again")
-    if set(content) != _KEYS:
-        odd = ", ".join(sorted(set(content) ^ _KEYS))
-        raise InputError(f"{path} is not a valid {FORMAT} file: unexpected or absent entries {odd}")
-    wrong = "" if content["structure"] is None else _wrong_structure(content["structure"])
-    if wrong:
-        raise InputError(f"{path} is not a valid {FORMAT} file: {wrong}; train again")
+    about = f"{path} is not a valid {FORMAT} file: "
+    read = read_model(RunFile, content, about, InputError, remedy="; train again")
+    if read.structure is not None:
+        check_source(read.structure.source, about)
     return content
-
-
-def _wrong_structure(value: Any) -> str:
-    """Return why a value is no `describe_structure`; empty if it is one."""
-    kinds = {"name": str, "identity": str, "parts": int, "source": dict}
-    if not isinstance(value, dict) or set(value) != set(kinds):
-        return f"its structure must have {', '.join(kinds)}"
-    wrong = next((key for key, kind in kinds.items() if type(value[key]) is not kind), None)
-    return f"structure.{wrong} is {str(value[wrong])[:40]!r}" if wrong else wrong_source(value["source"])
 
 
 def settings_of(metadata: Mapping[str, Any]) -> TrainSettings:
@@ -200,16 +210,25 @@ def check_structure(folder: Path, metadata: Mapping[str, Any], assembly: Assembl
         )
 
 
-def load_run(folder: Path | str, device: torch.device | str = "cpu", *, assembly: Assembly | None = None) -> Run:
+def load_run(
+    folder: Path | str,
+    device: torch.device | str = "cpu",
+    *,
+    assembly: Assembly | None = None,
+    policy: PolicyOrClass | None = None,
+) -> Run:
     """Read a trained policy and the structure that it is for.
 
     Args:
         folder: folder of the run, or `general` for the policy for any structure that comes with the package.
         device: where the policy is to live.
         assembly: the structure if it is at hand; it must be the one of the run, unless that is for any structure.
+        policy: of a run with a policy of your own: its class, or a module that gets the weights, in place of the class
+            that would be imported.
 
     Raises:
-        InputError: no run, a damaged one, one of another version or structure, or no such device.
+        InputError: no run, a damaged one, one of another version or structure, no such device, or a policy whose class
+            cannot be imported or has other weights.
     """
     from falsework.utils.tensors import choose_device
 
@@ -222,17 +241,25 @@ def load_run(folder: Path | str, device: torch.device | str = "cpu", *, assembly
         else:
             check_structure(folder, metadata, assembly)
         settings = settings_of(metadata)
-        policy = make_policy(assembly, settings.policy, where)
-        policy.of_task(settings.robots, equilibrium=settings.criterion == "equilibrium")
-        load_weights(policy, folder / WEIGHTS)
-    return Run(folder, assembly, settings, policy.eval(), metadata)
+    if policy is not None and not settings.policy.custom:
+        raise InputError(f"the policy of {folder} is a {settings.policy.kind} of falsework; leave the policy out")
+    trained = make_policy(assembly, settings.policy, where, given=policy)
+    if not settings.policy.custom:
+        trained.of_task(settings.robots, equilibrium=settings.criterion == "equilibrium")
+    with blamed_on(folder, "train again"):
+        load_weights(trained, folder / WEIGHTS)
+    return Run(folder, assembly, settings, trained.eval(), metadata)
 
 
 def load_policy(
-    folder: Path | str, device: torch.device | str = "cpu", *, assembly: Assembly | None = None
+    folder: Path | str,
+    device: torch.device | str = "cpu",
+    *,
+    assembly: Assembly | None = None,
+    policy: PolicyOrClass | None = None,
 ) -> policies.Policy:
     """Read the trained policy of a run, as `load_run` does, without the rest of it."""
-    return load_run(folder, device, assembly=assembly).policy
+    return load_run(folder, device, assembly=assembly, policy=policy).policy
 
 
 def load_weights(policy: torch.nn.Module, path: Path) -> None:

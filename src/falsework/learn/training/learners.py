@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
 
+from falsework.errors import InputError
 from falsework.learn.algorithms.blended_starts import BlendedStarts
 from falsework.learn.algorithms.curriculum import Curriculum
 from falsework.learn.algorithms.imitation import Imitation
@@ -17,6 +16,8 @@ from falsework.learn.config.train import Phase
 from falsework.learn.data.solvable_states import SolvableStates
 from falsework.learn.env.environment import Environment
 from falsework.learn.networks.policy import Policy
+from falsework.learn.training.learner_context import LearnerContext
+from falsework.learn.training.plugins import Plugins
 from falsework.learn.training.run_context import RunContext
 from falsework.learn.training.training_data import TrainingData
 from falsework.utils.collectives import gather_rows
@@ -24,7 +25,7 @@ from falsework.utils.distributed import ProcessGroup
 from falsework.utils.tensors import below
 
 
-def make_learner(
+def learner_of(
     run: RunContext,
     environment: Environment,
     policy: Policy,
@@ -34,6 +35,7 @@ def make_learner(
     *,
     begin: float,
     compiled: bool,
+    plugins: Plugins = Plugins(),
 ) -> Learner:
     """Make the learner of a phase.
 
@@ -46,17 +48,24 @@ def make_learner(
         phase: its settings.
         begin: progress of the whole training at which the phase begins.
         compiled: compile the network.
+        plugins: reward and learner of PPO, where users bring their own.
+
+    Raises:
+        InputError: a learner of a user is none.
     """
-    options: dict[str, Any] = {
-        "tasks": data.tasks,
-        "seed": run.settings.seed,
-        "precision": run.settings.precision,
-        "compiled": compiled,
-        "shards": run.shards,
-        "folder": run.folder,
-    }
+    settings = run.settings
     if isinstance(phase, ImitationPhase):
-        return Imitation(policy, solved, phase, **options)
+        return Imitation(
+            policy,
+            solved,
+            phase,
+            tasks=data.tasks,
+            seed=settings.seed,
+            precision=settings.precision,
+            compiled=compiled,
+            shards=run.shards,
+            folder=run.folder,
+        )
     rules, starts, targets = environment.rules, data.starts, data.targets
     if phase.starts == "mixed":
         rollouts = max(phase.rollouts // run.shards.size, 1)
@@ -68,7 +77,27 @@ def make_learner(
         sampler = curriculum
         if phase.anywhere and targets is None:
             sampler = BlendedStarts(curriculum, solved, phase.anywhere)
-    return PPO(environment, policy, sampler, phase, solved=solved, begin=begin, **options)
+    context = LearnerContext(
+        environment,
+        policy,
+        sampler,
+        phase,
+        solved,
+        data.tasks,
+        plugins.reward,
+        begin,
+        settings.seed,
+        settings.precision,
+        compiled,
+        run.shards,
+        run.folder,
+    )
+    if plugins.learner is None:
+        return PPO(environment, policy, sampler, phase, **context.options)
+    learner = plugins.learner(context)
+    if not isinstance(learner, Learner):
+        raise InputError(f"{settings.learner} gives no falsework.learn.Learner; derive its class from that")
+    return learner
 
 
 def share_solved(solved: SolvableStates, known: int, shards: ProcessGroup) -> None:

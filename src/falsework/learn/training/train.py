@@ -17,12 +17,16 @@ from filelock import FileLock, Timeout
 from falsework.assembly.load import AnyStructure, as_assembly, means_built_in
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
+from falsework.learn.algorithms.reward import Reward, environment_reward
 from falsework.learn.config.train import TrainSettings
 from falsework.learn.data.dataset import Dataset
+from falsework.learn.networks.custom_policy import PolicyOrClass
 from falsework.learn.training.checkpoint import FILE, check_structure, read_run, settings_of
+from falsework.learn.training.iteration import Callback
 from falsework.learn.training.logger import check_logs
+from falsework.learn.training.plugins import LearnerMaker, Plugins
+from falsework.learn.training.result import TrainResult
 from falsework.learn.training.trainer import Report, Trainer
-from falsework.learn.training.trainer import TrainResult as TrainResult
 from falsework.utils.collectives import summed
 from falsework.utils.display.notebook import notebook_progress
 from falsework.utils.distributed import init_distributed
@@ -36,6 +40,10 @@ def train(
     settings: TrainSettings = TrainSettings(),
     *,
     folder: Path | str | None,
+    policy: PolicyOrClass | None = None,
+    reward: Reward = environment_reward,
+    learner: LearnerMaker | None = None,
+    callbacks: Sequence[Callback] = (),
     source: Mapping[str, Any] | None = None,
     device: str = "auto",
     resume: bool = False,
@@ -51,6 +59,12 @@ def train(
         assembly: the structure, or its name or path.
         settings: of the run; with `resume`, only `minutes` and `steps` of it count, where they are given.
         folder: of the run; None keeps nothing but what is returned.
+        policy: a network of your own in place of that of the settings: a module, whose weights are copied, or a class,
+            called with the assembly, as `falsework.learn.networks.custom_policy` describes it. A resumed run that
+            cannot import it needs it again; so with the reward and the learner.
+        reward: of each action, for PPO. Weights are chosen by success on the validation set all the same.
+        learner: makes the learner in place of PPO.
+        callbacks: called after each iteration; one that returns True ends the training.
         source: where the structure can be loaded from again; if not given, the path, or a built-in of its name.
         device: `auto`, `cpu` or `cuda`.
         resume: continue the run in the folder.
@@ -60,21 +74,26 @@ def train(
 
     Raises:
         DependencyError: a package is missing that the device or a log needs.
-        InputError: no such device, a folder that holds another run, nothing to resume, or no room to write.
+        InputError: no such device, a folder that holds another run, nothing to resume, no room to write, or a policy,
+            reward or learner that breaks its protocol.
     """
     if source is None and isinstance(assembly, (str, Path)) and not means_built_in(assembly):
         source = {"path": str(Path(assembly).resolve())}
     assembly = as_assembly(assembly)
     check_logs(logs)
+    plugins = Plugins(policy, reward, learner, tuple(callbacks))
+    settings = plugins.named_in(settings)
     with init_distributed(device) as (shards, where):
         place = None if folder is None else Path(folder)
         begun = time.perf_counter()
         with _locked(place if shards.is_main_process else None, resume):
             kept = _begin(place, assembly, settings, where, resume)
+            plugins = plugins.filled_from(kept)
             # No process writes before all have read the folder.
             summed([1.0], shards, where)
             with _repeatable(kept), _threads(kept, where):
-                trainer = Trainer(assembly, kept, place, dict(source or {"built_in": assembly.name}), where, shards)
+                origin = dict(source or {"built_in": assembly.name})
+                trainer = Trainer(assembly, kept, place, origin, where, shards, plugins)
                 trainer.report = report or notebook_progress("training") or trainer.report
                 return trainer.run(begun, resume=resume, logs=logs, dataset=dataset)
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import platform
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from copy import deepcopy
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,15 +22,18 @@ from falsework.learn.config.train import TrainSettings, to_dict
 from falsework.learn.data.dataset import Dataset
 from falsework.learn.data.solvable_states import SolvableStates
 from falsework.learn.env.environment import Environment
-from falsework.learn.networks import policy as policies
 from falsework.learn.networks.autocast import Network
+from falsework.learn.networks.custom_policy import why_not_again
 from falsework.learn.networks.factory import describe, make_policy
 from falsework.learn.training.budget import TrainingBudget
 from falsework.learn.training.checkpoint import CheckpointFile, describe_structure, save_run, write_run
 from falsework.learn.training.evaluate import Sets, Success, greedy_success, throughput
-from falsework.learn.training.learners import gather_local, local_of, make_learner, share_solved
+from falsework.learn.training.iteration import Iteration
+from falsework.learn.training.learners import gather_local, learner_of, local_of, share_solved
 from falsework.learn.training.logger import Journal
+from falsework.learn.training.plugins import Plugins
 from falsework.learn.training.progress_lines import ProgressLines
+from falsework.learn.training.result import TrainResult
 from falsework.learn.training.run_context import RunContext
 from falsework.learn.training.selection import BestWeights
 from falsework.learn.training.training_data import collect_training_data
@@ -49,57 +53,6 @@ _COMPILE_FROM = 4.0
 """Minutes of training from which compiling the network pays."""
 
 
-@dataclass(frozen=True)
-class TrainResult:
-    """Result of a training run."""
-
-    folder: Path | None
-    steps: int
-    """Steps of the optimizer."""
-    seconds: float
-    """Total time, data and earlier sessions included."""
-    data_seconds: float
-    train: Success
-    """Greedy success on a sample of the paper's training set."""
-    validation: Success
-    """Greedy success on a sample of the validation set."""
-    test: Success
-    """Greedy success on a sample of the test set, tried once, at the end."""
-    solved: int
-    """Number of states learned from."""
-    held_out_visit_rate: float
-    """Share of the held-out states, symmetric images included, that rollouts visited while training."""
-    interrupted: bool
-    processes: int
-    device: str
-    throughput: dict[str, Any]
-    """Of the environment, in this session."""
-    policy: policies.Policy
-    """With the weights that were evaluated, as `load_run` reads them."""
-    curve: tuple[dict[str, float], ...] = ()
-    """Contents of `progress.jsonl` for this session."""
-    notes: tuple[str, ...] = ()
-    first: bool = True
-    """This process is the one that reports."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain JSON values."""
-        return {
-            "steps": self.steps,
-            "seconds": round(self.seconds, 2),
-            "data_seconds": round(self.data_seconds, 2),
-            "train": self.train.to_dict(),
-            "validation": self.validation.to_dict(),
-            "test": self.test.to_dict(),
-            "solved": self.solved,
-            "held_out_visit_rate": round(self.held_out_visit_rate, 6),
-            "interrupted": self.interrupted,
-            "processes": self.processes,
-            "device": self.device,
-            "environment": self.throughput,
-        }
-
-
 class Trainer:
     """Training run in one process."""
 
@@ -111,7 +64,9 @@ class Trainer:
         source: dict[str, Any],
         device: torch.device,
         shards: ProcessGroup,
+        plugins: Plugins = Plugins(),
     ) -> None:
+        self.plugins = plugins
         self.assembly, self.settings, self.folder = assembly, settings, folder
         self.device, self.shards = device, shards
         self.report: Report = lambda done, text: None
@@ -145,14 +100,19 @@ class Trainer:
             clearance=settings.removable_only_if_clear,
         )
         self._solved = SolvableStates(self._environment.rules)
-        self._policy = make_policy(assembly, settings.policy, device, settings.seed)
-        self._exported = make_policy(assembly, settings.policy, device, settings.seed)
+        self._policy = make_policy(assembly, settings.policy, device, settings.seed, given=plugins.policy)
+        self._exported = deepcopy(self._policy)
         """Weights that are evaluated, and in the end saved."""
         same_weights(self._policy, shards)
         self._asked = Network(self._exported, settings.precision)
         self._best = BestWeights(settings.patience)
         self._evaluations = settings.evaluations
         self._evaluated = 0
+        self._ended = False
+        """A callback has ended the training."""
+        lost = why_not_again(self._policy, settings.policy, assembly) if settings.policy.custom and folder else ""
+        if lost:
+            self.notes.append(f"load_run will need the policy handed over: {lost}")
 
     def run(self, begun: float, *, resume: bool, logs: Sequence[str], dataset: Dataset | None) -> TrainResult:
         """Collect data, train in blocks, and return the result."""
@@ -205,13 +165,13 @@ class Trainer:
         lines = ProgressLines(journal, self._environment, self.budget)
         while not self._over():
             if self.budget.stop_requested():
-                interrupted = 1
+                interrupted = decided(float(not self._ended), self.shards, self.device)
                 break
             steps, progress = self.budget.next_block(self.steps, settings.block)
             if self._phase_is_over(progress[0]):
                 learner = self._next_phase(learner, progress[0])
             known = len(self._solved)
-            learner.listener = partial(lines.write, learner, self.steps - learner.steps, self.steps + steps)
+            learner.listener = partial(self._listen, lines, learner, self.steps - learner.steps, self.steps + steps)
             numbers = learner.block(steps, progress)
             share_solved(self._solved, known, self.shards)
             self.steps += steps
@@ -228,6 +188,11 @@ class Trainer:
             success = self._evaluate(learner, self._data.curve)
             self._consider(learner, success["validation"])
             self._log(journal, numbers, success)
+        if not self.steps and not self._ended:
+            self.notes.append(
+                f"nothing was trained: the search for data took {self.data_seconds:.0f} s of "
+                f"{60 * settings.minutes:.0f}; give more minutes"
+            )
         self._best.write(self._exported)
         success |= self._succeeded({"train": self._data.curve["train"], **self._data.test})
         success["validation"] = self._best.success
@@ -237,6 +202,19 @@ class Trainer:
         if self.shards.is_main_process and self.folder is not None:
             save_run(self.folder, self._exported, self._metadata())
         return replace(result, notes=tuple(self.notes))
+
+    def _listen(
+        self, lines: ProgressLines, learner: Learner, before: int, most: int, numbers: dict[str, float]
+    ) -> None:
+        """Log the numbers of a learner at work, and tell callbacks of them; one that returns True ends the training."""
+        lines.write(learner, before, most, numbers)
+        if not self.shards.is_main_process:
+            return
+        step = min(before + learner.steps, most)
+        now = Iteration(step, self.budget.seconds, self._phase, numbers, learner.policy, self._best.success)
+        for callback in self.plugins.callbacks:
+            self._ended |= callback(now) is True
+        self.budget.stopped |= self._ended
 
     def _over(self) -> bool:
         """Return whether the budget is used up, or validation has not risen for long."""
@@ -268,9 +246,9 @@ class Trainer:
         settings, phase = self.settings, self.settings.phases[self._phase]
         # Compiling takes longer than the little imitation before PPO, and has to be repeated for every size of batch.
         last = self._phase == len(settings.phases) - 1
-        pays = self.device.type == "cuda" and settings.minutes >= _COMPILE_FROM and last
+        pays = self.device.type == "cuda" and settings.minutes >= _COMPILE_FROM and last and not settings.policy.custom
         one_size = isinstance(phase, ImitationPhase) or phase.epochs == 1
-        return make_learner(
+        return learner_of(
             self._run,
             self._environment,
             self._policy,
@@ -279,6 +257,7 @@ class Trainer:
             phase,
             begin=self._phase_begun,
             compiled=pays and one_size,
+            plugins=self.plugins if last else Plugins(),
         )
 
     def _next_phase(self, learner: Learner, progress: float) -> Learner:
@@ -390,7 +369,7 @@ class Trainer:
         return {
             "structure": self._structure,
             "settings": to_dict(self.settings),
-            "policy": describe(self._policy),
+            "policy": describe(self._policy, self.settings.policy),
             "results": self._results,
             "versions": {"falsework": __version__, "torch": torch.__version__, "python": platform.python_version()},
         }

@@ -2,29 +2,39 @@
 
 from __future__ import annotations
 
+import tomllib
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import CellError, DependencyError, InputError
-from falsework.robots.cells.cell_robot import read_pose, read_robot
+from falsework.robots.cells.cell_model import (
+    FORMAT,
+    CellFile,
+    GripperEntry,
+    JawEntry,
+    ObstacleEntry,
+    Place,
+    ShapeEntry,
+    SuctionEntry,
+    pose_of,
+)
+from falsework.robots.cells.cell_robot import read_robot
 from falsework.robots.cells.urdf_review import CellWarning
 from falsework.robots.cells.validate import check_cell
 from falsework.robots.model.cell import Cell, Gripper, Margins, Obstacle, Placement
 from falsework.robots.model.shapes import block, cylinder, move
-from falsework.utils.toml_table import Table, read_text
 
 Array = NDArray[np.float64]
 
 AnyCell = Cell | str | Path
 """Cell as it is, or what `load_cell` takes."""
-
-FORMAT = "falsework.cell/1"
 
 
 def builtin_cells() -> tuple[str, ...]:
@@ -78,7 +88,11 @@ def _text_of(name: str | Path) -> tuple[str, str, Path]:
     """Return the text of a cell, its name in messages, and the folder of its paths."""
     path = Path(name)
     if path.suffix == ".toml" or path.is_file():
-        return read_text(path), str(path), path.parent
+        try:
+            return path.read_text(encoding="utf-8"), str(path), path.parent
+        except (OSError, UnicodeDecodeError) as error:
+            reason = getattr(error, "strerror", None) or "it is not text"
+            raise CellError(f"cell file {path} cannot be read: {reason}") from error
     if str(name) in builtin_cells():
         text = (files("falsework.robots.cells") / f"{name}.toml").read_text(encoding="utf-8")
         return text, f"{name}.toml", Path()
@@ -123,21 +137,23 @@ def parse_cell(text: str, source: str, folder: Path, *, faults: list[str] | None
     Raises:
         CellError: as `load_cell`.
     """
-    file = Table.parse(source, text)
-    form = file.text("format", FORMAT)
-    if form != FORMAT:
-        raise file.fail("format", f"is {form!r}; this version reads {FORMAT}")
-    grippers_table = file.table("grippers")
+    place, data = Place(source), _toml(source, text)
+    if (form := data.get("format", FORMAT)) != FORMAT:
+        raise place.fail("format", f"is {form!r}; this version reads {FORMAT}")
+    file = CellFile(robots=[])
+    with _noted(faults):
+        file = place.read(CellFile, data | {"grippers": {}, "robots": [], "obstacles": []})
     grippers: dict[str, Gripper] = {}
-    for name in grippers_table.names():
+    for name, values in place.inside("grippers").read(dict[str, Any], data.get("grippers", {})).items():
         if faults is not None:
             grippers[name] = Gripper(name, "suction", (), np.eye(4), 0.0)
         with _noted(faults):
-            grippers[name] = _gripper(name, grippers_table.table(name))
-    robots, entries = [], file.tables("robots")
-    for entry in entries:
+            grippers[name] = _gripper(name, values, place.inside(f"grippers.{name}"))
+    robots, obstacles = [], []
+    entries, others = (place.inside(key).read(list[Any], data.get(key, [])) for key in ("robots", "obstacles"))
+    for number, values in enumerate(entries):
         with _noted(faults):
-            robots.append(read_robot(entry, grippers, folder, faults))
+            robots.append(read_robot(values, place.inside(f"robots[{number}]"), grippers, folder, faults))
     if not robots and entries:
         raise CellError(f"{source}: none of its robots can be read")
     if not robots:
@@ -146,92 +162,75 @@ def parse_cell(text: str, source: str, folder: Path, *, faults: list[str] | None
     for name in names:
         if names.count(name) > 1:
             raise CellError(f"{source}: two robots are called {name!r}; give every robot its own name")
-    obstacles: list[Obstacle] = []
-    for entry in file.tables("obstacles"):
+    for number, values in enumerate(others):
         with _noted(faults):
-            obstacles.append(_obstacle(entry))
-    floor = None
-    if not file.has("floor"):
-        floor = 0.0
-    elif file.take("floor") is not False:
-        floor = file.number("floor")
-    structure, margins = file.table("structure"), file.table("margins")
-    x, y, z = structure.numbers("position", 3, (0, 0, 0)).tolist()
-    placement = Placement(
-        position=(x, y, z),
-        yaw=float(np.radians(structure.number("yaw", 0.0))),
-        scale=structure.number("scale", 1.0, low=1e-6),
-        density=structure.number("density", low=1e-6) if structure.has("density") else None,
-    )
-    standard = Margins()
-    kept = Margins(
-        free=margins.number("free", standard.free, low=0.0005, high=1.0),
-        line=margins.number("line", standard.line, low=0.0, high=1.0),
-        approach=margins.number("approach", standard.approach, low=0.001, high=10.0),
-    )
+            obstacles.append(_obstacle(values, place.inside(f"obstacles[{number}]")))
+    if file.floor is True:
+        raise place.fail("floor", "is true; give its height in metres, or false")
+    structure = file.structure
+    x, y, z = structure.position or (0.0, 0.0, 0.0)
+    yaw = float(np.radians(structure.yaw))
     cell = Cell(
-        name=file.text("name", Path(source).stem),
+        name=file.name or Path(source).stem,
         robots=tuple(robots),
         obstacles=tuple(obstacles),
-        floor=floor,
-        placement=placement,
-        margins=kept,
-        speed=file.number("speed", 1.0, low=0.001, high=1.0),
+        floor=None if file.floor is False else file.floor,
+        placement=Placement(position=(x, y, z), yaw=yaw, scale=structure.scale, density=structure.density),
+        margins=Margins(free=file.margins.free, line=file.margins.line, approach=file.margins.approach),
+        speed=file.speed,
     )
-    with _noted(faults):
-        for table in (structure, margins, file):
-            table.done()
     idle = sorted(set(grippers) - {robot.gripper.name for robot in robots})
     if idle:
         warnings.warn(f"{source}: no robot has the gripper {', '.join(idle)}", CellWarning, stacklevel=3)
     return cell
 
 
-def _gripper(name: str, table: Table) -> Gripper:
-    kind = table.text("kind")
-    if kind not in ("suction", "jaw"):
-        raise table.fail("kind", f"is {kind!r}; give suction or jaw")
-    pieces = tuple(piece for entry in table.tables("shapes") for piece in _shapes(entry))
-    if not pieces:
-        raise table.fail("shapes", "is missing; give at least one box or cylinder, for collision checks")
-    tool = read_pose(table.table("tool"))
-    center = table.numbers("center_of_mass", 3) if table.has("center_of_mass") else None
-    made = Gripper(
+def _toml(source: str, text: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise CellError(f"{source} is nested too deeply; write it with tables") from None
+    except ValueError as error:  # of its syntax, or a number with thousands of digits
+        raise CellError(f"{source} is not valid TOML: {' '.join(str(error).split())}") from error
+
+
+def _gripper(name: str, values: Any, place: Place) -> Gripper:
+    entry = place.read(GripperEntry, values)
+    pieces = [
+        piece
+        for number, shape in enumerate(entry.shapes)
+        for piece in _shapes(shape, place.inside(f"shapes[{number}]"))
+    ]
+    return Gripper(
         name=name,
-        kind="suction" if kind == "suction" else "jaw",
-        pieces=pieces,
-        tool=tool,
-        payload=table.number("payload", low=0.0),
-        mass=table.number("mass", 0.0, low=0.0),
-        cup=table.number("cup", low=1e-4) if kind == "suction" else 0.0,
-        opening=table.number("opening", low=1e-4) if kind == "jaw" else 0.0,
-        depth=table.number("depth", low=1e-4) if kind == "jaw" else 0.0,
-        force=table.number("force", low=0.0) if table.has("force") else np.inf,
-        moment=table.number("moment", low=0.0) if table.has("moment") else np.inf,
-        center_of_mass=center,
-        inertia=_inertia(table) if table.has("inertia") else None,
+        kind="suction" if isinstance(entry, SuctionEntry) else "jaw",
+        pieces=tuple(pieces),
+        tool=pose_of(entry.tool, place.inside("tool")),
+        payload=entry.payload,
+        mass=entry.mass,
+        cup=entry.cup if isinstance(entry, SuctionEntry) else 0.0,
+        opening=entry.opening if isinstance(entry, JawEntry) else 0.0,
+        depth=entry.depth if isinstance(entry, JawEntry) else 0.0,
+        force=np.inf if entry.force is None else entry.force,
+        moment=np.inf if entry.moment is None else entry.moment,
+        center_of_mass=None if entry.center_of_mass is None else np.array(entry.center_of_mass),
+        inertia=None if entry.inertia is None else _inertia(entry.inertia, place),
     )
-    table.done()
-    return made
 
 
-def _inertia(table: Table) -> Array:
+def _inertia(given: list[float], place: Place) -> Array:
     """Return the inertia of a gripper about its centre of mass, shape (3, 3).
 
     Raises:
         CellError: other than three or six numbers, or moments of inertia that no body has.
     """
-    given = table.take("inertia")
-    xx, yy, zz, xy, xz, yz = [
-        *table.numbers("inertia", 6 if isinstance(given, list) and len(given) == 6 else 3),
-        0,
-        0,
-        0,
-    ][:6]
+    if len(given) not in (3, 6):
+        raise place.fail("inertia", f"has {len(given)} numbers; give 3 or 6")
+    xx, yy, zz, xy, xz, yz = [*given, 0.0, 0.0, 0.0][:6]
     made = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     moments = np.linalg.eigvalsh(made)
     if not (moments[0] >= 0 and moments[2] <= moments[0] + moments[1] + 1e-12):
-        raise table.fail(
+        raise place.fail(
             "inertia",
             f"is {given}, which no body has; give Ixx, Iyy, Izz, and if needed Ixy, Ixz, Iyz, in kg m2 about the "
             "centre of mass",
@@ -239,36 +238,27 @@ def _inertia(table: Table) -> Array:
     return made
 
 
-def _obstacle(table: Table) -> Obstacle:
-    name = table.text("name")
-    made = Obstacle(name, tuple(_shapes(table)))
-    if not made.pieces:
-        raise table.fail("box", f"is missing; give obstacle {name!r} a box or a cylinder")
-    table.done()
-    return made
+def _obstacle(values: Any, place: Place) -> Obstacle:
+    entry = place.read(ObstacleEntry, values)
+    return Obstacle(entry.name, tuple(_shapes(entry, place)))
 
 
-def _shapes(table: Table) -> list[Array]:
+def _shapes(entry: ShapeEntry, place: Place) -> list[Array]:
     """Return the shapes of the box and the cylinder of an entry."""
-    found = []
-    at = read_pose(table)
-    if table.has("box"):
-        shape = table.table("box")
-        low, high = shape.numbers("low", 3), shape.numbers("high", 3)
+    found, at = [], pose_of(entry, place)
+    if entry.box is not None:
+        low, high = np.array(entry.box.low), np.array(entry.box.high)
         if not (low < high).all():
-            raise shape.fail("high", f"is {high.tolist()}; every coordinate must be above that of low")
+            raise place.fail("box.high", f"is {entry.box.high}; every coordinate must be above that of low")
         try:
             found.append(move(at, block(low, high)))
         except InputError as error:
-            raise CellError(f"{shape.source}: {shape.where}: {error}") from error
-        shape.done()
-    if table.has("cylinder"):
-        shape = table.table("cylinder")
-        low, high = shape.number("low"), shape.number("high")
+            raise place.fail("box:", str(error)) from error
+    if entry.cylinder is not None:
+        low, high = entry.cylinder.low, entry.cylinder.high
         if not low < high:
-            raise shape.fail("high", f"is {high:g}; it must be above low, {low:g}")
-        found.append(move(at, cylinder(shape.number("radius", low=1e-4), low, high)))
-        shape.done()
-    if not table.where.startswith("obstacles"):
-        table.done()
+            raise place.fail("cylinder.high", f"is {high:g}; it must be above low, {low:g}")
+        found.append(move(at, cylinder(entry.cylinder.radius, low, high)))
+    if not found:
+        raise place.fail("box", "is missing; give a box or a cylinder")
     return found

@@ -6,18 +6,18 @@ import warnings
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import CellError
+from falsework.robots.cells.cell_model import Place, RobotEntry, pose_of
 from falsework.robots.cells.urdf import LIMITS_FILE, load_urdf
 from falsework.robots.cells.urdf_review import CellWarning
 from falsework.robots.model.builtin_robots import BUILTIN, builtin_robot
 from falsework.robots.model.cell import CellRobot, Gripper, Signals
 from falsework.robots.model.robot_model import ACCELERATION_TIME, RobotModel
-from falsework.robots.model.shapes import pose
-from falsework.utils.toml_table import Table
 
 Array = NDArray[np.float64]
 
@@ -25,11 +25,14 @@ PLACE_TURNS = 8
 """Rotations about the vertical in which a part may be put down at a drop-off pose."""
 
 
-def read_robot(table: Table, grippers: dict[str, Gripper], folder: Path, faults: list[str] | None = None) -> CellRobot:
+def read_robot(
+    values: Any, place: Place, grippers: dict[str, Gripper], folder: Path, faults: list[str] | None = None
+) -> CellRobot:
     """Return a robot from its entry in a cell file.
 
     Args:
-        table: the entry.
+        values: the entry.
+        place: of the entry, for messages.
         grippers: grippers of the cell by name.
         folder: folder that relative paths start from.
         faults: takes an error of the home, which is then that of the arm; None raises it.
@@ -38,79 +41,53 @@ def read_robot(table: Table, grippers: dict[str, Gripper], folder: Path, faults:
         CellError: a key that is missing, unknown or wrong.
         DependencyError: the arm is a URDF file and yourdfpy is missing.
     """
-    name = table.text("name")
-    model = _model(table, folder)
-    if table.has("acceleration"):
-        given = _joint_values(table, "acceleration", model)
+    entry = place.read(RobotEntry, values)
+    model = _model(entry, place, folder)
+    if entry.acceleration is not None:
+        given = _joint_values(entry.acceleration, place, "acceleration", model)
         if not (given > 0).all():
-            raise table.fail("acceleration", f"is {given.tolist()}; give numbers above 0, in degrees (or m) per s2")
+            raise place.fail("acceleration", f"is {given.tolist()}; give numbers above 0, in degrees (or m) per s2")
         model = replace(model, acceleration=given * _units(model))
     elif model.assumed:
         some = "" if len(model.assumed) == model.joints else f" of {', '.join(model.assumed)}"
         warnings.warn(
-            f"{table.source}: robot {name} has no acceleration{some}, which neither its URDF nor a joint_limits.yaml "
-            f"states; joints are taken to reach full speed in {ACCELERATION_TIME:g} s",
+            f"{place.source}: robot {entry.name} has no acceleration{some}, which neither its URDF nor a "
+            f"joint_limits.yaml states; joints are taken to reach full speed in {ACCELERATION_TIME:g} s",
             CellWarning,
             stacklevel=4,
         )
-    wanted = table.text("gripper")
-    if wanted not in grippers:
+    if entry.gripper not in grippers:
         known = ", ".join(grippers) or "none"
-        raise table.fail("gripper", f"is {wanted!r}, which [grippers] does not have; there are: {known}")
-    base = read_pose(table.table("base"))
-    home = model.home
+        raise place.fail("gripper", f"is {entry.gripper!r}, which [grippers] does not have; there are: {known}")
+    base, home = pose_of(entry.base, place.inside("base")), model.home
     try:
-        home = _home(table, model)
+        home = _home(entry.home, place, model)
     except CellError as error:
         if faults is None:
             raise
-        faults.append(f"{error} (robot {name} is shown in another one)")
-    local = np.array([place.numbers("position", 3) for place in table.tables("places")]).reshape(-1, 3)
-    for place in table.tables("places"):
-        place.numbers("position", 3)
-        place.done()
-    places = [base @ _down(at, 2 * np.pi * turn / PLACE_TURNS) for at in local for turn in range(PLACE_TURNS)]
-    maker = table.text("maker") if table.has("maker") else None
-    signals = _signals(table.table("signals"))
-    table.done()
-    return CellRobot(name, model, base, grippers[wanted], home, np.array(places).reshape(-1, 4, 4), maker, signals)
+        faults.append(f"{error} (robot {entry.name} is shown in another one)")
+    turns = [2 * np.pi * turn / PLACE_TURNS for turn in range(PLACE_TURNS)]
+    places = [base @ _down(np.array(put.position), turn) for put in entry.places for turn in turns]
+    given = entry.signals
+    signals = Signals(grip=given.grip, closed=bool(given.closed), seconds=given.seconds, address=given.address)
+    gripper = grippers[entry.gripper]
+    return CellRobot(entry.name, model, base, gripper, home, np.array(places).reshape(-1, 4, 4), entry.maker, signals)
 
 
-def _signals(table: Table) -> Signals:
-    """Return the settings of a controller."""
-    standard = Signals()
-    found = Signals(
-        grip=table.text("grip") if table.has("grip") else None,
-        closed=bool(_level(table)) if table.has("closed") else standard.closed,
-        seconds=table.number("seconds", standard.seconds, low=0.0, high=60.0),
-        address=table.text("address") if table.has("address") else None,
-    )
-    table.done()
-    return found
-
-
-def _level(table: Table) -> int:
-    value = table.take("closed")
-    if value not in (0, 1):
-        raise table.fail("closed", f"is {value!r}; give 0 or 1, the level of the output at which the gripper is closed")
-    return int(value)
-
-
-def _model(table: Table, folder: Path) -> RobotModel:
+def _model(entry: RobotEntry, place: Place, folder: Path) -> RobotModel:
     """Return the arm of a robot entry."""
-    name = table.text("model")
-    base = table.text("base_link") if table.has("base_link") else None
-    tip = table.text("tip_link") if table.has("tip_link") else None
-    srdf, limits = (str(folder / table.text(key)) if table.has(key) else None for key in ("srdf", "joint_limits"))
+    name = entry.model
+    srdf, limits = (None if given is None else str(folder / given) for given in (entry.srdf, entry.joint_limits))
     if name in BUILTIN:
         return _builtin(name)
     if not name.lower().endswith((".urdf", ".xml")):
         known = ", ".join(sorted(BUILTIN))
-        raise table.fail("model", f"is {name!r}; give the path of a URDF file or one of {known}")
+        raise place.fail("model", f"is {name!r}; give the path of a URDF file or one of {known}")
+    changed = _changed(folder / name, srdf, limits)
     try:
-        return _from_file(str(folder / name), base, tip, srdf, limits, _changed(folder / name, srdf, limits))
+        return _from_file(str(folder / name), entry.base_link, entry.tip_link, srdf, limits, changed)
     except CellError as error:
-        raise CellError(f"{table.source}: {table.name('model')}: {error}") from error
+        raise CellError(f"{place.source}: {place.name('model')}: {error}") from error
 
 
 @lru_cache(maxsize=16)
@@ -136,25 +113,20 @@ def _changed(urdf: Path, srdf: str | None, joint_limits: str | None) -> tuple[in
     return tuple(file.stat().st_mtime_ns if file.is_file() else 0 for file in files)
 
 
-def _joint_values(table: Table, key: str, model: RobotModel) -> Array:
+def _joint_values(given: list[float], place: Place, key: str, model: RobotModel) -> Array:
     """Return a number for each joint of an arm, shape (joints,).
 
     Raises:
         CellError: another number of values; the message has the names of the joints.
     """
-    given = table.take(key)
-    if isinstance(given, list) and len(given) != model.joints:
-        asked = (
-            f"; its arm ends at link {model.link_names[-1]}, which tip_link changes"
-            if model.source != "built-in"
-            else ""
-        )
-        raise table.fail(
-            key,
-            f"has {len(given)} values, but {model.name} has {model.joints} joints: "
-            f"{', '.join(model.joint_names)}{asked}",
-        )
-    return table.numbers(key, model.joints)
+    if len(given) == model.joints:
+        return np.array(given)
+    changes = f"; its arm ends at link {model.link_names[-1]}, which tip_link changes"
+    raise place.fail(
+        key,
+        f"has {len(given)} values, but {model.name} has {model.joints} joints: {', '.join(model.joint_names)}"
+        f"{'' if model.source == 'built-in' else changes}",
+    )
 
 
 def _units(model: RobotModel) -> Array:
@@ -162,66 +134,40 @@ def _units(model: RobotModel) -> Array:
     return np.where(model.prismatic, 1.0, np.pi / 180)
 
 
-def _home(table: Table, model: RobotModel) -> Array:
+def _home(given: list[float] | dict[str, float] | str | None, place: Place, model: RobotModel) -> Array:
     """Return the home joint values: a list or a table by joint, degrees, or the name of a state of the SRDF.
 
     By default those of the model.
     """
-    if not table.has("home"):
-        return model.home
-    given = table.take("home")
     units, states = _units(model), dict(model.group_states)
+    if given is None:
+        return model.home
     if isinstance(given, str):
         if given not in states:
             known = ", ".join(states) or "no states for all its joints"
             where = f"{Path(model.srdf).name} has {known}" if model.srdf else f"{model.name} has no SRDF"
-            raise table.fail("home", f"is the state {given!r}, but {where}; name one, or give joint values")
+            raise place.fail("home", f"is the state {given!r}, but {where}; name one, or give joint values")
         values = states[given]
     elif isinstance(given, dict):
         values = np.array(model.home)
-        for joint in given:
+        for joint, value in given.items():
             if joint not in model.joint_names:
                 known = ", ".join(model.joint_names)
-                raise table.fail("home", f"names joint {joint!r}, which {model.name} does not have; it has {known}")
-            number = table.table("home").number(joint)
-            values[model.joint_names.index(joint)] = number * units[model.joint_names.index(joint)]
+                raise place.fail("home", f"names joint {joint!r}, which {model.name} does not have; it has {known}")
+            values[model.joint_names.index(joint)] = value * units[model.joint_names.index(joint)]
     else:
-        values = _joint_values(table, "home", model) * units
+        values = _joint_values(given, place, "home", model) * units
     outside = (values < model.lower - 1e-9) | (values > model.upper + 1e-9)
     if outside.any():
         joint = int(np.argmax(outside))
         low, value, high = (limit[joint] / units[joint] for limit in (model.lower, values, model.upper))
         unit = "m" if model.prismatic[joint] else "degrees"
-        raise table.fail(
+        raise place.fail(
             "home",
             f"cannot be reached: {model.joint_names[joint]} is {value:.4g} {unit}, outside its limits {low:.4g} to "
             f"{high:.4g}",
         )
     return np.array(values)
-
-
-def read_pose(table: Table) -> Array:
-    """Return the pose of a position and rotation (roll, pitch, yaw about fixed axes, or yaw alone), degrees.
-
-    Raises:
-        CellError: no numbers, or yaw beside roll, pitch and yaw.
-    """
-    made = np.array(pose(table.numbers("position", 3, (0, 0, 0))))
-    turned = table.numbers("rpy", 3, (0, 0, 0))
-    if table.has("yaw"):
-        if table.has("rpy"):
-            raise table.fail("yaw", "is given beside rpy; give one of them")
-        turned = np.array([0.0, 0.0, table.number("yaw")])
-    roll, pitch, yaw = np.radians(turned)
-    cx, sx, cy, sy, cz, sz = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
-    made[:3, :3] = [
-        [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
-        [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
-        [-sy, cy * sx, cy * cx],
-    ]
-    if table.where.endswith((".base", ".tool")):
-        table.done()
-    return made
 
 
 def _down(position: Array, turn: float) -> Array:

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from falsework.errors import InputError
+from falsework.errors import DependencyError, InputError
 from falsework.robots.exports.commands import (
     COUNT_FROM,
     Begin,
@@ -198,26 +198,15 @@ def _json(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False, allow_nan=False, indent=1) + "\n"
 
 
-def _yaml(value: Any, indent: int = 0) -> str:
-    """Return plain values as YAML: mappings and lists of mappings in blocks, lists of numbers in one line."""
-    space = "  " * indent
-    lines = []
-    if isinstance(value, dict):
-        for key, entry in value.items():
-            if isinstance(entry, dict) or (isinstance(entry, list) and entry and isinstance(entry[0], dict)):
-                lines.append(f"{space}{key}:\n{_yaml(entry, indent + 1)}")
-            else:
-                lines.append(f"{space}{key}: {_yaml_value(entry)}\n")
-    else:
-        for entry in value:
-            block = _yaml(entry, indent + 1)
-            lines.append(f"{space}- {block[2 * (indent + 1) :]}")
-    return "".join(lines)
+def _yaml(value: Any) -> str:
+    """Return plain values as YAML, lists of numbers in one line.
 
-
-def _yaml_value(value: Any) -> str:
-    """Return a number, a text or a list of such. YAML 1.1 reads 1e-05 as text, 1.0e-05 as a number."""
-    if isinstance(value, list):
-        return "[" + ", ".join(_yaml_value(entry) for entry in value) + "]"
-    written = json.dumps(value, ensure_ascii=False)
-    return written.replace("e", ".0e") if isinstance(value, float) and "." not in written else written
+    Raises:
+        DependencyError: PyYAML is not installed.
+    """
+    try:
+        import yaml
+    except ImportError:
+        raise DependencyError("YAML files need PyYAML; pip install 'falsework[robots]'") from None
+    dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+    return yaml.dump(value, Dumper=dumper, allow_unicode=True, default_flow_style=None, sort_keys=False, width=1 << 20)

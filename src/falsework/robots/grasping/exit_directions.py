@@ -19,6 +19,8 @@ _HEADINGS = 6
 """Headings of the tilted directions, evenly around the vertical."""
 _LOWEST_SLOPE = -1e-6
 """Least upward component of a direction: level ones count in spite of rounding."""
+_SAME_WAY = 1 - 1e-6
+"""Cosine above which two directions count as the same."""
 
 
 class ExitDirections:
@@ -85,6 +87,11 @@ class ExitDirections:
         """Return the exit directions that no present part blocks, in the world, steepest first, shape (n, 3)."""
         directions, blockers = self._ways[part]
         return directions[~(blockers & (state != REMOVED)).any(axis=1)]
+
+    def allows(self, part: int, state: States, way: Array) -> bool:
+        """Return whether a direction, a unit vector of shape (3,), is one in which no present part blocks a part."""
+        free = self.free(part, state)
+        return bool(len(free) and (free @ way).max() >= _SAME_WAY)
 
 
 def _fan() -> Array:

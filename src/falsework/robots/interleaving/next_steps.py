@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, States
 from falsework.robots.interleaving.partial_order import Partial, UnitStep
-from falsework.robots.interleaving.work import Leg, Unit, Work
+from falsework.robots.interleaving.work import NO_WAIT, Leg, Unit, Work
 from falsework.robots.keyframes.keyframes import Edge, Node, state_after
+from falsework.robots.keyframes.trajectory_assembly import STANDSTILL
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import CellRobot
 from falsework.stability.oracle import Stability
@@ -19,12 +20,6 @@ Array = NDArray[np.float64]
 
 _VARIANTS = 2
 """Motions on one way that are planned, each in another scene."""
-_REPLACEMENTS = 2
-"""Replacements per part of the plan that are planned in all."""
-_SAME_WAY = 1 - 1e-6
-"""Cosine above which a line and an exit direction count as the same."""
-_STANDSTILL = 1e-7
-"""Distance below which two configurations count as the same, rad or m."""
 
 
 class NextSteps:
@@ -43,7 +38,6 @@ class NextSteps:
         """
         self.work, self.graph, self.oracle, self.legal = work, work.graph, oracle, legal
         self.parts = self.graph.assembly.part_count
-        self._most = (1 + _REPLACEMENTS) * len(units)
         self._replacements: dict[tuple[int, int], Unit | None] = {(unit.job, unit.robot): unit for unit in units}
         self._approaches: dict[tuple[Unit | None, Unit], list[Leg]] = {}
         self._moves: dict[tuple[Unit | None, Unit], bool] = {}
@@ -95,7 +89,7 @@ class NextSteps:
         """Return the unit of another robot that does a job."""
         key = (unit.job, robot)
         if key not in self._replacements:
-            if len(self._replacements) >= self._most or unit.part not in self.legal(partial.node.state):
+            if unit.part not in self.legal(partial.node.state):
                 return None
             found = self.work.replacement(unit.job, partial.node, unit.part, robot, partial.rests)
             self._replacements[key] = found
@@ -116,7 +110,7 @@ class NextSteps:
             groups = lines
             way = partial.last[unit.robot], unit
             if way not in self._moves:
-                self._moves[way] = bool(np.abs(goal - node.configurations[unit.robot]).max() > _STANDSTILL)
+                self._moves[way] = bool(np.abs(goal - node.configurations[unit.robot]).max() > STANDSTILL)
             if self._moves[way]:
                 groups = [self._approaches.setdefault(way, []), *lines]
         found = []
@@ -147,15 +141,14 @@ class NextSteps:
         """Return whether the direction of a removal is a free exit."""
         if edge not in self._ways:
             self._ways[edge] = way_out(self.graph.cell.robots[edge.robot], edge)
-        free = self.graph.exits.free(edge.action - self.parts, state)
-        return bool(len(free) and (free @ self._ways[edge]).max() >= _SAME_WAY)
+        return self.graph.exits.allows(edge.action - self.parts, state, self._ways[edge])
 
     def _is_free(self, partial: Partial, unit: Unit, leg: Leg) -> bool:
         """Return whether a motion keeps clear of other robots at rest and of parts that it was not planned around."""
         for robot, rest in enumerate(partial.rests):
             if robot != unit.robot:
                 wait = leg.waits.get(rest)
-                if (self.work.wait(leg, rest) if wait is None else wait) >= 0:
+                if (self.work.wait(leg, rest) if wait is None else wait) != NO_WAIT:
                     return False
         # A part is not withdrawn past one that had left before: free exits may be so narrow that it would jam.
         return not self.work.blocked(leg, partial.present & ~(1 << unit.part))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 from typing import NamedTuple, TypeVar
+
+import numpy as np
 
 from falsework.robots.interleaving.work import ArmSweep, Leg, Unit, Work, bits
 from falsework.robots.keyframes.keyframes import Edge, Node
@@ -14,10 +15,6 @@ _Value = TypeVar("_Value")
 
 _MEAN = 0.2
 """Weight of the mean end of all robots beside that of the last: a robot that is done early can take over more steps."""
-_WAIT = 0.5
-"""Least duration of a wait that counts, seconds."""
-_LEAD = 2
-"""Steps before the robot begins to wait."""
 
 
 class UnitStep(NamedTuple):
@@ -75,7 +72,8 @@ class Partial(NamedTuple):
     rests: tuple[ArmSweep, ...]
     """Swept bodies of each robot at rest."""
     left: tuple[tuple[int, float], ...]
-    """Parts that are removed after the time at which some robot is done, each with the time of its removal, seconds."""
+    """Parts that are removed after the time at which some robot is done, each with the time from which on nothing meets
+    it, seconds."""
 
     def score(self, hold: float) -> float:
         """Return a lower bound on the makespan, apart from waits for other robots, and a share of the mean end.
@@ -102,13 +100,15 @@ def bound(free: Sequence[float], ahead: Sequence[float], event: float, before: S
     return max(ends) + _MEAN * sum(ends) / len(ends)
 
 
-def expected(partial: Partial, robot: int, unit: Unit, place: int, hold: float) -> float:
+def expected(partial: Partial, robot: int, unit: Unit, place: int, hold: float, *, builds: bool) -> float:
     """Return the score after a step if nothing waits for other robots and replacements take as long."""
     edge, seconds = unit.edges[place], unit.seconds
     free, ahead = list(partial.free), list(partial.ahead)
     if edge.action >= len(partial.node.state):
         event = max(partial.event, free[robot])
         free[robot] = event + seconds[place]
+        if builds and unit.legs[place]:
+            event += unit.legs[place][0][0].seconds
     else:
         event = free[robot] = max(partial.event, free[robot] + seconds[place])
     if place == 0:
@@ -118,20 +118,6 @@ def expected(partial: Partial, robot: int, unit: Unit, place: int, hold: float) 
     before = [0.0 if entry else hold for entry in partial.begun]
     before[robot] = 0.0 if place + 1 < len(unit.edges) else hold
     return bound(free, [left if left > 1e-9 else 0.0 for left in ahead], event, before)
-
-
-def waits(beginnings: Sequence[Partial]) -> list[int]:
-    """Return the indices of steps shortly before robots begin to wait in an order, those of the longest waits first."""
-    found: list[tuple[float, int]] = []
-    following = [0] * len(beginnings[0].free)
-    for k, (before, after) in enumerate(pairwise(beginnings)):
-        step = after.steps[-1]
-        robot = step.unit.robot
-        wait = after.free[robot] - before.free[robot] - sum(leg.seconds for leg in step.legs)
-        if wait > _WAIT:
-            found.append((-wait, max(following[robot] - _LEAD, 0)))
-        following[robot] = k + 1
-    return list(dict.fromkeys(first for _, first in sorted(found)))
 
 
 def beginning(work: Work, root: Node, units: Sequence[Unit]) -> Partial:
@@ -156,14 +142,18 @@ def beginning(work: Work, root: Node, units: Sequence[Unit]) -> Partial:
     )
 
 
-def extended(work: Work, partial: Partial, step: UnitStep, owner: Unit) -> Partial:
+def extended(work: Work, partial: Partial, step: UnitStep, owner: Unit, *, builds: bool = False) -> Partial:
     """Return an order with one more step, whose motions begin as early as all before it allow.
+
+    A removal changes the state as its first motion begins; executed backwards, an insertion as that motion ends, and
+    nothing else may change the state meanwhile.
 
     Args:
         work: the motions.
         partial: the order before.
         step: the step.
         owner: the unit with the same job whose duration is part of what is left.
+        builds: whether the order is executed backwards, as an assembly; times then count from its end.
     """
     unit, robot, edge = step.unit, step.unit.robot, step.unit.edges[step.place]
     parts = len(partial.node.state)
@@ -190,14 +180,15 @@ def extended(work: Work, partial: Partial, step: UnitStep, owner: Unit) -> Parti
                         wait = known(body)
                         if wait is None:
                             wait = work.wait(leg, body)
-                        if wait >= 0:
-                            begin = max(begin, end if body.rest else since + wait)
+                        begin = max(begin, end + wait[1] if builds else (end if body.rest else since) + wait[0])
         for part, moment in partial.left:
-            if moment > begin and work.blocked(leg, 1 << part):
-                begin = moment
+            if moment > begin:
+                meets = work.meets(leg, 1 << part)
+                if meets < np.inf:
+                    begin = max(begin, moment - meets) if builds else moment
         time = until(begin)
         if k == 0 and removes:
-            event = time
+            event = time + leg.seconds if builds else time
         mine.append((leg.body, time, time + leg.seconds))
         time, rest = time + leg.seconds, leg.rest
     if not removes and not opens:

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import States
-from falsework.robots.interleaving.local_optima import leave_local_optima
-from falsework.robots.interleaving.search import OrderSearch, is_worth_more
+from falsework.robots.interleaving.search import OrderSearch
 from falsework.robots.interleaving.work import Work, loads_of
 from falsework.robots.kernels.rrt_connect import INTERVALS, edges_free
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
@@ -37,10 +36,6 @@ from falsework.stability.oracle import Stability
 
 Array = NDArray[np.float64]
 
-_TRIES = 4
-"""Orders whose motions may fail before the plan stays unchanged."""
-_NODES = 1000
-
 
 def reorder(
     graph: KeyframeGraph,
@@ -51,6 +46,7 @@ def reorder(
     *,
     legal: Callable[[States], Sequence[int]],
     stop: Callable[[], bool],
+    builds: bool = False,
 ) -> list[Edge]:
     """Return the edges of a plan in an order, and with the robots, that allow a shorter schedule.
 
@@ -62,19 +58,17 @@ def reorder(
         timed: their trajectories.
         legal: actions that the rules of the task allow in a state, releases aside.
         stop: tells when to end with the order found so far.
+        builds: whether the plan is executed as an assembly, backwards.
     """
-    search = OrderSearch(Work(graph, dict(timed)), oracle, root, chain, legal=legal, stop=stop)
-    for _ in range(_TRIES):
-        search.run()
-        if is_worth_more(len(root.configurations), len(search.units)):
-            leave_local_optima(search, graph.seed)
+    search = OrderSearch(Work(graph, dict(timed)), oracle, root, chain, legal=legal, stop=stop, builds=builds)
+    while True:  # a step that fails is excluded in its state, so this ends
+        search.run(graph.seed)
         if not search.changed:
-            break
+            return list(chain)
         found = _follow(graph, root, [step.edge for step in search.best[-1].steps], timed)
         if not isinstance(found, int):
             return found
         search.refuse(found)
-    return list(chain)
 
 
 def _follow(graph: KeyframeGraph, root: Node, edges: Sequence[Edge], old: Container[PathSegment]) -> list[Edge] | int:
@@ -143,4 +137,4 @@ def _proven(segment: PathSegment, view: CollisionQuery, seed: int) -> Array | No
         return segment.path
     if segment.kind == "line":
         return None
-    return plan_free(view, path[0], path[-1], seed=seed, nodes=_NODES).path
+    return plan_free(view, path[0], path[-1], seed=seed).path

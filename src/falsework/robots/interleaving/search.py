@@ -1,70 +1,52 @@
-"""Search for an order of the steps of a plan in which the makespan is least, and for the arms that take the parts.
+"""Large-neighbourhood search for the order of the steps of a plan in which the makespan is least, and for their arms.
 
-First the sequences of the arms are merged by a beam search, each as it is. Then short windows of the order are searched
-again, where an arm may take its own parts in another order or parts of other arms; all that comes after a window stays.
-Where this helps no more, an arm may take its parts from behind the end of windows at the longest waits, too.
-Every state is proven stable, every motion is proven free of what is at rest, and waits are those of a schedule in which
-of two motions in conflict the earlier in the order goes first.
+A neighbourhood is a window of the order. Its steps are searched again by a narrow beam: an arm may take its own parts
+in another order, parts of other arms, and parts from behind the end of the window; all else stays in its order. Windows
+are searched until none leads to a better order. Then one at random leads to a slightly worse order, from which windows
+nearby are searched (iterated local search, after Lourenço, Martin and Stützle 2003).
+
+Whatever fails is excluded for the rest of the search: a state without a stable verdict, the last steps of an order
+whose replay ends early, and a step for which there is no motion in some state. Waits are those of a schedule in which
+of two motions in conflict the earlier in the order of disassembly goes first, as the plan is executed.
 """
 
 from __future__ import annotations
 
+import itertools
 from bisect import insort
 from collections.abc import Callable, Iterator, Sequence
-from itertools import pairwise
 
 import numpy as np
 
 from falsework.assembly.state import States
 from falsework.robots.interleaving.next_steps import NextSteps
-from falsework.robots.interleaving.partial_order import Partial, UnitStep, beginning, expected, extended, waits
+from falsework.robots.interleaving.partial_order import Partial, UnitStep, beginning, expected, extended
 from falsework.robots.interleaving.work import Unit, Work
 from falsework.robots.keyframes.keyframes import Edge, Node, state_after
 from falsework.search.plans.plan_replay import Acceptance
 from falsework.stability.oracle import Stability
 
-_MERGE_WIDTH = 24
-"""Beam width of the merge."""
-MANY = 3
-"""Arms from which on more effort pays: two are seldom far from their lower bound, half of the motions."""
-_MODERATE = 64
-"""Parts up to which a second plan and ways out of local optima are worth their time, which grows with the square."""
-_WIDTH = 12
-"""Beam width in a window for many arms."""
-_NARROW = 6
-"""Beam width for two arms, which have half as many choices in a step."""
-LENGTHS = (10, 14, 8, 12, 18)
-"""Steps of a window, in turn until none of them leads to a better order: in long ones the beam is too narrow."""
-_OWN = 4
-"""Next parts of its own that an arm chooses from."""
-_OTHERS = 2
-"""Next parts of each other arm that an arm chooses from."""
+_WIDTH = 4
+"""Beam width for each arm."""
+_LENGTHS = (10, 14, 8, 12, 18)
+"""Steps of windows, in turn: in longer ones the beam is too narrow."""
+_CHOICES = 4
+"""Next parts that an arm chooses from: of its own, and from behind the end of a window; half as many of other arms."""
 _SAME = 2
 """Partial orders of the same steps that are kept."""
 _ENDS = 4
-"""Orders of a window that are continued to the end of the plan."""
-_FALLS = 4
-"""Better orders of a window of which a state or the replay may turn out to be unstable."""
-_FAR = 4
-"""Parts from behind the end of a window that each arm may take in it."""
-_WAITS = 16
-"""Longest waits, at each of which a window with parts from behind its end is searched."""
-_FAR_TURNS = 2
-"""Turns with such windows without a better order after which the search ends, for many arms."""
-_FEW_TURNS = 1
-"""Turns without a better order after which the search ends for two arms: later ones save little."""
-_LEAST_GAIN = 0.002
-"""Share by which a turn must shorten an order to count as one with a better order."""
+"""Orders of a window that are continued to the end of the plan; and searches of it, where none of them stands."""
+_WORSE = 0.02
+"""Share by which an order may be worse for better ones to be searched from it."""
+_DRIFT = 0.002
+"""Share by which the order at the end of such a search may be worse for the next to begin there."""
 _TOTAL = 0.01
 """Weight of the total time in the comparison of complete orders, which decides between those with equal makespan."""
 
+Order = tuple[float, list[Unit], list[Partial]]
+"""Cost, units and beginnings of an order."""
 Signature = tuple[tuple[int, int, int], ...]
 """Jobs of an order with the places in them, and the robots."""
-
-
-def is_worth_more(arms: int, parts: int) -> bool:
-    """Return whether several searches for orders are worth their time, for a plan that takes a number of parts away."""
-    return arms >= MANY and parts <= _MODERATE
 
 
 class OrderSearch:
@@ -79,6 +61,7 @@ class OrderSearch:
         *,
         legal: Callable[[States], Sequence[int]],
         stop: Callable[[], bool],
+        builds: bool = False,
     ) -> None:
         """Prepare the search.
 
@@ -89,7 +72,9 @@ class OrderSearch:
             chain: the edges of the plan.
             legal: actions that the rules of the task allow in a state, releases aside.
             stop: tells when to end with the order found so far.
+            builds: whether the plan is executed backwards, as an assembly.
         """
+        self.builds = builds
         self.work, self.graph = work, work.graph
         self.root, self.legal, self.stop = root, legal, stop
         self.parts = len(root.state)
@@ -104,18 +89,17 @@ class OrderSearch:
         """Last actions of orders that end the replay in assembly order, which carries forces from state to state."""
         holds = [unit.seconds[0] for unit in self.units if unit.movable]
         self._hold = sum(holds) / max(len(holds), 1)
-        many = len(root.configurations) >= MANY
-        self._width, self._turns = (_WIDTH, len(LENGTHS) + _FAR_TURNS) if many else (_NARROW, _FEW_TURNS)
-        if any(edge.hands_over or edge.put_down is not None for edge in chain):
-            # What pays once such a step is done looks worse before it, and narrow beams drop it.
-            self._width = _WIDTH
-        self.best = self._as_planned(chain)
-        """Beginnings of the best order, from that without steps to the complete one."""
-        self._planned = list(self.units), self.best
+        self._width = _WIDTH * len(root.configurations)
+        self.best: list[Partial] = []
+        """Beginnings of the best order, from none of its steps to all of them."""
+        self._begin_with(self._as_planned(chain))
+        self._planned = self.order
+        self._record = self.cost
+        """Cost of the best order whose replay succeeds."""
         self._futile: dict[Signature, set[tuple[float, ...]]] = {}
         """Of each order that was the best one, the windows that led to no other order."""
 
-    def _as_planned(self, chain: Sequence[Edge]) -> list[Partial]:
+    def _as_planned(self, chain: Sequence[Edge]) -> list[UnitStep]:
         place_of = {edge: (unit, k) for unit in self.units for k, edge in enumerate(unit.edges)}
         last: dict[int, Unit] = {}
         steps = []
@@ -125,32 +109,56 @@ class OrderSearch:
             if place == 0 and unit.approaches and unit.legs[0] and unit.legs[0][0][0].segment.kind == "free":
                 self.next.add_approach(last.get(unit.robot), unit)
             last[unit.robot] = unit
-        return self._beginnings(steps)
+        return steps
 
-    def _beginnings(self, steps: Sequence[UnitStep]) -> list[Partial]:
-        found = [beginning(self.work, self.root, self.units)]
+    def _begin_with(self, steps: Sequence[UnitStep]) -> None:
+        """Let an order be the best one."""
         for step in steps:
-            found.append(self._extended(found[-1], step))
-        return found
+            self.units[step.unit.job] = step.unit
+        first = beginning(self.work, self.root, self.units)
+        self.best = list(itertools.accumulate(steps, self._extended, initial=first))
 
     def _extended(self, partial: Partial, step: UnitStep) -> Partial:
-        return extended(self.work, partial, step, self.units[step.unit.job])
+        return extended(self.work, partial, step, self.units[step.unit.job], builds=self.builds)
 
-    def run(self) -> None:
-        """Find a better order."""
-        length = len(self.best) - 1
-        self.improve(0, length, _MERGE_WIDTH, own=1, others=0)
-        since = turn = 0
-        while since < self._turns:
-            # Parts from behind the end of a window are worth their time once nothing else helps.
-            far, size, before = since >= len(LENGTHS), LENGTHS[turn % len(LENGTHS)], self.cost
-            for first in waits(self.best)[:_WAITS] if far else range(0, length, size // 2):
+    def run(self, seed: int = 0) -> None:
+        """Find a better order.
+
+        Args:
+            seed: seed of the windows that lead to worse orders.
+        """
+        rng, steps = np.random.default_rng(seed), len(self.best) - 1
+        windows = [(first, size) for size in _LENGTHS for first in range(max(steps - size, 1))]
+        self.improve(0, steps, own=1, others=0)  # first the sequences of the arms are merged, each as it is
+        self._descend(0, steps)
+        best = base = self.order
+        since, left = 0, rng.permutation(windows).tolist()
+        while left and since < len(self.units) and not self.stop():
+            first, size = left.pop()
+            if not self.improve(first, size, far=self._behind(min(first + size, steps)), worse=_WORSE):
+                continue
+            since += 1
+            self._descend(first - size, first + 2 * size)
+            if self.cost < base[0] * (1 + _DRIFT):
+                base, left = self.order, rng.permutation(windows).tolist()
+            else:
+                self.take(base)
+            if base[0] < best[0]:
+                best, since = base, 0
+        self.take(best)
+
+    def _descend(self, first: int, last: int) -> None:
+        """Search windows in a part of the order until none leads to a better one."""
+        first, last, since = max(first, 0), min(last, len(self.best) - 1), 0
+        for size in itertools.cycle(_LENGTHS):
+            since += 1
+            for k in range(first, max(last - size // 2, first + 1), size // 2):
                 if self.stop():
                     return
-                behind = self._behind(min(first + size, length)) if far else []
-                if behind or not far:
-                    self.improve(first, size, far=behind)
-            since, turn = 0 if self.cost < before * (1 - _LEAST_GAIN) else since + 1, turn + 1
+                if self.improve(k, size):
+                    since = 0
+            if since == len(_LENGTHS):
+                return
 
     def refuse(self, index: int) -> None:
         """Exclude a step of the best order in the state in which it is there, and go back to the order of the plan."""
@@ -163,14 +171,19 @@ class OrderSearch:
     @property
     def changed(self) -> bool:
         """Whether the best order is not that of the plan."""
-        return self.best is not self._planned[1]
+        return self.best is not self._planned[2]
+
+    @property
+    def order(self) -> Order:
+        """The best order, to go back to."""
+        return self.cost, list(self.units), self.best
 
     def _behind(self, last: int) -> list[Unit]:
         """Return the next units from behind the end of a window, of each arm, that nothing blocks at its end."""
         node, found, seen = self.best[last].node, [], [0] * len(self.root.configurations)
         for step in self.best[-1].steps[last:]:
             unit = step.unit
-            if step.place or not unit.movable or seen[unit.robot] >= _FAR:
+            if step.place or not unit.movable or seen[unit.robot] >= _CHOICES:
                 continue
             if unit.part in self.legal(node.state) and self.next.comes_out(node.state, unit.edges[1]):
                 found.append(unit)
@@ -181,10 +194,9 @@ class OrderSearch:
         self,
         first: int,
         size: int,
-        width: int | None = None,
         *,
-        own: int = _OWN,
-        others: int = _OTHERS,
+        own: int = _CHOICES,
+        others: int = _CHOICES // 2,
         far: Sequence[Unit] = (),
         worse: float = 0.0,
     ) -> bool:
@@ -193,31 +205,30 @@ class OrderSearch:
         Args:
             first: the first of the steps.
             size: number of steps, as far as there are so many.
-            width: beam width, by default that of windows.
             own: next parts of its own that an arm chooses from.
             others: next parts of each other arm that an arm chooses from.
             far: units from behind the end that may be taken too.
             worse: share by which an order that was not the best one before may be worse; by default it must be better.
         """
-        last, cost, width = min(first + size, len(self.best) - 1), self.cost, width or self._width
+        last, cost = min(first + size, len(self.best) - 1), self.cost
         futile = self._futile.setdefault(_signature(self.best[-1]), set())
-        window = (first, last, width, own, others, len(far), worse)
+        window = (first, last, own, others, len(far), worse)
         if window in futile:
             return False
-        for _ in range(_FALLS):
-            completed = [order for order in self._completed(first, last, width, own, others, far) if self._may(order)]
+        limit = cost * (1 + worse) if worse else cost - 1e-6
+        for _ in range(_ENDS):  # what does not stand is excluded, and the window searched again
+            completed = [order for order in self._completed(first, last, own, others, far) if self._may(order)]
             if worse:
                 completed = [order for order in completed if _signature(order) not in self._futile]
-            found = min(completed, key=_cost, default=None)
-            if found is None or _cost(found) >= (cost * (1 + worse) if worse else cost - 1e-6):
-                futile.add(window)
-                return False
-            if self._stands(found):
-                for step in found.steps:
-                    self.units[step.unit.job] = step.unit
-                self.best = self._beginnings(found.steps)
-                self._futile.setdefault(_signature(found), set())
-                return True
+            better = sorted((order for order in completed if _cost(order) < limit), key=_cost)
+            for order in better:
+                if self._stands(order):
+                    self._begin_with(order.steps)
+                    self._futile.setdefault(_signature(order), set())
+                    return True
+            if not better:
+                break
+        futile.add(window)
         return False
 
     @property
@@ -225,9 +236,10 @@ class OrderSearch:
         """What the search minimises, of the best order."""
         return _cost(self.best[-1])
 
-    def take(self, order: tuple[list[Unit], list[Partial]]) -> None:
-        """Go back to an earlier order: its units and its beginnings."""
-        self.units, self.best = list(order[0]), order[1]
+    def take(self, order: Order) -> None:
+        """Go back to an earlier order."""
+        _, units, self.best = order
+        self.units = list(units)
 
     def _may(self, order: Partial) -> bool:
         """Return whether the replay of an order is not known to end early."""
@@ -235,24 +247,29 @@ class OrderSearch:
         return all(actions[-len(last) :] != last for last in self._fallen)
 
     def _stands(self, order: Partial) -> bool:
-        """Return whether the states and the replay in assembly order of an order are stable; note what is not."""
+        """Return whether the states of an order are stable, and where it is the best so far its replay; note failures.
+
+        The replay is in the order of assembly.
+        """
         states, actions = [self.root.state], [step.action for step in order.steps if not step.hands_over]
         for action in actions:
             states.append(state_after(states[-1], action))
-        if not all(self.next.is_stable(after, before) for before, after in pairwise(states)):
+        if not all(self.next.is_stable(after, before) for before, after in itertools.pairwise(states)):
             return False
+        if _cost(order) >= self._record:
+            return True
         row = self._acceptance.falls_at(np.array(states[::-1], dtype=np.uint8))
         if row is not None:
             # The same state may stand with other forces from before it, so it is the history that is excluded.
             self._fallen.add(tuple(actions[len(actions) - row :]))
+        else:
+            self._record = _cost(order)
         return row is None
 
-    def _completed(
-        self, first: int, last: int, width: int, own: int, others: int, far: Sequence[Unit]
-    ) -> Iterator[Partial]:
+    def _completed(self, first: int, last: int, own: int, others: int, far: Sequence[Unit]) -> Iterator[Partial]:
         """Yield complete orders with other steps in a window; what is left of it follows in the old order."""
         old = self.best
-        for partial in self._beam(first, last, width, own, others, far)[:_ENDS]:
+        for partial in self._beam(first, last, own, others, far)[:_ENDS]:
             if partial is old[last]:
                 continue
             done = {(step.unit.job, step.place) for step in partial.steps[first:]}
@@ -279,15 +296,22 @@ class OrderSearch:
         legs = self.next.legs(partial, unit, place)
         return None if legs is None else self._extended(partial, UnitStep(unit, place, legs))
 
-    def _beam(self, first: int, last: int, width: int, own: int, others: int, far: Sequence[Unit]) -> list[Partial]:
+    def _beam(self, first: int, last: int, own: int, others: int, far: Sequence[Unit]) -> list[Partial]:
         """Return orders of the steps of a window after those before it, best first."""
         window = self.best[-1].steps[first:last]
         inside = {(step.unit.job, step.place) for step in window}
         inside |= {(unit.job, place) for unit in far for place in range(2)}
-        beam = [self.best[first]]
+        beam, width = [self.best[first]], self._width
         for level in range(first + 1, last + 1):
             made = sorted(  # a robot does a job at most once after each order, so units are never compared
-                (expected(partial, robot, unit, place, self._hold), row, robot, unit.job, unit, place)
+                (
+                    expected(partial, robot, unit, place, self._hold, builds=self.builds),
+                    row,
+                    robot,
+                    unit.job,
+                    unit,
+                    place,
+                )
                 for row, partial in enumerate(beam)
                 for robot, unit, place in self._steps(partial, window, inside, own, others, far)
             )

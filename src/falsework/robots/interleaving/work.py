@@ -21,7 +21,6 @@ from falsework.robots.schedule.swept_bodies import SweptBodies
 
 Array = NDArray[np.float64]
 
-
 Box = tuple[float, float, float, float, float, float]
 """Lower and upper corner of a box whose sides are parallel to the axes, metres."""
 
@@ -61,6 +60,14 @@ class ArmSweep:
         return box_of(self.swept[0])
 
 
+Wait = tuple[float, float]
+"""How long after what another arm did a motion may begin, seconds: after that began, or if it is a rest after its end,
+where the plan is executed as a disassembly; and after its end where it is executed backwards, as an assembly. There the
+earlier of two motions comes second, and the later must be over by then."""
+NO_WAIT: Wait = (-np.inf, -np.inf)
+"""That of motions without a conflict."""
+
+
 @dataclass(frozen=True, eq=False)
 class Leg:
     """Motion of an arm, and its rest after it."""
@@ -71,10 +78,10 @@ class Leg:
     rest: ArmSweep
     absent: int
     """Parts that were not in place where it was planned, as bits."""
-    waits: dict[ArmSweep, float] = field(default_factory=dict)
+    waits: dict[ArmSweep, Wait] = field(default_factory=dict)
     """Known results of `Work.wait`."""
-    blocked: dict[int, bool] = field(default_factory=dict)
-    """Known results of `Work.blocked`."""
+    meetings: dict[int, float] = field(default_factory=dict)
+    """Known results of `Work.meets`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,7 +216,7 @@ class Work:
 
     def prove(self, leg: Leg, robot: int, rests: Sequence[ArmSweep]) -> None:
         """Note that a motion of an arm keeps clear of the other arms at rest."""
-        leg.waits.update({rest: -1.0 for other, rest in enumerate(rests) if other != robot})
+        leg.waits.update({rest: NO_WAIT for other, rest in enumerate(rests) if other != robot})
 
     def rest(self, robot: int, values: Array, load: Load | None = None) -> ArmSweep:
         """Return the body of an arm at rest."""
@@ -223,21 +230,24 @@ class Work:
         """Return the bodies of all arms at a keyframe."""
         return [self.rest(robot, values) for robot, values in enumerate(node.configurations)]
 
-    def wait(self, leg: Leg, other: ArmSweep) -> float:
-        """Return how long after the begin of what another arm did before a motion may begin; -1 if at any time.
+    def wait(self, leg: Leg, other: ArmSweep) -> Wait:
+        """Return how long a motion has to wait for what another arm did before.
 
-        Neither the motion nor the rest after it is then in conflict with it. What is in conflict with a rest may begin
-        when that ends.
+        Neither the motion nor the rest after it is then in conflict with it.
         """
         found = leg.waits.get(other)
         if found is None:
-            found = -1.0
+            forward, backward = NO_WAIT
             for mine in (leg.body, leg.rest):
                 margin = min(mine.margin, other.margin)
-                if not are_far(mine.box, other.box, margin):
-                    hit = conflicts(mine.swept, other.swept, margin).any(axis=0)
-                    found = max(found, float(other.ends[hit].max(initial=-1.0)))
-            leg.waits[other] = found
+                if are_far(mine.box, other.box, margin):
+                    continue
+                hit = conflicts(mine.swept, other.swept, margin)
+                if hit.any():
+                    free = leg.seconds if mine.rest else _before(leg.body.ends, int(hit.any(axis=1).argmax()))
+                    forward = max(forward, float(other.ends[np.flatnonzero(hit.any(axis=0))[-1]]))
+                    backward = max(backward, -free)
+            found = leg.waits[other] = forward, backward
         return found
 
     def blocked(self, leg: Leg, parts: int) -> bool:
@@ -247,25 +257,30 @@ class Work:
             leg: the motion.
             parts: the parts, as bits.
         """
+        return self.meets(leg, parts) < np.inf
+
+    def meets(self, leg: Leg, parts: int) -> float:
+        """Return the seconds into a motion at which it is first in conflict as in `blocked`; inf if it never is."""
         parts &= leg.absent
-        found = leg.blocked.get(parts)
+        found = leg.meetings.get(parts)
         if found is None:
             lowest = parts & -parts
             if parts == lowest:
-                found = bool(parts) and self._meets(leg.body, parts.bit_length() - 1)
+                found = self._meets(leg.body, parts.bit_length() - 1) if parts else np.inf
             else:
-                found = self.blocked(leg, lowest) or self.blocked(leg, parts ^ lowest)
-            leg.blocked[parts] = found
+                found = min(self.meets(leg, lowest), self.meets(leg, parts ^ lowest))
+            leg.meetings[parts] = found
         return found
 
-    def _meets(self, body: ArmSweep, part: int) -> bool:
-        """Return whether a motion is in conflict with a part in place."""
+    def _meets(self, body: ArmSweep, part: int) -> float:
+        """Return the seconds into a motion at which it is first in conflict with a part in place; inf if never."""
         place = self.bodies.standing(part)
         if part not in self._boxes:
             self._boxes[part] = box_of(place)
         if are_far(body.box, self._boxes[part], body.margin):
-            return False
-        return bool(conflicts(body.swept, (place, place), body.margin).any())
+            return np.inf
+        hit = conflicts(body.swept, (place, place), body.margin)[:, 0]
+        return _before(body.ends, int(hit.argmax())) if hit.any() else np.inf
 
     def replan(self, node: Node, unit: Unit, place: int, rests: Sequence[ArmSweep]) -> Leg | None:
         """Return another free motion of a step: to the part from where the arm is, or from the part to the same place.
@@ -289,6 +304,11 @@ class Work:
         segment = PathSegment("free", motion.path, part=old.part, view=view)
         load = None if old.part is None else Load(old.part, here, np.eye(4))
         return self.leg(robot, segment, load, node, rests, on_way=old is not edge.segments[-1])
+
+
+def _before(ends: Array, cell: int) -> float:
+    """Return when a cell of a motion begins, seconds into the motion."""
+    return float(ends[cell - 1]) if cell else 0.0
 
 
 def loads_of(node: Node, edge: Edge) -> list[Load | None]:

@@ -22,7 +22,7 @@ from falsework.stability.oracle import Stability
 
 Array = NDArray[np.float64]
 
-_STANDSTILL = 1e-7
+STANDSTILL = 1e-7
 """Length below which a path takes no time, rad or m."""
 _SPLINE_ERROR = 2e-5
 """Samples that the cubics between others approximate this closely are dropped, rad or m."""
@@ -86,7 +86,7 @@ def _loads(node: Node) -> tuple[int | None, ...]:
 
 def timed_leg(model: RobotModel, segment: PathSegment, speed: float) -> Trajectory | None:
     """Return the time-optimal trajectory of a path at a share of the arm's limits; None for a path of zero length."""
-    if np.abs(np.diff(segment.path, axis=0)).sum() < _STANDSTILL:
+    if np.abs(np.diff(segment.path, axis=0)).sum() < STANDSTILL:
         return None
     timed = time_path(model, segment.path, speed)
     knots = _enough(timed.times, timed.positions, timed.velocities, model.acceleration * speed**2)

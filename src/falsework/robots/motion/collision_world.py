@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -34,8 +33,6 @@ NO_FLOOR = -1e9
 """Height of the floor of a cell without one, metres: below everything."""
 _OBSTACLE, _ROBOT, _SUPPORT = -1, -2, -3
 """Owners of obstacles that are no parts."""
-BESIDE = -4
-"""Owner of the first of the bodies that a query is given beside its scene; those of the others descend from it."""
 _PLACED = 256
 """Configurations of arms whose pieces are kept."""
 
@@ -293,7 +290,6 @@ class CollisionWorld:
         *,
         contact: Contact = NO_CONTACT,
         margin: float | None = None,
-        beside: Sequence[Array] = (),
     ) -> CollisionQuery:
         """Prepare collision queries for one moving robot in a static scene.
 
@@ -302,7 +298,6 @@ class CollisionWorld:
             robot: index of the moving robot.
             contact: pairs that may touch.
             margin: distance to keep, metres; by default that of free motions.
-            beside: vertices of convex bodies that are in the way too, each of shape (vertices, 3).
 
         Raises:
             InputError: no such robot.
@@ -328,7 +323,6 @@ class CollisionWorld:
         for part, pose in scene.elsewhere:
             pieces = tuple(move(pose, piece) for piece in self.parts.pieces[part])
             stands.append((f"part {self.parts.names[part]}", part, pieces))
-        stands += [("neighbour", BESIDE - k, (piece,)) for k, piece in enumerate(beside)]
         obstacles, owner = make_obstacles([pieces for _, _, pieces in stands])
         chain = self._chains[robot]
         links, owners = np.array(kinds), np.array([part for _, part, _ in stands], np.int64)[owner]

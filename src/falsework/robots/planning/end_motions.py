@@ -21,6 +21,7 @@ from falsework.robots.grasping.grasp import Grasp
 from falsework.robots.keyframes.grasp_configurations import GraspConfiguration
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.keyframes import CarriedLoad, Edge, Node, PathSegment, accept_all
+from falsework.robots.keyframes.trajectory_assembly import STANDSTILL
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, Scene, grasp_contact, withdrawal_contact
 from falsework.robots.motion.near_pairs import nearest_pair
@@ -29,8 +30,6 @@ from falsework.search.problem.task import Task
 
 Array = NDArray[np.float64]
 
-_STANDSTILL = 1e-6
-"""Joint values that differ by no more are equal, rad or m."""
 _SAME_WAY = 1e-4
 """Largest difference of joint values, directions and cosines between a line and one that ends where a robot is."""
 
@@ -180,7 +179,7 @@ class Ends:
         assert last is not None
         if node.key not in self._known:
             pairs = zip(node.configurations, last.configurations, strict=True)
-            away = [np.abs(here - there).max() > _STANDSTILL for here, there in pairs]
+            away = [np.abs(here - there).max() > STANDSTILL for here, there in pairs]
             waiting = [k for k, far in enumerate(away) if far or last.load(k) is not None]
             chains = (self._back(node, order) for order in itertools.permutations(waiting))
             self._known[node.key] = next((chain for chain in chains if chain is not None), None)

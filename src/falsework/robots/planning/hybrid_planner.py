@@ -1,20 +1,29 @@
-"""Hybrid planner: abstract actions and motions together (paper, section 6, algorithm 1)."""
+"""Hybrid planner: abstract actions and motions together (paper, section 6, algorithm 1).
+
+For robots that move at the same time, a plan for one robot at a time is found first, with straight lines as short as
+possible. Order and robots of its steps are then changed so that robots wait less, and its motions overlap as far as
+that is proven safe.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 from numpy.typing import ArrayLike
 
 from falsework.assembly.load import AnyStructure, as_assembly
+from falsework.assembly.model import Assembly
 from falsework.robots.cells.cell_file import AnyCell, as_cell
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
+from falsework.robots.model.cell import Cell
+from falsework.robots.model.cell_holds import stability_in
 from falsework.robots.planning.end_motions import Ends, inserted_first, parts_of
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings, Progress
 from falsework.robots.planning.hybrid_search import HybridSearch
 from falsework.robots.planning.initial_keyframe import given_keyframe, task_in_cell
-from falsework.robots.planning.reserve import keeping_reserve
+from falsework.robots.schedule.solver import import_ortools
 from falsework.search.find import PLANS
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.guide import Guide
@@ -22,6 +31,9 @@ from falsework.search.problem.task import Direction, Task
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.display.notebook import or_notebook
+
+_SHARE = 0.7
+"""Share of the deadline after which the search with short lines is given up."""
 
 
 def plan_robots(
@@ -40,6 +52,10 @@ def plan_robots(
     graph: KeyframeGraph | None = None,
 ) -> HybridResult:
     """Find a plan with motions for the robots of a cell.
+
+    Where there is one for robots that move in turn, there is one for robots that move at the same time too, unless the
+    deadline passes first. The statistics of the latter have `search`: `together`, or `sequential` where only the
+    lines of the former led to a plan.
 
     Args:
         assembly: the structure, or its name or path.
@@ -66,13 +82,16 @@ def plan_robots(
         CellError: a gripper bears less than the weight of a part.
         InputError: configurations that do not fit the robots, or in which something collides.
         StateError: held parts that do not go with the state that is begun with.
+        DependencyError: robots are to move at the same time, and OR-Tools is missing.
     """
+    if settings.together:
+        import_ortools()
     assembly, cell = as_assembly(assembly), as_cell(cell)
     progress = or_notebook(progress, "planning motions")
     if oracle is None:
         given: dict[str, Any] = {"task": task, "configurations": configurations, "held": held, "gripped": gripped}
         given |= {"guide": guide, "progress": progress, "graph": graph}
-        return keeping_reserve(
+        return _keeping_reserve(
             lambda oracle, limits: plan_robots(assembly, cell, oracle=oracle, settings=limits, **given),
             assembly,
             cell,
@@ -81,23 +100,78 @@ def plan_robots(
         )
     now = configurations, held, gripped
     continues = settings.direction is Direction.ASSEMBLY and any(given is not None for given in now)
+    clock, needed = Deadline(settings.deadline), parts_of(task, continues=continues)
+
+    def search(limits: HybridSettings, graph: KeyframeGraph | None, clock: Deadline) -> HybridResult:
+        graph = graph or KeyframeGraph(assembly, cell, settings=limits.keyframes, seed=limits.seed, **needed)
+        within = task_in_cell(assembly, cell, task, graph.exits)
+        # Searches begin at the complete structure, where a continued assembly ends.
+        first = given_keyframe(graph, within.start, *((None,) * 3 if continues else now))
+        last = given_keyframe(graph, within.target, *now) if continues else None
+        result: HybridResult | None = None
+        for insert in inserted_first(last):
+            ends = Ends(graph)
+            root = first if continues or configurations is None else ends.begin(first)
+            ends.end_at(last, insert)
+            result = HybridSearch(graph, ends.reached(within), oracle, guide, limits, progress, ends, clock).run(root)
+            # That a carried part cannot be next is no proof for plans that bring it back.
+            if result.explanation is None or (clock.passed and _may_exist(result)):
+                break
+        assert result is not None
+        return result
+
+    return _together(search, settings, graph, clock) if settings.together else search(settings, graph, clock)
+
+
+def _keeping_reserve(
+    search: Callable[[Stability, HybridSettings], HybridResult],
+    assembly: Assembly,
+    cell: Cell,
+    stability: StabilitySettings,
+    settings: HybridSettings,
+) -> HybridResult:
+    """Return the result of a search with the reserve, or where it finds no order of the parts, of one without.
+
+    Args:
+        search: finds a plan with an oracle, within limits.
+        assembly, cell, stability, settings: as in `plan_robots`; the limits are those of both searches together.
+    """
     clock = Deadline(settings.deadline)
-    graph = graph or KeyframeGraph(
-        assembly, cell, settings=settings.keyframes, seed=settings.seed, **parts_of(task, continues=continues)
+    result = search(Stability(assembly, stability_in(cell, assembly, stability)), settings)
+    if not result.no_order or stability.reserve <= 1.0 or clock.passed:
+        return result
+    plain = stability_in(cell, assembly, replace(stability, reserve=1.0))
+    return search(Stability(assembly, plain), replace(settings, deadline=clock.left if clock.limited else None))
+
+
+def _together(
+    search: Callable[[HybridSettings, KeyframeGraph | None, Deadline], HybridResult],
+    settings: HybridSettings,
+    graph: KeyframeGraph | None,
+    clock: Deadline,
+) -> HybridResult:
+    """Return the result of a search with short lines, or where it finds no plan, of one with those of the settings."""
+    lines, kind = settings.keyframes, "together"
+    shortest = min(lines.approaches)
+    short = replace(
+        lines,
+        approaches=tuple(sorted(lines.approaches)),
+        withdrawals=tuple(sorted({shortest, *lines.withdrawals})),
     )
-    task = task_in_cell(assembly, cell, task, graph.exits)
-    # Searches begin at the complete structure, where a continued assembly ends.
-    first = given_keyframe(graph, task.start, *((None,) * 3 if continues else now))
-    last = given_keyframe(graph, task.target, *now) if continues else None
-    result: HybridResult | None = None
-    for insert in inserted_first(last):
-        ends = Ends(graph)
-        root = first if continues or configurations is None else ends.begin(first)
-        ends.end_at(last, insert)
-        search = HybridSearch(graph, ends.reached(task), oracle, guide, settings, progress, ends, clock)
-        result = search.run(root)
-        # That a carried part cannot be next is no proof for plans that bring it back.
-        if result.explanation is None or (clock.passed and result.explanation.outcome != "proved_impossible"):
-            break
-    assert result is not None
-    return result
+    first = Deadline(None if settings.deadline is None else _SHARE * settings.deadline)
+    result = search(replace(settings, keyframes=short), graph, first)
+    if graph is None and _may_exist(result):
+        again = search(settings, graph, clock)
+        # Without a plan, the longer partial one is kept.
+        reached = 0 if result.explanation is None else result.explanation.reached
+        if again.explanation is None or again.explanation.reached >= reached:
+            result, kind = again, "sequential"
+    found = {"search": kind, "seconds": round(clock.seconds, 3)}
+    for plan in filter(None, (result.plan, result.partial)):
+        plan.statistics.update(found)
+    return replace(result, statistics=result.statistics | found)
+
+
+def _may_exist(result: HybridResult) -> bool:
+    """Return whether there is no plan so far, but none is proved impossible."""
+    return result.explanation is not None and result.explanation.outcome != "proved_impossible"

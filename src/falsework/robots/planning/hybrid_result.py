@@ -31,7 +31,7 @@ class HybridSettings:
     """States at which the first search may go no further; then the next one begins, and may have more."""
     keyframes: KeyframeSettings = field(default_factory=KeyframeSettings)
     together: bool = False
-    """Shorten the motions, reorder the steps and schedule the plan, for robots that move at the same time."""
+    """Whether robots move at the same time: motions are shortened, steps reordered, and the plan has a schedule."""
     forces: bool = False
     """Whether to keep the contact forces that prove each state in the plan."""
 

@@ -23,7 +23,7 @@ from falsework.robots.planning.action_ranking import ActionRanking, ExecutionHeu
 from falsework.robots.planning.end_motions import Ends
 from falsework.robots.planning.hybrid_result import HybridProgress, HybridResult, HybridSettings, Progress
 from falsework.robots.planning.plan_maker import PlanMaker
-from falsework.robots.planning.solvability import SolvabilityCheck
+from falsework.robots.planning.solvability import MAX_FALLEN_REPLAYS, SolvabilityCheck
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.guide import Guide, MemoizedGuide
@@ -41,8 +41,6 @@ _LAST_VERDICTS = 400
 """Verdicts for such checks where no action has succeeded yet, before the keyframe counts as a dead end."""
 _VARIATIONS = 4
 """Varied plans that are looked for before a search where excluded holds have left none."""
-_MAX_FALLEN_REPLAYS = 40
-"""Plans with motions whose replay may fail before the search ends."""
 _POSTPONED_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
 """Delays of missing parts that are tried in turn, as shares of the longest that stability alone allows."""
 
@@ -114,7 +112,7 @@ class HybridSearch:
                 self.attempt += 1
                 if chain is not None:
                     return self.solved(root, chain)
-                if self.counts["replays_fallen"] == _MAX_FALLEN_REPLAYS:
+                if self.counts["replays_fallen"] == MAX_FALLEN_REPLAYS:
                     return self.failed(root, "not_found", self.fallen)
                 if self.deadline_passed():
                     return self.failed(root, "interrupted", _LATE)
@@ -211,7 +209,7 @@ class HybridSearch:
         self.best = []  # a plan that collapses is not returned as a partial plan either
         self.dead.clear()
         forbidden = self.solvability.forbid(route, row)
-        if forbidden is None or self.counts["replays_fallen"] == _MAX_FALLEN_REPLAYS:
+        if forbidden is None or self.counts["replays_fallen"] == MAX_FALLEN_REPLAYS:
             return 0
         first = len(route.actions) - forbidden
         return int(np.searchsorted(np.cumsum([0, *(not edge.hands_over for edge in chain)]), first))

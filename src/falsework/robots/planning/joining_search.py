@@ -20,8 +20,6 @@ _WIDTH = 6
 """Beam width of the search."""
 _VERDICTS = 48
 """Verdict budget of the search: states that do not join soon rarely do."""
-_FEWEST_VERDICTS = 12
-"""Least verdict budget, where the successful searches so far took fewer."""
 
 
 class JoiningSearch:
@@ -37,7 +35,6 @@ class JoiningSearch:
         self._oracle, self._guide = oracle, guide
         self.spent = 0
         """Number of verdicts spent."""
-        self._costs: list[int] = []  # verdicts spent on each path found
         self._left = 0
 
     def way(self, task: Task, start: States, solvable: Set[bytes], forbidden: Set[bytes]) -> States | None:
@@ -58,21 +55,12 @@ class JoiningSearch:
                 refused |= {state.tobytes() for state in fallen}
                 if len(fallen):
                     continue
-            self._costs.append(self.allowance - self._left)
             return way
         return None
 
-    @property
-    def allowance(self) -> int:
-        """Verdict budget of a search for a path: somewhat more than most successful ones took."""
-        if len(self._costs) < _LEVELS:
-            return _VERDICTS
-        usual = 1.5 * float(np.percentile(self._costs, 75))
-        return int(np.clip(usual, _FEWEST_VERDICTS, _VERDICTS))
-
     def _unchecked_way(self, task: Task, start: States, solvable: Set[bytes], refused: Set[bytes]) -> States | None:
         """Return states from a stable one to the last before a solvable one; none is refused, holds are not checked."""
-        self._left = self.allowance
+        self._left = _VERDICTS
         ways: States = start[None, None]
         judged: States = start[None]  # on each path, the last state that has a verdict
         for _ in range(_LEVELS):

@@ -5,18 +5,19 @@ This is where motions, which are searched for as disassembly, are put in the ord
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Container
+from dataclasses import replace
 
 from falsework.robots.interleaving.reordering import reorder
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment
 from falsework.robots.keyframes.trajectory_assembly import make_robot_plan
-from falsework.robots.planning.early_approach import approach_early
+from falsework.robots.motion.shortening import shorter_path
 from falsework.robots.planning.end_motions import Ends
 from falsework.robots.planning.hybrid_result import HybridSettings
-from falsework.robots.planning.shorter_motions import shorten_motions
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
+from falsework.robots.schedule.build import schedule_plan
 from falsework.search.problem.task import Direction
 from falsework.stability.oracle import Stability
 
@@ -55,20 +56,34 @@ class PlanMaker:
             chain: the edges.
             whole: whether the chain reaches the target; a partial plan is scheduled as it is.
         """
-        speed, seed = self.graph.cell.speed, self.settings.seed
+        builds = self.settings.direction is Direction.ASSEMBLY
         if self.settings.together and whole:
-            chain = shorten_motions(chain, speed, seed)
+            chain = self._shortened(chain)
             self._make(root, chain)
-            legal = self.solvability.legal
-            other = reorder(self.graph, self.oracle, root, chain, self._timed, legal=legal, stop=self.stop)
+            given = {"legal": self.solvability.legal, "stop": self.stop, "builds": builds}
+            other = reorder(self.graph, self.oracle, root, chain, self._timed, **given)
             chain = other if not other or self.graph.accepts(other[-1]) else chain
             root, chain = self.ends.around(root, chain)
-            chain = shorten_motions(chain, speed, seed, done=self._timed)
+            chain = self._shortened(chain, done=self._timed)
         else:
             root, chain = self.ends.around(root, chain)
         plan = self._make(root, chain)
-        plan = plan if self.settings.direction is Direction.DISASSEMBLY else plan.reverse()
-        return approach_early(plan, chain, self.graph.cell, self.graph.world) if self.settings.together else plan
+        plan = plan.reverse() if builds else plan
+        if not self.settings.together:
+            return plan
+        return schedule_plan(plan, self.graph.assembly, self.graph.cell, parts=self.graph.parts)
+
+    def _shortened(self, chain: list[Edge], done: Container[PathSegment] = frozenset()) -> list[Edge]:
+        """Return edges whose free motions take less time where such are found, except for those that are done."""
+        found, speed = [], self.graph.cell.speed
+        for k, edge in enumerate(chain):
+            segments = list(edge.segments)
+            for j, segment in enumerate(segments):
+                if segment.view is not None and segment not in done:
+                    path = shorter_path(segment.view, segment.path, speed, [self.settings.seed, k, j])
+                    segments[j] = segment if path is segment.path else replace(segment, path=path)
+            found.append(replace(edge, segments=tuple(segments)))
+        return found
 
     def _make(self, root: Node, chain: list[Edge]) -> RobotPlan:
         task, forces = self.ends.whole(self.solvability.task), self.settings.forces

@@ -26,7 +26,7 @@ from falsework.search.beam.backjumping import BackjumpingBeam, BackjumpingSettin
 from falsework.search.planner import Planner
 from falsework.search.plans.plan_replay import Acceptance
 from falsework.search.problem.guide import Guide, SupportGuide
-from falsework.search.problem.result import Route, SearchResult, Stop
+from falsework.search.problem.result import Route, SearchResult, Stop, barred_row
 from falsework.search.problem.rollout import roll_out
 from falsework.search.problem.task import Direction, Task
 from falsework.search.settings import PlannerSettings
@@ -37,14 +37,12 @@ ActionScore = Callable[[States, Mask], NDArray[np.floating]]
 
 _FIRST_BEAM_WIDTH = 256
 """Widest beam for the first plan."""
-_VARIED_BEAM_WIDTH = 16
-"""Widest beam for a varied plan."""
+_VARIED_WIDTH = 16
+"""Widest beam for a varied plan, and number of simultaneous rollouts with random actions."""
 _VARIED_VERDICTS = 2000
 """Verdict budget for a varied plan from each end: a beam that needs more is stuck, and slow under `contact`."""
-_ROLLOUTS = 16
-"""Number of simultaneous rollouts with random actions."""
-_MAX_FALLEN_REPLAYS = 40
-"""Plans of one search whose replay may fail before the search ends."""
+MAX_FALLEN_REPLAYS = 40
+"""Plans of one search, abstract or with motions, whose replay may fail before the search ends."""
 
 
 class SolvabilityCheck:
@@ -129,7 +127,7 @@ class SolvabilityCheck:
         directions = [Direction.DISASSEMBLY, Direction.ASSEMBLY]
         for direction in reversed(directions) if seed % 2 else directions:
             beam = BackjumpingBeam(self.task, self.oracle, BackjumpingSettings(direction, seed=seed), guide=disturbed)
-            routes = self._search(beam, _VARIED_BEAM_WIDTH, _VARIED_VERDICTS)
+            routes = self._search(beam, _VARIED_WIDTH, _VARIED_VERDICTS)
             if routes:
                 self._follow(routes)
                 return
@@ -145,8 +143,6 @@ class SolvabilityCheck:
     def forbid(self, route: Route, row: int) -> int | None:
         """Forbid the state in which the replay of a route collapses, and all states that continue only through it.
 
-        If that is the first or the last state of the task, which every plan has, its neighbour is forbidden.
-
         Args:
             route: route whose replay collapses.
             row: index of that state in assembly order.
@@ -154,13 +150,11 @@ class SolvabilityCheck:
         Returns:
             Index of the forbidden state in assembly order; None for a route without states between its ends.
         """
-        states, last = route.states[::-1], len(route.states) - 1
-        row = min(max(row, 1), last - 1)
-        if row < 1:
-            return None
-        self._forbidden.add(states[row].tobytes())
-        self._prune()
-        return row
+        barred = barred_row(row, len(route.states))
+        if barred is not None:
+            self._forbidden.add(route.states[::-1][barred].tobytes())
+            self._prune()
+        return barred
 
     def stays(self, state: States) -> bool:
         """Return whether a state is known to be solvable."""
@@ -178,9 +172,9 @@ class SolvabilityCheck:
         if self.joint is None or self.task.missing:
             return False
         task = replace(self.task, start=state)
-        for _ in range(_MAX_FALLEN_REPLAYS):
+        for _ in range(MAX_FALLEN_REPLAYS):
             beam = BackjumpingBeam(task, self.oracle, BackjumpingSettings(seed=self._seed), guide=self._guide)
-            routes = self._search(beam, _VARIED_BEAM_WIDTH, _VARIED_VERDICTS)
+            routes = self._search(beam, _VARIED_WIDTH, _VARIED_VERDICTS)
             if not routes or not any(self.joint.learn_from(route.states) for route in routes):
                 self._follow(routes)
                 return bool(routes)
@@ -209,7 +203,7 @@ class SolvabilityCheck:
         def stop() -> bool:
             return beam.search.counters.asked >= verdicts or self._stop()
 
-        for _ in range(_MAX_FALLEN_REPLAYS):
+        for _ in range(MAX_FALLEN_REPLAYS):
             if self._forbidden:
                 beam.search.forbid(np.array([np.frombuffer(key, np.uint8) for key in sorted(self._forbidden)]))
             routes = beam.run(widest, stop=stop).unless_interrupted(stop).routes
@@ -228,8 +222,8 @@ class SolvabilityCheck:
         score = self._score
         if score is None or self.task.steps == 0:
             return None
-        rows = 1 if rng is None else _ROLLOUTS
-        for _ in range(_MAX_FALLEN_REPLAYS):
+        rows = 1 if rng is None else _VARIED_WIDTH
+        for _ in range(MAX_FALLEN_REPLAYS):
             rollouts = roll_out(
                 [self.task],
                 np.repeat(self.task.start[None], rows, axis=0),

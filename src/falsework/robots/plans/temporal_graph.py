@@ -115,20 +115,6 @@ class TemporalPlanGraph:
                 found[edge.after] = max(found[edge.after], found[node] + factor[node] * edge.offset)
         return found
 
-    def tails(self) -> Array:
-        """Return the time from the start of each node to the end of all that waits for it, seconds, shape (nodes,)."""
-        found = self.durations.copy()
-        for node in reversed(self.order):
-            for edge in self._after[node]:
-                found[node] = max(found[node], edge.offset + found[edge.after])
-        return found
-
-    def critical_edges(self) -> list[Precedence]:
-        """Return the precedences on longest paths: those that decide about the makespan."""
-        starts, tails = self.starts(), self.tails()
-        least = self.makespan - 1e-6
-        return [edge for edge in self.edges if starts[edge.before] + edge.offset + tails[edge.after] > least]
-
     @cached_property
     def durations(self) -> Array:
         """Nominal durations, seconds, shape (nodes,)."""

@@ -59,7 +59,7 @@ def _parts_in_the_way(rows: Itineraries, robot: int) -> list[Precedence]:
             if part is None or present[part] or rows.nodes[mover].robot == robot:
                 continue
             place = rows.bodies.standing(part)
-            hit = np.flatnonzero(conflicts(stretch.swept, (place, place), margin_of(rows, stretch))[:, 0])
+            hit = np.flatnonzero(conflicts(stretch.swept, (place, place), _margin_of(rows, stretch))[:, 0])
             if len(hit) and apart:
                 found.append(Precedence(mover, 0.0, stretch.node, "part"))
             elif len(hit):
@@ -77,7 +77,7 @@ def choices(rows: Itineraries) -> list[Choice]:
 
 
 def _of_pair(rows: Itineraries, one: int, other: int) -> list[Choice]:
-    table = conflict_table(rows, one, other)
+    table = _conflict_table(rows, one, other)
     labels = np.zeros(table.shape, dtype=np.int32)
     count = int(ndimage.label(table, np.ones((3, 3)), output=labels))  # type: ignore[arg-type]
     found = []
@@ -90,26 +90,26 @@ def _of_pair(rows: Itineraries, one: int, other: int) -> list[Choice]:
     return found
 
 
-def conflict_table(rows: Itineraries, one: int, other: int) -> NDArray[np.bool_]:
+def _conflict_table(rows: Itineraries, one: int, other: int) -> NDArray[np.bool_]:
     """Return which cells of two arms conflict, as far as they can be executed at the same time."""
     size = [rows.rows[robot][-1].first + 1 for robot in (one, other)]
     table = np.zeros(size, dtype=bool)
     for a in rows.rows[one]:
         for b in rows.rows[other]:
-            if a.after >= b.before or b.after >= a.before or is_proven(a, b):
+            if a.after >= b.before or b.after >= a.before or _is_proven(a, b):
                 continue
-            margin = min(margin_of(rows, a), margin_of(rows, b))
+            margin = min(_margin_of(rows, a), _margin_of(rows, b))
             table[a.first : a.first + a.cells, b.first : b.first + b.cells] = rows.conflicts(a, b, margin)
     return table
 
 
-def margin_of(rows: Itineraries, stretch: Stretch) -> float:
+def _margin_of(rows: Itineraries, stretch: Stretch) -> float:
     """Return the distance that a motion or rest keeps, metres."""
     margins = rows.world.cell.margins
     return margins.line if stretch.line else margins.free
 
 
-def is_proven(one: Stretch, other: Stretch) -> bool:
+def _is_proven(one: Stretch, other: Stretch) -> bool:
     """Return whether the planner has proven two segments free of each other: one rests where the other was planned."""
     return (one.node is None or other.node is None) and not one.frames.isdisjoint(other.frames)
 

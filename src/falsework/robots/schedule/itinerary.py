@@ -48,20 +48,19 @@ class Stretch:
 class Itineraries:
     """Itineraries of all arms of a plan."""
 
-    def __init__(self, plan: RobotPlan, world: CollisionWorld, *, like: Itineraries | None = None) -> None:
+    def __init__(self, plan: RobotPlan, world: CollisionWorld) -> None:
         """Divide motions into cells and compute swept bodies.
 
         Args:
             plan: the robot plan.
             world: the cell and the parts.
-            like: itineraries of a plan that has some of the motions, whose cells are used again.
         """
         self.plan, self.world = plan, world
         self.nodes, self.events = nodes_of(plan)
-        self.bodies = SweptBodies(world) if like is None else like.bodies
-        self._cells: dict[Trajectory, tuple[tuple[Swept, Swept], Array]] = {} if like is None else like._cells
-        self._resting: dict[tuple[int, bytes, LoadKey | None], Swept] = {} if like is None else like._resting
-        self._conflicts: dict[tuple[int, int, float], NDArray[np.bool_]] = {} if like is None else like._conflicts
+        self.bodies = SweptBodies(world)
+        self._cells: dict[Trajectory, tuple[tuple[Swept, Swept], Array]] = {}
+        self._resting: dict[tuple[int, bytes, LoadKey | None], Swept] = {}
+        self._conflicts: dict[tuple[int, int, float], NDArray[np.bool_]] = {}
         self._configurations = [
             np.array([frame.configurations[robot] for frame in plan.keyframes]) for robot in range(len(plan.robots))
         ]

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-
-import numpy as np
-from numpy.typing import NDArray
+from dataclasses import dataclass
 
 from falsework.errors import DependencyError, InputError
 from falsework.robots.plans.temporal_graph import MotionNode, Precedence, TemporalPlanGraph
@@ -99,37 +96,6 @@ def solve(
     if status not in (cp.OPTIMAL, cp.FEASIBLE):
         return _chosen(nodes, fixed, choices, [choice.planned for choice in choices], robots, bound)
     return _chosen(nodes, fixed, choices, [int(solver.value(flag)) for flag in flags], robots, bound)
-
-
-def as_scheduled(
-    nodes: Sequence[MotionNode],
-    fixed: Sequence[Precedence],
-    choices: Sequence[Choice],
-    robots: int,
-    starts: NDArray[np.float64],
-) -> tuple[TemporalPlanGraph, list[Choice]]:
-    """Return the graph in which conflicts are decided as in a schedule, and the conflicts planned in this way.
-
-    Args:
-        nodes, fixed, choices, robots: as in `solve`.
-        starts: start times of the nodes in a schedule of nearly the same motions, seconds, shape (nodes,).
-
-    Raises:
-        PlanError: they lead to a deadlock.
-    """
-    decided = [replace(choice, planned=_as_in(choice, starts)) for choice in choices]
-    return _chosen(nodes, fixed, decided, [choice.planned for choice in decided], robots, 0.0), decided
-
-
-def _as_in(choice: Choice, starts: NDArray[np.float64]) -> int:
-    """Return the option whose precedences a schedule breaks least."""
-    late = [
-        np.inf
-        if way is None
-        else max((starts[edge.before] + edge.offset - starts[edge.after] for edge in way), default=-np.inf)
-        for way in choice.ways
-    ]
-    return int(late[1] < late[0])
 
 
 def _chosen(

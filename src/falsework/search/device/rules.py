@@ -13,6 +13,7 @@ from falsework.geometry.clearance.table import ClearanceTable
 from falsework.search.problem.hashing import StateHash
 from falsework.search.problem.task import STAGE, Clearance, Direction, Task
 from falsework.utils.bits import unpack
+from falsework.utils.quantity import counted
 from falsework.utils.tensors import choose_device, import_torch, put
 
 if TYPE_CHECKING:
@@ -128,7 +129,8 @@ class TensorRules:
         held = held_count(batch, boundary)
         if (held > robots).any():
             row = int(np.argmax(held > robots))
-            raise StateError(f"state {row} has {held[row]} parts held; {robots} robots can hold {robots}")
+            can = f"{counted(robots, 'robot')} can hold {robots}"
+            raise StateError(f"state {row} has {counted(int(held[row]), 'part')} held; {can}")
         return put(batch, self.device)
 
     def dead_ends(self, states: torch.Tensor) -> torch.Tensor:

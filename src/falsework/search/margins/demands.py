@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta, to_builtins
 from numpy.typing import ArrayLike, NDArray
 
-from falsework.assembly.loads import MOST, Loads
+from falsework.assembly.assembly_model import MOST
+from falsework.assembly.loads import Loads
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import INSTALLED, States, as_states
 from falsework.errors import InputError
@@ -20,6 +23,7 @@ from falsework.stability.margins.pushes import Pushes
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Verdict, Verdicts
+from falsework.utils.models import FileModel
 from falsework.utils.quantity import parse_quantity
 
 _KINDS: dict[str, str] = {
@@ -30,8 +34,9 @@ _KINDS: dict[str, str] = {
     "load": "force",
     "placement": "length",
 }
-STEEPEST = np.radians(80)
+STEEPEST = math.radians(80)
 """Tilt that is too steep to be demanded, rad."""
+Limit = Annotated[float, Meta(gt=0, le=MOST)] | None
 _CORNERS = 8
 """Horizontal directions that are checked, each so far out that their polygon encloses the required circle: if a state
 is stable at all of them, under `equilibrium` it is in every direction."""
@@ -39,21 +44,20 @@ _DRAWS = 8
 """Random placements in each of which every state must be stable."""
 
 
-@dataclass(frozen=True)
-class Demands:
+class Demands(FileModel, frozen=True):
     """Margins that every state of a plan must keep; None where nothing is required."""
 
-    friction: float | None = None
+    friction: Annotated[float, Meta(ge=1, le=MOST)] | None = None
     """Factor of safety: states are stable with all coefficients of friction, those of joints too, divided by it."""
-    tilt: float | None = None
+    tilt: Annotated[float, Meta(gt=0, lt=STEEPEST)] | None = None
     """Tilt of the ground in any direction, rad."""
-    horizontal: float | None = None
+    horizontal: Limit = None
     """Horizontal acceleration in any direction, shares of gravity."""
-    push: float | None = None
+    push: Limit = None
     """Force along the inward normal of any free face of an installed part, N."""
-    load: float | None = None
+    load: Limit = None
     """Force downwards on any installed part at its centre of mass, such as a worker's or a gripper's, N."""
-    placement: float | None = None
+    placement: Limit = None
     """Error of placement in m; states are stable in each of some random placements with contacts found anew."""
 
     @classmethod
@@ -75,25 +79,9 @@ class Demands:
             _check_range(name, given[name], f"{option} {name}")
         return cls(**given)
 
-    @classmethod
-    def read(cls, value: Any, place: str) -> Demands:
-        """Read what `to_dict` wrote.
-
-        Raises:
-            InputError: anything else.
-        """
-        names = [field.name for field in fields(cls)]
-        if not isinstance(value, dict) or not set(value) <= set(names):
-            raise InputError(f"{place} must be an object with {', '.join(names)}")
-        for key, number in value.items():
-            if isinstance(number, bool) or not isinstance(number, (int, float)) or not 0 < number < np.inf:
-                raise InputError(f"{place}.{key} is {number!r}; it must be a number above zero")
-            _check_range(key, float(number), f"{place}.{key}")
-        return cls(**{key: float(number) for key, number in value.items()})
-
     def to_dict(self) -> dict[str, float]:
         """Return the required margins, in SI units."""
-        return {key: value for key, value in vars(self).items() if value is not None}
+        return to_builtins(self)
 
     def __bool__(self) -> bool:
         return bool(self.to_dict())

@@ -8,9 +8,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from falsework.assembly.loads import MOST
 from falsework.assembly.state import States
-from falsework.errors import InputError
 from falsework.search.margins.demands import Demands
 from falsework.stability.margins.claims import MarginClaims
 from falsework.stability.margins.state_margins import StateMargins
@@ -102,35 +100,6 @@ class PlanMargins:
             record |= {"maximised": self.maximised, "bound": self.bound}
         return record
 
-    @classmethod
-    def read(cls, value: Any, states: int) -> PlanMargins:
-        """Read what `to_dict` wrote.
-
-        Raises:
-            InputError: anything else, or not one number a state.
-        """
-        if not isinstance(value, dict) or not {"demands", "measured"} <= set(value) <= {
-            "demands",
-            "measured",
-            "maximised",
-            "bound",
-        }:
-            raise InputError("margins must be an object with demands and measured")
-        measured = value["measured"]
-        if not isinstance(measured, dict) or not set(measured) <= set(MEASURED):
-            raise InputError(f"margins.measured must be an object with some of {', '.join(MEASURED)}")
-        for kind, values in measured.items():
-            numbers = isinstance(values, list) and all(_is_bound(entry, kind) for entry in values)
-            if not numbers or len(values) != states:
-                raise InputError(f"margins.measured.{kind} must be a list of {states} numbers or nulls, one a state")
-        maximised, bound = value.get("maximised"), value.get("bound")
-        if maximised is not None and maximised not in MEASURED:
-            raise InputError(f"margins.maximised is {maximised!r}; it must be one of {', '.join(MEASURED)}")
-        if not _is_bound(bound, maximised):
-            raise InputError(f"margins.bound is {bound!r}; it must be a number within the range of its kind, or null")
-        demands = Demands.read(value["demands"], "margins.demands")
-        return cls(demands, {kind: tuple(values) for kind, values in measured.items()}, maximised, bound)
-
     def overstated(self, oracle: Stability, states: States) -> tuple[int, str] | None:
         """Return the first state that is not stable at a recorded margin, and the reason; None if all are.
 
@@ -158,10 +127,3 @@ def quantity_text(kind: str, value: float) -> str:
     """Return a margin with its unit, such as `3.2 deg`."""
     kinds = {"friction": "factor", "tilt": "angle", "horizontal": "share of gravity", "push": "force"}
     return format_quantity(value, kinds[kind])
-
-
-def _is_bound(value: Any, kind: Any) -> bool:
-    # Beyond a right angle, a tilt would load the structure as a smaller one does.
-    most = np.pi / 2 if kind == "tilt" else MOST
-    number = isinstance(value, (int, float)) and not isinstance(value, bool) and 0 <= value <= most
-    return value is None or bool(number)

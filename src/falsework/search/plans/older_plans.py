@@ -6,11 +6,11 @@ import warnings
 from typing import Any
 
 from falsework.errors import ReadWarning
+from falsework.search.plans.plan_model import FORMAT, UNPROVEN
 from falsework.search.plans.steps import Action
 from falsework.stability.holds import HoldMode
 from falsework.stability.stiffness import TANGENTIAL_RATIO
 
-FORMAT = "falsework.plan/4"
 THIRD_FORMAT = "falsework.plan/3"
 """Plans of version 3 and before are in the order of assembly or of disassembly, and say in which. They say only whether
 robots press, under force control, and not what they bear."""
@@ -20,8 +20,6 @@ their states was proved from rest."""
 FIRST_FORMAT = "falsework.plan/1"
 """Plans of version 1 are under the criterion `equilibrium` and carry no replay."""
 
-UNPROVEN = {"verdict": "undecided", "proof": "none", "residual": None}
-"""Entries of a state that is not proven, in a plan whose replay fails."""
 _SHARE = 0.1
 """Shares of gravity in 1 m/s2, rounded down."""
 

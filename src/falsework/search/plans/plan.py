@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.prop import Prop
+from falsework.assembly.assembly_model import Count, Prop
 from falsework.assembly.state import HELD, INSTALLED, Mask, States
 from falsework.errors import PlanError
 from falsework.search.margins.plan_margins import PlanMargins
@@ -24,19 +24,20 @@ from falsework.stability.holds import Press
 from falsework.stability.state_arrays import StateArrays
 from falsework.stability.verdict import Proof, Verdict, Verdicts
 from falsework.utils.display.notebook import Displayed
+from falsework.utils.models import FileModel
+from falsework.utils.quantity import counted
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
 
 
-@dataclass(frozen=True)
-class PartDeadline:
+class PartDeadline(FileModel, frozen=True):
     """Latest step at which a missing part is needed."""
 
-    part: int
-    after_steps: int
+    part: Count
+    after_steps: Count
     """Number of assembly steps before it is needed."""
-    after_parts: int
+    after_parts: Count
     """Parts that are placed before it."""
 
 
@@ -196,7 +197,7 @@ class Plan(Displayed):
 
     def __repr__(self) -> str:
         return (
-            f"<Plan of {self.name}: {len(self)} steps with {self.robots} robot{'s' * (self.robots > 1)}, "
+            f"<Plan of {self.name}: {counted(len(self), 'step')} with {counted(self.robots, 'robot')}, "
             f"criterion {self.claim.criterion}>"
         )
 

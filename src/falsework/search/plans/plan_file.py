@@ -2,28 +2,21 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec import convert
 
 from falsework.errors import InputError, PlanError
-from falsework.search.plans.older_plans import FORMAT, UNPROVEN
 from falsework.search.plans.packed_proofs import pack_proofs
 from falsework.search.plans.plan import Plan
-from falsework.search.plans.plan_reader import PROOF_ARRAYS, PROOF_WORDS, PlanReader
-from falsework.search.plans.steps import PlanStep
+from falsework.search.plans.plan_model import FORMAT, UNPROVEN, PlanFile
+from falsework.search.plans.plan_reader import PROOF_WORDS, PlanReader
+from falsework.stability.holds import HoldLoad
 from falsework.stability.verdict import Verdict
-from falsework.utils.json_file import read_format, write_json
-
-
-def plan_schema() -> dict[str, Any]:
-    """Return the JSON Schema (2020-12) of plan files."""
-    text = resources.files("falsework.search.plans").joinpath("plan.schema.json").read_text(encoding="utf-8")
-    return json.loads(text)
+from falsework.utils.json_file import read_format, read_json, write_json
+from falsework.utils.models import to_json_values
 
 
 def save_plan(plan: Plan, path: Path | str, *, proofs: bool = False) -> None:
@@ -48,87 +41,66 @@ def save_plan(plan: Plan, path: Path | str, *, proofs: bool = False) -> None:
 
 
 def _short(value: float) -> float:
-    return value if isinstance(value, int) else float(f"{value:.6g}")
+    return float(f"{value:.6g}")
 
 
 def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
-    """Return the plan as plain JSON values; see `plan.schema.json`."""
+    """Return the plan as plain JSON values; see `plan_schema`."""
     proof = PROOF_WORDS[plan.claim.criterion]
     judged = [
-        {"verdict": "stable", "proof": proof, "residual": _short(residual)} if stable else dict(UNPROVEN)
-        for residual, stable in zip(plan.residuals, [kind is Verdict.STABLE for kind in plan.verdicts], strict=True)
+        {"verdict": "stable", "proof": proof, "residual": _short(residual)} if kind is Verdict.STABLE else UNPROVEN
+        for residual, kind in zip(plan.residuals.tolist(), plan.verdicts, strict=True)
     ]
-
-    def pressed(step: PlanStep) -> dict[str, Any]:
-        some = [{"part": press.part, "wrench": list(press.wrench)} for press in step.presses]
-        return {"presses": some} if some else {}
-
-    def borne(row: int) -> dict[str, Any]:
-        some = plan.loads[row] if plan.loads else ()
-        return {"bears": [{name: _short(value) for name, value in vars(load).items()} for load in some]} if some else {}
-
-    def several(step: PlanStep) -> dict[str, Any]:
-        return {"parts": list(step.parts), "held": len(step.robots)} if len(step.parts) > 1 else {}
-
-    steps = [
-        {
-            "do": step.action.value,
-            "part": step.part,
-            **several(step),
-            **judged[step.number],
-            **pressed(step),
-            **borne(step.number),
-        }
-        for step in plan.steps
-    ]
-    data: dict[str, Any] = {
+    bears = [[HoldLoad(load.part, _short(load.force), _short(load.moment)) for load in row] for row in plan.loads]
+    records: list[Any] = [{**record, "bears": bears[row] if bears else []} for row, record in enumerate(judged)]
+    contact, margins, arrays = plan.claim.criterion == "contact", plan.margins, plan.proof_arrays()
+    packed: dict[str, Any] | None = None
+    if proofs and arrays is not None:
+        packed = {"parts" if contact else "points": arrays.shape[-2]}
+        if isinstance(arrays, np.ndarray) and arrays.ndim == 4:
+            packed["increments"] = arrays.shape[1]
+            arrays = arrays.reshape(len(arrays), -1, 6)
+        packed |= pack_proofs(arrays)
+    file = {
         "format": FORMAT,
         "structure": {
             "name": plan.name,
             "identity": plan.identity,
             "friction": plan.friction,
             "boundary": np.flatnonzero(plan.boundary).tolist(),
-            "parts": list(plan.part_names),
-            **({"props": [prop.to_dict() for prop in plan.props]} if plan.props else {}),
-            **({} if plan.source is None else {"source": dict(plan.source)}),
+            "parts": plan.part_names,
+            "props": plan.props,
+            "source": None if plan.source is None else dict(plan.source),
         },
         "robots": plan.robots,
         "rules": {
-            "fixed": list(plan.fixed),
-            "missing": list(plan.missing),
+            "fixed": plan.fixed,
+            "missing": plan.missing,
             "removable_only_if_clear": plan.removable_only_if_clear,
-            **({"support": True} if plan.support else {}),
-            **({"props": plan.prop_limit} if plan.props else {}),
-            **({"parts_at_once": plan.parts_at_once} if plan.parts_at_once > 1 else {}),
+            "support": plan.support,
+            "props": plan.prop_limit if plan.props else 0,
+            "parts_at_once": plan.parts_at_once,
         },
-        "stability": {
-            "criterion": plan.claim.criterion,
-            "stiffness_ratio": plan.claim.stiffness_ratio,
-            "cone": plan.claim.cone,
-            "gravity": plan.claim.gravity,
-            "tolerance": plan.claim.tolerance,
-            "force_bound": plan.claim.force_bound,
-            "reserve": plan.claim.reserve,
-            **({"holds": plan.claim.holds.to_dict()} if plan.claim.criterion == "contact" else {}),
-        },
-        "start": {"state": plan.states[0].tolist(), **judged[0], **borne(0)},
-        "steps": steps,
+        "stability": {**vars(plan.claim), "holds": plan.claim.holds.to_dict() if contact else None},
+        "start": {"state": plan.states[0].tolist(), **records[0]},
+        "steps": [
+            {
+                "do": step.action,
+                "part": step.part,
+                "parts": step.parts if len(step.parts) > 1 else None,
+                "held": len(step.robots) if len(step.parts) > 1 else None,
+                **records[step.number],
+                "presses": step.presses,
+            }
+            for step in plan.steps
+        ],
         "end": plan.states[-1].tolist(),
-        "needs": [asdict(need) for need in plan.needs],
+        "needs": plan.needs,
+        "replay": None if plan.replay is None else plan.replay.to_dict(),
+        "margins": None if margins is None else margins.to_dict(),
+        "displacements" if contact else "forces": packed,
     }
-    if plan.replay is not None:
-        data["replay"] = plan.replay.to_dict()
-    if plan.margins is not None:
-        data["margins"] = plan.margins.to_dict()
-    arrays = plan.proof_arrays()
-    if proofs and arrays is not None:
-        name, count = PROOF_ARRAYS[plan.claim.criterion]
-        data[name] = {count: arrays.shape[-2]}
-        if isinstance(arrays, np.ndarray) and arrays.ndim == 4:
-            data[name]["increments"] = arrays.shape[1]
-            arrays = arrays.reshape(len(arrays), -1, 6)
-        data[name] |= pack_proofs(arrays)
-    return data
+    return to_json_values(convert(file, PlanFile, from_attributes=True))
 
 
 def is_plan_file(path: Path | str) -> bool:
@@ -149,7 +121,7 @@ def load_plan(path: Path | str) -> Plan:
     Raises:
         PlanError: no such file, damaged, of another version, or with an action that the rules forbid.
     """
-    return plan_from_dict(PlanReader.load(path), str(Path(path)))
+    return plan_from_dict(read_json(path, "plan file", "plan again"), str(Path(path)))
 
 
 def plan_from_dict(data: Any, source: str = "the plan") -> Plan:
@@ -158,4 +130,4 @@ def plan_from_dict(data: Any, source: str = "the plan") -> Plan:
     Raises:
         PlanError: as `load_plan`.
     """
-    return Plan(**PlanReader(source).fields(data))
+    return Plan(**PlanReader(data, source).fields())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Mapping
 from dataclasses import replace
@@ -15,14 +14,11 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.props import with_props
 from falsework.errors import InputError, PlanError
 from falsework.search.plans.plan import Plan
+from falsework.search.plans.plan_model import SourceEntry
 from falsework.utils.files.output_file import path_beside
 
 PLACES = ("built_in", "path")
 """Entries of a source that say where the structure is; all others are options of `load_structure`."""
-_KINDS: dict[str, Any] = {
-    "built_in": str, "path": str, "unit": str, "density": (int, float), "friction": (int, float),
-    "boundary": list, "ground": bool, "interfaces": str, "loads": list, "earthquake": list,
-}  # fmt: skip
 
 
 def structure_of_plan(
@@ -101,21 +97,14 @@ def structure_to_check(
     return found, {}
 
 
-def wrong_source(value: Any) -> str:
-    """Return why a value in a file is no source of a structure; empty if it is one, which need not exist."""
-    if not isinstance(value, Mapping):
-        return "structure.source is not an object"
-    unknown = sorted(set(value) - set(_KINDS))
-    if unknown:
-        return f"structure.source has an unknown entry {unknown[0]!r}"
-    for key, entry in value.items():
-        wrong = not isinstance(entry, _KINDS[key]) or (isinstance(entry, bool) and key != "ground")
-        numbers = [entry] if isinstance(entry, float) else entry if key == "earthquake" and not wrong else []
-        wrong |= any(type(x) not in (int, float) or not math.isfinite(x) for x in numbers)
-        wrong |= key == "boundary" and not wrong and any(type(part) not in (int, str) for part in entry)
-        if wrong:
-            return f"structure.source.{key} is {str(entry)[:40]!r}"
-    return "" if len(set(value) & set(PLACES)) == 1 else "structure.source must have either built_in or path"
+def check_source(source: SourceEntry, about: str) -> None:
+    """Raise for a source that does not say where the structure is; whether it exists is not checked.
+
+    Raises:
+        PlanError: it has neither place, or both; `about` begins the message.
+    """
+    if (source.built_in is None) == (source.path is None):
+        raise PlanError(f"{about}structure.source must have either built_in or path")
 
 
 def moved_source(plan: Plan, file: Path, beside: Path) -> Mapping[str, Any] | None:

@@ -8,7 +8,7 @@ from falsework.assembly.state import States
 from falsework.search.beam.histories import ReplaySummary
 from falsework.search.plans.plan_replay import Acceptance, PlanReplay
 from falsework.search.problem.oracle import Oracle
-from falsework.search.problem.result import Route, Stop
+from falsework.search.problem.result import Route, Stop, barred_row
 from falsework.search.settings import PlannerSettings
 from falsework.stability.contact.varied_replay import VariableReplayer
 
@@ -16,13 +16,11 @@ from falsework.stability.contact.varied_replay import VariableReplayer
 def barred_state(states: States, row: int) -> States:
     """Return the state to exclude where a route fails in one, shape (parts,).
 
-    Both ends belong to every route, so if one fails, it is the state next to it.
-
     Args:
         states: of the route, shape (steps + 1, parts).
         row: of the state that fails.
     """
-    return states[min(max(row, 1), max(len(states) - 2, 0))]
+    return states[barred_row(row, len(states)) or 0]
 
 
 class RouteTests:

@@ -13,6 +13,7 @@ from falsework.assembly.state import HELD, REMOVED, States
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Verdict
+from falsework.utils.quantity import counted
 
 
 class Outcome(StrEnum):
@@ -45,7 +46,7 @@ class Route:
         return cls(states, np.where(holds, part, part + states.shape[1]).astype(np.int64))
 
     def __repr__(self) -> str:
-        return f"<Route of {len(self.actions)} steps>"
+        return f"<Route of {counted(len(self.actions), 'step')}>"
 
     def removal_rank(self) -> NDArray[np.int64]:
         """Return for each part the number removed before it, or -1 if it stays. Shape (parts,)."""
@@ -60,6 +61,14 @@ def insertion_steps(route: Route, task: Task) -> tuple[int, ...]:
     """Return the steps of assembly of a route before the first, second, ... missing part is inserted. Ascending."""
     present = route.states[::-1][:, list(task.missing)] != REMOVED
     return tuple(sorted(int(steps) for steps in present.argmax(axis=0) - 1))
+
+
+def barred_row(row: int, count: int) -> int | None:
+    """Return which state to exclude where a sequence of some states fails in one; None if it has only ends.
+
+    Both ends belong to every sequence, so if one fails, it is the state next to it.
+    """
+    return min(max(row, 1), count - 2) if count > 2 else None
 
 
 def beam_failure(
@@ -79,7 +88,7 @@ def beam_failure(
     if undecided:
         return (
             Outcome.NOT_FOUND,
-            f"{undecided} state{'s' * (undecided > 1)} could be proved neither stable nor unstable",
+            f"{counted(undecided, 'state')} could be proved neither stable nor unstable",
         )
     if sliding:
         slide = "1 state slides" if sliding == 1 else f"{sliding} states slide"
@@ -139,7 +148,7 @@ class SearchProgress:
         """The progress on one line."""
         backwards = self.direction is Direction.DISASSEMBLY
         doing = f"width {self.width}, {progress_text(self.level, self.levels, backwards=backwards)}"
-        return f"{doing}, {self.kept} states kept, {self.asked} verdicts"
+        return f"{doing}, {counted(self.kept, 'state')} kept, {counted(self.asked, 'verdict')}"
 
 
 Progress = Callable[[SearchProgress], None]

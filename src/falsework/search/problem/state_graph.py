@@ -19,6 +19,7 @@ from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Criterion
 from falsework.utils.archive import check_header, read_archive, write_archive
 from falsework.utils.files.damage import blamed_on
+from falsework.utils.quantity import counted
 
 FORMAT = "falsework.graph/1"
 
@@ -115,7 +116,8 @@ class StateGraph:
         return len(self.states)
 
     def __repr__(self) -> str:
-        return f"<StateGraph of {self.name or 'a structure'}: {len(self)} states, {len(self.source)} actions>"
+        size = f"{counted(len(self), 'state')}, {counted(len(self.source), 'action')}"
+        return f"<StateGraph of {self.name or 'a structure'}: {size}>"
 
     @property
     def criterion(self) -> Criterion:

@@ -28,6 +28,7 @@ from falsework.assembly.state import (
 from falsework.errors import InputError, StateError
 from falsework.search.problem.legal_moves import LegalMoves
 from falsework.search.problem.together import Together
+from falsework.utils.quantity import counted
 
 STAGE = np.array([2, 0, 1], dtype=np.int64)
 """Steps of disassembly that a part has behind it, indexed by its value: installed 0, held 1, removed 2."""
@@ -168,7 +169,9 @@ class Task:
         for name, state in (("start", first), ("target", last)):
             held = int(held_count(state[None], boundary)[0])
             if held > robots:
-                raise StateError(f"the {name} state has {held} parts held; {robots} robots can hold {robots}")
+                raise StateError(
+                    f"the {name} state has {counted(held, 'part')} held; {counted(robots, 'robot')} can hold {robots}"
+                )
         for array in (boundary, first, last):
             array.setflags(write=False)
         neighbours = None

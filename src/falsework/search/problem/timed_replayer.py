@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
+from falsework.search.problem.result import barred_row
 from falsework.stability.contact.history import History, Presses, Replay, ReplaySettings
 from falsework.stability.contact.hold_loads import Loads
 from falsework.stability.contact.newton import RESTS
@@ -193,7 +194,7 @@ class DeadlineReplayer:
         result = progress.result[before:].copy()
         if progress.fell:
             result[:] = RESTS
-            result[_inner(progress.reached - before, len(sequence)) or len(sequence) :] = 0
+            result[barred_row(progress.reached - before, len(sequence)) or len(sequence) :] = 0
         arrays = progress.moved[before:], progress.part[before:], progress.residual[before:]
         return Replay(result, *arrays, 0.0, presses=tuple(progress.presses[before:]))
 
@@ -317,11 +318,6 @@ class DeadlineReplayer:
         falls = self._falls
         if falls.fallen is None or row - 1 > falls.fell_after:
             falls.fallen, falls.fell_after = states, max(row - 1, 0)
-        inner = _inner(row, len(states))
+        inner = barred_row(row, len(states))
         if inner is not None:
             falls.ruled_out.add(states[inner].tobytes())
-
-
-def _inner(row: int, count: int) -> int | None:
-    """Return the state to exclude if a sequence of `count` states fails in state `row`; None if it has only ends."""
-    return min(max(row, 1), count - 2) if count > 2 else None

@@ -23,7 +23,7 @@ from falsework.stability.certificate import residual_of_forces
 from falsework.stability.contact_geometry import geometry_of
 from falsework.stability.criterion import StabilityCriterion
 from falsework.stability.holds import PRESS_STIFFNESS, HoldMode, Press, limits_of
-from falsework.stability.second_order.springs import into_cone
+from falsework.stability.second_order.springs import ROUNDING, into_cone
 from falsework.stability.stiffness import movement_limit, normal_stiffness, structure_size
 from falsework.stability.strength import TEARS, Strength, strength_of
 
@@ -31,8 +31,6 @@ Array = NDArray[np.float64]
 
 _CLOSE = 1e-6
 """Rounding that is allowed in movements and wrenches of robots, as a share of their limits."""
-_ROUNDING = 1e-9
-"""The same in movements across the direction of a press, as a share of the movement along it."""
 
 
 class StepCertificate(NamedTuple):
@@ -175,7 +173,7 @@ class BuildVerifier:
             bound = np.abs(turned - given) / size
             # By components, as unbalanced forces are measured elsewhere; the robot bears what it takes across the line.
             off = np.abs(line @ (change - added) + (along * (line @ turned) if line.any() else 0.0)) * np.abs(line)
-            return off, bool(bound.max() > _ROUNDING * np.abs(given).max())
+            return off, bool(bound.max() > ROUNDING * np.abs(given).max())
         return np.abs(change - added + along * given + across * (turned - given)) / size, False
 
 

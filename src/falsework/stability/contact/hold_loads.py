@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, States
+from falsework.stability.certificate import chunks
 from falsework.stability.contact_geometry import geometry_of
 from falsework.stability.holds import HoldLoad
 from falsework.stability.second_order.springs import into_cone
@@ -43,8 +44,6 @@ class ContactHistory(Protocol):
         ...
 
 
-_AT_ONCE = 16
-"""States that are evaluated at once."""
 CLOSE = 0.01
 """Share by which two evaluations of the same build may differ in what robots bear."""
 
@@ -83,10 +82,10 @@ def loads_of_build(
     joints, found = assembly.joints, []
     setting = joints is not None and joints.setting
     # Where joints set or break, every state has contacts of its own strength.
-    at_once = 1 if setting or any(history.torn.any() for history in histories) else _AT_ONCE
-    for first in range(0, len(histories), at_once):
-        rows = slice(first, first + at_once)
-        some, here = histories[rows], states[rows]
+    rows = np.arange(len(histories))
+    alone = setting or any(history.torn.any() for history in histories)
+    for together in np.split(rows, rows[1:]) if alone else chunks(rows, len(whole.friction)):
+        some, here = [histories[row] for row in together], states[together]
         share = np.where(some[0].torn, 0.0, 1.0)
         if joints is not None and setting:
             share = share * joints.set_share(some[0].age[None])[0]

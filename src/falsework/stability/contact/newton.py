@@ -18,8 +18,9 @@ from falsework.stability.contact.law import contact_force
 from falsework.stability.contact.tangent import assemble_tangent
 from falsework.stability.cpu.elimination import lay_out_panels
 from falsework.stability.cpu.layout import FAST, add_pair_wrench, pair_velocity, point_velocity
-from falsework.stability.cpu.panels import factor_panels, solve_panels
+from falsework.stability.cpu.panels import RIDGE, factor_panels, solve_panels
 from falsework.stability.stiffness import SETTLEMENTS
+from falsework.stability.strength import TEARS
 from falsework.utils.kernels import njit
 
 RESTS, MOVES_AWAY, OPEN, OVERLOADS = 1, -1, 0, -2
@@ -34,17 +35,12 @@ _GROWTH = 4.0
 """Least growth of the time step after a full step; it grows by the decrease of the residual where that is more."""
 _PATIENCE = 60
 """Iterations after which the least growth is `Pace.late_growth`."""
-_SHORTEST = 0.1
-"""Smallest share of a step that is taken before the time step is reduced instead ..."""
 _CUT = 0.1
-"""... by this factor."""
-_LONGEST_STEP = 1e14
-_TEARS = 1.0 + 0.5e-6
+"""Smallest share of a step that is taken before the time step is reduced instead, by this factor."""
+_TEARS = (TEARS + 1.0) / 2.0
 """A contact point breaks at this multiple of its tensile strength, within the rounding that the checker allows."""
 _BONDED_STEPS = 3
 """Iterations in which a structure with tensile joints is tried as bonded."""
-_ROUNDS = 12
-"""Times that a rest position is sought again with other points broken."""
 _FAR = 10.0
 """Multiple of the displacement limit at which iterations end: on the way to rest they may overshoot."""
 
@@ -327,16 +323,16 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
             if min(np.sqrt(implicit), next_size) <= limit:
                 break
             length *= 0.5
-            if length < _SHORTEST:
+            if length < _CUT:
                 break
-        if length < _SHORTEST or not next_size < np.inf:
+        if length < _CUT or not next_size < np.inf:
             time *= _CUT
             continue
         if length == 1.0:
             least = _GROWTH if iteration < _PATIENCE else pace.late_growth
             if next_size > size:
                 least = min(least, pace.growth_after_rise)
-            time = min(time * max(least, size / max(next_size, 1e-300)), _LONGEST_STEP)
+            time = min(time * max(least, size / max(next_size, 1e-300)), 1.0 / RIDGE)
         else:
             time *= 2.0 * length
         before, size = size, next_size
@@ -361,7 +357,8 @@ def come_to_rest(structure, contact_structure, work, contact, pairs, steps, tole
     """Find a rest position as `find_rest` does, at which no contact point exceeds its tensile strength.
 
     Points that exceed it are broken and bear nothing, and the search continues from there. With `mends`, those that
-    close again are restored, as in the law without history; if that does not terminate, the state is left undecided.
+    close again are restored, as in the law without history; if that does not terminate within the steps, the state is
+    left undecided.
     """
     mend(work, contact, pairs)
     spent = 0
@@ -369,7 +366,7 @@ def come_to_rest(structure, contact_structure, work, contact, pairs, steps, tole
         # Tensile joints mostly keep everything in place: the elastic solution, in one or two Newton steps.
         begin = contact.displacement.copy()
         result, residual, spent = find_rest(
-            structure, contact_structure, work, contact, pairs, _BONDED_STEPS, tolerance, _LONGEST_STEP, pace
+            structure, contact_structure, work, contact, pairs, _BONDED_STEPS, tolerance, 1.0 / RIDGE, pace
         )
         if result == RESTS and not tear(work, contact, pairs, mends):
             return result, residual, spent
@@ -384,7 +381,7 @@ def come_to_rest(structure, contact_structure, work, contact, pairs, steps, tole
     rounds = 0
     while result == RESTS and tear(work, contact, pairs, mends):
         rounds += 1
-        if mends and rounds > _ROUNDS:
+        if mends and max(rounds, spent) > steps:
             return OPEN, residual, spent
         result, residual, taken = find_rest(
             structure, contact_structure, work, contact, pairs, steps, tolerance, first_step, pace

@@ -5,21 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from falsework.stability.contact.hold_kernel import set_holds
+from falsework.stability.contact.kernel import NEAR_RINGS
 from falsework.stability.contact.newton import evaluate, make_contact_scratch
 from falsework.stability.contact.replay_kernel import load_history
 from falsework.stability.contact.tangent import assemble_tangent
+from falsework.stability.cpu.cones import NEGLIGIBLE
 from falsework.stability.cpu.elimination import lay_out_panels
 from falsework.stability.cpu.layout import make_scratch, pair_velocity, point_velocity
 from falsework.stability.cpu.neighbourhood import hold_far_parts
 from falsework.stability.cpu.panels import factor_panels, solve_panels
 from falsework.utils.kernels import njit
-
-RINGS = 3
-"""Distance in contacts from the released and the pressed parts within which forces are considered."""
-_STICKS = 1e9
-"""Friction of contacts that stick."""
-_SHIFT = 1e-9
-"""Added to the diagonal of the matrix: parts without closed contacts have no stiffness."""
 
 
 @njit(nogil=True, cache=True)
@@ -28,7 +23,7 @@ def press_responses(
 ):
     """Write the spring forces after a release, and by how much unit wrenches of robots change them.
 
-    Parts more than `RINGS` contacts away stay where they are.
+    Parts more than `NEAR_RINGS` contacts away stay where they are.
 
     Args:
         structure, contact_structure: as in `settle_step`.
@@ -49,7 +44,7 @@ def press_responses(
     position = structure.elimination.position
     nothing = np.zeros((0, 6))
     set_holds(structure, contact_structure, before, state, pressed, nothing, contact, moving, origin)
-    hold_far_parts(structure, moving, origin, RINGS, near)
+    hold_far_parts(structure, moving, origin, NEAR_RINGS, near)
     missing = np.zeros((len(work.free), 6))
     pairs, count = load_history(
         structure, contact_structure, near, work, contact, springs, torn, set_share, missing, 0.0
@@ -60,9 +55,9 @@ def press_responses(
     evaluate(structure, work, contact, pairs, contact.displacement, contact.trial, contact.residual)
     total = work.start[pairs]
     for j in range(total):
-        work.friction[j] = _STICKS
+        work.friction[j] = 1.0 / NEGLIGIBLE
     lay_out_panels(structure, work.free, work.panels)
-    assemble_tangent(structure, contact_structure, work, contact, pairs, _SHIFT)
+    assemble_tangent(structure, contact_structure, work, contact, pairs, NEGLIGIBLE)
     if not factor_panels(structure.elimination.supernode, work.panels, pairs < 0):
         return 0
     step = contact.step

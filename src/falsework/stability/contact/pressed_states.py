@@ -19,10 +19,8 @@ from falsework.stability.contact.replay import Replayer
 from falsework.stability.holds import Press
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
+from falsework.stability.state_memory import REMEMBERED
 from falsework.stability.verdict import Proof, Solver, Verdict, Verdicts
-
-_REMEMBERED = 1 << 16
-"""States whose answers are kept."""
 
 
 class PressingStability:
@@ -69,7 +67,7 @@ class PressingStability:
         (here,) = as_states(state, self.oracle.assembly.boundary)
         key = here.tobytes()
         if key not in self._known:
-            if len(self._known) >= _REMEMBERED:
+            if len(self._known) >= REMEMBERED:
                 self._known.clear()
             self._known[key] = self._find(here)
         return self._known[key]

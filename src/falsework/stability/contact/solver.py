@@ -6,31 +6,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import INSTALLED, States
+from falsework.assembly.state import States
 from falsework.stability.contact.kernel import ContactOptions, build_contact_structure, rest_range
 from falsework.stability.contact.newton import FIRST_STEP, MOVES_AWAY, OPEN, RESTS, WARM_FIRST_STEP
 from falsework.stability.cpu.kernel import solve_range
 from falsework.stability.cpu.layout import COMPILED_LAYOUT, build_structure
 from falsework.stability.cpu.neighbourhood import RINGS, fall_range
+from falsework.stability.cpu.panels import RIDGE
 from falsework.stability.cpu.solver import Workers, kernel_options
 from falsework.stability.cpu.termination import STABLE, UNDECIDED, UNSTABLE
 from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 
-_WARM_STEPS = 64
-"""Iterations from the displacement of the parent before a state is tested for equilibrium; if it is, they continue."""
-_MORE_STEPS = 64
-"""Further iterations in large structures where no certificate is requested: a search has other states to try."""
-_NEAR_STEPS = 32
-"""Iterations of the parts near the difference before those of the whole structure."""
-_MANY_PARTS = 64
-"""Free parts from which iterations start from the displacement of the parent even where a part is released: with fewer,
-the nearby parts, which are solved first, are most of the structure."""
+WARM_STEPS = 64
+"""Iterations from the displacement of the parent before a state is tested for equilibrium; if it is, they continue, by
+as many where no certificate is requested: a search has other states to try. Before them come half as many of the parts
+near the difference alone. Checked on recorded searches."""
 _SLIDES = int(Verdict.SLIDES)
-
-_NOTHING = 1e-12
-"""Stiffness of contact points that carry nothing, as a share of that of others."""
 
 
 class ContactSolver:
@@ -51,12 +44,17 @@ class ContactSolver:
         self.structure = build_structure(problem)
         law = build_contact_structure(assembly, problem, settings.gravity, settings.stiffness_ratio, settings.holds)
         if problem.strength.idle.any():
-            soft = np.where(problem.strength.idle, _NOTHING, 1.0)
+            soft = np.where(problem.strength.idle, RIDGE, 1.0)
             law = law._replace(normal=soft * law.normal, tangential=soft * law.tangential)
         self.contact_structure = law
         self._options = kernel_options(settings)
         self.contact_options = ContactOptions(
-            settings.claim.well_below, settings.cpu.contact_steps, _WARM_STEPS, _NEAR_STEPS, FIRST_STEP, WARM_FIRST_STEP
+            settings.claim.well_below,
+            settings.cpu.contact_steps,
+            WARM_STEPS,
+            WARM_STEPS // 2,
+            FIRST_STEP,
+            WARM_FIRST_STEP,
         )
         self._pulls = bool(problem.strength.pull.any())
         self._workers = Workers(settings.cpu.threads)
@@ -97,8 +95,7 @@ class ContactSolver:
             parents: for each state a stable one that differs in few parts, shape (batch, parts); a mechanism is sought
                 near the difference first.
             guess: displacements of the parents in m and rad, NaN where they are not known, shape (batch, parts, 6);
-                overwritten with the displacements that were found. Iterations start from them where no part of a state
-                is free that was fixed in its parent, or many parts are; elsewhere a start from rest takes fewer.
+                overwritten with the displacements that were found. Iterations start from them where they are known.
 
         Returns:
             Verdicts; `UNDECIDED` where nothing was found within the limits of the settings. Without a guess, the
@@ -126,9 +123,7 @@ class ContactSolver:
             displacement = np.zeros((batch, problem.parts, 6))
         warm = np.zeros(batch, dtype=bool)
         if guess is not None and parents is not None:
-            known = np.isfinite(guess).all(axis=(1, 2))
-            freed = ((states == INSTALLED) & (parents != INSTALLED)).any(axis=1)
-            warm = known & (~freed | ((states == INSTALLED).sum(axis=1) >= _MANY_PARTS))
+            warm = np.asarray(np.isfinite(guess).all(axis=(1, 2)))
         origins = states if parents is None else parents
         steps = np.zeros(batch, np.int32)
         found = np.full(batch, RESTS, np.int8)
@@ -154,9 +149,7 @@ class ContactSolver:
             chosen, start, force = states[rows], displacement[rows], forces[rows] if len(forces) else forces
             verdict, residual = np.full(len(rows), UNDECIDED, verdicts.verdict.dtype), verdicts.residual[rows]
             taken, result = steps[rows], found[rows]
-            many = not certificates and (chosen == INSTALLED).sum(axis=1).max() >= _MANY_PARTS
-            limit = min(_MORE_STEPS, rest.steps) if many else rest.steps
-            options = rest._replace(warm_steps=limit)
+            options = rest._replace(warm_steps=rest.steps if certificates else min(WARM_STEPS, rest.steps))
             kernel = self.structure, self.contact_structure, chosen, chosen, options
             rest_range(*kernel, start, force, np.ones(len(rows), bool), verdict, residual, taken, result)
             displacement[rows], steps[rows], found[rows] = start, taken, result

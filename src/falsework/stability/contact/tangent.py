@@ -6,13 +6,11 @@ import numpy as np
 
 from falsework.stability.contact.hybrid_kernel import LOCKED
 from falsework.stability.contact.law import gauge, gauge_gradient
+from falsework.stability.cpu.cones import NEGLIGIBLE
 from falsework.stability.cpu.layout import FAST
 from falsework.stability.cpu.panels import clear_panels
 from falsework.utils.kernels import njit
 from falsework.utils.products import Congruence, SquareProduct
-
-_FAST_AS_LOCKED = 1e9
-"""Stiffness across that line in the tangent, relative to the median contact: the step across it is then dropped."""
 
 _add_congruence, _add_product, _set_product = Congruence(), SquareProduct(1), SquareProduct(1, adds=False)
 
@@ -48,7 +46,8 @@ def assemble_tangent(structure, contact_structure, work, contact, pairs, shift):
             for r in range(6):
                 upper[diagonal[j] + r * (width[supernode[j]] + 1)] += grip[j]
             if contact.across[j] != 0.0:
-                more = (_FAST_AS_LOCKED if contact.across[j] == LOCKED else contact.across[j]) - grip[j]
+                # Relative to the median contact; the step across the line is dropped.
+                more = (1.0 / NEGLIGIBLE if contact.across[j] == LOCKED else contact.across[j]) - grip[j]
                 for r in range(3):
                     at = diagonal[j] + r * width[supernode[j]]
                     for c in range(3):

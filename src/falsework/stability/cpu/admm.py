@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from falsework.stability.cpu.cones import project_joint
+from falsework.stability.cpu.cones import NEGLIGIBLE, project_joint
 from falsework.stability.cpu.elimination import lay_out_panels
 from falsework.stability.cpu.layout import (
     FAST,
@@ -21,9 +21,6 @@ from falsework.stability.cpu.layout import (
 from falsework.stability.cpu.panels import add_block, clear_panels, factor_panels, solve_panels
 from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED, check_primal, judge
 from falsework.utils.kernels import njit
-
-_BONDED = 1e-9
-"""Penalty at which the forces of bonded contacts are in balance up to rounding."""
 
 
 @njit(fastmath=FAST, cache=True)
@@ -54,7 +51,7 @@ def try_bonded(structure, work, pairs, options):
     """
     basis, start, pair, slot_a, slot_b = work.basis, work.start, work.pair, work.slot_a, work.slot_b
     z, pull, mu, stick, w, cone = work.z, work.pull, work.friction, work.stick, work.velocity, structure.cone
-    if not factor_admm(structure, work, pairs, _BONDED):
+    if not factor_admm(structure, work, pairs, NEGLIGIBLE):
         return UNDECIDED, np.nan
     for j in range(start[pairs]):
         z[j, 0], z[j, 1], z[j, 2] = pull[j], 0.0, 0.0

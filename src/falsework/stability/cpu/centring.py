@@ -22,7 +22,7 @@ import numpy as np
 from falsework.stability.cpu.elimination import lay_out_panels
 from falsework.stability.cpu.interior_point import add_pair_matrix, add_point_matrix, strains
 from falsework.stability.cpu.layout import FAST, add_wrench, dot
-from falsework.stability.cpu.panels import clear_panels, factor_panels, solve_panels
+from falsework.stability.cpu.panels import RIDGE, clear_panels, factor_panels, solve_panels
 from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED, check_primal
 from falsework.utils.kernels import njit
 
@@ -30,8 +30,6 @@ _X = np.array([math.cos((k + 0.5) * math.pi / 4) for k in range(8)])
 _Y = np.array([math.sin((k + 0.5) * math.pi / 4) for k in range(8)])
 _NEAR = math.cos(math.pi / 8)
 """Distance of the facets of the octagon from its axis; it lies inside the quadratic cone."""
-_RIDGE = 1e-14
-"""Added to the diagonal of the matrix, as a share of its mean; what it leaves out of balance grows with it."""
 ATTEMPTS = np.array([[0.7, 0.01, 0.5, 0.2], [0.4, 0.002, 0.5, 0.2]])
 """Settings of attempts: a quick one, and one that fails in fewer states. Columns: largest share of the way to the
 nearest facet in a step; share of the way to the middle of the cones; and at the start the largest tangential force, as
@@ -116,7 +114,7 @@ def _assemble(structure, work, pairs, level, first, centring):
         pull[j, 1] = -(w01 * g0 + w11 * g1 + w12 * g2)
         pull[j, 2] = -(w02 * g0 + w12 * g1 + w22 * g2)
         total += w00 + w11 + w22
-    clear_panels(work.panels, _RIDGE * total / points, points > 0)
+    clear_panels(work.panels, RIDGE * total / points, points > 0)
     for j in range(len(free)):
         if free[j]:
             for i in range(6):
@@ -163,12 +161,14 @@ def _advance(structure, work, pairs, back_off, centring):
 
 
 @njit(fastmath=FAST, cache=True)
-def run_centring(structure, work, pairs, options, steps, level, settings):
-    """Balance the forces in `work.z` by primal-dual steps inside their cones.
+def run_centring(structure, work, pairs, options, level, settings):
+    """Balance the forces in `work.z` by primal-dual steps inside their cones, as long as the residual falls.
+
+    Where forces can balance the parts, it is less after any three steps than before them, but for one case in fifty on
+    vaults of 184 and 510 parts; else half of the work would go into steps that lead nowhere.
 
     Args:
         structure, work, pairs, options: as for `run_admm`.
-        steps: most steps.
         level: force in N that contacts without need of it take up, about.
         settings: a row of `ATTEMPTS`.
 
@@ -180,7 +180,8 @@ def run_centring(structure, work, pairs, options, steps, level, settings):
     _move_inside(structure, work, pairs, level, settings[2], settings[3])
     symmetric = pairs >= 0  # no literal, which numba would compile separately
     check_primal(structure, work, pairs, work.z, options, work.residual)
-    for step in range(1, steps + 1):
+    one, two, three = np.inf, np.inf, np.inf  # residuals so many steps ago
+    for step in range(1, options.interior_steps + 1):
         _assemble(structure, work, pairs, level, step == 1, settings[1])
         if not factor_panels(structure.elimination.supernode, work.panels, symmetric):
             return UNDECIDED, step
@@ -191,4 +192,7 @@ def run_centring(structure, work, pairs, options, steps, level, settings):
         residual = check_primal(structure, work, pairs, work.z, options, work.residual)
         if residual < (1.0 - MARGIN) * options.resolution:
             return STABLE, step
-    return UNDECIDED, steps
+        if residual >= three:
+            return UNDECIDED, step
+        one, two, three = residual, one, two
+    return UNDECIDED, options.interior_steps

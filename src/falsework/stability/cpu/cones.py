@@ -18,8 +18,10 @@ CONES = {"octagon": OCTAGON, "quadratic": QUADRATIC}
 _C = math.cos(math.pi / 8)
 _S = math.sin(math.pi / 8)
 _DIAGONAL = math.sqrt(0.5)
-_SMOOTH = 1e-9
-"""Friction below which the projection treats a cone with cohesion as a cylinder."""
+NEGLIGIBLE = 1e-9
+"""What counts as nothing beside 1, and its inverse as without limit: friction up to which a cone is a cylinder or a
+ray; shifts of the diagonal of a matrix, with entries near 1, that leave forces in balance up to rounding; friction with
+which contacts stick, and a stiffness as good as rigid. Chosen; tested on frictionless, bonded and locked parts."""
 
 
 @njit(inline="always", fastmath=True)
@@ -65,7 +67,7 @@ def project_joint(cone, n, x, y, mu, stick):
     """
     if stick <= 0.0:
         return project(cone, n, x, y, mu)
-    if mu > _SMOOTH:
+    if mu > NEGLIGIBLE:
         tip = stick / mu
         a, b, c = project(cone, n + tip, x, y, mu)
         if a >= tip:

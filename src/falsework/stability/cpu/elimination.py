@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from falsework.stability.cpu.ordering import elimination_order
 from falsework.stability.problem import Problem
 from falsework.utils.kernels import njit
+from falsework.utils.products import LANES
 
-LANES = 8
-"""Panel rows are padded to a multiple of this many numbers."""
 _ALWAYS = 3
 """Parts up to which a supernode and the one that follows it become one, whatever zeros that stores."""
 _ZEROS = 0.05

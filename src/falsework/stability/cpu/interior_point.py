@@ -20,7 +20,7 @@ import math
 
 import numpy as np
 
-from falsework.stability.cpu.cones import OCTAGON
+from falsework.stability.cpu.cones import NEGLIGIBLE, OCTAGON
 from falsework.stability.cpu.layout import (
     FAST,
     add_pair_wrench,
@@ -334,7 +334,7 @@ def run_interior(structure, work, pairs, options):
     mu, points = work.friction, work.start[pairs]
     octagon = structure.cone == OCTAGON
     for j in range(points):
-        octagon = octagon or mu[j] < 1e-9  # without friction both cones are the same ray
+        octagon = octagon or mu[j] <= NEGLIGIBLE  # without friction both cones are the same ray
     size = 8 if octagon else 3
     r, step = work.velocity, work.rhs
     set_load(work, r)

@@ -12,12 +12,15 @@ from __future__ import annotations
 import numpy as np
 
 from falsework.stability.cpu.kernel import solve_state
-from falsework.stability.cpu.layout import make_scratch
+from falsework.stability.cpu.layout import make_scratch, pair_velocity, point_velocity
 from falsework.stability.cpu.termination import UNDECIDED, UNSTABLE
 from falsework.utils.kernels import njit
 
 RINGS = (1, 3)
 """Distances from a changed part in contacts, tried in turn. Three rings or more alone gain only half as much."""
+_MARKED = 0.5
+"""Share of the largest change of force that a region would pass on over its border, from which another part counts as
+pressed (the marking of Doerfler, 1996); checked on recorded searches."""
 
 
 @njit(cache=True)
@@ -108,6 +111,56 @@ def hold_beside_corridor(structure, state, parent, detour, near):
         kept += near[i] == 1
         free += state[i] == 1
     return kept, free
+
+
+@njit(cache=True)
+def extend_region(structure, state, near, velocity, forces, reach):
+    """Free the parts that a region presses most, and those fewer than `reach` contacts from them.
+
+    Over a contact that bears a force, a motion of the region changes it about as much as by the motion times the square
+    of the force: this is what steps inside the cones do (`centring.py`).
+
+    Args:
+        structure: `KernelArrays`.
+        state: shape (parts,).
+        near: the state with the parts outside the region held; in and out, shape (parts,).
+        velocity: of the parts of the region, whitened, as its last step left it, shape (n, 6).
+        forces: contact forces in N, shape (points, 3).
+        reach: 1 frees the parts that are pressed alone.
+
+    Returns:
+        Number of free parts.
+    """
+    parts, first, position = structure.pair_parts, structure.pair_start, structure.elimination.position
+    ta, tb, basis, scale = structure.transfer_a, structure.transfer_b, structure.basis, structure.force_scale
+    pressed, queue = np.zeros(len(state)), np.empty(len(state), np.int32)
+    away = np.empty(len(state), np.int32)
+    most, count, kept = 0.0, 0, 0
+    for q in range(len(parts)):
+        a, b = parts[q, 0], parts[q, 1]
+        if state[a] == 0 or state[b] == 0 or (near[a] == 1) == (near[b] == 1):
+            continue
+        slot_a, slot_b = position[a] if near[a] == 1 else -1, position[b] if near[b] == 1 else -1
+        s0, s1, s2, s3, s4, s5 = pair_velocity(ta, tb, q, slot_a, slot_b, velocity)
+        change = 0.0
+        for j in range(first[q], first[q + 1]):
+            d0, d1, d2 = point_velocity(basis, j, s0, s1, s2, s3, s4, s5)
+            square = (forces[j, 0] / scale[j]) ** 2
+            change += square * square * (d0 * d0 + d1 * d1 + d2 * d2)
+        outside = b if near[a] == 1 else a
+        if state[outside] == 1:
+            pressed[outside] = max(pressed[outside], np.sqrt(change))
+            most = max(most, pressed[outside])
+    for i in range(len(state)):
+        if pressed[i] > 0.0 and pressed[i] >= _MARKED * most:
+            queue[count] = i
+            count += 1
+    _measure_ways(structure, state, queue, count, reach - 1, away)
+    for i in range(len(state)):
+        if away[i] >= 0:
+            near[i] = 1
+        kept += near[i] == 1
+    return kept
 
 
 @njit(cache=True)

@@ -1,8 +1,7 @@
-"""Orders of elimination with little fill: minimum degree, within nested dissection where a structure is large.
+"""Orders of elimination with little fill: minimum degree, within nested dissection where that takes less work.
 
-George (1973) and Liu (1985). Up to some hundred parts minimum degree alone fills as little. In larger structures
-separators halve what is left again and again; each comes after both of the halves that it keeps apart. Where that takes
-more work, as in some regular sheets, it is not done.
+George (1973) and Liu (1985). Separators halve what is left again and again; each comes after both of the halves that it
+keeps apart. That mostly takes less work from some hundred parts on, but more in some regular sheets.
 """
 
 from __future__ import annotations
@@ -11,24 +10,17 @@ from heapq import heapify, heappop, heappush
 
 Graph = dict[int, set[int]]
 
-_DISSECTED = 300
-"""Parts from which nested dissection may fill less than minimum degree."""
 _LEAF = 30
 """Parts that are not dissected further."""
-_UNEVEN = 2.0
-"""Cost of uneven sides: the share of its size by which a separator costs more for each share of the parts that the
-larger side has beyond 55 %."""
 
 
 def elimination_order(neighbours: Graph) -> list[int]:
     """Return the parts of a contact graph in the order in which they are eliminated."""
     order, work = _minimum_degree(neighbours, [set(neighbours)])
-    if len(neighbours) >= _DISSECTED:
-        groups: list[set[int]] = []
-        _dissect(neighbours, set(neighbours), groups)
-        other, less = _minimum_degree(neighbours, groups)
-        order = other if less < work else order
-    return order
+    groups: list[set[int]] = []
+    _dissect(neighbours, set(neighbours), groups)
+    other, less = _minimum_degree(neighbours, groups)
+    return other if less < work else order
 
 
 def _minimum_degree(neighbours: Graph, groups: list[set[int]]) -> tuple[list[int], int]:
@@ -100,10 +92,8 @@ def _separate(neighbours: Graph, parts: set[int]) -> tuple[set[int], set[int], s
 
 
 def _cost(one: int, other: int, between: int) -> float:
-    """Size of a separator, more where it leaves the sides uneven."""
-    if min(one, other) == 0:
-        return float("inf")
-    return between * (1.0 + _UNEVEN * max(0.0, max(one, other) / (one + other + between) - 0.55))
+    """Return the size of a separator over those of both sides, the ratio cut (Wei and Cheng, 1989)."""
+    return between / one + between / other if min(one, other) else float("inf")
 
 
 def _cover(neighbours: Graph, one: set[int], other: set[int]) -> set[int]:

@@ -14,6 +14,10 @@ from falsework.utils.products import Product
 
 _subtract_product, _set_product = Product(-1), Product(1, adds=False)
 
+RIDGE = 1e-14
+"""Least share of the mean that is added to a diagonal that may be singular; what it leaves out of balance grows with
+it, and stays below the resolution of verdicts."""
+
 
 @njit(fastmath=True, cache=True)
 def clear_panels(panels, shift, symmetric):

@@ -1,10 +1,11 @@
 """Local repair of contact forces: balance near a change with the forces farther away as they were.
 
 A state differs from a stable one, whose forces are known, in a part or two. Forces that balance it differ from those
-mostly near by. So keep every force more than a few contacts away, take those at the border as loads, and balance the
-parts inside: the work of a few parts however large the structure is. The weight of a part that is let go of has to
-reach a support, so regions along the ways to supports come after those around the change. Failure proves nothing, since
-forces may have to change elsewhere.
+mostly near by. So keep the forces outside a region around the change, take those at its border as loads, and balance
+the parts inside: the work of a few parts however large the structure is. Forces inside cannot change what the loads sum
+up to, so the weight of a part that is let go of has to reach a support: a region that fails is followed by one along
+the shortest way to a support, and this one extends over its border where it would press most, until it is balanced or
+has more than half of the parts. Failure proves nothing, since forces may have to change elsewhere.
 """
 
 from __future__ import annotations
@@ -24,14 +25,12 @@ from falsework.stability.cpu.layout import (
     set_gravity,
     store_forces,
 )
-from falsework.stability.cpu.neighbourhood import hold_beside_corridor, hold_far_parts
+from falsework.stability.cpu.neighbourhood import extend_region, hold_beside_corridor, hold_far_parts
 from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED, residual_of_part
 from falsework.utils.kernels import njit
 
-_NEAR_STEPS, _ALL_STEPS = 12, 40
-"""Most interior steps in a region, and in the whole. What a region balances takes up to ten."""
-_ROUNDING = 1e-12
-"""Distance of forces from their cones, as a share of them, that is left to rounding."""
+_ROUNDING = float(np.finfo(np.float64).eps ** 0.75)
+"""Distance of forces from their cones, as a share of them, that is left to rounding; the checker allows more."""
 
 
 @njit(cache=True)
@@ -116,13 +115,13 @@ def _accept_forces(structure, state, options, residual, forces):
 
 
 @njit(cache=True)
-def _balance(structure, work, pairs, options, interior, most, level, settings, forces):
+def _balance(structure, work, pairs, options, interior, level, settings, forces):
     """Balance forces on the parts in `work` from known ones, in N; return the verdict, ADMM iterations and steps."""
     if pairs == 0:  # nothing touches the parts, so no force can balance them
         return UNDECIDED, 0, 0
     if interior:
         load_forces(structure, work, pairs, forces, work.z)
-        verdict, steps = run_centring(structure, work, pairs, options, most, level, settings)
+        verdict, steps = run_centring(structure, work, pairs, options, level, settings)
         return verdict, 0, steps
     load_forces(structure, work, pairs, forces, work.u)
     if not factor_admm(structure, work, pairs, options.rho):
@@ -132,15 +131,15 @@ def _balance(structure, work, pairs, options, interior, most, level, settings, f
 
 
 @njit(cache=True)
-def repair_state(structure, state, parent, reaches, interior, options, work, near, forces):
+def repair_state(structure, state, parent, reach, interior, options, work, near, forces):
     """Balance a state with forces of its parent that change only near their difference, else everywhere.
 
     Args:
         structure, options, work: `KernelArrays`, `Options` and `Scratch`.
         state, parent: shape (parts,).
-        reaches: contacts by which the regions that are tried in turn reach beyond the change. The first is around the
-            change alone; in the others are also the ways from there to a support that are longer than the shortest one
-            by no more than that.
+        reach: contacts by which the first region reaches beyond the change. The second has also the ways from there to
+            a support that are longer than the shortest one by no more than that. Then it is extended by as much, and
+            by twice as much each further time. Without any the whole is balanced.
         interior: whether forces stay inside their cones, by `run_centring`; ADMM leaves them on the boundaries.
         near: scratch, shape (parts,).
         forces: in: contact forces in N that balance the parent; out: of the state if it is stable. Shape (points, 3).
@@ -152,43 +151,48 @@ def repair_state(structure, state, parent, reaches, interior, options, work, nea
     residual = _accept_forces(structure, state, options, work.residual, forces)
     if residual < bound:
         return STABLE, residual, spent, taken
-    level = structure.weight / len(state)
-    for k in range(len(reaches) + (len(ATTEMPTS) if interior else 1)):
-        whole = max(0, k - len(reaches) + 1)
-        most, settings = _ALL_STEPS if whole else _NEAR_STEPS, ATTEMPTS[max(whole - 1, 0)]
-        if whole:
+    level, regions, whole = structure.weight / len(state), 0, 0
+    velocity = work.rhs if interior else work.velocity
+    kept, free = hold_far_parts(structure, state, parent, reach, near)
+    local = reach > 0 and kept > 0
+    while whole < (len(ATTEMPTS) if interior else 1):
+        if local and 2 * kept > free:
+            local = False
+        if not local:
             for part in range(len(state)):  # assigning the array would need what portable code has not
                 near[part] = state[part]
-        else:
-            if k == 0:
-                kept, free = hold_far_parts(structure, state, parent, reaches[k], near)
-            else:
-                kept, free = hold_beside_corridor(structure, state, parent, reaches[k], near)
-            if kept == 0:
-                break
-            if 2 * kept > free:
-                continue
+        settings = ATTEMPTS[whole]
         pairs, _ = restrict(structure, near, work)
-        if not whole:
+        grounded = True
+        if local:
             pairs, grounded = _keep_border(structure, state, near, work, pairs, forces)
-            if not grounded:
-                continue
-        verdict, iterations, steps = _balance(structure, work, pairs, options, interior, most, level, settings, forces)
-        spent += iterations
-        taken += steps
-        if verdict != STABLE:
-            continue
-        store_forces(structure, work, pairs, forces)
-        residual = _accept_forces(structure, state, options, work.residual, forces)
-        if residual < bound:
-            return STABLE, residual, spent, taken
-        # What smaller regions passed on may lie farther away than this one reaches.
+        if grounded:
+            verdict, iterations, steps = _balance(structure, work, pairs, options, interior, level, settings, forces)
+            spent += iterations
+            taken += steps
+            if verdict == STABLE:
+                store_forces(structure, work, pairs, forces)
+                residual = _accept_forces(structure, state, options, work.residual, forces)
+                if residual < bound:
+                    return STABLE, residual, spent, taken
+                # What is still out of balance lies outside the region.
+        if not local:
+            whole += 1
+        elif regions == 0:
+            kept, free = hold_beside_corridor(structure, state, parent, reach, near)
+            regions = 1
+        else:
+            before = kept
+            if grounded:
+                kept = extend_region(structure, state, near, velocity, forces, reach << (regions - 1))
+            local = kept > before
+            regions += 1
     return UNDECIDED, np.nan, spent, taken
 
 
 @njit(nogil=True, cache=True)
 def repair_range(
-    structure, states, parents, known, reaches, interior, options, forces, verdict, residual, iterations, steps
+    structure, states, parents, known, reach, interior, options, forces, verdict, residual, iterations, steps
 ):
     """Balance states whose `verdict` is `UNDECIDED` with the forces of their parents, where those are `known`.
 
@@ -204,7 +208,7 @@ def repair_range(
         if verdict[i] != UNDECIDED:
             continue
         if known[i]:
-            beside = states[i], parents[i], reaches, interior
+            beside = states[i], parents[i], reach, interior
             verdict[i], residual[i], k, s = repair_state(structure, *beside, options, work, near, forces[i])
             iterations[i] += k
             steps[i] += s

@@ -16,19 +16,15 @@ from falsework.stability.cpu.repair import repair_range
 from falsework.stability.cpu.termination import Options
 from falsework.stability.problem import Problem
 from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
+from falsework.stability.strength import SMOOTH
 from falsework.stability.verdict import Solver, Verdicts, proof_of
 from falsework.utils.cores import core_count
 
 _TASK = 16
 """States per task of a thread: few enough to balance the load, enough to hide the cost of a call."""
 FIRST_REACH = 2
-"""Contacts by which the first region of a repair reaches beyond a change. Each next one reaches twice as far, until it
-has more than half of the parts."""
-LEFT_OPEN = 1000
-"""Parts from which states that repairs leave undecided stay undecided within a search: ADMM on the whole and the exact
-solver take seconds for one of them, and mostly decide nothing."""
-_LEAST_FRICTION = 1e-3
-"""Coefficient of friction below which cones are too narrow for forces to be kept inside them."""
+"""Contacts by which the first region of a repair reaches beyond a change, and by which it is extended first; checked on
+recorded searches."""
 
 
 def kernel_options(settings: StabilitySettings) -> Options:
@@ -76,7 +72,7 @@ class CpuSolver:
     """Solver of batches of states of one structure with compiled code.
 
     Attempts follow each other in the order of their work; each stops at the first proof. With a state near by: a
-    mechanism near the difference (`neighbourhood.py`), then forces that change in growing regions around it, then
+    mechanism near the difference (`neighbourhood.py`), then forces that change in a region that is extended, then
     everywhere (`repair.py`). Then, and without one, ADMM on the whole with one sparse factorisation per state, and an
     interior point method (`docs/decisions/cpu-solver.md`). What they leave undecided is up to the exact solver.
     """
@@ -89,8 +85,8 @@ class CpuSolver:
         self.structure = build_structure(problem)
         self._options = kernel_options(settings)
         strength = problem.strength
-        rough = bool((strength.friction > _LEAST_FRICTION).all())
-        self.reaches = FIRST_REACH << np.arange(max(problem.parts.bit_length() - 1, 1))
+        rough = bool((strength.friction > SMOOTH).all())
+        self.reach = FIRST_REACH
         self._interior = rough and not (strength.pull.any() or strength.stick.any())
         self._workers = Workers(settings.cpu.threads)
 
@@ -134,7 +130,6 @@ class CpuSolver:
         known = np.zeros(batch, bool) if guess is None or parents is None else np.asarray(guess.any(axis=(1, 2)))
         # Proofs along a plan are requested for stable states.
         falls = parents is not None and not (certificates and guess is not None)
-        open_at_last = parents is not None and not certificates and problem.parts >= LEFT_OPEN
 
         def work(rows: slice) -> None:
             tail = verdicts.verdict[rows], verdicts.residual[rows], verdicts.iterations[rows], steps[rows]
@@ -142,11 +137,10 @@ class CpuSolver:
             if falls and not fall_range(self.structure, chosen, origins[rows], RINGS, options, motion, *tail):
                 return
             if known[rows].any():
-                beside = origins[rows], known[rows], self.reaches, self._interior
+                beside = origins[rows], known[rows], self.reach, self._interior
                 if not repair_range(self.structure, chosen, *beside, options, force, *tail):
                     return
-            if not open_at_last or not known[rows].all():
-                solve_range(self.structure, chosen, options, force, motion, False, *tail)
+            solve_range(self.structure, chosen, options, force, motion, False, *tail)
 
         self._workers.run(work, batch)
         if verdicts.forces is not None and forces is not verdicts.forces:

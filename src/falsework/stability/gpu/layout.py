@@ -13,7 +13,6 @@ from falsework.stability.contact.newton import FIRST_STEP
 from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
 
-_INDEX_LIMIT = 0x7FFF
 _GROUP_SIZES = (3, 4, 5, 6)
 _GROUP_COST = 3
 """Fixed cost of a group of contact points, in contact points."""
@@ -228,10 +227,10 @@ def build_layout(problem: Problem) -> Layout:
     group_size = min(_GROUP_SIZES, key=lambda size: (size + _GROUP_COST) * len(_groups(problem, size)[0]))
     first, count, pair = _groups(problem, group_size)
     groups, n = len(first), len(pattern["column"]) - 1
-    if max(groups, len(pattern["block_row"]), n) >= _INDEX_LIMIT:
+    if max(groups, len(pattern["block_row"]), n) >= np.iinfo(np.int16).max:
         raise InputError(
             f"{groups} groups of contact points and {len(pattern['row'])} blocks of fill are more than the GPU solver "
-            f"can index ({_INDEX_LIMIT}); use solver='cpu'"
+            f"can index ({np.iinfo(np.int16).max}); use solver='cpu'"
         )
     position = pattern["position"]
     part = problem.pair_parts[pair].T.copy() if groups else np.zeros((2, 0), np.int32)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.stability.contact.kernel import build_contact_structure
-from falsework.stability.cpu.cones import CONES
+from falsework.stability.cpu.cones import CONES, NEGLIGIBLE
 from falsework.stability.gpu.contact_layout import add_contact
 from falsework.stability.gpu.driver import CudaDriver, Driver
 from falsework.stability.gpu.layout import KernelBatch, build_layout, kernel_options
@@ -31,8 +31,6 @@ _ADMM_SHARES = (0.5, 1.0)
 multiprocessor for more of them."""
 _STATIC_SHARED = 4 * 1024
 """Largest static shared memory of the kernels, bytes."""
-_SMOOTH = 1e-9
-"""Friction up to which a contact point has none."""
 _CHUNK_BYTES = 2 << 30
 """Device memory for the forces and velocities of one chunk of states."""
 
@@ -108,7 +106,7 @@ class GpuSolver:
     ) -> None:
         if assembly.joints is not None:
             raise InputError("joints are not checked on a GPU; use the solver cpu (--solver cpu) or auto")
-        smooth = problem.strength.friction <= _SMOOTH
+        smooth = problem.strength.friction <= NEGLIGIBLE
         if problem.strength.idle.any() or (smooth.any() and not smooth.all()):
             raise InputError(
                 "faces that are inclined to each other by more than friction holds are not checked on a GPU; use the "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from math import isqrt
 
 from numpy.typing import ArrayLike
 
@@ -26,8 +27,6 @@ from falsework.stability.stiffness import normal_stiffness
 
 _PATIENT = 100_000
 """Steps after which a state is left undecided."""
-_KEPT = 64
-"""States of a plan whose forces are kept, to build another from there."""
 
 
 def matched_sink(assembly: Assembly) -> float:
@@ -77,7 +76,7 @@ class BuildJudge:
         added = added_wrenches(self._assembly, batch, presses)
         steps = [(state.tobytes(), tuple(press)) for state, press in zip(batch, presses, strict=True)]
         begin = self._go_back(steps)
-        every = -(-len(batch) // _KEPT)
+        every = isqrt(len(batch)) + 1  # as many are kept as are built again at most
         for row in range(begin, len(batch)):
             if (self._answers and self._answers[-1][0] == FALLS) or stop():
                 break

@@ -24,23 +24,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from falsework.assembly.loads import GRAVITY
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, States, as_states
 from falsework.errors import InputError
 from falsework.stability.holds import PRESS_STIFFNESS, HoldMode, HoldSettings, Press
 from falsework.stability.judges.relaxation import FALLS, STANDS, JudgedHolds, Model, relax
+from falsework.stability.stiffness import LEAST_AREA
 
 Array = NDArray[np.float64]
 
 SOFT, STIFF = 2e-5, 2e-7
 """Settlement of a typical part under its weight on eight typical contact points, in part sizes: soft and stiff springs.
 """
-_GRAVITY = 9.81
-"""m/s2; only loads depend on it, since weights are measured in that of a typical part."""
 POINTS = 8
 """Number of contact points that carry a typical part."""
-_LEAST_AREA = 1e-3
-"""Smallest tributary area of a contact point, as a share of the mean: softer springs would only slow convergence."""
 
 
 @dataclass(frozen=True)
@@ -299,7 +297,7 @@ def _redraw(model: Model, gap: Array, friction: Array, settings: DiscreteElement
 def typical_weight(assembly: Assembly) -> float:
     """Return the mean weight of the parts that are not boundary, N."""
     loose = ~assembly.boundary
-    return float(_GRAVITY * assembly.mass.mass[loose if loose.any() else slice(None)].mean())
+    return float(GRAVITY * assembly.mass.mass[loose if loose.any() else slice(None)].mean())
 
 
 def _boxes(assembly: Assembly) -> Array:
@@ -319,7 +317,7 @@ def models_of(assembly: Assembly, settings: DiscreteElementSettings) -> tuple[fl
     contacts, mass = assembly.contacts.flat(), assembly.mass
     boxes, size = _boxes(assembly), typical_size(assembly)
     typical = typical_weight(assembly)
-    weight = _GRAVITY * mass.mass / typical
+    weight = GRAVITY * mass.mass / typical
     count = np.diff(contacts.start)
     owner = contacts.contact_of_point
     middle = np.zeros((len(contacts), 3))
@@ -334,9 +332,9 @@ def models_of(assembly: Assembly, settings: DiscreteElementSettings) -> tuple[fl
         arm_a=(middle - mass.center[contacts.parts[:, 0]]) / size,
         arm_b=(middle - mass.center[contacts.parts[:, 1]]) / size,
         local=np.einsum("pij,pj->pi", contacts.frames[owner], contacts.points - middle[owner]) / size,
-        stiffness=np.maximum(area / mean, _LEAST_AREA) / POINTS,
+        stiffness=np.maximum(area / mean, LEAST_AREA) / POINTS,
         weight=np.ascontiguousarray(weight),
-        applied=assembly.applied_wrench(_GRAVITY) / (typical * np.repeat([1.0, size], 3)),
+        applied=assembly.applied_wrench(GRAVITY) / (typical * np.repeat([1.0, size], 3)),
         radius=np.linalg.norm(boxes, axis=1) / (2 * size),
         gyration=mass.inertia / (mass.mass[:, None, None] * size**2),
         friction=float(assembly.friction),

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import repeat
 
 import numpy as np
 
 from falsework.stability.margins.conditions import Answer, OutOfTime
 
-WIDTH = 0.009
-"""Largest width of a bracket, as a share of the bound: what is said to be exact to 1 % is, with some room."""
-OUTSIDE = 0.01
-"""Distance from the bound at which a proof is sought where the outer end of the bracket could not be proven."""
+ACCURACY = 0.01
+"""Share of a bound to which it is known: the largest width of a bracket; the distance at which a proof is sought where
+the outer end of a bracket could not be proven; and twice the share by which a family must be weaker than the weakest so
+far to be searched. Documented; all margins are claimed and checked to it."""
+FLOOR = 1e-4
+"""Width at which a bracket near zero is narrow enough, in units of the family: shares of gravity, factors, weights of a
+part and the largest settlement."""
 GROWTH = 4.0
-"""Ratio of successive probes while only one end of a bracket is known."""
-STRIDES = (1.0 + 2.0 * WIDTH, 1.06, 1.4)
-"""Ratios of successive probes, starting from the bound of a nearby state, before `GROWTH` applies: bounds of successive
-states of a plan are mostly the same, or differ by a few per cent."""
-SLACK = 0.004
-"""Share of the least bound so far by which a family must be weaker to be searched: of equal ones only one is."""
-_CHECKED = (0.4, 0.75)
-"""Shares of a bound at which a family that need not be monotone is probed again."""
+"""Ratio of successive probes while only one end of a bracket is known; chosen by numbers of probes."""
 
 Probe = Callable[[float, Answer], Answer]
 """Solution at a value of the parameter, warm-started from a nearby one."""
@@ -35,12 +32,24 @@ class Bracket:
     """Last stable value."""
     stands: Answer
     outside: float | None
-    """A failing value within `WIDTH` of `inside`; None where there is no bound."""
+    """A failing value within `ACCURACY` of `inside`; None where there is no bound."""
     fails: Answer | None
     monotone: bool = True
     """Whether every probed value between the unmodified state and the bound is stable."""
     finished: bool = True
     """Whether the search ended before its time was over; if not, the bracket is wider."""
+
+
+def strides(growth: float) -> Iterator[float]:
+    """Yield the ratios of successive probes from the bound of a nearby state: short at first, then `growth`.
+
+    Bounds of successive states of a plan are mostly the same, or differ by a few per cent.
+    """
+    excess = 2.0 * ACCURACY
+    while 1.0 + excess < growth:
+        yield 1.0 + excess
+        excess *= GROWTH
+    yield from repeat(growth)
 
 
 def largest(
@@ -73,11 +82,11 @@ def largest(
         cut: value down to which the velocity of a failing answer proves failure, if it proves it for others.
     """
     inside, (high, outside) = start, known if known is not None else (None, None)
-    ratios, cut_last = iter(STRIDES if near else STRIDES[-1:] if known is not None else ()), False
-    value = guess / (1.0 + WIDTH) if near else guess
+    ratios, cut_last = strides(growth) if near else repeat(growth), False
+    value = guess / (1.0 + ACCURACY) if near else guess
     if high is not None and not low < value < high:
-        value = high / next(ratios, growth)
-    value = min(value if value > low else next(ratios, growth) * low, cap)
+        value = high / float(np.sqrt(growth))
+    value = min(value if value > low else next(ratios) * low, cap)
     while True:
         try:
             answer = probe(value, inside)
@@ -95,13 +104,13 @@ def largest(
             cut_last = low < proven < value and not slow
             high, outside = max(proven, low * (1.0 + 1e-9)), answer
         if high is None:
-            value = min(next(ratios, growth) * value, cap)
-        elif high - low <= max(WIDTH * low, floor):
+            value = min(next(ratios) * value, cap)
+        elif high - low <= max(ACCURACY * low, floor):
             return Bracket(low, inside, high, outside)
         elif cut_last:
-            value = high - 0.25 * max(WIDTH * high, floor)
+            value = high - 0.25 * max(ACCURACY * high, floor)
         elif low < high / growth:
-            value = max(high / next(ratios, growth), float(np.sqrt(low * high)))
+            value = max(high / next(ratios), float(np.sqrt(low * high)))
         else:
             value = 0.5 * (low + high)
 
@@ -113,7 +122,7 @@ def checked(
     again: Callable[[float, Answer], Bracket],
     origin: float = 0.0,
 ) -> Bracket:
-    """Probe a family well inside its bound; where it fails there, return the bound before that.
+    """Probe a family half way to its bound; where it fails there, return the bound before that.
 
     Args:
         bracket: the bound.
@@ -122,16 +131,14 @@ def checked(
         again: finds the bound between `origin` and a failing value, given with its answer.
         origin: value of the unmodified state.
     """
-    for share in _CHECKED:
-        value = origin + share * (bracket.inside - origin)
-        # Iterations that find no rest position from one start do not show that there is none.
-        answer = probe(value, None)
-        for near in (start, bracket.stands):
-            answer = answer if answer.stands else probe(value, near)
-        if not answer.stands:
-            found = again(value, answer)
-            return Bracket(found.inside, found.stands, found.outside, found.fails, monotone=False)
-    return bracket
+    value = 0.5 * (origin + bracket.inside)
+    # Iterations that find no rest position from one start do not show that there is none.
+    answer = probe(value, None)
+    for near in (start, bracket.stands):
+        answer = answer if answer.stands else probe(value, near)
+    if answer.stands:
+        return bracket
+    return replace(again(value, answer), monotone=False)
 
 
 def weakest(
@@ -162,7 +169,7 @@ def weakest(
         try:
             if best is not None:
                 # Where the first has no bound, others mostly have none either.
-                value = cap if best[1].outside is None else (1.0 - SLACK) * best[1].inside
+                value = cap if best[1].outside is None else (1.0 - ACCURACY / 2) * best[1].inside
                 answer = test(family, value)
                 if answer.stands:
                     continue

@@ -8,14 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import States
+from falsework.stability.margins.brackets import ACCURACY
 from falsework.stability.margins.conditions import Answer, Condition
-from falsework.stability.margins.margins import DIRECTIONS, LARGEST_PUSH, LARGEST_SHARE, MarginFinder
+from falsework.stability.margins.margins import DIRECTIONS, LARGEST_SHARE, MarginFinder
 from falsework.stability.margins.prober import Prober
 
-_WITHIN = (1.0, 1.0025, 1.005)
-"""Factors by which a state may miss a claimed bound: numbers are rounded, and are exact to 1 %."""
-_UP_TO = (0.5, 0.8, 0.95, 0.99, 1.0)
-"""Shares in which a load is increased to the claimed one."""
+_WITHIN = [1.0, 1.0 + ACCURACY / 4, 1.0 + ACCURACY / 2]
+"""Factors by which a state may miss a claimed bound: numbers are rounded, and not exact."""
 
 
 class MarginClaims:
@@ -56,11 +55,13 @@ class MarginClaims:
         return True
 
     def _led_up(self, state: States, condition: Condition, start: Answer) -> Answer:
-        """Return the answer under a load that is increased in steps, as in the search for a bound."""
+        """Return the answer under a load that is increased, by half of what is left each time."""
         answer = start
-        for share in _UP_TO:
-            step = Condition(condition.friction, share * condition.extra)
-            answer = self._finder.prober.ask(state, step, answer if answer.stands else start, quick=share < 1.0)
+        left = 1.0
+        while left > 0.0:
+            left = left / 2 if left > ACCURACY else 0.0
+            step = Condition(condition.friction, (1.0 - left) * condition.extra)
+            answer = self._finder.prober.ask(state, step, answer if answer.stands else start, quick=left > 0.0)
         return answer
 
     def _loads(self, state: States, kind: str, value: float | None) -> Iterator[NDArray[np.float64]]:
@@ -68,7 +69,7 @@ class MarginClaims:
         finder = self._finder
         if kind == "push":
             pushes = finder.pushes
-            most = LARGEST_PUSH * finder.prober.problem.weight if value is None else value
+            most = LARGEST_SHARE * finder.prober.problem.weight if value is None else value
             yield from most * pushes.loads(pushes.exposed(state), len(state))
             return
         for row in range(DIRECTIONS):

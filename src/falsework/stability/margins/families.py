@@ -9,19 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import States
-from falsework.stability.margins.brackets import Bracket, Probe, checked, largest, weakest
+from falsework.stability.margins.brackets import FLOOR, Bracket, Probe, checked, largest, weakest
 from falsework.stability.margins.conditions import Answer, Condition, OutOfTime
 from falsework.stability.margins.prober import Prober
 from falsework.stability.margins.weakest import Weakest
+from falsework.stability.strength import SMOOTH
 
 Array = NDArray[np.float64]
 Near = dict[str, tuple[int, float]]
 """Bounds of a nearby state: the number of the weakest load, and its bound."""
-
-SMOOTH = 1e-3
-"""Friction below which zero friction is tried instead."""
-FLOOR = 1e-4
-"""Absolute width at which a bracket is narrow enough: shares of gravity, factors and weights of a part."""
 
 
 def friction_bracket(prober: Prober, state: States, start: Answer, near: Near) -> Bracket | None:

@@ -14,14 +14,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.state import INSTALLED, REMOVED, States, as_states
 from falsework.errors import InputError
-from falsework.stability.margins.brackets import OUTSIDE, Bracket, largest, weakest
+from falsework.stability.margins.brackets import ACCURACY, FLOOR, GROWTH, Bracket, largest, weakest
 from falsework.stability.margins.conditions import Answer, Condition, OutOfTime
-from falsework.stability.margins.families import FLOOR, SMOOTH, Near, friction_bracket, load_bracket, weakest_load
+from falsework.stability.margins.families import Near, friction_bracket, load_bracket, weakest_load
 from falsework.stability.margins.prober import Prober
 from falsework.stability.margins.pushes import Pushes
 from falsework.stability.margins.state_margins import Bound, StateMargins, triple
 from falsework.stability.margins.supports import held_loads, settlements
-from falsework.stability.strength import strength_of
+from falsework.stability.strength import SMOOTH, strength_of
 from falsework.stability.verdict import Verdict, Verdicts
 
 Array = NDArray[np.float64]
@@ -33,13 +33,10 @@ KINDS = (*QUICK, "polygon", "settlement")
 DIRECTIONS = 36
 """Number of horizontal directions, of which the worst counts."""
 LARGEST_SHARE = 10.0
-"""Horizontal acceleration, in shares of gravity, beyond which there is no bound: a tilt of 84 degrees."""
+"""Horizontal acceleration in shares of gravity, or push in weights of the structure, beyond which there is no bound: a
+tilt of 84 degrees."""
 LARGEST_FACTOR = 100.0
 """Factor on a weight beyond which there is no bound."""
-LARGEST_PUSH = 10.0
-"""Push beyond which there is no bound, in weights of the structure."""
-_ROUGH = 4.0
-"""Largest coefficient of friction that is tried for a state that is not stable."""
 _RUN = 8
 """Consecutive states, such as those of a plan, over which each search starts at the bound of the state before."""
 
@@ -153,7 +150,7 @@ class MarginFinder:
         prober, own = self.prober, self._assembly.friction
         start = low = prober.ask(state, prober.own())
         high = max(own, SMOOTH)
-        while (high := 2 * high) <= max(_ROUGH, 4 * own):
+        while (high := 2 * high) <= GROWTH * max(1.0, own):
             answer = prober.ask(state, Condition(high, prober.own().extra))
             if answer.stands:
                 break
@@ -302,7 +299,7 @@ class MarginFinder:
         # A part slips at about the push that exceeds the friction limit of its contacts.
         grip = np.maximum(self._grip(state, start)[pushes.part[rows]], 0.1 * self.weights[pushes.part[rows]])
         order = np.argsort(grip, kind="stable").tolist()
-        cap = LARGEST_PUSH * self.prober.problem.weight
+        cap = LARGEST_SHARE * self.prober.problem.weight
         loads = pushes.loads(rows, self._parts)
         found = weakest_load(
             self.prober,
@@ -372,7 +369,7 @@ class MarginFinder:
         proof = None if fails is None else self.prober.certify(state, fails, inside)
         if fails is not None and proof is not None and not _fails(proof):
             # Close to the bound neither side may be provable; try at the largest distance that a bracket may span.
-            share = 1.0 - OUTSIDE if always else 1.0 + OUTSIDE
+            share = 1.0 - ACCURACY if always else 1.0 + ACCURACY
             condition = beyond(share * bracket.inside)
             if fails.reached is None:
                 again = self.prober.ask(state, condition)

@@ -39,21 +39,16 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-_WARM_STEPS = 40
-"""Newton iterations from the displacement under a nearby load before a state is loaded from rest."""
 _QUICK_STEPS = 100
-"""The same during the search for a bound, when no state is loaded from rest."""
+"""Newton iterations from the displacement under a nearby load in the search for a bound, when no state is loaded from
+rest; those at the outer end of a bracket are continued by twice as many, until parts are seen to move away."""
 _PACE = Pace(late_growth=4.0, growth_after_rise=2.0, memory=1.0)
 """Rules by which time steps grow: where iterations alternate between two residuals, these mostly end that."""
-_FURTHER_STEPS = 200
-"""Iterations by which those at the outer end of a bracket are continued, until parts are seen to move away."""
 _ABOVE = 2.0
 """Multiple of the tolerance that the proof of a velocity must exceed to cut off a load: so it also proves a tilt, which
 is the same load made smaller. The bound moves by less than a thousandth."""
-_LARGE = 20.0
-"""Load, in weights of the part, from which it is balanced by itself where one solution does not suffice ..."""
 _MANY, _RARELY = 4000, 20
-"""... in at most so many iterations, with a test after every so many."""
+"""Iterations in which a large load is balanced by itself, and those between two tests."""
 
 
 class Prober:
@@ -81,9 +76,9 @@ class Prober:
         self._options = kernel_options(self.settings)
         self._contact = solver.contact_structure if isinstance(solver, ContactSolver) else None
         if isinstance(solver, ContactSolver):
-            self._contact_options = solver.contact_options._replace(warm_steps=_WARM_STEPS)
+            self._contact_options = solver.contact_options
             self._quick_options = self._contact_options._replace(warm_steps=_QUICK_STEPS, steps=0, pace=_PACE)
-            self._further_options = self._quick_options._replace(warm_steps=_FURTHER_STEPS)
+            self._further_options = self._quick_options._replace(warm_steps=2 * _QUICK_STEPS)
         self._no_motion = np.zeros((0, 3))
         self._end = np.inf
 
@@ -136,7 +131,7 @@ class Prober:
         if some_idle(self.assembly, condition.friction):
             return self._exactly(state, condition)
         answer = self.balance(state, condition, near)
-        if not answer.stands and answer.velocity is None and (size := self._size(state, condition.extra)) > _LARGE:
+        if not answer.stands and answer.velocity is None and (size := self._size(state, condition.extra)) > 1.0:
             answer = self._balance_apart(state, condition, size)
         if answer.stands or answer.velocity is not None:
             return answer
@@ -164,7 +159,7 @@ class Prober:
     def _balance_apart(self, state: States, condition: Condition, size: float) -> Answer:
         """Balance a large load by itself, and then the weights with what that leaves.
 
-        Beside a load of many weights, the weights are below the precision of one solution. The cones of dry contacts
+        Beside a load of many weights, the weights may be below the precision of one solution. The cones of dry contacts
         are closed under addition, so both forces together balance both. First-order iterations stay close to the
         smallest forces, which matters for the force bound: an interior point is far from them.
 

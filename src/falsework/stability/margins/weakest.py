@@ -3,25 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import repeat
 
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.stability.margins.brackets import GROWTH, SLACK, STRIDES, WIDTH, Bracket
+from falsework.stability.margins.brackets import ACCURACY, GROWTH, Bracket, strides
 from falsework.stability.margins.conditions import Answer, OutOfTime
 
-_RISE = 0.006
-"""Share by which the least bound may rise without a new test of the others."""
-_COARSE = 1.5
-"""Ratio of the ends of a bracket at which the other families are tested before it is narrowed."""
-_SPLIT = 0.38
-"""Share of a bracket at which it is split: failing probes cost more than others."""
-_FIRST = 1 / 8
-"""Share of a guess that all families are tested at first where the time is limited; it doubles until one fails."""
-_STRIKES = 1
-"""Tests beyond the least bound that may fail; after that families are tested inside it, where failures are rare."""
-_ALIKE = 0.2
-"""Difference of values, as a share, up to which a probe starts from another family's rest."""
+_COARSE = float(np.sqrt(GROWTH))
+"""Ratio of the ends of a bracket, split once, at which the other families are tested before it is narrowed further, and
+of two values up to which a probe under one may start from another family's rest under the other."""
 _BATCH = 1000
 """Families that are tested in one call, divided by the number of parts."""
 Probe = Callable[[Sequence[int], float, Sequence[Answer | int]], list[Answer]]
@@ -66,7 +58,8 @@ class Weakest:
         self._families, self._probe, self._guess = list(families), probe, guess
         self._cap, self._floor = cap, floor
         self._distance = _distances(len(self._families)) if around else None
-        self._strikes = _STRIKES
+        self._beyond = True
+        """Whether families are tested beyond the least bound: until one fails, since failures are costly."""
         self._batch = max(_BATCH // max(len(start.condition.extra), 1), 1)
         self._sample, self._hurry = self._families[:sample], hurry
         self._low = dict.fromkeys(families, (0.0, start))
@@ -95,7 +88,7 @@ class Weakest:
         confirmed: dict[int, float] = {}
         last = None
         if self._hurry and self._families:
-            self._raise_all(_FIRST * min(self._guess(row) for row in self._families))
+            self._raise_all(min(self._guess(row) for row in self._families) / (2.0 * GROWTH))
         while True:
             if not self._high:
                 rows = [row for row in self._families if self._low[row][0] < self._cap]
@@ -109,12 +102,13 @@ class Weakest:
             best = min(self._high, key=lambda row: self._low[row][0])
             last = best
             low, high = self._low[best][0], self._high[best][0]
-            narrow = high - low <= max(WIDTH * low, self._floor(best))
+            narrow = high - low <= max(ACCURACY * low, self._floor(best))
             if not narrow and high > _COARSE * low:
                 self._narrow(best)
                 continue
-            value = (1.0 - SLACK) * low
-            rows, demand = (self._families, (1.0 - _RISE) * value) if narrow else (self._sample, value / _COARSE)
+            value = (1.0 - ACCURACY / 2) * low
+            least = (1.0 - ACCURACY / 2) * value  # the least bound may rise so far without a new test of the others
+            rows, demand = (self._families, least) if narrow else (self._sample, value / _COARSE)
             left = [row for row in rows if row != best and self._low[row][0] < demand]
             if left:
                 self._test(best, left, value, high)
@@ -141,14 +135,13 @@ class Weakest:
 
     def _raise(self, row: int, value: float, near: bool) -> None:
         """Raise a load until it fails or reaches the cap, at once where others have reached it."""
-        if self._strikes and any(low >= self._cap for low, _ in self._low.values()):
-            if not self._ask(row, self._cap, self._low[row][1]):
-                self._strikes -= 1
+        if self._beyond and any(low >= self._cap for low, _ in self._low.values()):
+            self._beyond = self._ask(row, self._cap, self._low[row][1])
             return
-        ratios = iter(STRIDES if near else ())
-        value = min(max(value, STRIDES[0] * self._low[row][0]), self._cap)
+        ratios = strides(GROWTH) if near else repeat(GROWTH)
+        value = min(max(value, (1.0 + 2.0 * ACCURACY) * self._low[row][0]), self._cap)
         while self._ask(row, value, self._low[row][1]) and value < self._cap:
-            value = min(next(ratios, GROWTH) * value, self._cap)
+            value = min(next(ratios) * value, self._cap)
 
     def _narrow(self, row: int) -> None:
         """Probe a family within its bracket."""
@@ -158,16 +151,14 @@ class Weakest:
         elif low < high / GROWTH:
             value = float(np.sqrt(low * high))
         else:
-            value = low + _SPLIT * (high - low)
+            value = 0.5 * (low + high)
         self._ask(row, value, self._low[row][1])
 
     def _test(self, best: int, left: Sequence[int], value: float, high: float) -> None:
         """Test families at a value below which they are known to be stable, or beyond the bound, to do so only once."""
         distance = self._distance
         if distance is None:
-            beyond = self._strikes > 0
-            if not self._probe_all(left[: self._batch], high if beyond else value):
-                self._strikes -= beyond
+            self._beyond &= self._probe_all(left[: self._batch], high if self._beyond else value)
             return
         sampled = [row for row in left if row in self._sample]
         rows = sampled or sorted(left, key=distance[best].__getitem__)
@@ -185,7 +176,7 @@ class Weakest:
         lows, distance = self._low, self._distance
         if distance is None:
             return [lows[row][1] for row in rows]
-        known = [row for row in self._families if abs(lows[row][0] / value - 1.0) <= _ALIKE]
+        known = [row for row in self._families if value / _COARSE <= lows[row][0] <= _COARSE * value]
         kin, origins = np.array([*known, *rows]), list[Answer | int]()
         for place, row in enumerate(rows):
             near = kin[: len(known) + place]

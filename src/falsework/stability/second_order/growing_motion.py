@@ -13,6 +13,7 @@ from falsework.stability.contact_geometry import geometry_of
 from falsework.stability.criterion import StabilityCriterion
 from falsework.stability.second_order.growth import NEUTRAL, growth_of_motion
 from falsework.stability.second_order.springs import Springs, closing_points, springs_of_displacement
+from falsework.stability.state_memory import REMEMBERED
 from falsework.stability.strength import strength_of
 from falsework.stability.verdict import Proof, Verdict, Verdicts
 
@@ -24,8 +25,6 @@ Mask = NDArray[np.bool_]
 
 _NEAREST = 4
 """Eigenvalues that are found of an unsymmetric stiffness: negative ones are those near zero."""
-_REMEMBERED = 200_000
-"""States that are remembered to be firm."""
 _TRIALS = 24
 """Stiffness matrices that are tried for one state."""
 
@@ -83,7 +82,7 @@ class SecondOrder:
                 continue
             motion = self.growing_motion(states[row], verdicts.displacement[row])
             if motion is None:
-                if len(self.firm) >= _REMEMBERED:
+                if len(self.firm) >= REMEMBERED:
                     self.firm.clear()
                 self.firm.add(key)
             else:

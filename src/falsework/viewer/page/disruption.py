@@ -12,6 +12,7 @@ from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, complete_
 from falsework.errors import InputError
 from falsework.replanning.plan_diff import difference
 from falsework.search.problem.task import Direction
+from falsework.utils.quantity import counted
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -170,7 +171,7 @@ def new_plan(answer: ReplanResult, seconds: float, old: Plan | None, before: int
     placed = int((plan.actions[: answer.built] >= len(plan.boundary)).sum())
     for need in plan.needs:
         name, others = plan.part_names[need.part], need.after_parts - placed
-        after = f"after {others} other part{'s' * (others != 1)}" if others else "before any other part"
+        after = f"after {counted(others, 'other part')}" if others else "before any other part"
         texts.append(f"{name} is needed at step {before + need.after_steps + 1}, {after}.")
     if old is None:
         texts.append("There was no plan before.")

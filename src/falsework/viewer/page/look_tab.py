@@ -49,7 +49,7 @@ class LookTab:
         self._explode = gui.add_slider("Apart", min=0.0, max=1.0, step=0.05, initial_value=0.0)
         self._explode.on_update(lambda event: page.guard(event, self._viewed))
         self._axis = gui.add_dropdown(
-            "Section", tuple(_SECTIONS), hint="Hides parts whose middle is beyond a plane."
+            "Section", tuple(_SECTIONS), hint="Hides parts whose middle is beyond a plane; no part is cut."
         )  # fmt: skip
         self._axis.on_update(lambda event: page.guard(event, self._viewed))
         self._keep = gui.add_slider("Section at", min=0.0, max=1.0, step=0.01, initial_value=0.5, visible=False)

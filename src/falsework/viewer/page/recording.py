@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 
 from falsework.errors import InputError
 from falsework.search.problem.task import Direction
+from falsework.utils.files.formats import Exporter
 from falsework.utils.files.output_file import write_whole
 from falsework.utils.files.printable import printable
+from falsework.utils.quantity import counted
 from falsework.viewer.appearance import Appearance
 from falsework.viewer.arrows import Arrows, arrows_of_step
 from falsework.viewer.page.page_text import legend_text
@@ -32,6 +34,10 @@ from falsework.viewer.web.markup import html_text
 from falsework.viewer.web.origin_guard import OriginGuard, import_viser, start_server
 
 if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+    from falsework.robots.cells.cell_file import AnyCell
+    from falsework.robots.plans.robot_plan import RobotPlan
+    from falsework.search.plans.plan import Plan
     from falsework.viewer.timeline import Timeline
     from falsework.viewer.viewable import Viewable
 
@@ -217,9 +223,20 @@ def _frame(model: ViewerState, scene: RecordedScene, title: Any) -> dict[str, Ar
 
 def _panel(model: ViewerState, shown: dict[str, Arrows]) -> str:
     steps = len(model.timeline)
-    about = f"{model.assembly.part_count} parts" + (f", {steps} steps" if steps else "")
+    about = counted(model.assembly.part_count, "part") + (f", {counted(steps, 'step')}" if steps else "")
     inside = legend_text(model, shown) + (step_list(model.timeline, names=model.robot_name) if steps else "")
     return (
         f"<div style='{_PANEL}'><details><summary><b>{html_text(model.assembly.name)}</b>, {about}</summary>"
         f"{inside}</details></div>"
     )
+
+
+def _write_page(
+    path: Path | str, assembly: Assembly, plan: Plan | RobotPlan | None, *, cell: AnyCell | None = None
+) -> None:
+    from falsework.viewer.viewable import viewable_of
+
+    save_page(path, viewable_of(assembly if plan is None else plan, None if plan is None else assembly, cell=cell))
+
+
+EXPORTER = Exporter(_write_page, (".html",), ("Assembly", "Plan", "RobotPlan"), ("cell",), complete=True)

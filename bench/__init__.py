@@ -1,0 +1,1 @@
+"""Public benchmark: structures, questions, submissions of any method, and a judge that trusts nothing in them."""

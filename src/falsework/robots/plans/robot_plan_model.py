@@ -1,0 +1,150 @@
+"""Model of robot plan files, from which reading, writing, messages and the JSON Schema derive."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from msgspec import Meta
+
+from falsework.robots.plans.temporal_graph import Reason
+from falsework.utils.models import FileModel, model_schema
+
+FORMAT = "falsework.robot-plan/3"
+
+Index = Annotated[int, Meta(ge=0)]
+Part = Annotated[int, Meta(ge=0)] | None
+Seconds = Annotated[float, Meta(ge=0)]
+Numbers = list[float]
+Pose = Annotated[list[list[float]], Meta(min_length=4, max_length=4)]
+
+
+class RecordedRobotEntry(FileModel, frozen=True):
+    """Robot of the cell."""
+
+    name: str
+    model: str
+    joints: list[str]
+    base: Pose
+    """Pose of the base in the world."""
+    gripper: str
+    tool: Pose
+    """Tool frame in the frame of the flange."""
+
+
+class CellEntry(FileModel, frozen=True):
+    """Cell of a robot plan."""
+
+    name: str
+    identity: str
+    """Digest of everything in the cell that motions depend on."""
+    robots: Annotated[list[RecordedRobotEntry], Meta(min_length=1)]
+    source: str | None = None
+    """Name of a built-in cell, or path of a cell file relative to this file."""
+
+
+class KeyframeEntry(FileModel, frozen=True):
+    """Joint values of all robots between two steps."""
+
+    configurations: list[Numbers]
+    """Joint values of every robot."""
+    held: list[Part]
+    """Installed part that each robot holds."""
+    carried: list[Part] | None = None
+    """Part that each robot has in its gripper, away from its place; absent: none has one."""
+
+
+class TrajectoryEntry(FileModel, frozen=True):
+    """Knots; between two of them, each joint follows the cubic with their positions and velocities."""
+
+    kind: Literal["free", "line"]
+    """free: through the open; line: the tool moves straight to or from the place of a part."""
+    part: Part
+    """Part in the gripper."""
+    touches: Part
+    """Part at its place, or put down, that the gripper may touch."""
+    times: Annotated[Numbers, Meta(min_length=2)]
+    """Seconds, ascending from 0."""
+    positions: list[Numbers]
+    velocities: list[Numbers]
+
+
+class RobotStepEntry(FileModel, frozen=True):
+    """Motions of one robot for one action of the plan, for half of a hand-over, or for a transit."""
+
+    do: str
+    """The action in words."""
+    robot: Index
+    trajectories: list[TrajectoryEntry]
+    hands_over: Part = None
+    """Part of a hand-over, which has no action of the plan: two robots hold it between its two steps."""
+    put_down: Pose | None = None
+    """Displacement, from its place in the structure, with which the part of a removal or an insertion lies on the floor
+    while its robot grips it in another way: the motions without `part` in the middle. Absent where it stays in the
+    gripper."""
+    transit: bool = False
+    """Whether the robot only goes to another place: from where it is when an assembly is continued."""
+    gripped: Numbers | None = None
+    """Joint values with which the robot would hold the part of a transit at its place in the structure; absent: it
+    carries none."""
+
+
+class MotionEntry(FileModel, frozen=True):
+    """Trajectory of a step, or moment at which a gripper closes or opens, at its time."""
+
+    robot: Index
+    step: Index
+    trajectory: Index | None
+    """Its number in the step; null: a gripper closes or opens."""
+    start: Seconds
+    seconds: Seconds
+
+
+class PrecedenceEntry(FileModel, frozen=True):
+    """Motion `after` begins only when motion `before` has come to `offset` seconds of its nominal time."""
+
+    before: Index
+    offset: Seconds
+    after: Index
+    why: Reason
+
+
+class ScheduleEntry(FileModel, frozen=True):
+    """What may take place at the same time."""
+
+    makespan: Annotated[float, Meta(ge=0)]
+    """End of the last motion without delays."""
+    sequential: Annotated[float, Meta(ge=0)]
+    """The same motions one after the other."""
+    lower_bound: Annotated[float, Meta(ge=0)]
+    """No order of these motions takes less."""
+    motions: list[MotionEntry]
+    """In the order of the steps."""
+    precedences: list[PrecedenceEntry]
+
+
+class RobotPlanFile(FileModel, frozen=True):
+    """Robot plan file."""
+
+    format: Literal["falsework.robot-plan/3"]
+    direction: Literal["assembly", "disassembly"]
+    """Order in which the motions are executed; keyframes and steps are in that order."""
+    cell: CellEntry
+    plan: Annotated[dict[str, Any], Meta(extra_json_schema={"required": ["format", "steps"]})]
+    """Abstract plan with proofs, in the order of assembly, format falsework.plan/4."""
+    keyframes: list[KeyframeEntry]
+    """One before each step, and one after the last."""
+    steps: list[RobotStepEntry]
+    """One for every action of the plan, and two for each hand-over: a robot takes a held part over, then the other
+    leaves it. Transits have no action."""
+    schedule: ScheduleEntry | None
+    """What may take place at the same time; null: one motion after the other."""
+    statistics: dict[str, Any]
+
+
+def robot_plan_schema() -> dict[str, Any]:
+    """Return the JSON Schema (2020-12) of robot plan files; `plan` in it follows `falsework.search.plan_schema`."""
+    about = (
+        "A plan with the motions that carry it out, in the order in which they are executed, and with a schedule where "
+        "robots move at the same time. Units are SI: metres, radians, seconds."
+    )
+    return model_schema(RobotPlanFile, "robot-plan-3", "falsework robot plan, version 3", about)

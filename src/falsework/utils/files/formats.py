@@ -1,0 +1,137 @@
+"""Registry of file formats: packages declare the readers and exporters of their formats as entry points."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from falsework.errors import DependencyError, ExportWarning, InputError, ReadWarning
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+READERS, EXPORTERS = "falsework.readers", "falsework.exporters"
+"""Groups of entry points; each names an object of the class below."""
+_KINDS = {"Assembly": "a structure", "Plan": "a plan", "RobotPlan": "a robot plan"}
+
+
+@dataclass(frozen=True)
+class Reader:
+    """Reader of structures in files of one format."""
+
+    suffixes: tuple[str, ...]
+    """Endings of the names of its files, in lower case."""
+    load: Callable[..., Any]
+    """Takes the path and the options of `load_structure`, and returns an `Assembly`."""
+    parts: Callable[..., Any] | None = None
+    """Takes the path and `unit`, and returns a `Draft`, the parts as they are in the file; `falsework doctor` examines
+    them one by one."""
+    recognizes: Callable[[Path], bool] = Path.is_file
+    """Whether a file with such an ending is of this format."""
+
+
+@dataclass(frozen=True)
+class Exporter:
+    """Writer of structures and plans in one format."""
+
+    write: Callable[..., None]
+    """Takes the path, the assembly, the plan or robot plan if it is to be shown, and the options that are given."""
+    suffixes: tuple[str, ...] = ()
+    """Endings of the names of files that stand for the format, in lower case."""
+    shows: tuple[str, ...] = ("Assembly",)
+    """Classes of what it shows: `Assembly`, `Plan`, `RobotPlan`."""
+    options: tuple[str, ...] = ()
+    """Options that it takes for a plan: `step_seconds`, `azimuth`, `elevation`, `progress`."""
+    complete: bool = False
+    """Whether it keeps joints and loads, or says itself that it cannot."""
+
+
+@cache
+def _points(group: str) -> dict[str, EntryPoint]:
+    from importlib.metadata import entry_points  # takes a tenth of a second
+
+    found = {point.name: point for point in entry_points(group=group)}
+    if not found:
+        raise DependencyError("falsework runs from a folder in which it is not installed; pip install -e that folder")
+    return found
+
+
+def format_names(group: str) -> tuple[str, ...]:
+    """Return the names of the formats in a group, without importing them.
+
+    Raises:
+        DependencyError: falsework is not installed.
+    """
+    return tuple(_points(group))
+
+
+def formats(group: str) -> dict[str, Any]:
+    """Return the readers or exporters by name; what cannot be imported is left out, with a `ReadWarning`.
+
+    Raises:
+        DependencyError: falsework is not installed.
+    """
+    found = {}
+    for name, point in _points(group).items():
+        try:
+            found[name] = point.load()
+        except (ImportError, AttributeError) as error:
+            warnings.warn(f"the format {name} of {point.value} cannot be used: {error}", ReadWarning, stacklevel=2)
+    return found
+
+
+def reader_of(path: Path) -> Reader | None:
+    """Return the reader that recognizes a file, if one does."""
+    suffix = path.suffix.lower()
+    for reader in formats(READERS).values() if path.is_file() else ():
+        if suffix in reader.suffixes and reader.recognizes(path):
+            return reader
+    return None
+
+
+def exporter_by_suffix(path: Path | str) -> str | None:
+    """Return the name of the format that the name of a file stands for, if it stands for one."""
+    suffix = Path(path).suffix.lower()
+    return next((name for name, exporter in formats(EXPORTERS).items() if suffix in exporter.suffixes), None)
+
+
+def write_format(name: str, path: Path | str, assembly: Any, plan: Any = None, **options: Any) -> None:
+    """Write a structure, or a plan of it, in a format.
+
+    Args:
+        name: of the format.
+        path: file to write, or folder.
+        assembly: the structure; None for a robot plan that needs none.
+        plan: plan or robot plan to show; None for the structure at rest.
+        options: of the format; None is equivalent to omission.
+
+    Raises:
+        InputError: no such format, one that cannot show this, or an option that it does not have.
+    """
+    known = formats(EXPORTERS)
+    if name not in known:
+        raise InputError(f"no export format {name!r}; choose {', '.join(known)}")
+    exporter, kind = known[name], type(assembly if plan is None else plan).__name__
+    if kind not in exporter.shows:
+        what = " or ".join(_KINDS.get(shown, shown) for shown in exporter.shows)
+        others = ", ".join(other for other, one in known.items() if kind in one.shows)
+        raise InputError(f"{name} cannot show {_KINDS.get(kind, kind)}; give {what}, or write {others}")
+    given = {option: value for option, value in options.items() if value is not None}
+    for option in given:
+        if option != "progress" and (plan is None or option not in exporter.options):
+            which = " of plans" if plan is None else ""
+            raise InputError(f"--{option.replace('_', '-')} is no option of {name}{which}; leave it out")
+    lost = () if plan is not None or exporter.complete else ("joints", "loads")
+    left_out = " and ".join(lacking for lacking in lost if getattr(assembly, lacking) is not None)
+    if left_out:
+        warnings.warn(
+            f"{name} files have no {left_out}: those of {assembly.name} are left out, without which its stability "
+            "differs",
+            ExportWarning,
+            stacklevel=3,
+        )
+    exporter.write(path, assembly, plan, **{key: value for key, value in given.items() if key in exporter.options})

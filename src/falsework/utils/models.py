@@ -1,0 +1,236 @@
+"""Models of files: strict reading of untrusted values with messages of one line, and the JSON Schemas of files."""
+
+from __future__ import annotations
+
+import ast
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping
+from difflib import get_close_matches
+from functools import cache
+from inspect import cleandoc, getsource
+from itertools import pairwise
+from os import PathLike, fspath
+from typing import Any, TypeVar
+
+from msgspec import Struct, ValidationError, convert, inspect, json, to_builtins
+
+from falsework.errors import InputError
+
+Kind = TypeVar("Kind")
+
+_SHOWN = 60
+"""Characters of a wrong value that a message repeats."""
+_LONG = 80
+"""Characters of a description from which messages leave it out."""
+_WORDS = {
+    "int": "a whole number",
+    "float": "a number",
+    "str": "a text",
+    "bool": "true or false",
+    "array": "a list",
+    "object": "an object",
+}
+"""Types of a model in messages."""
+
+
+class FileModel(Struct, forbid_unknown_fields=True, frozen=True, omit_defaults=True):
+    """Base of the models of files: keys of its fields only, those with a default may be missing.
+
+    The texts below fields are their descriptions in messages and schemas.
+    """
+
+
+def read_model(
+    kind: type[Kind], data: Any, about: str, error: Callable[[str], InputError], where: str = "", remedy: str = ""
+) -> Kind:
+    """Convert plain values, such as those of JSON or TOML, to a model.
+
+    Args:
+        kind: a `FileModel`.
+        data: the values; nothing is converted that is not exact.
+        about: beginning of messages, with the name of the file.
+        error: makes the error of a message.
+        where: path of the values within the file.
+        remedy: end of messages about missing and unknown keys.
+
+    Raises:
+        InputError: what `error` makes of a message with the path of the first wrong value, the value, and what is
+            expected; also if a number is not finite.
+    """
+    try:
+        if place := _not_finite(data):
+            raise error(f"{about}{_join(where, place)} is not finite; give a number")
+        return convert(data, kind)
+    except UnicodeEncodeError:
+        raise error(f"{about}a text in it holds half a character; write it as UTF-8") from None
+    except ValidationError as wrong:
+        raise error(about + _message(kind, data, str(wrong), where, remedy)) from None
+
+
+def model_schema(kind: type[FileModel], identifier: str, title: str, description: str) -> dict[str, Any]:
+    """Return the JSON Schema (2020-12) of a model.
+
+    Args:
+        kind: the model of the file.
+        identifier: name of the schema at the address of all of them.
+        title, description: of the file.
+    """
+    schemas = model_schemas((kind,), "#/$defs/{name}")
+    about = {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$id": f"https://falsework.dev/schema/{identifier}.json",
+        "title": title,
+        "description": description,
+    }
+    return {**schemas.pop(kind.__name__), **about, "$defs": schemas}
+
+
+def model_schemas(kinds: Iterable[type[FileModel]], references: str) -> dict[str, Any]:
+    """Return the JSON Schemas of models and of the models in them, by name.
+
+    Args:
+        kinds: the models.
+        references: how one refers to another, with `{name}` in it.
+    """
+    _, schemas = json.schema_components(kinds, ref_template=references)
+    models = {model.__name__: model for model in _below(FileModel)}
+    for name, entry in schemas.items():
+        for field, text in _field_texts(models[name]).items() if name in models else ():
+            entry["properties"][field]["description"] = text
+    return json.decode(json.encode(schemas))
+
+
+def _below(model: type) -> list[type]:
+    return [found for below in model.__subclasses__() for found in (below, *_below(below))]
+
+
+@cache
+def _field_texts(model: type) -> dict[str, str]:
+    """Return the texts below the fields of a model."""
+    texts = {}
+    for kind in reversed(model.__mro__[: model.__mro__.index(FileModel)]):
+        try:
+            body = ast.parse(getsource(kind)).body[0]
+        except (OSError, TypeError):  # of a model that no source defines
+            continue
+        for field, text in pairwise(body.body if isinstance(body, ast.ClassDef) else ()):
+            if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):
+                texts[ast.unparse(field.target)] = cleandoc(str(text.value.value)).replace("\n", " ")
+    return texts
+
+
+def to_json_values(model: Any) -> Any:
+    """Return a model as plain JSON values; texts in it may hold what UTF-8 cannot."""
+    return plain(to_builtins(model))
+
+
+def plain(value: Any) -> Any:
+    """Return a value that a caller gave as a file would have it: lists for tuples and arrays, texts for paths."""
+    if isinstance(value, Mapping):
+        return {key: plain(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(entry) for entry in value]
+    if isinstance(value, PathLike):
+        return fspath(value)
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
+def unknown_key(key: str, known: Iterable[str]) -> str:
+    """Return what is wrong with a key that is not known, with the most similar known one."""
+    near = get_close_matches(key, known := sorted(known), 1)
+    return f"is not known; did you mean {near[0]}?" if near else f"is not known; known are {', '.join(known)}"
+
+
+def shown(value: Any) -> str:
+    """Return a value of a file as messages repeat it: short, and without control characters."""
+    text = ascii(value)
+    return text if len(text) <= _SHOWN else f"{text[: _SHOWN - 3]}..."
+
+
+def _message(kind: Any, data: Any, text: str, where: str, remedy: str) -> str:
+    """Return the message of msgspec with the value that was found, and what is expected there."""
+    what, _, path = text.partition(" - at `")
+    steps = re.findall(r"\.(\w+)|\[(\d+)\]", path.partition("[...]")[0])
+    place, value, known, purpose = where, data, inspect.type_info(kind), ""
+    for name, number in steps:
+        purpose = _purpose(known, name)
+        place = f"{place}[{number}]" if number else _join(place, name)
+        value, known = value[int(number) if number else name], _inside(known, name)
+    key = re.search(r"field `(.+)`", what)
+    if key and what.startswith("Object missing"):
+        return f"{_join(place, key[1])} is missing{remedy}"
+    if key:
+        fields = [field.encode_name for entry in _kinds(known) for field in getattr(entry, "fields", ())]
+        return f"{_join(place, key[1])} {unknown_key(key[1], fields)}{remedy}"
+    if what == "Number out of range":
+        return f"{place} is {shown(value)}; give a number that fits into 64 bits"
+    expected = what.removeprefix("Expected ").partition(", got")[0]
+    if what.startswith("Invalid value"):  # of the key that tells which of several objects it is
+        known = None
+        options = [entry.tag for entry in _kinds(inspect.type_info(kind))]
+    else:
+        options = [str(option) for entry in _kinds(known) for option in _options(entry)]
+    expected = f"one of {', '.join(options)}" if options else _in_words(expected) + purpose
+    return f"{place or 'the content'} is {shown(value)}; give {expected}"
+
+
+def _join(place: str, name: str) -> str:
+    return f"{place}.{name}" if place and not name.startswith("[") else place + name
+
+
+def _in_words(expected: str) -> str:
+    """Return a type as msgspec writes it, such as "`float | null` >= 0.0", in words."""
+    kinds, _, bound = expected.removeprefix("`").partition("`")
+    named = [kind for kind in kinds.split(" | ") if kind != "null"]  # of what may be left out
+    bound = re.sub(r"\.0$", "", bound).replace(r"matching regex '\\S'", "that is not blank")
+    return " or ".join(_WORDS.get(kind, kind) for kind in named) + bound
+
+
+def _kinds(kind: Any) -> list[Any]:
+    """Return the types that a type stands for."""
+    if isinstance(kind, inspect.Metadata):
+        return _kinds(kind.type)
+    return list(kind.types) if isinstance(kind, inspect.UnionType) else [kind]
+
+
+def _inside(kind: Any, name: str) -> Any:
+    """Return the type of a field of an object, or without a name, of the elements of a list."""
+    for entry in _kinds(kind):
+        found = [field.type for field in getattr(entry, "fields", ()) if field.encode_name == name]
+        found += [getattr(entry, "item_type", None)] if not name else []
+        if found:
+            return found[0]
+    return None
+
+
+def _options(kind: Any) -> tuple[Any, ...]:
+    if isinstance(kind, inspect.Metadata):
+        return _options(kind.type)
+    return tuple(kind.cls) if isinstance(kind, inspect.EnumType) else getattr(kind, "values", ())
+
+
+def _purpose(kind: Any, name: str) -> str:
+    """Return the first clause of the description of a field."""
+    texts = [_field_texts(entry.cls).get(name, "") for entry in _kinds(kind) if hasattr(entry, "fields")]
+    text = re.split(r"[.;] |\.$", texts[0] if texts else "")[0]
+    text = text[:1].lower() + text[1:] if re.match(r"[A-Z][a-z]{2}", text) else text  # not of units
+    return f" ({text})" if 0 < len(text) < _LONG else ""
+
+
+def _not_finite(value: Any, place: str = "") -> str:
+    """Return the path of the first number that is not finite; empty if there is none."""
+    if type(value) is float:
+        return "" if math.isfinite(value) else place or "the content"
+    if isinstance(value, list):
+        try:  # of lists of numbers, most of a file
+            if math.isfinite(sum(value)):
+                return ""
+        except (TypeError, OverflowError):
+            pass
+        inside: Iterable[tuple[str, Any]] = ((f"{place}[{index}]", entry) for index, entry in enumerate(value))
+    elif isinstance(value, dict):
+        inside = ((_join(place, str(key)), entry) for key, entry in value.items())
+    else:
+        return ""
+    return next((found for name, entry in inside if (found := _not_finite(entry, name))), "")
