@@ -614,6 +614,34 @@ def test_sheets_name_all_parts_of_a_step(shelf: Assembly, plan: Plan, held: Plan
     assert sheet.named(step) == "top-2 and top-3"
 
 
+@pytest.mark.parametrize(
+    ("name", "said"), [("plan", "carried by support 1, which holds"), ("held", "supports 1 and 2")]
+)
+def test_printed_sheets_list_and_point_at_each_part_of_a_step(
+    shelf: Assembly, name: str, said: str, request: pytest.FixtureRequest
+) -> None:
+    pytest.importorskip("reportlab", reason="needs reportlab; pip install 'falsework[sheet]'")
+    pdfium = pytest.importorskip("pypdfium2", reason="needs pypdfium2, of the group test")
+    from falsework.interop.instruction_pdf import _arrows, instructions_pdf
+
+    sheet = assembly_instructions(request.getfixturevalue(name), shelf)
+    (step,) = [step for step in sheet.steps if len(step.parts) > 1]
+    ends = _arrows(sheet, step).ends
+    assert ends.shape == (2, 2, 3)
+    for (tail, head), part in zip(ends, step.parts, strict=True):
+        assert (tail[2] > head[2] > shelf.meshes[part].vertices[:, 2].max()).all()
+        np.testing.assert_allclose(head[:2], shelf.mass.center[part, :2])
+    document = pdfium.PdfDocument(instructions_pdf(sheet))
+    words = " ".join(" ".join(page.get_textpage().get_text_range() for page in document).split())
+    document.close()
+    assert said in words
+    stock = words.partition("Stock list")[2]
+    for part in step.parts:
+        x, y, z = shelf.mass.center[part].round(3) + 0.0
+        mass = shelf.mass.mass[part]
+        assert f"{sheet.name(part)} {mass:.4g} {x:.3f}, {y:.3f}, {z:.3f} {step.number}" in stock
+
+
 # What is refused
 
 

@@ -19,6 +19,7 @@ from falsework.interop.instruction_table import (
     assembly_instructions,
     write_sheet,
 )
+from falsework.interop.pdf_text import BOLD, REGULAR, broken_lines, register_fonts, write_line, write_paragraph
 from falsework.utils.files.formats import Exporter
 from falsework.utils.quantity import counted
 from falsework.viewer.appearance import appearance_at, bounds_of, diagonal
@@ -63,7 +64,6 @@ _LISTED_PRESSES = 2
 """Presses of one step for which there is room."""
 CAMERA = Camera(width=480, height=304, zoom=0.96)
 """Default camera of the pictures."""
-_REGULAR, _BOLD = "FalseworkSans", "FalseworkSans-Bold"
 _GREY = "#77797d"
 
 
@@ -87,7 +87,7 @@ def instructions_pdf(
     from reportlab.pdfgen.canvas import Canvas
 
     rl_config.useA85 = 0  # pictures as bytes: their ASCII form is a quarter longer, and slow to write
-    _register_fonts()
+    register_fonts()
     buffer = io.BytesIO()
     canvas = Canvas(buffer, pagesize=_PAGE, pageCompression=1, invariant=1)
     canvas.setTitle(f"{sheet.assembly.name}: how to build it")
@@ -138,7 +138,7 @@ def _cover(canvas: Canvas, sheet: AssemblyInstructions, camera: Camera) -> list[
     _axes(canvas, camera, _MARGIN + _COVER[0] + 40, y + 30, 26)
     placed = [(part, step.number) for step in sheet.steps if step.place for part in step.parts]
     y -= 20
-    _text(canvas, _MARGIN, y, "Stock list", _BOLD, 11)
+    write_line(canvas, _MARGIN, y, "Stock list", BOLD, 11)
     first = _STOCK_COLUMNS * int((y - 14 - _MARGIN) // _STOCK_LINE - 1)
     rest = _STOCK_COLUMNS * int((_PAGE[1] - _TOP - 12 - _MARGIN) // _STOCK_LINE - 1)
     _stock(canvas, sheet, placed[:first], y - 16)
@@ -153,12 +153,12 @@ def _stock(canvas: Canvas, sheet: AssemblyInstructions, lines: list[tuple[int, i
     for column in range(_STOCK_COLUMNS if lines else 0):
         x = _MARGIN + column * broad
         for end, word in zip(ends, ("part", "kg", "centre x, y, z, m", "step"), strict=True):
-            _text(canvas, x, top, word, _REGULAR, 7.5, color=_GREY, end=None if end == 0 else x + end)
+            write_line(canvas, x, top, word, REGULAR, 7.5, color=_GREY, end=None if end == 0 else x + end)
         for number, (part, step) in enumerate(lines[column * high : (column + 1) * high], 1):
             y = top - _STOCK_LINE * number
-            _text(canvas, x, y, sheet.name(part), _REGULAR, 7.5, width=0.3 * broad)
+            write_line(canvas, x, y, sheet.name(part), REGULAR, 7.5, width=0.3 * broad)
             for end, word in zip(ends[1:], (_mass(sheet, part), _center(sheet, part), str(step)), strict=True):
-                _text(canvas, x, y, word, _REGULAR, 7.5, end=x + end)
+                write_line(canvas, x, y, word, REGULAR, 7.5, end=x + end)
 
 
 def _mass(sheet: AssemblyInstructions, *parts: int) -> str:
@@ -178,7 +178,7 @@ def _axes(canvas: Canvas, camera: Camera, x: float, y: float, length: float) -> 
     canvas.setLineWidth(0.8)
     for name, across, up in zip("xyz", *camera.axes[:2], strict=True):
         canvas.line(x, y, x + length * across, y + length * up)
-        _text(canvas, x + 1.25 * length * across - 2, y + 1.25 * length * up - 2, name, _REGULAR, 7)
+        write_line(canvas, x + 1.25 * length * across - 2, y + 1.25 * length * up - 2, name, REGULAR, 7)
 
 
 def _arrows(sheet: AssemblyInstructions, step: AssemblyInstruction) -> Arrows:
@@ -204,12 +204,12 @@ def _box(sheet: AssemblyInstructions) -> NDArray[np.float64]:
 def _head(canvas: Canvas, sheet: AssemblyInstructions) -> float:
     """Draw the title, the glossary, and the rules on which the proofs rest; return where they end."""
     assembly, left, y = sheet.assembly, _MARGIN, _PAGE[1] - _MARGIN - 8
-    _text(canvas, left, y, assembly.name, _BOLD, 18, width=_PAGE[0] - 2 * _MARGIN)
+    write_line(canvas, left, y, assembly.name, BOLD, 18, width=_PAGE[0] - 2 * _MARGIN)
     placed = [part for step in sheet.steps if step.place for part in step.parts]
     mass = float(assembly.mass.mass[placed].sum())
     work = f"{counted(sheet.supports, 'support')}, {counted(len(sheet.steps), 'step')}"
     facts = f"{counted(len(placed), 'part')} to place, {mass:,.0f} kg; {work}"
-    _text(canvas, left, y - 16, facts, _REGULAR, 10.5)
+    write_line(canvas, left, y - 16, facts, REGULAR, 10.5)
     lines = [
         "A support is a robot, a prop or a pair of hands that keeps a part exactly where it is. Keep to the order.",
         "Never release a part before the sheet says so: the states between steps were proved to stand, no others.",
@@ -232,13 +232,13 @@ def _head(canvas: Canvas, sheet: AssemblyInstructions) -> float:
         lines.append(f"Not delivered yet, and needed: {when}.")
     y -= 32
     for line in lines:
-        y = _paragraph(canvas, left, y, line, 8.3, width=_PAGE[0] - 2 * _MARGIN, leading=11.5)
+        y = write_paragraph(canvas, left, y, line, 8.3, width=_PAGE[0] - 2 * _MARGIN, leading=11.5)
     x, y = left, y - 4
     for support in range(sheet.supports):
         canvas.setFillColor(robot_color(support))
         canvas.rect(x, y - 2, 10, 10, stroke=0, fill=1)
-        x = _text(canvas, x + 14, y, f"support {support + 1}", _REGULAR, 9) + 16
-    _text(canvas, x, y, "pale: just released", _REGULAR, 9)
+        x = write_line(canvas, x + 14, y, f"support {support + 1}", REGULAR, 9) + 16
+    write_line(canvas, x, y, "pale: just released", REGULAR, 9)
     return y
 
 
@@ -256,7 +256,7 @@ def _row(
     canvas.setStrokeColor("#d5d3cd")
     canvas.setLineWidth(0.5)
     canvas.line(left, top, _PAGE[0] - _MARGIN, top)
-    _text(canvas, left, top - 17, ", ".join(str(one.number) for one in steps), _BOLD, 14 if len(steps) == 1 else 10)
+    write_line(canvas, left, top - 17, ", ".join(str(one.number) for one in steps), BOLD, 14 if len(steps) == 1 else 10)
     canvas.setStrokeColor(INK)
     canvas.rect(left, top - 42, 13, 13, stroke=1, fill=0)
     picture = _picture(sheet, step, camera, box)
@@ -266,49 +266,51 @@ def _row(
     color = robot_color(step.supports[0])
     canvas.setFillColor(color if step.place else mix(color, "#ffffff", 0.55))
     canvas.rect(x, top - 17, 9, 9, stroke=0, fill=1)
-    _text(canvas, x + 13, top - 16, ", ".join(one.verb.upper() for one in steps), _BOLD, 10.5)
-    _text(canvas, x, top - 33, sheet.named(step), _BOLD, 13, width=width)
+    write_line(canvas, x + 13, top - 16, ", ".join(one.verb.upper() for one in steps), BOLD, 10.5)
+    write_line(canvas, x, top - 33, sheet.named(step), BOLD, 13, width=width)
     line = top - 46
     several, carried = len(step.parts) > 1, len(step.supports) < len(step.parts)
     if step.ways is not None:
         about = (
             f"{_mass(sheet, *step.parts)} kg, {'come in together' if several else 'comes in'} {sheet.comes_in(step)}"
         )
-        line = _paragraph(canvas, x, line, about, 8.3, width=width)
+        line = write_paragraph(canvas, x, line, about, 8.3, width=width)
         if not several:
-            line = _paragraph(canvas, x, line, f"centre {_center(sheet, step.parts[0])}\u00a0m", 8.3, width=width)
+            line = write_paragraph(canvas, x, line, f"centre {_center(sheet, step.parts[0])}\u00a0m", 8.3, width=width)
         held = f"and {'are' if several else 'is'} held by {_supports(step)}"
         if carried:
             held = f"carried by {_supports(step)}, which holds {sheet.name(step.parts[0])}"
-        line = _paragraph(canvas, x, line, held, 8.3, width=width)
+        line = write_paragraph(canvas, x, line, held, 8.3, width=width)
     if not last.place:
         lets_go = "and then lets go" if carried else "which then lets go"
         then = lets_go if step.place else f"{_supports(step)} lets go and is free"
-        line = _paragraph(canvas, x, line, then, 8.3, width=width)
+        line = write_paragraph(canvas, x, line, then, 8.3, width=width)
         presses = sheet.pressing(last)
         for number, (what, how) in enumerate(presses[:_LISTED_PRESSES]):
             more = len(presses) - _LISTED_PRESSES if number + 1 == _LISTED_PRESSES else 0
             how += f", and {more} more" if more > 0 else ""
-            _text(canvas, x, line, f"PRESS {what}", _BOLD, 8.3, color=PRESS, width=width)
-            line = _paragraph(canvas, x, line - 10, how, 8.3, color=PRESS, width=width)
+            write_line(canvas, x, line, f"PRESS {what}", BOLD, 8.3, color=PRESS, width=width)
+            line = write_paragraph(canvas, x, line - 10, how, 8.3, color=PRESS, width=width)
     if step.needed:
-        _text(canvas, x, line, "was late: is it there?", _BOLD, 8.3, width=width)
+        write_line(canvas, x, line, "was late: is it there?", BOLD, 8.3, width=width)
     placed = f"{counted(last.placed, 'part')} placed{'; ' if last.margins else ''}{last.margins}"
-    lines = _broken(placed, 7.8, _PAGE[0] - 2 * _MARGIN - _COLUMNS[2])
+    lines = broken_lines(placed, 7.8, _PAGE[0] - 2 * _MARGIN - _COLUMNS[2])
     for number, words in enumerate(lines):
-        _text(canvas, x, y + 5 + 9.5 * (len(lines) - 1 - number), words, _REGULAR, 7.8, color=_GREY)
+        write_line(canvas, x, y + 5 + 9.5 * (len(lines) - 1 - number), words, REGULAR, 7.8, color=_GREY)
     x, width = left + _COLUMNS[3], _PAGE[0] - 2 * _MARGIN - _COLUMNS[3]
-    _text(canvas, x, top - 16, "HOLD until released" if last.hold else "nothing is held", _REGULAR, 8.3, color=_GREY)
+    write_line(
+        canvas, x, top - 16, "HOLD until released" if last.hold else "nothing is held", REGULAR, 8.3, color=_GREY
+    )
     room = max(int((_ROW - 40) // 13), 1)
     shown = last.hold if len(last.hold) <= room else last.hold[: room - 1]
     for number, (part, support) in enumerate(shown):
         line = top - 32 - 13 * number
         canvas.setFillColor(robot_color(support))
         canvas.rect(x, line - 1, 8, 8, stroke=0, fill=1)
-        _text(canvas, x + 12, line, sheet.name(part), _REGULAR, 9.5, width=width - 12)
+        write_line(canvas, x + 12, line, sheet.name(part), REGULAR, 9.5, width=width - 12)
     if len(shown) < len(last.hold):
         more = f"and {len(last.hold) - len(shown)} more that are coloured"
-        _text(canvas, x, top - 32 - 13 * len(shown), more, _REGULAR, 8.3)
+        write_line(canvas, x, top - 32 - 13 * len(shown), more, REGULAR, 8.3)
 
 
 def _supports(step: AssemblyInstruction) -> str:
@@ -320,8 +322,8 @@ def _supports(step: AssemblyInstruction) -> str:
 def _foot(canvas: Canvas, sheet: AssemblyInstructions, number: int, pages: int) -> None:
     y = _MARGIN - 16
     about = f"{sheet.assembly.name}, structure {sheet.assembly.identity[:12]}"
-    _text(canvas, _MARGIN, y, about, _REGULAR, 7.5, color=_GREY, width=_PAGE[0] / 2)
-    canvas.setFont(_REGULAR, 7.5)
+    write_line(canvas, _MARGIN, y, about, REGULAR, 7.5, color=_GREY, width=_PAGE[0] / 2)
+    canvas.setFont(REGULAR, 7.5)
     canvas.setFillColor(_GREY)
     canvas.drawRightString(_PAGE[0] - _MARGIN, y, f"page {number} of {pages}")
 
@@ -347,62 +349,9 @@ def _jpeg(image: NDArray[np.floating]) -> Any:
     return ImageReader(file)
 
 
-def _text(
-    canvas: Canvas,
-    x: float,
-    y: float,
-    text: str,
-    font: str,
-    size: float,
-    *,
-    color: str = INK,
-    width: float | None = None,
-    end: float | None = None,
-) -> float:
-    """Write a line, smaller if there is no room for it, and return where it ends; before `end` instead, if given."""
-    if width is not None:
-        size = min(size, size * width / max(canvas.stringWidth(text, font, size), 1e-9))
-    canvas.setFillColor(color)
-    canvas.setFont(font, size)
-    if end is not None:
-        canvas.drawRightString(end, y, text)
-        return end
-    canvas.drawString(x, y, text)
-    return x + canvas.stringWidth(text, font, size)
-
-
-def _paragraph(
-    canvas: Canvas, x: float, y: float, text: str, size: float, *, width: float, color: str = INK, leading: float = 10.0
-) -> float:
-    """Write a text in as many lines as it takes, and return the place of the line after it."""
-    for line in _broken(text, size, width):
-        _text(canvas, x, y, line, _REGULAR, size, color=color, width=width)
-        y -= leading
-    return y
-
-
-def _broken(text: str, size: float, width: float) -> list[str]:
-    """Return the lines of a text that is broken between words."""
-    from reportlab.lib.utils import simpleSplit
-
-    return simpleSplit(text, _REGULAR, size, width)
-
-
 def _shortened(sheet: AssemblyInstructions, parts: tuple[int, ...]) -> str:
     names = ", ".join(sheet.name(part) for part in parts[:_LISTED_PARTS])
     return names if len(parts) <= _LISTED_PARTS else f"{names} and {len(parts) - _LISTED_PARTS} more"
-
-
-def _register_fonts() -> None:
-    """Register fonts with more glyphs than the standard PDF fonts; they come with matplotlib."""
-    import matplotlib
-    from reportlab.pdfbase.pdfmetrics import getRegisteredFontNames, registerFont
-    from reportlab.pdfbase.ttfonts import TTFont
-
-    folder = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
-    for name, file in ((_REGULAR, "DejaVuSans.ttf"), (_BOLD, "DejaVuSans-Bold.ttf")):
-        if name not in getRegisteredFontNames():
-            registerFont(TTFont(name, folder / file))
 
 
 def _write_pdf(

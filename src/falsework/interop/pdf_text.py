@@ -1,0 +1,67 @@
+"""Text on pages of PDF: lines that fit, paragraphs and fonts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from falsework.viewer.palette import INK
+
+if TYPE_CHECKING:
+    from reportlab.pdfgen.canvas import Canvas
+
+REGULAR, BOLD = "FalseworkSans", "FalseworkSans-Bold"
+"""Names of the fonts, once they are registered."""
+
+
+def write_line(
+    canvas: Canvas,
+    x: float,
+    y: float,
+    text: str,
+    font: str,
+    size: float,
+    *,
+    color: str = INK,
+    width: float | None = None,
+    end: float | None = None,
+) -> float:
+    """Write a line, smaller if there is no room for it, and return where it ends; before `end` instead, if given."""
+    if width is not None:
+        size = min(size, size * width / max(canvas.stringWidth(text, font, size), 1e-9))
+    canvas.setFillColor(color)
+    canvas.setFont(font, size)
+    if end is not None:
+        canvas.drawRightString(end, y, text)
+        return end
+    canvas.drawString(x, y, text)
+    return x + canvas.stringWidth(text, font, size)
+
+
+def write_paragraph(
+    canvas: Canvas, x: float, y: float, text: str, size: float, *, width: float, color: str = INK, leading: float = 10.0
+) -> float:
+    """Write a text in as many lines as it takes, and return the place of the line after it."""
+    for line in broken_lines(text, size, width):
+        write_line(canvas, x, y, line, REGULAR, size, color=color, width=width)
+        y -= leading
+    return y
+
+
+def broken_lines(text: str, size: float, width: float) -> list[str]:
+    """Return the lines of a text that is broken between words."""
+    from reportlab.lib.utils import simpleSplit
+
+    return simpleSplit(text, REGULAR, size, width)
+
+
+def register_fonts() -> None:
+    """Register fonts with more glyphs than the standard PDF fonts; they come with matplotlib."""
+    import matplotlib
+    from reportlab.pdfbase.pdfmetrics import getRegisteredFontNames, registerFont
+    from reportlab.pdfbase.ttfonts import TTFont
+
+    folder = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
+    for name, file in ((REGULAR, "DejaVuSans.ttf"), (BOLD, "DejaVuSans-Bold.ttf")):
+        if name not in getRegisteredFontNames():
+            registerFont(TTFont(name, folder / file))
