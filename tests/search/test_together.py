@@ -615,7 +615,7 @@ def test_sheets_name_all_parts_of_a_step(shelf: Assembly, plan: Plan, held: Plan
 
 
 @pytest.mark.parametrize(
-    ("name", "said"), [("plan", "carried by support 1, which holds"), ("held", "supports 1 and 2")]
+    ("name", "said"), [("plan", "carried by support 2, which holds"), ("held", "supports 1 and 2")]
 )
 def test_printed_sheets_list_and_point_at_each_part_of_a_step(
     shelf: Assembly, name: str, said: str, request: pytest.FixtureRequest
