@@ -332,7 +332,7 @@ def card(options: Options) -> None:
     write_to(options.out)
     rows = [json.loads(line) for line in (options.folder / "evaluation.jsonl").read_text(encoding="utf-8").splitlines()]
     run = json.loads((options.folder / "run.json").read_text(encoding="utf-8"))
-    about = {"policy": run["policy"], "training": run["results"]}
+    about = {"network": run["policy"], "training": run["results"]}
     report("general training", device=options.device if options.device != "auto" else "cpu", **about)
     for group in dict.fromkeys(row["group"] for row in rows):
         mine = [row for row in rows if row["group"] == group]

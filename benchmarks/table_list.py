@@ -135,6 +135,19 @@ TABLES = {
         benchmark="luck halves",
         where=lambda record: "both" not in (record["half"], record["criterion"]),
     ),
+    "general": Table(
+        "general",
+        (("structures", "{group}"),),
+        (
+            ("cases", "{cases}"),
+            ("greedy, %, mean over cases", "{greedy.mean:%}"),
+            ("one of 16 samples, %, mean over cases", "{sampled.mean:%}"),
+            ("verdicts of the search, policy over support", "{ratio.median}"),
+            ("least", "{ratio.least}"),
+            ("most", "{ratio.most}"),
+        ),
+        benchmark="general group",
+    ),
     "support": Table(
         "support",
         STRUCTURE,

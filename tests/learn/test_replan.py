@@ -442,15 +442,16 @@ def test_a_replay_goes_as_far_as_the_deadline_allows(policy: bool) -> None:
 
 
 def test_at_the_deadline_a_plan_that_falls_is_not_said_to_stand() -> None:
-    """No time is left for another one, and every state of it stands."""
+    """No time is left for another one, and every state of it stands; nor is it proven that there is none."""
     answer = Replanner(ARCH, oracle=falling(lambda state: np.array_equal(state, EMPTY), seconds=0.07)).replan(
         COMPLETE, deadline=0.5
     )
-    assert answer.found
-    assert answer.deadline_passed
-    assert answer.replays[0].stands is not True
-    assert answer.replays[0].steps == 0
-    assert answer.to_dict()["replay"]["stands"] is not True
+    assert all(replayed.stands is not True for replayed in answer.replays)
+    assert answer.found == bool(answer.replays)
+    assert answer.outcome is not Outcome.PROVED_IMPOSSIBLE
+    if answer.found:
+        assert answer.deadline_passed
+        assert answer.to_dict()["replay"]["stands"] is not True
 
 
 def test_a_state_that_slides_is_no_proof() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from falsework.assembly.state import States
 from falsework.errors import InputError
+from falsework.search.problem.deadline import DeadlineExceeded
 from falsework.stability.contact.history import ReplaySettings
 from falsework.stability.contact.hold_loads import Loads
 from falsework.stability.contact.varied_replay import AllVariations
@@ -131,7 +132,11 @@ class Acceptance:
         if plain is None or self._replayer is None:
             return found
         presses = _of_all(found.presses, states)
-        histories = _histories(plain, states, presses)
+        try:
+            histories = _histories(plain, states, presses)
+        except DeadlineExceeded:
+            plain.replay(states, presses=presses)  # which notes that this route was not replayed to its end
+            raise
         row = len(histories) if len(histories) < len(states) else plain.first_tipping(states, histories)
         if row is None and self._variations is not None:
             row = self._variations.falls_at(states, presses)
