@@ -43,7 +43,8 @@ PYTEST_ARGS ?= -n logical --dist loadfile --no-loadscope-reorder
 SMOKE := tests/test_architecture.py tests/utils tests/geometry/test_contact.py tests/assembly/test_model.py \
 	tests/stability/test_theorems.py tests/search/test_planner.py tests/search/plans/test_plan.py \
 	tests/learn/training/test_checkpoint.py tests/robots/kinematics tests/viewer/test_timeline.py \
-	tests/service/test_answers.py tests/interop/test_export.py tests/cli/test_arguments.py tests/cli/test_plan.py
+	tests/service/test_answers.py tests/interop/test_export.py tests/cli/test_arguments.py tests/cli/test_plan.py \
+	tests/bench/test_structures.py
 
 .PHONY: demo install compile kernels schemas test smoke lint types docs package lock images results reference fuzz check clean help
 

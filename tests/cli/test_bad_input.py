@@ -211,7 +211,7 @@ def test_the_description_stands_for_its_folder(falsework: Run, stack: Path) -> N
 def test_no_plan(name: str, hint: str, falsework: Run, tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
     (tmp_path / "picture.png").write_bytes(b"\x89PNG\xff")
-    expect(falsework("check", tmp_path / name), 2, name, hint, "`falsework plan`")
+    expect(falsework("check", tmp_path / name), 2, name, hint, "name another file")
 
 
 @pytest.mark.parametrize(

@@ -174,12 +174,12 @@ def test_the_check_limits_robots(falsework: Run, pressing: Path) -> None:
     [
         ("free", [0, 0, 10, 0, 0, 0], 1, ", which it does not hold"),
         ("boundary", [0, 0, 10, 0, 0, 0], 1, "a robot presses abutment-9, which it does not hold"),
-        (99, [0, 0, 10, 0, 0, 0], 2, "name part 99, but parts are numbered 0 to 10"),
+        (99, [0, 0, 10, 0, 0, 0], 2, "presses[0].part is 99; it must be a part from 0 to 10"),
         ("held", [0, 0, 1e6, 0, 0, 0], 1, "does not come to rest with friction divided by 1.1 at step"),
-        ("held", [0, 0, math.nan, 0, 0, 0], 2, "must be six finite numbers"),
-        ("held", [0, 0, math.inf, 0, 0, 0], 2, "must be six finite numbers"),
-        ("held", [0, 0, "1", 0, 0, 0], 2, "must be six finite numbers"),
-        ("held", [0, 0, 1], 2, "must be six finite numbers"),
+        ("held", [0, 0, math.nan, 0, 0, 0], 2, "presses[0].wrench[2] is not finite"),
+        ("held", [0, 0, math.inf, 0, 0, 0], 2, "presses[0].wrench[2] is not finite"),
+        ("held", [0, 0, "1", 0, 0, 0], 2, "presses[0].wrench[2] is '1'; give a number"),
+        ("held", [0, 0, 1], 2, "presses[0].wrench is [0, 0, 1]; give a list of length >= 6"),
     ],
 )
 def test_wrong_presses_in_a_plan(

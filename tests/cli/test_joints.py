@@ -41,17 +41,17 @@ def test_screws_hold_a_bracket(falsework: Run, write_structure: Any, tmp_path: P
     assert held.code == 0, held.error
     refused = falsework("stability", write_structure(tmp_path / "bad", BRACKET, fasteners=[{"parts": [0, 1]}]))
     assert refused.code == 2
-    assert "is not an object with parts, at, tension" in refused.error
+    assert "fasteners[0].at is missing" in refused.error
 
 
 @pytest.mark.parametrize(
     ("described", "words"),
     [
-        ({"joints": [{"cohesion": -5}]}, "cohesion of a joint is -5; give a number from 0 up in Pa"),
-        ({"joints": {"tension": 1}}, "joints in"),
+        ({"joints": [{"cohesion": -5}]}, "joints[0].cohesion is -5; give a number >= 0"),
+        ({"joints": {"tension": 1}}, "joints is"),
         ({"joints": [{"between": ["stone", "glass"], "tension": 1}], "materials": "stone"}, "of material 'glass'"),
         ({"joints": [{"tension": 1, "parts": [0, 7]}]}, "a joint is of part 7, which does not exist"),
-        ({"materials": 3}, "materials in"),
+        ({"materials": 3}, "materials is 3; give a text or a list"),
     ],
 )
 def test_wrong_joints(falsework: Run, write_structure: Any, tmp_path: Path, described: Any, words: str) -> None:

@@ -106,12 +106,12 @@ def test_a_plan_that_discrete_elements_build(falsework: Run, tmp_path: Path) -> 
     assert planned.code == 0, planned.error
     assert "discrete elements build the plan too\n" in planned.out
     judgement = json.loads(out.read_text())["replay"]["judgement"]
-    assert judgement == {"built": 15, "of": 15, "falls_at": None, "part": -1, "undecided": []}
+    assert judgement == {"built": 15, "of": 15}
     assert "not verified: its replay, its build by discrete elements" in falsework("check", out).out
     checked = falsework("check", out, "--judge", "--json")
     assert checked.code == 0, checked.error
     assert checked.answer["unverified"] == ["its replay"]
-    assert checked.answer["judgement"] == judgement
+    assert judgement.items() <= checked.answer["judgement"].items()
 
 
 def test_a_plan_that_discrete_elements_do_not_build(

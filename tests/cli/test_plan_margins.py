@@ -104,12 +104,12 @@ def test_wrong_margins(falsework: Run, stack: Path, tmp_path: Path, options: tup
     ("change", "words"),
     [
         ({"demands": {"tilt": "2deg"}}, "margins.demands.tilt"),
-        ({"demands": {"wind": 1.0}}, "margins.demands must be an object"),
-        ({"measured": {"friction": [0.1]}}, "one a state"),
-        ({"measured": {"wind": []}}, "margins.measured must be an object"),
+        ({"demands": {"wind": 1.0}}, "margins.demands.wind is not known"),
+        ({"measured": {"friction": [0.1]}}, "margins.measured.friction has 1 numbers; the plan has 7 states"),
+        ({"measured": {"wind": []}}, "margins.measured.wind is not known"),
         ({"maximised": "wind"}, "margins.maximised"),
         ({"bound": -1}, "margins.bound"),
-        ({"more": 1}, "margins must be an object"),
+        ({"more": 1}, "margins.more is not known"),
     ],
 )
 def test_damaged_margins_in_a_plan(falsework: Run, tmp_path: Path, change: dict[str, Any], words: str) -> None:

@@ -223,7 +223,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert text.startswith(b"\xef\xbb\xbfstep,")
     capsys.readouterr()
     for out, hint in (
-        ("site.doc", "no export format ends in .doc; write .glb, .gltf, .usd, .usda, .html, .json, .pdf, .csv"),
+        ("site.doc", "no export format ends in .doc; write .json, .csv, .glb, .gltf, .html, .pdf, .usd, .usda"),
         ("no/site.csv", "no folder"),
     ):
         assert run("export", plan, "--out", tmp_path / out) == 2

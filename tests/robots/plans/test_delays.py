@@ -145,11 +145,17 @@ def test_a_missing_wait_is_found(
 
 
 def test_parts_that_still_stand_are_seen(scheduled: RobotPlan, judge: PinocchioCollisionChecker) -> None:
-    early = next(edge for edge in graph_of(scheduled).edges if edge.why == "part")
-    hasty = with_edges(scheduled, lambda edge: edge.after != early.after or edge.why in ("arm", "state"))
-    problems = [problem for problem in check_delays(hasty, judge).problems if "may stand then" in problem.what]
-    assert problems
-    assert problems[0].step == graph_of(scheduled).nodes[early.after].step
+    """Without any other wait of that motion; some waits follow from those of other motions."""
+    seen = []
+    for early in (edge for edge in graph_of(scheduled).edges if edge.why == "part"):
+        waits = with_edges(
+            scheduled, lambda edge, early=early: edge.after != early.after or edge.why in ("arm", "state")
+        )
+        problems = check_delays(waits, judge, most=10_000).problems
+        problems = [problem for problem in problems if "may stand then" in problem.what]
+        seen += [problem.step == graph_of(scheduled).nodes[early.after].step for problem in problems[:1]]
+    assert seen
+    assert all(seen)
 
 
 def test_order_is_required(scheduled: RobotPlan, judge: PinocchioCollisionChecker) -> None:

@@ -341,7 +341,7 @@ def test_the_first_unstable_state_is_found(plan: Plan, small_arch: Assembly) -> 
         forces=None,
     )
     # The states do not follow from the actions, which is found without any solver.
-    assert "do not lead through" in validate_plan(fallen, small_arch).reason
+    assert "does not lead to the next state" in validate_plan(fallen, small_arch).reason
     ends = replace(fallen, states=np.array([before, loose]), actions=np.array([let_go]))
     report = validate_plan(ends, small_arch)
     assert not report.good

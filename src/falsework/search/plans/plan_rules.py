@@ -47,7 +47,7 @@ def broken_rule(
             if wrong:
                 return step + 1, f"{place} {wrong}"
         elif not np.array_equal(led_to[step], states[step + 1]):
-            return step + 1, "the actions do not lead through the states of the plan"
+            return step + 1, f"{place} does not lead to the next state of the plan"
     for step, presses in enumerate(plan.presses):
         wrong = _broken_press(plan, step, [press.part for press in presses]) if presses else ""
         if wrong:
