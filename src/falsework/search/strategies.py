@@ -30,6 +30,9 @@ EVERYWHERE = "everywhere"
 TOGETHER = "together-"
 """Before the name of a direction: beam in which steps may move several parts, at last without a limit."""
 
+_EDGES_FIRST = 300
+"""Parts from which free edges are closed in the first turn under `equilibrium`, not in the second: most smaller shells
+need it not, and the first turn of another beam costs large ones more than their plan."""
 _FIRST_SHARE = 8
 """Verdicts for each part of the structure that each strategy may ask for in the first round, and twice as many in each
 further one. Searches without dead ends take half as many."""
@@ -92,7 +95,7 @@ class Portfolio:
             settings: effort and directions.
             stage: `plan`, `postpone` or `alternatives`.
             task: the rules.
-            edges: in stage `plan`, begin with a beam that closes free edges first.
+            edges: in stage `plan`, a beam that closes free edges first takes turns too.
         """
         names = [direction.value for direction in settings.directions]
         if stage == "postpone":
@@ -110,7 +113,8 @@ class Portfolio:
         if moves_together(task, settings):  # plans that move one part at a time come first, as they are simpler
             names += [TOGETHER + name for name in names]
         if edges and Direction.ASSEMBLY in settings.directions:
-            names.insert(0, EDGES)
+            first = not task.holds_keep_stable or task.part_count >= _EDGES_FIRST
+            names.insert(0 if first else 1, EDGES)
         return cls(tuple(names), 1, settings.width, share)
 
 

@@ -27,8 +27,6 @@ _ROW, _STRICT_ROW = 0.3, 3.0
 for what is behind it, and with many, which would hold the ends of all these rows."""
 _MANY_ROBOTS = 5
 """Robots from which on rows are closed strictly in order."""
-_LARGE = 300
-"""Parts from which free edges are closed first under `equilibrium`; in smaller structures that saves no time."""
 _BESIDE_HELD = 0.15
 """Shares of support that a place beside a held part counts as."""
 
@@ -94,10 +92,9 @@ class SupportGuide:
         """Return a heuristic that closes free edges first; None where it is of no use for a task.
 
         Two robots suffice: where contact histories matter, one of them presses while the other lets go. Under
-        `equilibrium` this order saves time in large shells only. An edge that stands already need not be closed.
+        `equilibrium` there are shells for which no other order was found. An edge that stands already need not be closed.
         """
-        useful = task.robots > 1 and (not task.holds_keep_stable or task.part_count >= _LARGE)
-        if not useful or (task.target[~task.boundary] != REMOVED).any():
+        if task.robots < 2 or (task.target[~task.boundary] != REMOVED).any():
             return None
         rows, strict = self._rows, task.holds_keep_stable or task.robots >= _MANY_ROBOTS
         return None if rows is None else EdgeGuide(self, rows, _STRICT_ROW if strict else _ROW)
