@@ -13,10 +13,11 @@ from falsework.assembly.state import complete_state
 from falsework.search import find_plans
 from falsework.search.find import Planning, task_of
 from falsework.search.planner import Planner
-from falsework.search.problem import guide as guides
 from falsework.search.problem.edge_rows import edge_rows
 from falsework.search.problem.guide import SupportGuide
 from falsework.search.problem.task import Direction
+from falsework.search.settings import PlannerSettings
+from falsework.search.strategies import EDGES, Portfolio
 from falsework.stability import Stability
 from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
 
@@ -101,17 +102,14 @@ def test_one_robot_and_standing_parts_leave_the_guide_as_it_is(vault: Assembly) 
     assert guide.edges_first(task_of(vault, 3, target=target)) is None
 
 
-def test_two_robots_build_a_large_vault_from_its_edges_under_equilibrium(
-    vault: Assembly, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    oracle = Stability(vault, EQUILIBRIUM)
-    task = task_of(vault, 2).judged_by(oracle)
-    assert SupportGuide(vault).edges_first(task) is None  # not in small ones
-    monkeypatch.setattr(guides, "_LARGE", vault.part_count)
-    assert SupportGuide(vault).edges_first(task) is not None
-    assert SupportGuide(vault).edges_first(task_of(vault, 1).judged_by(oracle)) is None
-    planning = find_plans(vault, robots=2, oracle=oracle, forces=False)
-    _check_rows_in_order(planning, vault)
+def test_under_equilibrium_edges_come_second_in_small_shells_and_first_in_large_ones(vault: Assembly) -> None:
+    for assembly, place in ((vault, 1), (load_structure("vault:parts=350"), 0)):
+        task = task_of(assembly, 2).judged_by(Stability(assembly, EQUILIBRIUM))
+        guide = SupportGuide(assembly)
+        assert guide.edges_first(task) is not None
+        assert guide.edges_first(task_of(assembly, 1).judged_by(Stability(assembly, EQUILIBRIUM))) is None
+        portfolio = Portfolio.of(PlannerSettings(), "plan", task, edges=True)
+        assert portfolio.names.index(EDGES) == place
 
 
 def test_under_equilibrium_most_parts_wait_for_the_rows_before() -> None:
@@ -132,10 +130,7 @@ def test_three_robots_build_a_vault_from_its_edges(vault: Assembly) -> None:
 
 
 @pytest.mark.parametrize("robots", [2, 3])
-def test_resuming_a_search_from_the_edges_changes_nothing(
-    vault: Assembly, robots: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(guides, "_LARGE", vault.part_count)
+def test_resuming_a_search_from_the_edges_changes_nothing(vault: Assembly, robots: int, tmp_path: Path) -> None:
     oracle = Stability(vault, EQUILIBRIUM if robots == 2 else StabilitySettings())
     task, guide = task_of(vault, robots).judged_by(oracle), SupportGuide(vault)
     expected = Planner(task, oracle, guide=guide).run()

@@ -92,7 +92,7 @@ class SupportGuide:
         """Return a heuristic that closes free edges first; None where it is of no use for a task.
 
         Two robots suffice: where contact histories matter, one of them presses while the other lets go. Under
-        `equilibrium` there are shells for which no other order was found. An edge that stands already need not be closed.
+        `equilibrium` there are shells for which no other order was found. An edge that stands need not be closed.
         """
         if task.robots < 2 or (task.target[~task.boundary] != REMOVED).any():
             return None
