@@ -91,6 +91,7 @@ def test_the_answer_says_what_was_checked(falsework: Run, planned: Path) -> None
         "robots": 2,
         "props": 0,
         "prop_limit": 0,
+        "parts_at_once": 1,
         "start": [0, 0, 0, 2, 2],
         "end": [1, 1, 1, 2, 2],
     }
