@@ -72,6 +72,11 @@ def as_states(states: ArrayLike, boundary: Mask) -> States:
     return np.ascontiguousarray(array, dtype=np.uint8)
 
 
+def state_of_key(key: bytes) -> States:
+    """Return the state whose bytes are a key, shape (parts,), read-only."""
+    return np.frombuffer(key, dtype=np.uint8)
+
+
 def check_robots(robots: int) -> int:
     """Return the number of robots, or raise `InputError` if it is no whole number from one to `MOST_ROBOTS`."""
     try:

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import HELD, States
+from falsework.assembly.state import HELD, States, state_of_key
 from falsework.search.beam.backjumping import WIDENING
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.oracle import CountingOracle, Oracle
 from falsework.search.problem.result import (
+    REPORTED_STATES,
     Outcome,
     Progress,
     Route,
@@ -25,15 +26,12 @@ from falsework.search.problem.result import (
     unstable_end,
 )
 from falsework.search.problem.task import Direction, Task
+from falsework.search.support.everywhere import STATE_LIMIT
 from falsework.search.support.histories import WayHistories
 from falsework.search.together.moves import TogetherMoves
 
-STATE_LIMIT = 200_000
-"""Stable states after which a search of unlimited width gives up."""
 _AT_ONCE = 16
 """States that are judged together."""
-_REPORTED_STATES = 64
-"""States handed back as deepest and as rejected, at most."""
 
 
 @dataclass(eq=False)
@@ -175,7 +173,7 @@ class TogetherBeam:
                 STATE_LIMIT, not self._left_out, judge.undecided, judge.sliding, self.moves.doubt
             )
         deepest, rejected = (
-            np.array([_array(key) for key in keys[:_REPORTED_STATES]], dtype=np.uint8).reshape(-1, parts)
+            np.array([state_of_key(key) for key in keys[:REPORTED_STATES]], dtype=np.uint8).reshape(-1, parts)
             for keys in (self._deepest, self._rejected)
         )
         # Where a disassembly ends, turns or ways in several moves might lead on.
@@ -215,12 +213,12 @@ class TogetherBeam:
             asked = [(key, parent) for key, parent in asked if key not in free]
             self._stable.update(dict.fromkeys(free, True))
         if asked:
-            states, parents = (np.stack([_array(pair[k]) for pair in asked]) for k in (0, 1))
+            states, parents = (np.stack([state_of_key(pair[k]) for pair in asked]) for k in (0, 1))
             stable = self.judge.stable(states, parents)
             self._stable.update({key: bool(good) for (key, _), good in zip(asked, stable, strict=True)})
         for key, candidate in batch:
             good = self._stable[key] and self._comes_to_rest(key, candidate.parent)
-            steps = self.moves.after(_array(key), self.direction) if good else None
+            steps = self.moves.after(state_of_key(key), self.direction) if good else None
             self._queue.popleft()  # an interruption before leaves it for the next run
             if steps is not None:
                 self._take(key, candidate, *steps)
@@ -231,12 +229,12 @@ class TogetherBeam:
         """Return whether a stable state is at rest with its contact history too, and keep that."""
         if self._histories is None or not parent:
             return True
-        found = self._histories.along(parent, [_array(key)])
+        found = self._histories.along(parent, [state_of_key(key)])
         if found is None:
             self._refused = True
             self.judge.sliding += 1
             return False
-        self._histories.keep([_array(key)], found)
+        self._histories.keep([state_of_key(key)], found)
         return True
 
     def _take(self, key: bytes, candidate: _Candidate, after: States, actions: NDArray[np.int64]) -> None:
@@ -252,7 +250,7 @@ class TogetherBeam:
         if not len(after):
             return
         self._seen += len(after)
-        state = _array(key)
+        state = state_of_key(key)
         scores = self._scores(state, actions)
         stages = np.abs(self.task.steps_done(after) - self.task.steps_done(self.task.origin(self.direction)[None]))
         fixes = ((after == state) | (after == HELD)).all(axis=1)
@@ -277,11 +275,7 @@ class TogetherBeam:
     def _route(self) -> Route:
         chain, key = [], self.task.goal(self.direction).tobytes()
         while key:
-            chain.append(_array(key))
+            chain.append(state_of_key(key))
             key = self.parent[key]
         states = np.array(chain if self.direction is Direction.ASSEMBLY else chain[::-1])
         return Route.through(states)
-
-
-def _array(key: bytes) -> States:
-    return np.frombuffer(key, dtype=np.uint8)

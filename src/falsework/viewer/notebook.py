@@ -1,4 +1,4 @@
-"""What notebooks show of assemblies, plans, verdicts, robot plans and answers: a picture and a table, in HTML.
+"""HTML of assemblies, plans, verdicts, robot plans and answers in notebooks: a picture and a table.
 
 A picture is left out, with the reason, where a package is missing or a plan does not name its structure.
 """

@@ -15,7 +15,7 @@ from falsework.geometry.contact.interfaces import Contacts
 Array = NDArray[np.float64]
 
 _FASTER = 100.0
-"""How much faster than a part others may be while it counts as moving."""
+"""Largest ratio of the speed of another part to that of a part that counts as moving."""
 
 
 def can_begin_to_move(contacts: Contacts, parts: PartSet, present: NDArray[np.bool_]) -> bool:

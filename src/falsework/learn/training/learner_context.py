@@ -1,4 +1,4 @@
-"""What a learner of a training run is made from."""
+"""Inputs from which a learner of a training run is made."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What users bring to a training run: policy, reward, learner and callbacks of their own."""
+"""Components of a training run that users supply: policy, reward, learner and callbacks."""
 
 from __future__ import annotations
 

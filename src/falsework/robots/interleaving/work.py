@@ -61,7 +61,7 @@ class ArmSweep:
 
 
 Wait = tuple[float, float]
-"""How long after what another arm did a motion may begin, seconds: after that began, or if it is a rest after its end,
+"""Least delay of a motion after what another arm did, seconds: after the start of its motion, or the end of its rest,
 where the plan is executed as a disassembly; and after its end where it is executed backwards, as an assembly. There the
 earlier of two motions comes second, and the later must be over by then."""
 NO_WAIT: Wait = (-np.inf, -np.inf)

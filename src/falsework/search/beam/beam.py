@@ -23,11 +23,8 @@ from falsework.search.beam.ways import BeamWays
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.hashing import StateHash
 from falsework.search.problem.oracle import CountingOracle, Oracle
-from falsework.search.problem.result import Outcome, SearchCounters, SearchResult, beam_failure
+from falsework.search.problem.result import REPORTED_STATES, Outcome, SearchCounters, SearchResult, beam_failure
 from falsework.search.problem.task import Direction, Task
-
-_REPORTED_STATES = 64
-"""States handed back as deepest and as rejected, at most."""
 
 
 class BeamSearch(LevelSearch):
@@ -121,8 +118,8 @@ class BeamSearch(LevelSearch):
         self._dead = len(choice.kept) == 0
         if self._dead and len(self.levels) > self._farthest:
             self._farthest = len(self.levels)
-            self._deepest = level.states[:_REPORTED_STATES]
-            self._rejected = frontier.states(choice.rejected[:_REPORTED_STATES])
+            self._deepest = level.states[:REPORTED_STATES]
+            self._rejected = frontier.states(choice.rejected[:REPORTED_STATES])
         # A state refused because of the way to it may be reached by another, which was merged with this one, unless it
         # is unstable however it is reached.
         whole = choice.exhaustive and not refuted and all(self._whole[: len(self.levels) - 1])
@@ -309,7 +306,7 @@ class BeamSearch(LevelSearch):
             direction=self.settings.direction,
             steps=self.task.steps,
             reached=max(len(self.levels), self._farthest, 1) - 1,
-            deepest=self.levels[-1].states[:_REPORTED_STATES] if farther_now else self._deepest,
+            deepest=self.levels[-1].states[:REPORTED_STATES] if farther_now else self._deepest,
             rejected=self._rejected[:0] if farther_now else self._rejected,
             counters=self.counters,
             seconds=self._seconds,

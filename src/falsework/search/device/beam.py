@@ -15,6 +15,7 @@ from falsework.search.device.k_means import find_centers
 from falsework.search.device.oracle import BatchedTensorOracle, TensorOracle
 from falsework.search.device.rules import TensorRules
 from falsework.search.problem.result import (
+    REPORTED_STATES,
     Outcome,
     SearchCounters,
     SearchResult,
@@ -32,8 +33,6 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-_REPORTED_STATES = 64
-"""Largest number of states reported as deepest and as rejected."""
 _SAMPLES_PER_CLUSTER = 4
 """Candidates a cluster that the centres are found from; all are assigned to clusters afterwards."""
 _CHUNK_BYTES = 1 << 28
@@ -188,7 +187,7 @@ class DeviceBeam(LevelSearch):
         self.exhaustive &= found <= width
         self._dead = found == 0
         if self._dead:
-            some = candidates.take(asked[:_REPORTED_STATES])
+            some = candidates.take(asked[:REPORTED_STATES])
             self._rejected = self._written(level, some).cpu().numpy()
             return False
         kept = candidates.take(chosen)
@@ -214,7 +213,7 @@ class DeviceBeam(LevelSearch):
             direction=self.settings.direction,
             steps=self.task.steps,
             reached=max(len(self._levels) - 1, 0),
-            deepest=self.levels[-1].states[:_REPORTED_STATES] if self._levels else self._rejected[:0],
+            deepest=self.levels[-1].states[:REPORTED_STATES] if self._levels else self._rejected[:0],
             rejected=self._rejected,
             counters=self.counters,
             seconds=self._seconds,

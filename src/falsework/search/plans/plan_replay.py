@@ -10,6 +10,7 @@ import numpy as np
 from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.search.problem.deadline import DeadlineExceeded
+from falsework.search.problem.timed_replayer import PIECE
 from falsework.stability.contact.history import ReplaySettings
 from falsework.stability.contact.hold_loads import Loads
 from falsework.stability.contact.varied_replay import AllVariations
@@ -23,9 +24,6 @@ if TYPE_CHECKING:
 
 _REPEATS, _LEAST = 1.1, 1e-9
 """Factor and length in m within which two replays of the same plan agree, on different processors too."""
-
-_PIECE = 8
-"""Steps replayed at a time."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +82,7 @@ def _histories(replayer: VariableReplayer, states: States, presses: tuple[tuple[
     """
     found = list(replayer.replay(states[:1], presses=presses[:1]).histories)
     while 0 < (done := len(found)) < len(states):
-        rows = slice(done - 1, done + _PIECE)
+        rows = slice(done - 1, done + PIECE)
         step = replayer.replay(states[rows], found[-1], presses[rows])
         found += step.histories[1:]
         if not step.good:

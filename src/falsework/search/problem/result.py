@@ -15,6 +15,9 @@ from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Verdict
 from falsework.utils.quantity import counted
 
+REPORTED_STATES = 64
+"""States that a result has as deepest and as rejected, at most."""
+
 
 class Outcome(StrEnum):
     """Outcome of a search."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from falsework.assembly.state import REMOVED, States
+from falsework.assembly.state import REMOVED, States, state_of_key
 from falsework.search.problem.result import Route
 
 
@@ -26,7 +26,7 @@ class SupportRoute(Route):
         """Return the route to a state through the states that each was reached from; the first has none."""
         chain = []
         while last:
-            chain.append(np.frombuffer(last, dtype=np.uint8))
+            chain.append(state_of_key(last))
             last = parent[last]
         return cls.through(np.array(chain[::-1]).reshape(-1, parts))
 

@@ -21,7 +21,7 @@ from falsework.stability.holds import Press
 from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
 
-_PIECE = 8
+PIECE = 8
 """Steps replayed between two checks of the time."""
 
 
@@ -299,7 +299,7 @@ class DeadlineReplayer:
             if self._clock.passed:
                 break
             first = max(progress.reached - 1, 0)  # the last state at rest, whose history is known
-            rows = slice(first, min(first + _PIECE + 1, count))
+            rows = slice(first, min(first + PIECE + 1, count))
             with self._clock.timed("replays"):
                 found = self._replayer.replay(states[rows], progress.history, given and given[rows])
             done = int(np.argmin(np.append(found.stands == RESTS, False)))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from falsework.assembly.state import REMOVED, States
+from falsework.assembly.state import REMOVED, States, state_of_key
 from falsework.search.beam.backjumping import WIDENING
 from falsework.search.beam.conflicts import luby
 from falsework.search.problem.deadline import DeadlineExceeded
@@ -152,7 +152,7 @@ class SupportBeam:
             direction=self.direction,
             steps=2 * self._moves.removals,
             reached=2 * self._farthest,
-            deepest=np.array([_array(key) for key in self._last], dtype=np.uint8).reshape(-1, parts),
+            deepest=np.array([state_of_key(key) for key in self._last], dtype=np.uint8).reshape(-1, parts),
             rejected=np.array(self._rejected, dtype=np.uint8).reshape(-1, parts),
             counters=self.counters,
             seconds=self._seconds,
@@ -224,7 +224,7 @@ class SupportBeam:
 
     def _across(self, key: bytes) -> Iterator[_Way]:
         """Yield the paths from a state to those with one part fewer, or in assembly more, and a robot free."""
-        moves, state = self._moves, _array(key)
+        moves, state = self._moves, state_of_key(key)
         for action, after in self._after(state, presence=True):
             if self._free(after):
                 yield self._way(key, action, after)
@@ -248,7 +248,7 @@ class SupportBeam:
 
     def _within(self, key: bytes) -> Iterator[_Way]:
         """Yield the paths from a state to those with the same parts, other holds or props, and a robot free."""
-        state, moves = _array(key), self._moves
+        state, moves = state_of_key(key), self._moves
         for action, after in self._after(state, presence=False):
             if self._free(after):
                 yield self._way(key, action, after)
@@ -289,7 +289,7 @@ class SupportBeam:
 
     def _way(self, origin: bytes, action: int, *states: States) -> _Way:
         """Return a path with its score: free robots first, then few props, then the guide, then few moves."""
-        before = _array(origin)
+        before = state_of_key(origin)
         mask = np.zeros((1, 2 * self._moves.parts), dtype=bool)
         mask[0, action] = True
         score = float(self._guide(before[None], mask, self.direction)[0, action])
@@ -320,7 +320,7 @@ class SupportBeam:
             for way in ways:
                 if len(way.states) < -place or any(self._known.get(s.tobytes()) is False for s in way.states):
                     continue
-                before = way.states[place - 1] if len(way.states) > -place else _array(way.origin)
+                before = way.states[place - 1] if len(way.states) > -place else state_of_key(way.origin)
                 state = way.states[place]
                 if state.tobytes() not in self._known:
                     asked.setdefault(state.tobytes(), (state, before))
@@ -364,7 +364,7 @@ class SupportBeam:
             self._restart(self.width * WIDENING)
             return True
         self._since += 1
-        self._refuted |= {self._presence(_array(key)) for key in self._levels[level - distance + 1]}
+        self._refuted |= {self._presence(state_of_key(key)) for key in self._levels[level - distance + 1]}
         del self._levels[level - distance + 1 :]
         return True
 
@@ -380,11 +380,11 @@ class SupportBeam:
         ring = list(self._levels[-1])
         while goal not in self.parent:
             for key in ring:
-                state = _array(key)
+                state = state_of_key(key)
                 for _, after in [*self._after(state, presence=False), *self._props(state)]:
                     if after.tobytes() not in seen:
                         seen.add(after.tobytes())
-                        lacking, count = int(np.sum(after != _array(goal))), count + 1
+                        lacking, count = int(np.sum(after != state_of_key(goal))), count + 1
                         heappush(ways, (lacking, count, _Way(key, (after,), 0.0)))
             if not ways or count > _MOST_AT_GOAL:
                 break
@@ -394,7 +394,3 @@ class SupportBeam:
             return None
         route = SupportRoute.back_from(goal, self.parent, self.task.part_count)
         return route if self.direction is Direction.DISASSEMBLY else SupportRoute.through(route.states[::-1].copy())
-
-
-def _array(key: bytes) -> States:
-    return np.frombuffer(key, dtype=np.uint8)

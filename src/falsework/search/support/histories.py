@@ -6,9 +6,7 @@ from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from falsework.assembly.state import States
+from falsework.assembly.state import States, state_of_key
 from falsework.search.beam.histories import histories_in_memory
 
 if TYPE_CHECKING:
@@ -31,7 +29,7 @@ class WayHistories:
 
     def along(self, origin: bytes, states: Sequence[States]) -> list[History] | None:
         """Return the histories after each of some moves from a state; None where one does not come to rest."""
-        history, before = self._of(origin), np.frombuffer(origin, dtype=np.uint8)
+        history, before = self._of(origin), state_of_key(origin)
         found = []
         for after in states:
             stands, history = (False, None) if history is None else self._replayer.step(history, before, after)
@@ -55,11 +53,11 @@ class WayHistories:
             way.append(self._parent[way[-1]])
         first = way.pop()
         if first not in self._known:
-            start = self._replayer.replay(np.frombuffer(first, dtype=np.uint8)[None])
+            start = self._replayer.replay(state_of_key(first)[None])
             if not start.histories:
                 return None
             self._known[first] = start.histories[0]
-        states = [np.frombuffer(key, dtype=np.uint8) for key in reversed(way)]
+        states = [state_of_key(key) for key in reversed(way)]
         history = self._known[first]
         if states:
             found = self.along(first, states)

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Protocol, Self
 
 import numpy as np
@@ -22,7 +23,6 @@ from falsework.stability.contact.history import History, Presses, Replay, Replay
 from falsework.stability.contact.hold_loads import Loads
 from falsework.stability.contact.newton import FIRST_STEP, OPEN
 from falsework.stability.contact.replay import Replayer
-from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.holds import inexact_presses
 from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
@@ -139,9 +139,20 @@ def changed(
     for change in changes:
         holds = replace(settings.holds, stiffness=change.hold_factor * settings.holds.stiffness)
         settings = replace(settings, holds=holds, stiffness_ratio=change.ratio or settings.stiffness_ratio)
-        if change.press is not None:
-            presses = [inexact_presses(some)[change.press] if some else () for some in presses]
-    return settings, replay, presses
+    return settings, replay, _inexact(changes, presses)
+
+
+def _inexact(changes: Sequence[Change], presses: Presses) -> Presses:
+    """Return presses with the errors of some changes."""
+    for error in (change.press for change in changes if change.press is not None):
+        presses = [inexact_presses(some)[error] if some else () for some in presses]
+    return presses
+
+
+def _replayed(replayer: VariableReplayer, change: Change, states: States, presses: Presses) -> Replay:
+    """Return the replay of a plan under one change."""
+    settings, varied, pressed = changed([change], replayer.settings, presses)
+    return replayer.vary(settings, varied).replay(states, presses=pressed)
 
 
 def variations(settings: StabilitySettings, draws: int, presses: Presses = ()) -> list[Change]:
@@ -157,19 +168,6 @@ def variations(settings: StabilitySettings, draws: int, presses: Presses = ()) -
     return [*found, *map(_draw, range(1, draws + 1)), *(_PRESSES if any(presses) else ())]
 
 
-@dataclass(frozen=True)
-class _Member:
-    """Replayer under changed settings, and the changes, those of presses included."""
-
-    replayer: Replayer
-    changes: Sequence[Change]
-    settings: StabilitySettings
-
-    def replay(self, batch: States, history: History | None, presses: Presses) -> Replay:
-        """Replay checked states; robots err in the presses as the changes say."""
-        return self.replayer._replay(batch, history, changed(self.changes, self.settings, presses)[2])
-
-
 class EnsembleReplayer(Replayer):
     """Replayer of one structure under its settings and, at the same time, under groups of changes of them.
 
@@ -178,30 +176,21 @@ class EnsembleReplayer(Replayer):
 
     varies = True
 
-    def __init__(
-        self,
-        assembly: Assembly,
-        settings: StabilitySettings = StabilitySettings(),
-        replay: ReplaySettings = ReplaySettings(),
-        solver: ContactSolver | None = None,
-    ) -> None:
-        """Lay out the structure; see `Replayer`."""
-        super().__init__(assembly, settings, replay, solver)
+    @cached_property
+    def _members(self) -> list[tuple[Replayer, Sequence[Change]]]:
+        """Replayer under each group of changes, and the group."""
         known = variations(self.settings, draws=len(GROUPS))
-        self._members = []
-        for group in GROUPS:
-            changes = [change for change in group if change in known or change.press is not None]
-            other, numerics, _ = changed(changes, self.settings, ())
-            self._members.append(_Member(self.vary(other, numerics), changes, self.settings))
+        groups = [[change for change in group if change in known or change.press is not None] for group in GROUPS]
+        return [(self.vary(*changed(group, self.settings, ())[:2]), group) for group in groups]
 
     def _replay_all(self, batch: States, history: History | None, presses: Presses) -> Replay:
         found = self._replay(batch, history, presses)
         if history is not None and not history.changed:
             return found
         others, reached = list[Sequence[History]](), len(found.histories)
-        for number, member in enumerate(self._members if reached else ()):
+        for number, (member, group) in enumerate(self._members if reached else ()):
             past = None if history is None else history.changed[number]
-            other = member.replay(batch[:reached], past, presses[:reached])
+            other = member._replay(batch[:reached], past, _inexact(group, presses[:reached]))
             others.append(other.histories)
             if len(other.histories) < reached:
                 reached = len(other.histories)
@@ -235,8 +224,7 @@ def replay_varied(
     given: Presses = [()] * len(states) if presses is None else presses
 
     def run(change: Change) -> Variation:
-        settings, replay, pressed = changed([change], replayer.settings, given)
-        result = replayer.vary(settings, replay).replay(states, presses=pressed)
+        result = _replayed(replayer, change, states, given)
         return Variation(change.name, result.good, result.falls_at)
 
     with ThreadPoolExecutor(core_count()) as pool:
@@ -266,8 +254,7 @@ class AllVariations:
         workers = core_count()
 
         def run(change: Change) -> int | None:
-            settings, varied, pressed = changed([change], self._replayer.settings, presses)
-            return self._replayer.vary(settings, varied).replay(states, presses=pressed).falls_at
+            return _replayed(self._replayer, change, states, presses).falls_at
 
         with ThreadPoolExecutor(workers) as pool:
             for first in range(0, len(changes), workers):
