@@ -37,13 +37,15 @@ from falsework.learn.training.evaluate import greedy_success, sample
 from falsework.search.device.oracle import TensorOracle, without_fallback
 from falsework.search.problem.hashing import StateIndex
 from falsework.search.problem.task import Direction
-from falsework.stability import Stability, StabilitySettings
+from falsework.stability import PressingStability, Stability, StabilitySettings
 from falsework.utils.tensors import put
 
 TRAIN_WIDTH, TEST_WIDTH = 64, 128
 TEST_SEEDS, VALIDATION_SEEDS = (1, 11, 21, 31), (2, 12, 22)
 WIDE_SEED = 1000
 """Seed of the first of the wider searches to learn from."""
+PRESSED = 64
+"""Failures of each test draw that are tried again with presses, at most: these are sought state by state."""
 _ROWS = 1024
 """States whose distances are computed at once."""
 
@@ -195,11 +197,15 @@ def success_on_draws(
     oracle = Stability(assembly, StabilitySettings(criterion=settings.criterion))
     environment = Environment(assembly, settings.robots, oracle=oracle, device=device)
     network = Network(policy, settings.resolved(assembly.part_count, device.type).precision)
+    pressed = None
+    if settings.criterion == "contact":
+        pressed = Environment(assembly, settings.robots, oracle=PressingStability(oracle), device=device)
     known = learned_from(assembly, draw)
     found: list[dict[str, Any]] = []
     for seed, states in draw.tests.items():
         chosen = sample(states, most)
         success, each = greedy_success(environment, network, put(chosen, device))
+        failed = chosen[~each.cpu().numpy()]
         far = distances(chosen, known, device)
         found.append(
             {
@@ -210,6 +216,7 @@ def success_on_draws(
                 "success": success.share,
                 "distance": round(float(far.mean()), 3) if len(far) else 0.0,
                 "by_distance": by_distance(far, each.cpu().numpy()),
+                **({} if pressed is None else with_presses(pressed, network, failed)),
             }
         )
     train, _ = greedy_success(environment, network, put(sample(draw.dataset.train, most), device))
@@ -222,6 +229,21 @@ def success_on_draws(
         "training_states": len(known),
         "training_states_found": len(draw.dataset.train) + len(draw.dataset.more),
     }
+
+
+def with_presses(environment: Environment, network: Network, failed: States) -> dict[str, int]:
+    """Return from how many states the policy succeeds only where its robots may press.
+
+    Where it succeeds without presses it does so with them too, by the same actions.
+
+    Args:
+        environment: whose robots press.
+        network: as it was trained.
+        failed: states from which it fails without, shape (count, parts).
+    """
+    tried = sample(failed, PRESSED)
+    success, _ = greedy_success(environment, network, put(tried, environment.device))
+    return {"failed": len(failed), "tried_with_presses": len(tried), "succeeded_with_presses": success.succeeded}
 
 
 def _without(states: States, others: States) -> States:

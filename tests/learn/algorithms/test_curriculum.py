@@ -14,6 +14,7 @@ from falsework.assembly import load_structure  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
 from falsework.learn.algorithms.blended_starts import BlendedStarts  # noqa: E402
 from falsework.learn.algorithms.curriculum import _CORRECTED_AFTER, Curriculum  # noqa: E402
+from falsework.learn.algorithms.exploration import Exploration  # noqa: E402
 from falsework.learn.algorithms.ppo import PPO  # noqa: E402
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
 from falsework.learn.config.ppo import REINFORCEMENT, CurriculumSettings  # noqa: E402
@@ -180,7 +181,8 @@ def test_blended_starts_are_a_curriculum_and_any_solvable_states_within_its_hori
     curriculum = make(environment.rules, states, stages=4)
     assert curriculum.widening
     solved = SolvableStates(environment.rules, states)
-    starts = BlendedStarts(curriculum, solved, 0.25)
+    exploration = Exploration(environment, solved, states)
+    starts = BlendedStarts(curriculum, solved, 0.25, exploration=exploration, explored=0.0)
     batch: Any = starts.sample(40, generator)
     assert len(batch.states) == 40
     assert len(batch.rows) == 30

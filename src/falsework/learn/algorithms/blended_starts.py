@@ -1,27 +1,39 @@
-"""Start states of reinforcement from scratch: a curriculum, and states that rollouts passed."""
+"""Start states of reinforcement from scratch: a curriculum, states that rollouts passed, and explored ones."""
 
 from __future__ import annotations
 
 import torch
 
 from falsework.learn.algorithms.curriculum import Curriculum
+from falsework.learn.algorithms.exploration import Exploration
 from falsework.learn.algorithms.rollout_storage import Transitions
 from falsework.learn.algorithms.start_states import StartBatch
 from falsework.learn.data.solvable_states import SolvableStates
 
 
 class BlendedStarts:
-    """States of a curriculum, and any solvable states within its horizon, those that rollouts passed included."""
+    """States of a curriculum and, within its horizon, any solvable states, and states that are explored for this."""
 
-    def __init__(self, curriculum: Curriculum, solved: SolvableStates, anywhere: float) -> None:
+    def __init__(
+        self,
+        curriculum: Curriculum,
+        solved: SolvableStates,
+        anywhere: float,
+        *,
+        exploration: Exploration,
+        explored: float,
+    ) -> None:
         """Begin with the curriculum as it is.
 
         Args:
             curriculum: states of searches.
-            solved: states known to be solvable, which grow.
+            solved: states known to be solvable, which grow, those that rollouts passed included.
             anywhere: share of the starts that is drawn from `solved`.
+            exploration: finds solvable states far from those of the searches.
+            explored: share of the starts that is drawn from there; none are looked for if it is 0.
         """
-        self._curriculum, self._solved, self._anywhere = curriculum, solved, anywhere
+        self._curriculum, self._solved, self._exploration = curriculum, solved, exploration
+        self._anywhere, self._explored = anywhere, explored
 
     @property
     def mean_steps(self) -> float:
@@ -35,9 +47,12 @@ class BlendedStarts:
 
     def sample(self, count: int, generator: torch.Generator) -> StartBatch:
         """See `StartSampler`."""
-        anywhere = round(count * self._anywhere)
-        own = self._curriculum.sample(count - anywhere, generator)
-        others = self._solved.within(self._curriculum.horizon, anywhere, generator)
+        anywhere, explored = round(count * self._anywhere), round(count * self._explored)
+        own = self._curriculum.sample(count - anywhere - explored, generator)
+        horizon = self._curriculum.horizon
+        others = self._solved.within(horizon, anywhere, generator)
+        if explored:
+            others = torch.cat([others, self._exploration.draw(explored, horizon, generator)])
         assert own.entropy is not None
         assert own.weight is not None
         more = len(others)
@@ -58,8 +73,9 @@ class BlendedStarts:
         self._curriculum.record_outcomes(batch.rows, transitions.success[:own], surrogate[:own])
 
     def report(self) -> dict[str, float]:
-        """See `StartSampler`."""
-        return self._curriculum.report()
+        """See `StartSampler`; with the number of explored states, and their mean distance to the data."""
+        found = {"explored": float(len(self._exploration)), "explored_distance": self._exploration.mean_distance}
+        return self._curriculum.report() | (found if self._explored else {})
 
     def state_dict(self) -> dict[str, torch.Tensor]:
         """See `StartSampler`."""
@@ -67,8 +83,10 @@ class BlendedStarts:
 
     def local_state_dict(self) -> dict[str, torch.Tensor]:
         """See `StartSampler`."""
-        return self._curriculum.local_state_dict()
+        return self._curriculum.local_state_dict() | self._exploration.tensors()
 
     def load_state_dict(self, tensors: dict[str, torch.Tensor], local: dict[str, torch.Tensor] | None) -> None:
         """See `StartSampler`."""
         self._curriculum.load_state_dict(tensors, local)
+        if local is not None:
+            self._exploration.load(local)

@@ -86,6 +86,9 @@ class PpoPhase:
     anywhere: float = 0.0
     """Of a curriculum without goals: share of the rollouts that starts at any solvable state within its horizon, those
     that rollouts passed included."""
+    explored: float = 0.0
+    """Of a curriculum without goals: share of the rollouts that starts at solvable states far from those of the
+    searches, which moves in the direction of assembly find during the training."""
     imitation: float = 0.1
     """Weight of imitating states known to be solvable, or paths to goals, which preserves what imitation learned."""
     hindsight: float = 0.0
@@ -103,9 +106,14 @@ class PpoPhase:
             raise InputError("sizes and learning rate of PPO are not negative; 0 stands for the default")
         if self.epochs < 1:
             raise InputError(f"epochs is {self.epochs}; give at least 1")
-        for name in ("discount", "gae_lambda", "anywhere"):
+        for name in ("discount", "gae_lambda", "anywhere", "explored"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InputError(f"{name} is {getattr(self, name):g}; give a number between 0 and 1")
+        if self.anywhere + self.explored > 1:
+            raise InputError(
+                f"anywhere and explored are {self.anywhere:g} and {self.explored:g} of the rollouts; give shares with "
+                "a sum of at most 1"
+            )
         if not 0 <= self.average < 1:
             raise InputError(f"average is {self.average:g}; give 0 or more, and less than 1")
         for name in ("weight_decay", "entropy", "entropy_floor", "imitation", "hindsight", "target_divergence"):
@@ -137,6 +145,8 @@ REINFORCEMENT = PpoPhase(
     average=0.99,
     entropy_floor=0.5,
     anywhere=0.25,
+    explored=0.25,
     imitation=0.0,
 )
-"""Reinforcement learning from scratch: the curriculum of the paper (section 5.2), and states that rollouts passed."""
+"""Reinforcement learning from scratch: the curriculum of the paper (section 5.2), states that rollouts passed, and
+states far from the data."""

@@ -7,6 +7,7 @@ import torch
 from falsework.errors import InputError
 from falsework.learn.algorithms.blended_starts import BlendedStarts
 from falsework.learn.algorithms.curriculum import Curriculum
+from falsework.learn.algorithms.exploration import Exploration
 from falsework.learn.algorithms.imitation import Imitation
 from falsework.learn.algorithms.learner import Learner
 from falsework.learn.algorithms.ppo import PPO
@@ -75,8 +76,11 @@ def learner_of(
             starts, targets = rules.complete(), None
         curriculum = Curriculum(starts, rules, phase.curriculum, targets=targets, shards=run.shards)
         sampler = curriculum
-        if phase.anywhere and targets is None:
-            sampler = BlendedStarts(curriculum, solved, phase.anywhere)
+        if (phase.anywhere or phase.explored) and targets is None:
+            exploration = Exploration(environment, solved, starts)
+            sampler = BlendedStarts(
+                curriculum, solved, phase.anywhere, exploration=exploration, explored=phase.explored
+            )
     context = LearnerContext(
         environment,
         policy,
