@@ -44,7 +44,7 @@ TRAIN_WIDTH, TEST_WIDTH = 64, 128
 TEST_SEEDS, VALIDATION_SEEDS = (1, 11, 21, 31), (2, 12, 22)
 WIDE_SEED = 1000
 """Seed of the first of the wider searches to learn from."""
-PRESSED = 64
+PRESSED = 16
 """Failures of each test draw that are tried again with presses, at most: these are sought state by state."""
 _ROWS = 1024
 """States whose distances are computed at once."""
