@@ -199,6 +199,7 @@ def line(
         known["paper"] = {"train": paper[0] / 100, "test": paper[1] / 100, "hours": paper[2]}
     if not ProcessGroup.of_group().is_main_process:
         return
+    filled = settings.resolved(result.policy.part_count, next(result.policy.parameters()).device.type)
     record.report(
         f"learning {benchmark}",
         structure=name,
@@ -207,6 +208,9 @@ def line(
         data=settings.data,
         criterion=settings.criterion,
         phases=[phase.algorithm for phase in settings.phases],
+        ppo={
+            name: getattr(filled.phases[-1], name, None) for name in ("rollouts", "anywhere", "explored", "imitation")
+        },
         policy=result.policy.settings.kind,
         goal_conditioned=settings.policy.goal_conditioned,
         validation=result.validation.to_dict(),

@@ -1,6 +1,7 @@
 """Measure stability verdicts on the states that a width-64 beam search with two robots checks.
 
-    python benchmarks/stability.py                                   # all that follows but the baseline
+    python benchmarks/stability.py                                   # verdicts and cold
+    python benchmarks/stability.py --measure certificates            # all states of the search, which takes minutes
     python benchmarks/stability.py --measure verdicts --structures vault-62 dome-72 --states 1000
     python benchmarks/stability.py --measure baseline --device cuda --baseline-states 256
 
@@ -12,6 +13,9 @@ solver on all cores against the exact solver on one, in one run, in alternating 
 rounds. `speedup` is that within a search, which passes the stable predecessor of each state; `speedup_alone` is without
 it. Caches are empty in every round.
 
+`certificates`: every state that the search checks, not a sample: how many verdicts have a certificate that the checker
+accepts. Agreement with the exact solver follows, and it would take hours.
+
 `cold`: one verdict of one state from Python, kernels compiled: setting a structure up, and then the first verdict.
 
 `baseline`: the paper's method with one constant inverse on the same states, in torch, against this solver.
@@ -20,7 +24,9 @@ it. Caches are empty in every round.
 from __future__ import annotations
 
 import os
+import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -43,7 +49,9 @@ from falsework.stability import (
     verify_certificates,
 )
 
-Measure = Literal["verdicts", "cold", "baseline"]
+Measure = Literal["verdicts", "certificates", "cold", "baseline"]
+_CHUNK = 2048
+"""States whose certificates are kept at once."""
 
 
 @dataclass(frozen=True)
@@ -152,6 +160,36 @@ def measure_verdicts(name: str, assembly: Assembly, states: States, parents: Sta
     )
 
 
+def measure_certificates(name: str, assembly: Assembly, options: Options) -> None:
+    """Count the verdicts on all states that the search checks, and those of them whose certificates are accepted."""
+    states, parents = asked_states(assembly, sys.maxsize, width=options.width, seed=options.seed)
+    settings = StabilitySettings(criterion="equilibrium", cone=options.cone, cpu=CpuSettings(threads=options.threads))
+    oracle = Stability(assembly, settings)
+    counts: Counter[str] = Counter()
+    seconds = 0.0
+    for begin in range(0, len(states), _CHUNK):
+        piece = slice(begin, begin + _CHUNK)
+        taken, verdicts = seconds_of(
+            lambda piece=piece: oracle.verdicts(states[piece], near=parents[piece], require_certificate=True)
+        )
+        seconds += taken
+        for what in ("stable", "unstable", "undecided"):
+            counts[what] += int(getattr(verdicts, what).sum())
+        counts["accepted"] += int(verify_certificates(assembly, states[piece], verdicts, settings.claim).sum())
+    report(
+        "stability certificates",
+        structure=name,
+        seeds=(options.seed,),
+        states=len(states),
+        **counts,
+        decided_by_exact=oracle.counters.exact,
+        seconds=round(seconds, 1),
+        threads=options.threads,
+        width=options.width,
+        cone=options.cone,
+    )
+
+
 def measure_cold(name: str, assembly: Assembly, states: States, options: Options) -> None:
     """Measure milliseconds from an assembly to the first verdict, and of single verdicts without cached neighbours."""
     settings = StabilitySettings(criterion="equilibrium", cone=options.cone, cpu=CpuSettings(threads=options.threads))
@@ -222,6 +260,10 @@ def main(options: Options) -> None:
     for structure in options.structures or real_structures():
         assembly = load_structure(find(structure))
         name = Path(structure).name
+        if "certificates" in options.measure:
+            measure_certificates(name, assembly, options)
+        if options.measure == ("certificates",):
+            continue
         states, parents = asked_states(assembly, options.states, width=options.width, seed=options.seed)
         if "verdicts" in options.measure:
             measure_verdicts(name, assembly, states, parents, options)
