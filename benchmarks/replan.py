@@ -6,8 +6,8 @@
     python benchmarks/replan.py batch --runs my-run --clients 16
 
 `complete`: a plan from the complete state to the empty one, once for each seed, each time with an empty cache.
-`midway`: the same from intermediate solvable states, which a search of width 64 finds; one oracle for all, as in a
-service. `deadline`: lateness of answers, and the share with a plan. `batch`: requests processed one by one and
+`midway`: the same from intermediate solvable states, which a search of width 64 finds (or a plan: `--width 0`); one
+oracle for all, as in a service. `deadline`: lateness of answers, and the share with a plan. `batch`: requests processed one by one and
 together. `seconds` are lists of quantiles (least, median, 95 %, largest) and count from the
 request to the certified plan; `load_seconds`, for loading kernels, structure and network, is apart.
 `decided_by` counts the deciding stages. A structure is replanned without a policy, a run with its own.
@@ -30,7 +30,7 @@ from states import find
 from falsework.assembly import Assembly, load_structure
 from falsework.assembly.state import States, complete_state
 from falsework.replanning.replanner import Replanner, ReplanResult, Request
-from falsework.search import BeamSearch, BeamSettings, Task, validate_plan
+from falsework.search import BeamSearch, BeamSettings, PlannerSettings, Task, find_plans, validate_plan
 from falsework.stability import Stability, StabilitySettings
 
 
@@ -49,7 +49,8 @@ class Options:
     count: int = 50
     """Number of intermediate states."""
     width: int = 64
-    """Width of the search that finds these states."""
+    """Width of the search that finds these states; 0: those of one plan, as for structures of more than a hundred parts,
+    where a search of all states of some width takes minutes."""
     seeds: int = 10
     """Repetitions from the complete state."""
     deadlines: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4, 0.8)
@@ -128,7 +129,14 @@ def summary(answers: Sequence[ReplanResult]) -> dict[str, Any]:
 def show(what: str, case: Case, options: Options, **values: Any) -> None:
     """Print one record."""
     about = {"structure": Path(case.name).name, "policy": case.policy is not None, "robots": case.robots}
-    report(f"replan {what}", **about, solver=options.solver, **values, device=options.device)
+    report(
+        f"replan {what}",
+        **about,
+        states_of=f"width {options.width}" if options.width else "plan",
+        solver=options.solver,
+        **values,
+        device=options.device,
+    )
 
 
 def complete(options: Options) -> None:
@@ -156,9 +164,12 @@ def middle(case: Case, options: Options) -> States:
     """Return solvable states of all sizes."""
     oracle = Stability(case.assembly)
     task = Task.create(case.assembly.boundary, case.robots, clearance=case.assembly.clearance if case.clear else None)
-    beam = BeamSearch(task, oracle, BeamSettings(options.width))
-    beam.run()
-    states = beam.states()
+    if options.width:
+        beam = BeamSearch(task, oracle, BeamSettings(options.width))
+        beam.run()
+        states = beam.states()
+    else:
+        states = find_plans(case.assembly, task, oracle=oracle, settings=PlannerSettings(seed=1)).plans[0].states
     states = states[(states != task.start).any(axis=1) & (states != task.target).any(axis=1)]
     return states[np.random.default_rng(0).permutation(len(states))[: options.count]]
 
