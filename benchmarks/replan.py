@@ -6,9 +6,9 @@
     python benchmarks/replan.py batch --runs my-run --clients 16
 
 `complete`: a plan from the complete state to the empty one, once for each seed, each time with an empty cache.
-`midway`: the same from intermediate solvable states, which a search of width 64 finds (or a plan: `--width 0`); one
-oracle for all, as in a service. `deadline`: lateness of answers, and the share with a plan. `batch`: requests processed one by one and
-together. `seconds` are lists of quantiles (least, median, 95 %, largest) and count from the
+`midway`: the same from intermediate solvable states, which a search of width 64 finds, or a plan (`--width 0`); one
+oracle for all, as in a service. `deadline`: lateness of answers, and the share with a plan. `batch`: requests
+processed one by one and together. `seconds` are lists of quantiles (least, median, 95 %, largest) and count from the
 request to the certified plan; `load_seconds`, for loading kernels, structure and network, is apart.
 `decided_by` counts the deciding stages. A structure is replanned without a policy, a run with its own.
 """
@@ -49,8 +49,8 @@ class Options:
     count: int = 50
     """Number of intermediate states."""
     width: int = 64
-    """Width of the search that finds these states; 0: those of one plan, as for structures of more than a hundred parts,
-    where a search of all states of some width takes minutes."""
+    """Width of the search that finds these states; 0: those of one plan, for more than a hundred parts, where such a
+    search takes minutes."""
     seeds: int = 10
     """Repetitions from the complete state."""
     deadlines: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4, 0.8)
