@@ -34,6 +34,22 @@ def over_draws(key: str, form: str = "") -> Callable[[Runs], str]:
     return write
 
 
+def of_paper_data(record: Record) -> bool:
+    """Return whether a run learned by reinforcement from the states of one search, without changes of the preset."""
+    if record["data"] != "width64":
+        return False
+    return record["label"] == "explored" or (record["label"], record.get("rollouts")) == ("reinforcement", 8192)
+
+
+def of_wide_data(record: Record) -> bool:
+    """Return whether a run learned by the default preset from many searches, and was tested on all or several draws."""
+    if (record["data"], record["criterion"]) != ("wide", "contact") or "NVIDIA" not in record["device"]:
+        return False
+    if record["benchmark"] == "learning draws":
+        return record["phases"][0] == "imitation" and record["label"] in ("", "bottle")
+    return record["evaluated"] == "all states"
+
+
 def answered(policy: bool) -> Callable[[Runs], str]:
     """Return a column with the number of requests that got a plan in time, with a policy or without."""
 
@@ -305,14 +321,11 @@ TABLES = {
         STRUCTURE_AND_ROBOTS,
         (
             ("success, %", "{test.success:%}"),
-            ("seconds, data included", "{seconds}"),
+            ("seconds", "{seconds}"),
             ("paper, %", "{paper.test:%}"),
         ),
-        benchmark="learning table3",
-        where=lambda record: (
-            (record["data"], record["evaluated"], record["criterion"]) == ("wide", "all states", "contact")
-            and "NVIDIA" in record["device"]
-        ),
+        benchmark=("learning table3", "learning draws"),
+        where=of_wide_data,
     ),
     "policies-paper-data": Table(
         "learning",
@@ -322,9 +335,7 @@ TABLES = {
             ("paper, %", "{paper.test:%}"),
         ),
         benchmark="learning draws",
-        where=lambda record: (
-            (record["data"], record["label"], record["rollouts"]) == ("width64", "reinforcement", 8192)
-        ),
+        where=of_paper_data,
     ),
     "paper-table-3": Table(
         "learning",
@@ -332,12 +343,11 @@ TABLES = {
         (
             ("mean over draws, %", over_draws("success", "%")),
             ("paper, %", "{paper.test:%}"),
+            ("mean distance", over_draws("distance")),
             ("seconds", "{seconds}"),
         ),
         benchmark="learning draws",
-        where=lambda record: (
-            (record["data"], record["label"], record["rollouts"]) == ("width64", "reinforcement", 8192)
-        ),
+        where=of_paper_data,
     ),
     "pairs": Table(
         "learning",

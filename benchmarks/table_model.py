@@ -129,16 +129,17 @@ class Table:
     """Header and template of the columns that identify a row."""
     columns: tuple[tuple[str, str | Callable[[Runs], str]], ...]
     """Header, and template or function of the runs of a row."""
-    benchmark: str = ""
-    """Name of the benchmark in the records; the name of the file if empty."""
+    benchmark: str | tuple[str, ...] = ""
+    """Name of the benchmark in the records, or several; the name of the file if empty."""
     where: Callable[[Record], bool] = lambda _: True
     """Which records belong to the table."""
 
     def rows(self) -> list[Runs]:
         """Return the newest runs of each subject, in the order of their first records."""
         groups: dict[tuple[str, ...], list[Record]] = {}
+        names = (self.benchmark or self.source,) if isinstance(self.benchmark, str) else self.benchmark
         for record in records(self.source):
-            if record["benchmark"] == (self.benchmark or self.source) and self.where(record):
+            if record["benchmark"] in names and self.where(record):
                 groups.setdefault(tuple(fill_in(template, [record]) for _, template in self.key), []).append(record)
         return [[run for run in runs if run["commit"] == runs[-1]["commit"]] for runs in groups.values()]
 

@@ -1,4 +1,4 @@
-"""Depth-first search with backtracking: the baseline (paper, section 6.1)."""
+"""Depth-first search with backtracking: the baseline of the paper (section 7.2), preferring moves that free a robot."""
 
 from __future__ import annotations
 
