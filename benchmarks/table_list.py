@@ -349,6 +349,13 @@ TABLES = {
         benchmark="learning draws",
         where=of_paper_data,
     ),
+    "transfer": Table(
+        "policies",
+        (("begins with", "{from}"), ("trained on dog-35, s", "{fine_tuned}")),
+        (("unseen states of dog-35, %", "{success.test:%}"), ("states of training, %", "{success.train:%}")),
+        benchmark="policies transfer",
+        where=lambda record: record.get("tested_on") == "dog-35" and record["trained_on"] == "bottle-12",
+    ),
     "pairs": Table(
         "learning",
         (*STRUCTURE, ("further searches", "{searches}")),
