@@ -88,7 +88,8 @@ class Searches:
         path = None
         if self.folder is not None:
             criterion = self.oracle_criterion()
-            path = self.folder / f"{self.assembly.name}-{self.robots}-{criterion}-{width}-{seed}.npz"
+            rules = f"{criterion}-clear" if self.clearance else criterion
+            path = self.folder / f"{self.assembly.name}-{self.robots}-{rules}-{width}-{seed}.npz"
             if path.exists():
                 return np.load(path)["states"]
         task = task_for(self.assembly, self.robots, self.clearance).judged_by(self.oracle)
@@ -195,11 +196,13 @@ def success_on_draws(
     """
     device = next(policy.parameters()).device
     oracle = Stability(assembly, StabilitySettings(criterion=settings.criterion))
-    environment = Environment(assembly, settings.robots, oracle=oracle, device=device)
+    clear = settings.removable_only_if_clear
+    environment = Environment(assembly, settings.robots, oracle=oracle, device=device, clearance=clear)
     network = Network(policy, settings.resolved(assembly.part_count, device.type).precision)
     pressed = None
     if settings.criterion == "contact":
-        pressed = Environment(assembly, settings.robots, oracle=PressingStability(oracle), device=device)
+        pressing = PressingStability(oracle)
+        pressed = Environment(assembly, settings.robots, oracle=pressing, device=device, clearance=clear)
     known = learned_from(assembly, draw)
     found: list[dict[str, Any]] = []
     for seed, states in draw.tests.items():

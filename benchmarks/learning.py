@@ -99,6 +99,7 @@ def settings_of(options: argparse.Namespace, row: str, robots: int, seed: int, *
     minutes = options.minutes or (target[3] if target and options.device != "cpu" else 0.0)
     given: dict[str, Any] = {"robots": robots, "seed": seed, "minutes": minutes, "steps": options.steps}
     given |= {"data": options.data, "widths": tuple(options.widths), "criterion": options.criterion}
+    given["removable_only_if_clear"] = options.clear
     given["phases"] = METHODS[changes.pop("method", options.method)]
     if options.policy:
         given["policy"] = PolicySettings(options.policy)
@@ -207,6 +208,7 @@ def line(
         seeds=(settings.seed,),
         data=settings.data,
         criterion=settings.criterion,
+        clear=settings.removable_only_if_clear,
         phases=[phase.algorithm for phase in settings.phases],
         ppo={
             name: getattr(filled.phases[-1], name, None) for name in ("rollouts", "anywhere", "explored", "imitation")
@@ -236,7 +238,7 @@ def table3(options: argparse.Namespace) -> None:
     for name, assembly, robots, seeds in rows_of(options):
         oracle = tensor_oracle(Stability(assembly, StabilitySettings(criterion=options.criterion)), device)
         folder = Path(options.searches) if options.searches else None
-        searches = Searches(assembly, robots, False, oracle, device, folder)
+        searches = Searches(assembly, robots, options.clear, oracle, device, folder)
         for seed in seeds:
             # Of a small structure five test draws would hold out most of the solvable states.
             several = assembly.part_count > SMALL
@@ -245,6 +247,7 @@ def table3(options: argparse.Namespace) -> None:
                 settings = settings_of(options, name, robots, seed, policy=kind_of(options, assembly))
                 about = {"structure": name, "robots": robots, "seeds": [seed], "data": settings.data}
                 about |= {"criterion": settings.criterion, "tests": list(tests), "label": options.label}
+                about["clear"] = options.clear
                 if finished(options.out, about):
                     continue
                 begun = time.perf_counter()
@@ -279,7 +282,7 @@ def searched(options: argparse.Namespace) -> None:
     device = choose_device(options.device)
     for _, assembly, robots, seeds in rows_of(options):
         oracle = tensor_oracle(Stability(assembly, StabilitySettings(criterion=options.criterion)), device)
-        searches = Searches(assembly, robots, False, oracle, device, Path(options.searches or "searches"))
+        searches = Searches(assembly, robots, options.clear, oracle, device, Path(options.searches or "searches"))
         for width, seed in searches.all_seeds(seeds):
             searches.states(width, seed)
 
@@ -355,6 +358,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=0, help="in place of minutes")
     parser.add_argument("--data", choices=("wide", "width64"), default="wide")
     parser.add_argument("--criterion", choices=get_args(Criterion), default="contact", help="stability criterion")
+    parser.add_argument("--clear", action="store_true", help="remove a part only if it has a free straight exit")
     parser.add_argument("--widths", nargs="*", type=int, default=[], help="widths of the wide searches")
     parser.add_argument("--method", choices=METHODS, default="default")
     parser.add_argument("--imitation-steps", type=int, help="imitation steps before PPO; 0 for no limit")
