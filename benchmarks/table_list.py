@@ -36,7 +36,7 @@ def over_draws(key: str, form: str = "") -> Callable[[Runs], str]:
 
 def of_paper_data(record: Record) -> bool:
     """Return whether a run learned by reinforcement from the states of one search, without changes of the preset."""
-    if record["data"] != "width64":
+    if record["data"] != "width64" or record.get("clear"):
         return False
     return record["label"] == "explored" or (record["label"], record.get("rollouts")) == ("reinforcement", 8192)
 
