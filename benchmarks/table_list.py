@@ -322,20 +322,11 @@ TABLES = {
         (
             ("success, %", "{test.success:%}"),
             ("seconds", "{seconds}"),
+            ("and of searches, if apart", "{search_seconds}"),
             ("paper, %", "{paper.test:%}"),
         ),
         benchmark=("learning table3", "learning draws"),
         where=of_wide_data,
-    ),
-    "policies-paper-data": Table(
-        "learning",
-        STRUCTURE_AND_ROBOTS,
-        (
-            ("mean over draws, %", over_draws("success", "%")),
-            ("paper, %", "{paper.test:%}"),
-        ),
-        benchmark="learning draws",
-        where=of_paper_data,
     ),
     "paper-table-3": Table(
         "learning",
