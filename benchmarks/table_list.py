@@ -195,6 +195,19 @@ TABLES = {
         ),
         benchmark="stability verdicts",
     ),
+    "certificates": Table(
+        "stability",
+        STRUCTURE,
+        (
+            ("states", "{states}"),
+            ("stable", "{stable}"),
+            ("unstable", "{unstable}"),
+            ("undecided", "{undecided}"),
+            ("certificates accepted", "{accepted}"),
+        ),
+        benchmark="stability certificates",
+        where=lambda record: record["width"] == 64,
+    ),
     "scaling": Table(
         "scaling",
         (("parts", "{parts}"),),
