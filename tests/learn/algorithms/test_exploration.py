@@ -16,16 +16,16 @@ from falsework.learn.algorithms.exploration import Exploration  # noqa: E402
 from falsework.learn.config.ppo import PpoPhase  # noqa: E402
 from falsework.learn.data.solvable_states import SolvableStates  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
-from falsework.search import BeamSearch, BeamSettings, Direction, task_of  # noqa: E402
-from falsework.stability import Stability  # noqa: E402
+from falsework.search import BeamSearch, BeamSettings, Direction, make_task  # noqa: E402
+from falsework.stability import StabilityOracle  # noqa: E402
 from falsework.stability.settings import EQUILIBRIUM, StabilitySettings  # noqa: E402
 
 
 def found(name: str, settings: StabilitySettings = StabilitySettings(), width: int = 4) -> tuple[Environment, Any]:
     """Return an environment, and the states of a narrow search from the empty structure."""
     assembly = load_structure(name)
-    oracle = Stability(assembly, settings)
-    search = BeamSearch(task_of(assembly), oracle, BeamSettings(width, Direction.ASSEMBLY))
+    oracle = StabilityOracle(assembly, settings)
+    search = BeamSearch(make_task(assembly), oracle, BeamSettings(width, Direction.ASSEMBLY))
     search.run()
     return Environment(assembly, 2, oracle=oracle, device="cpu"), torch.from_numpy(search.states())
 
