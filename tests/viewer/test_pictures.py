@@ -17,7 +17,6 @@ from falsework.cli.main import main
 from falsework.errors import InputError
 from falsework.search import load_plan, save_plan, save_state_graph
 from falsework.search.problem.state_graph import StateGraph
-from falsework.utils.kernels import Kernel
 from falsework.viewer.palette import BOUNDARY, RAMP, ROBOTS, SELECTED
 from falsework.viewer.pictures.drawing import drawing, flat_axis, outlines
 from falsework.viewer.pictures.graph_picture import covered, graph_figure, places_of
@@ -62,13 +61,9 @@ def has(picture: np.ndarray, color: str) -> bool:
     return int((picture == value).all(axis=2).sum()) > 100
 
 
-def test_pictures_need_no_numba(plan_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.usefixtures("without_numba")
+def test_pictures_need_no_numba(plan_file: Path) -> None:
     """Arguments of the kernels have the types of the portable code, with parts that show through and without."""
-
-    def refuse(kernel: Kernel) -> None:
-        pytest.fail(f"numba is asked to compile {kernel.__name__}")
-
-    monkeypatch.setattr(Kernel, "dispatcher", property(refuse))
     assert main(["picture", str(plan_file), "--out", str(plan_file.with_name("plan.png"))]) == 0
 
 

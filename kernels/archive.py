@@ -1,29 +1,38 @@
-"""Portable code of the kernels that plans need, `src/falsework/kernels.zip`, built from their source.
+"""Archive of the kernels that plans need as portable code, `src/falsework/kernels.zip`, made from their source.
 
-Run it after a change of a kernel; a test fails until then, and numba compiles what the archive no longer fits.
+    python kernels/archive.py
 
-    python tests/make_kernels.py
+Building a wheel makes it (`backend.py`), and so does `make kernels`; one that fits the sources stays. Without it numba
+compiles the kernels where they are called.
 
 Numba translates each kernel with everything that it calls to LLVM's intermediate code, for the types that it is called
-with here. What numba would have its own run time do, memory for arrays, is written out below. LLVM then inlines and
-simplifies the code, without regard to a processor.
+with here. What numba would have its own run time do, memory for arrays, `allocate` and `release` do. LLVM then inlines
+and simplifies the code, without regard to a processor.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import hashlib
+import inspect
 import json
 import re
 import sys
 import zipfile
+from collections.abc import Iterable
+from concurrent.futures import ProcessPoolExecutor
+from itertools import repeat
+from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numba
 import numpy as np
 from llvmlite import binding as llvm
-from numba.core import codegen
+from llvmlite import ir
+from numba.core import codegen, types
+from numba.extending import intrinsic
 
 from falsework.assembly import load_structure
 from falsework.assembly.state import complete_state
@@ -44,8 +53,9 @@ from falsework.stability.cpu.repair import repair_range
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.margins.kernel import rest_under
 from falsework.stability.problem import build_problem
-from falsework.utils import bits
-from falsework.utils.kernel_code import ARCHIVE, PACKAGE, digest
+from falsework.utils import bits, vectors
+from falsework.utils.files.output_file import write_whole
+from falsework.utils.kernel_code import ARCHIVE, PACKAGE, Archive, add_symbols, digest
 from falsework.utils.kernels import Kernel, flatten
 from falsework.viewer.pictures import raster
 from falsework.viewer.pictures.render import Camera, ColoredSolid, render
@@ -66,42 +76,45 @@ GROUPS = {
         speed_profile.thin,
     ),
     "pictures": (raster.average, raster.depth_buffer, raster.lay_over, raster.shade),
-    "sets": (bits._intersect, table._ways_out),
+    "sets": (bits.intersect_into, table._ways_out),
 }
 MATHEMATICS = {"atan2"}
 """Functions of the C library that kernels call by name; of sine and cosine LLVM knows itself."""
 
-# An array owns a block: references, three words that numba's code does not touch here, and at the fourth its data.
-MEMORY = """
-declare noalias ptr @falsework_allocate(i64)
-declare void @falsework_free(ptr)
+_HEAD = 6
+"""Words before the data of an array: the first counts references, the fourth is the address of the data."""
 
-define internal noalias ptr @NRT_MemInfo_alloc_aligned(i64 %size, i32 %align) {
-  %wide = zext i32 %align to i64
-  %head = add i64 %wide, 48
-  %room = add i64 %head, %size
-  %block = call ptr @falsework_allocate(i64 %room)
-  %none = icmp eq ptr %block, null
-  br i1 %none, label %done, label %fill
-fill:
-  %after = getelementptr i8, ptr %block, i64 %head
-  %number = ptrtoint ptr %after to i64
-  %over = urem i64 %number, %wide
-  %back = sub i64 0, %over
-  %data = getelementptr i8, ptr %after, i64 %back
-  store i64 1, ptr %block
-  %field = getelementptr i8, ptr %block, i64 24
-  store ptr %data, ptr %field
-  br label %done
-done:
-  ret ptr %block
-}
 
-define internal void @NRT_MemInfo_call_dtor(ptr %block) {
-  call void @falsework_free(ptr %block)
-  ret void
+@intrinsic
+def _address(_, pointer):
+    """Return a pointer as a number."""
+    return types.int64(pointer), lambda _, builder, signature, given: builder.ptrtoint(given[0], ir.IntType(64))
+
+
+_reserve = types.ExternalFunction("falsework_allocate", types.CPointer(types.int64)(types.int64))
+_free = types.ExternalFunction("falsework_free", types.void(types.CPointer(types.int64)))
+
+
+def allocate(size, align):
+    """Return a block for an array with one reference, its data aligned to a power of two; a null pointer if none."""
+    block = _reserve(8 * _HEAD + align + size)
+    data = _address(block) + 8 * _HEAD
+    if data > 8 * _HEAD:
+        block[0], block[3] = 1, data + (-data & (align - 1))
+    return block
+
+
+def release(block):
+    """Free the block of an array without references."""
+    _free(block)
+
+
+_BLOCK = types.CPointer(types.int64)
+RUN_TIME = {
+    "NRT_MemInfo_alloc_aligned": (allocate, _BLOCK(types.int64, types.int32)),
+    "NRT_MemInfo_call_dtor": (release, types.void(_BLOCK)),
 }
-"""
+"""What stands in for functions of numba's run time."""
 
 
 def record() -> dict[str, tuple[Any, ...]]:
@@ -144,28 +157,50 @@ def record() -> dict[str, tuple[Any, ...]]:
     return recorded
 
 
-def translate(kernel: Kernel, entry: str, given: tuple[Any, ...]) -> str:
-    """Return the intermediate code of a kernel and of all that it calls."""
-    types = tuple(map(numba.typeof, given))
+def translate(kernel: Kernel, entry: str, given: tuple[Any, ...]) -> list[str]:
+    """Return the intermediate code of a kernel with all that it calls, and of its entry."""
     dispatcher = kernel.dispatcher
-    dispatcher.compile(types)
-    compiled = dispatcher.overloads[types]
-    inner = compiled.fndesc.llvm_func_name
-    module = compiled.library._final_module
-    formals = [str(formal.type) for formal in module.get_function(inner).arguments][2:]
-    lines = [f'define i32 @"{entry}"(ptr %words, ptr %result) {{', "  %failure = alloca ptr"]
-    for place, kind in enumerate(formals):
-        narrow = kind.startswith("i") and kind != "i64"
-        lines.append(f"  %p{place} = getelementptr i64, ptr %words, i64 {place}")
-        lines.append(f"  %{'w' if narrow else 'a'}{place} = load {'i64' if narrow else kind}, ptr %p{place}, align 1")
-        if narrow:
-            lines.append(f"  %a{place} = trunc i64 %w{place} to {kind}")
-    passed = "".join(f", {kind} %a{place}" for place, kind in enumerate(formals))
-    lines += [f'  %status = call i32 @"{inner}"(ptr %result, ptr %failure{passed})', "  ret i32 %status", "}"]
-    declared = re.compile(r"^declare .*@NRT_MemInfo_(alloc_aligned|call_dtor)\(.*$", re.MULTILINE)
-    text = declared.sub("", str(module)).replace("@sqrt(", "@llvm.sqrt.f64(")
+    signature = tuple(map(numba.typeof, given))
+    dispatcher.compile(signature)
+    compiled = dispatcher.overloads[signature]
+    convention = dispatcher.targetctx.call_conv
+    kind = convention.get_function_type(compiled.fndesc.restype, compiled.fndesc.argtypes)
+    return [text_of(compiled.library), str(write_entry(entry, compiled.fndesc.llvm_func_name, kind))]
+
+
+def write_entry(name: str, inner: str, kind: ir.FunctionType) -> ir.Module:
+    """Return a function of the words of all arguments, and of the address of the result, that calls a kernel."""
+    module, word, status = ir.Module(), ir.IntType(64), ir.IntType(32)
+    result, failure, *formals = kind.args
+    outer = ir.Function(module, ir.FunctionType(status, [word.as_pointer(), result]), name)
+    builder = ir.IRBuilder(outer.append_basic_block())
+    places = [builder.gep(outer.args[0], [word(number)]) for number in range(len(formals))]
+    words = [
+        builder.load(builder.bitcast(place, formal.as_pointer()), align=1)  # the low bytes of a word come first
+        for place, formal in zip(places, formals, strict=True)
+    ]
+    called = ir.Function(module, kind, inner)
+    builder.ret(builder.call(called, [outer.args[1], builder.alloca(failure.pointee), *words]))
+    return module
+
+
+def run_time() -> list[str]:
+    """Return the intermediate code of what stands in for numba's run time."""
+    add_symbols(llvm)
+    texts = []
+    for name, (function, signature) in RUN_TIME.items():
+        compiled = numba.cfunc(signature, nopython=True)(function)
+        text = text_of(compiled._library).replace(compiled.native_name, name)
+        # No other address leads to a new block; numba has no way to say so.
+        texts.append(text.replace("declare ptr @falsework_allocate", "declare noalias ptr @falsework_allocate"))
+    return texts
+
+
+def text_of(library: Any) -> str:
+    """Return the intermediate code of a compiled function, with square roots that LLVM knows."""
+    text = str(library._final_module).replace("@sqrt(", "@llvm.sqrt.f64(")
     text = re.sub(r"^declare double @llvm\.sqrt\.f64.*$", "", text, flags=re.MULTILINE)
-    return "\n".join([text, "declare double @llvm.sqrt.f64(double)", MEMORY, *lines])
+    return text + "\ndeclare double @llvm.sqrt.f64(double)\n"
 
 
 def callees(kernel: Kernel) -> set[Kernel]:
@@ -175,14 +210,14 @@ def callees(kernel: Kernel) -> set[Kernel]:
         function = ahead.pop()
         if function not in found:
             found.add(function)
-            values = (function.py_func.__globals__.get(name) for name in function.py_func.__code__.co_names)
-            ahead += [value for value in values if isinstance(value, Kernel)]
+            known = inspect.getclosurevars(function.py_func)
+            ahead += [value for value in (known.globals | known.nonlocals).values() if isinstance(value, Kernel)]
     return found
 
 
 def sources(kernels: set[Kernel]) -> list[str]:
     """Return the files, by their paths in the package, that kernels and the constants in them come from."""
-    files = {Path(kernel.py_func.__code__.co_filename) for kernel in kernels}
+    files = {Path(vectors.__file__), *(Path(kernel.py_func.__code__.co_filename) for kernel in kernels)}
     names = {name for kernel in kernels for name in kernel.py_func.__code__.co_names}
     for file in list(files):
         for line in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
@@ -220,30 +255,48 @@ def simplify(texts: list[str], entries: list[str]) -> bytes:
     return module.as_bitcode()
 
 
-def main() -> None:
-    """Write the archive, unless the command line asks for help or is wrong."""
-    about = "Build src/falsework/kernels.zip anew from the source of the kernels: about two minutes of processor time."
-    argparse.ArgumentParser(description=about).parse_args()
-    arguments = record()
-    # Optimised once, below, with everything in one module; not by numba at every level of calls.
+def build(group: str, given: dict[str, tuple[Any, ...]]) -> tuple[dict[str, Any], bytes]:
+    """Return what the index says of a group, and its bitcode; `given` has the arguments of each kernel."""
+    # Optimised once, in `simplify`, with everything in one module; not by numba at every level of calls.
     codegen.CPUCodeLibrary._optimize_final_module = lambda self: None
-    for function in {callee for kernels in GROUPS.values() for kernel in kernels for callee in callees(kernel)}:
-        function.options |= {"cache": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    index: dict[str, Any] = {}
-    codes: dict[str, bytes] = {}
-    for group, kernels in GROUPS.items():
-        names = [f"{kernel.__module__}.{kernel.__name__}" for kernel in kernels]
-        translated = [translate(kernel, name, arguments[name]) for kernel, name in zip(kernels, names, strict=True)]
-        codes[group] = simplify(translated, names)
-        files = sources({callee for kernel in kernels for callee in callees(kernel)})
-        kinds = {name: [flatten(argument)[0] for argument in arguments[name]] for name in names}
-        index[group] = {"entries": kinds, "sources": files, "digest": digest(files), "made": numba.__version__}
-    with zipfile.ZipFile(ARCHIVE, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
-        archive.writestr("index.json", json.dumps(index, indent=1))
-        for group, code in codes.items():
-            archive.writestr(f"{group}.bc", code)
-    sys.stdout.write(f"{ARCHIVE}: {ARCHIVE.stat().st_size:,} bytes\n")
+    kernels = {f"{kernel.__module__}.{kernel.__name__}": kernel for kernel in GROUPS[group]}
+    called = set().union(*map(callees, kernels.values()))
+    for kernel in called:
+        kernel.options |= {"cache": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    texts = [text for name, kernel in kernels.items() for text in translate(kernel, name, given[name])]
+    code = simplify([*texts, *run_time()], list(kernels))
+    kinds = {name: [flatten(argument)[0] for argument in given[name]] for name in kernels}
+    files = sources(called)
+    return {"entries": kinds, "sources": files, "digest": digest(files), "made": made()}, code
+
+
+def made() -> str:
+    """Return what the archive depends on besides its sources."""
+    return f"numba {numba.__version__}, {hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:12]}"
+
+
+def make(path: Path, groups: Iterable[str]) -> None:
+    """Write an archive of groups, in two processes, unless there is one that is made of the present sources."""
+    present = Archive(path)
+    if list(present.index) == list(groups) and all(
+        content["made"] == made() and present.fits(group) for group, content in present.index.items()
+    ):
+        return
+    given = record()
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        built = dict(zip(groups, pool.map(build, groups, repeat(given)), strict=True))
+
+    def write(file: IO[bytes]) -> None:
+        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+            archive.writestr("index.json", json.dumps({group: built[group][0] for group in built}, indent=1))
+            for group, (_, code) in built.items():
+                archive.writestr(f"{group}.bc", code)
+
+    write_whole(path, write)
+    sys.stdout.write(f"{path}: {path.stat().st_size:,} bytes\n")
 
 
 if __name__ == "__main__":
-    main()
+    about = "Make src/falsework/kernels.zip from the source of the kernels: about two minutes of processor time."
+    argparse.ArgumentParser(description=about).parse_args()
+    make(ARCHIVE.path, GROUPS)
