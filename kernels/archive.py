@@ -81,26 +81,40 @@ GROUPS = {
 MATHEMATICS = {"atan2"}
 """Functions of the C library that kernels call by name; of sine and cosine LLVM knows itself."""
 
-_HEAD = 6
-"""Words before the data of an array: the first counts references, the fourth is the address of the data."""
+_HEAD = 48
+"""Bytes before the data of an array: the first word counts references, the fourth is the address of the data."""
+_BLOCK = types.CPointer(types.int64)
 
 
 @intrinsic
-def _address(_, pointer):
+def _address(_, block):
     """Return a pointer as a number."""
-    return types.int64(pointer), lambda _, builder, signature, given: builder.ptrtoint(given[0], ir.IntType(64))
+    return types.int64(block), lambda _, builder, signature, given: builder.ptrtoint(given[0], ir.IntType(64))
 
 
-_reserve = types.ExternalFunction("falsework_allocate", types.CPointer(types.int64)(types.int64))
-_free = types.ExternalFunction("falsework_free", types.void(types.CPointer(types.int64)))
+@intrinsic
+def _set_data(_, block, offset):
+    """Make the fourth word of a block the address of one of its bytes: as a pointer, which LLVM knows to be in it."""
+
+    def write(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        byte = ir.IntType(8).as_pointer()
+        data = builder.gep(builder.bitcast(given[0], byte), [given[1]])
+        builder.store(data, builder.bitcast(builder.gep(given[0], [ir.IntType(64)(3)]), byte.as_pointer()))
+        return context.get_dummy_value()
+
+    return types.void(block, types.int64), write
+
+
+_reserve = types.ExternalFunction("falsework_allocate", _BLOCK(types.int64))
+_free = types.ExternalFunction("falsework_free", types.void(_BLOCK))
 
 
 def allocate(size, align):
     """Return a block for an array with one reference, its data aligned to a power of two; a null pointer if none."""
-    block = _reserve(8 * _HEAD + align + size)
-    data = _address(block) + 8 * _HEAD
-    if data > 8 * _HEAD:
-        block[0], block[3] = 1, data + (-data & (align - 1))
+    block = _reserve(_HEAD + align + size)
+    if _address(block) != 0:
+        block[0] = 1
+        _set_data(block, _HEAD + (-(_address(block) + _HEAD) & (align - 1)))
     return block
 
 
@@ -109,7 +123,6 @@ def release(block):
     _free(block)
 
 
-_BLOCK = types.CPointer(types.int64)
 RUN_TIME = {
     "NRT_MemInfo_alloc_aligned": (allocate, _BLOCK(types.int64, types.int32)),
     "NRT_MemInfo_call_dtor": (release, types.void(_BLOCK)),
@@ -190,7 +203,7 @@ def run_time() -> list[str]:
     texts = []
     for name, (function, signature) in RUN_TIME.items():
         compiled = numba.cfunc(signature, nopython=True)(function)
-        text = text_of(compiled._library).replace(compiled.native_name, name)
+        text = text_of(compiled._library).replace(compiled.native_name, name).replace("noinline", "alwaysinline")
         # No other address leads to a new block; numba has no way to say so.
         texts.append(text.replace("declare ptr @falsework_allocate", "declare noalias ptr @falsework_allocate"))
     return texts
