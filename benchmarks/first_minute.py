@@ -8,8 +8,8 @@ Each command runs in a process of its own. `cache` is `empty` where no compiled 
 same command has run once. `demo` is what `make demo` does after the installation: plan the built-in vault and check the
 plan. Arms move where the structure bottle-12 is there. `seconds`, `processor_seconds` (of all threads and child
 processes) and `peak_gib` are median and range over the repeats. `before` has the same of the earlier commit, from a git
-worktree and in alternation with the present one, both with the archive of kernels that an installation has; an earlier run from empty caches takes minutes, so there are fewer of
-those, and none of the plan that `demo` begins with.
+worktree and in alternation with the present one, both with the archive of kernels that an installation has; an earlier
+run from empty caches takes minutes, so there are fewer of those, and none of the plan that `demo` begins with.
 `ratio` is processor time over that before.
 """
 
