@@ -1,7 +1,7 @@
 """Vectors of numbers as a type of numba, and the operations that kernels have on them.
 
 Each operation is one instruction of LLVM, which cuts vectors into the registers of the processor at hand. Kernels name
-operations by `products.Operation`, since this module imports numba.
+operations by `stability.cpu.products.Operation`, since this module imports numba.
 """
 
 from __future__ import annotations

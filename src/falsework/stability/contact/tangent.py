@@ -9,8 +9,8 @@ from falsework.stability.contact.law import gauge, gauge_gradient
 from falsework.stability.cpu.cones import NEGLIGIBLE
 from falsework.stability.cpu.layout import FAST
 from falsework.stability.cpu.panels import clear_panels
+from falsework.stability.cpu.products import congruence, square_product
 from falsework.utils.kernels import njit
-from falsework.utils.products import congruence, square_product
 
 _add_product, _set_product = square_product(), square_product(adds=False)
 

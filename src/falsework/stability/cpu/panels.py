@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from falsework.stability.cpu.products import product
 from falsework.utils.kernels import njit
-from falsework.utils.products import product
 
 _subtract_product, _set_product = product(-1), product(1, adds=False)
 

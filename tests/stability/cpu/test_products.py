@@ -9,9 +9,9 @@ import pytest
 
 from falsework.assembly import load_structure
 from falsework.stability.contact.kernel import build_contact_structure
+from falsework.stability.cpu.products import Operation, congruence, product, square_product
 from falsework.stability.problem import build_problem
 from falsework.utils.kernels import njit
-from falsework.utils.products import Operation, congruence, product, square_product
 
 _subtract, _set, _add_square = product(-1), product(1, adds=False), square_product()
 
