@@ -86,13 +86,16 @@ _HEAD = 48
 _BLOCK = types.CPointer(types.int64)
 
 
-@intrinsic
+_intrinsic: Any = intrinsic
+
+
+@_intrinsic
 def _address(_, block):
     """Return a pointer as a number."""
     return types.int64(block), lambda _, builder, signature, given: builder.ptrtoint(given[0], ir.IntType(64))
 
 
-@intrinsic
+@_intrinsic
 def _set_data(_, block, offset):
     """Make the fourth word of a block the address of one of its bytes: as a pointer, which LLVM knows to be in it."""
 
@@ -200,9 +203,10 @@ def write_entry(name: str, inner: str, kind: ir.FunctionType) -> ir.Module:
 def run_time() -> list[str]:
     """Return the intermediate code of what stands in for numba's run time."""
     add_symbols(llvm)
+    compiler: Any = numba.cfunc
     texts = []
     for name, (function, signature) in RUN_TIME.items():
-        compiled = numba.cfunc(signature, nopython=True)(function)
+        compiled = compiler(signature, nopython=True)(function)
         text = text_of(compiled._library).replace(compiled.native_name, name).replace("noinline", "alwaysinline")
         # No other address leads to a new block; numba has no way to say so.
         texts.append(text.replace("declare ptr @falsework_allocate", "declare noalias ptr @falsework_allocate"))
@@ -224,7 +228,9 @@ def callees(kernel: Kernel) -> set[Kernel]:
         if function not in found:
             found.add(function)
             known = inspect.getclosurevars(function.py_func)
-            ahead += [value for value in (known.globals | known.nonlocals).values() if isinstance(value, Kernel)]
+            ahead += [
+                value for value in (*known.globals.values(), *known.nonlocals.values()) if isinstance(value, Kernel)
+            ]
     return found
 
 

@@ -10,7 +10,7 @@ import pytest
 from experiments import general_cases
 from experiments.general_cases import CASES, TESTED, evaluate_case
 from experiments.structure_generator import TRAINED, UNSEEN
-from general import PER_FILE, VALIDATION, Library, Options, _label, card, number_of
+from general import PER_FILE, VALIDATION, Library, Options, card, case_label, number_of
 
 from falsework.learn.config.policy import PolicySettings
 from falsework.learn.data.structure_batches import StructureBatches
@@ -25,8 +25,8 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("general")
     library = Library(folder)
     for number in (0, 5, 8):
-        library.add(*_label(number, None, None))
-    library.add(*_label(VALIDATION, None, None))
+        library.add(*case_label(number, None, None))
+    library.add(*case_label(VALIDATION, None, None))
     library.add(17, None)
     library.save()
     training = GeneralTraining(folder, GeneralSettings(SMALL, steps=3, tokens=256))
@@ -46,7 +46,7 @@ def test_a_library_keeps_its_structures(trained: Path) -> None:
 
 def test_known_structures_are_improved_by_rollouts(trained: Path) -> None:
     known = Library.load(trained).structures[0]
-    number, again = _label(0, known, trained)
+    number, again = case_label(0, known, trained)
     assert number == 0
     assert again.success is not None
     assert (again.name, again.robots) == (known.name, known.robots)

@@ -38,7 +38,7 @@ def load(vector: Vector) -> Callable[..., Typed]:
     """`load(array, place)`: the numbers from an entry of a contiguous array on."""
 
     def write(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-        return builder.load(_address(context, builder, signature.args[0], *given, vector.register), align=8)
+        return builder.load(_address(context, builder, signature.args[0], given[0], given[1], vector.register), align=8)
 
     return lambda _, array, place: (vector(array, types.int64), write)
 
@@ -47,7 +47,9 @@ def spread(vector: Vector) -> Callable[..., Typed]:
     """`spread(array, place)`: an entry of a contiguous array in every place of a vector."""
 
     def write(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-        number = builder.load(_address(context, builder, signature.args[0], *given, ir.DoubleType()), align=8)
+        number = builder.load(
+            _address(context, builder, signature.args[0], given[0], given[1], ir.DoubleType()), align=8
+        )
         first = builder.insert_element(vector.register(ir.Undefined), number, ir.IntType(32)(0))
         return builder.shuffle_vector(first, first, ir.VectorType(ir.IntType(32), vector.register.count)(None))
 
@@ -58,7 +60,7 @@ def store(vector: Vector) -> Callable[..., Typed]:
     """`store(value, array, place)`: write a vector from an entry of a contiguous array on."""
 
     def write(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-        place = _address(context, builder, signature.args[1], *given[1:], vector.register)
+        place = _address(context, builder, signature.args[1], given[1], given[2], vector.register)
         builder.store(given[0], place, align=8)
         return context.get_dummy_value()
 

@@ -105,7 +105,7 @@ def test_a_choice_that_led_to_a_dead_end_is_not_made_again(rules: Any) -> None:
     beam = BackjumpingBeam(task, oracle, guide=misled)
     beam.search = narrow(task, oracle)
     beam.search.run()
-    assert beam._jump_back()
+    assert beam.jump_back()
     rows, actions = beam.search.conflicts.barred(task.target[None])
     assert (rows.tolist(), actions.tolist()) == ([0], [8 + 7])
     assert beam.run(1).found

@@ -66,7 +66,7 @@ def test_structures_in_pieces_are_dissected_too() -> None:
 
 def test_separators_separate() -> None:
     neighbours = sheet(30, 20)
-    one, other, between = ordering._separate(neighbours, set(neighbours))
+    one, other, between = ordering.separate(neighbours, set(neighbours))
     assert one | other | between == set(neighbours)
     assert len(one) + len(other) + len(between) == len(neighbours)
     assert not any(neighbours[part] & other for part in one)

@@ -54,7 +54,7 @@ def _dissect(neighbours: Graph, parts: set[int], groups: list[set[int]]) -> None
         if len(piece) <= _LEAF:
             groups.append(piece)
             continue
-        one, other, between = _separate(neighbours, piece)
+        one, other, between = separate(neighbours, piece)
         if one and other:
             _dissect(neighbours, one, groups)
             _dissect(neighbours, other, groups)
@@ -74,7 +74,7 @@ def _distances(neighbours: Graph, inside: set[int], start: int) -> dict[int, int
     return distance
 
 
-def _separate(neighbours: Graph, parts: set[int]) -> tuple[set[int], set[int], set[int]]:
+def separate(neighbours: Graph, parts: set[int]) -> tuple[set[int], set[int], set[int]]:
     """Return two sides of a connected graph and a small set of parts between them."""
     from_first = _distances(neighbours, parts, list(_distances(neighbours, parts, min(parts)))[-1])
     from_last = _distances(neighbours, parts, list(from_first)[-1])
