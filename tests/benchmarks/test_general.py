@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from experiments import general_cases
 from experiments.general_cases import CASES, TESTED, evaluate_case
 from experiments.structure_generator import TRAINED, UNSEEN
 from general import PER_FILE, VALIDATION, Library, Options, card, case_label, number_of
@@ -61,10 +60,8 @@ def test_no_case_is_a_structure_of_training() -> None:
             assert int(case.structure.rpartition("-")[2]) >= TESTED > VALIDATION
 
 
-def test_a_case_has_success_and_verdicts(trained: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(general_cases, "_STATES", 6)
-    monkeypatch.setattr(general_cases, "_WIDTH", 8)
-    row = evaluate_case(f"stack-{TESTED}", trained)
+def test_a_case_has_success_and_verdicts(trained: Path) -> None:
+    row = evaluate_case(f"stack-{TESTED}", trained, width=8, most=6)
     assert 0 <= row["greedy"] <= row["sampled"] <= 1
     assert row["states"] <= 8
     assert row["plans"]["support"]["found"]

@@ -145,7 +145,6 @@ def test_a_part_that_touches_nothing_can_begin_to_move(shapes):
     assert can_begin_to_move(contacts, (0, 1), np.array([True, True]))
 
 
-def test_too_many_sets_are_refused(shapes, monkeypatch):
-    monkeypatch.setattr(locked, "_MOST", 3)
+def test_too_many_sets_are_refused(shapes):
     with pytest.raises(InputError, match=r"more than 3 sets of up to 2 parts may lock each other.*allow fewer"):
-        locked_sets(clasp(shapes)).find(np.arange(4), 2)
+        locked_sets(clasp(shapes)).find(np.arange(4), 2, most=3)

@@ -111,9 +111,8 @@ def test_a_choice_that_led_to_a_dead_end_is_not_made_again(rules: Any) -> None:
     assert beam.run(1).found
 
 
-def test_forgets_the_states_used_longest_ago(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("falsework.search.beam.nogoods._REMEMBERED_STATES", 2)
-    conflicts, states = Nogoods(), np.eye(3, dtype=np.uint8)
+def test_forgets_the_states_used_longest_ago() -> None:
+    conflicts, states = Nogoods(remembered=2), np.eye(3, dtype=np.uint8)
     for row, action in ((0, 4), (1, 5), (0, 6), (0, 6), (2, 7)):
         conflicts.learn(states[row], action)
     rows, actions = conflicts.barred(states)

@@ -52,12 +52,13 @@ class LockedSets:
         own = np.unique(np.round(signed, 9) + 0.0, axis=0)
         return np.concatenate([own, sphere_directions(_PLANES)])
 
-    def find(self, movable: NDArray[np.integer], largest: int) -> tuple[PartSet, ...]:
+    def find(self, movable: NDArray[np.integer], largest: int, most: int = _MOST) -> tuple[PartSet, ...]:
         """Return the candidates of two parts and more.
 
         Args:
             movable: parts that can be among them.
             largest: parts of a set at most.
+            most: sets that are examined.
 
         Raises:
             InputError: so many sets that they cannot be examined.
@@ -75,9 +76,9 @@ class LockedSets:
                 if more not in seen:
                     seen.add(more)
                     stack.append(more)
-            if len(seen) > _MOST:
+            if len(seen) > most:
                 raise InputError(
-                    f"more than {_MOST} sets of up to {largest} parts may lock each other, too many to examine; allow "
+                    f"more than {most} sets of up to {largest} parts may lock each other, too many to examine; allow "
                     "fewer parts at once"
                 )
         return tuple(sorted(found, key=lambda parts: (len(parts), parts)))
