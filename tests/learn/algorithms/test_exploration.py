@@ -63,14 +63,13 @@ def test_drawn_states_are_within_the_horizon_and_evenly_far_from_the_end(generat
     assert len(exploration.draw(8, -1, generator)) == 0
 
 
-def test_states_far_from_the_data_are_left_first(generator, monkeypatch) -> None:
+def test_states_far_from_the_data_are_left_first(generator) -> None:
     """Beside moves that begin anywhere, as many moves lead farther."""
     environment, states = found("dome:rings=3,blocks=8", EQUILIBRIUM, 16)
     horizon = int(environment.rules.steps_left(states).max())
     means = []
     for compared in (16, 1):
-        monkeypatch.setattr("falsework.learn.algorithms.exploration._COMPARED", compared)
-        exploration = Exploration(environment, SolvableStates(environment.rules, states), states)
+        exploration = Exploration(environment, SolvableStates(environment.rules, states), states, compared)
         for _ in range(4):
             exploration.draw(32, horizon, generator.manual_seed(0))
         means.append(exploration.mean_distance)

@@ -11,7 +11,7 @@ from falsework.search.problem.task import Direction
 
 _SWEEPS = 16
 """Moves that lead to a collection of rollouts, for each start that is drawn for it."""
-_COMPARED = 16
+COMPARED = 16
 """States of which the one of the highest score is left by the next move."""
 _DATA = 8192
 """States of the data to which distances are measured, at most."""
@@ -30,15 +30,18 @@ class Exploration:
     2021), states that were reached are stored and returned to.
     """
 
-    def __init__(self, environment: Environment, solved: SolvableStates, starts: torch.Tensor) -> None:
+    def __init__(
+        self, environment: Environment, solved: SolvableStates, starts: torch.Tensor, compared: int = COMPARED
+    ) -> None:
         """Begin with the states of the searches.
 
         Args:
             environment: verdicts, whose cache is shared.
             solved: gets all states that are found, and says which are held out; these are not left by further moves.
             starts: solvable states, none of them held out, shape (count, parts).
+            compared: states of which the one of the highest score is left by the next move.
         """
-        self._environment, self._solved = environment, solved
+        self._environment, self._solved, self._compared = environment, solved, compared
         self._rules = TensorRules(environment.rules.task, environment.device, Direction.ASSEMBLY)
         some = slice(None, None, -(-len(starts) // _DATA) or 1)
         self._data = _one_hot(starts[some]).T.contiguous()
@@ -89,7 +92,7 @@ class Exploration:
 
     def _sweep(self, count: int, horizon: int, generator: torch.Generator) -> None:
         """Leave some states by one random move each, where it leads to a stable state."""
-        rows = self._choose(count, horizon - 1, _COMPARED, generator)
+        rows = self._choose(count, horizon - 1, self._compared, generator)
         self._moves.index_add_(0, rows, torch.ones_like(self._moves[rows]))
         before = self._states[rows]
         mask = self._rules.moves(before)
