@@ -20,7 +20,7 @@ import tyro
 from record import report, spread, write_to
 from states import find, one_core, real_structures
 
-from falsework.assembly import load_structure
+from falsework import load_structure
 from falsework.geometry import find_contacts
 
 REAL = ("bottle-12", "tetris-13", "tetris-14", "tetris-17", "cube-17", "dog-35", "dome-37", "vault-62", "dome-72")

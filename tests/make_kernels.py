@@ -25,13 +25,12 @@ import numpy as np
 from llvmlite import binding as llvm
 from numba.core import codegen
 
-from falsework.assembly import load_structure
-from falsework.assembly.state import complete_state
+from falsework import StabilityOracle, StabilitySettings, load_structure
+from falsework.assembly import complete_state
 from falsework.geometry.clearance import table
 from falsework.robots.cells.warm_up import compile_kernels
 from falsework.robots.kernels import collision, coordination, numeric_ik, rrt_connect, speed_profile
 from falsework.robots.kinematics import forward
-from falsework.stability import StabilityOracle, StabilitySettings
 from falsework.stability.contact.kernel import rest_range
 from falsework.stability.contact.press import PressPlanner
 from falsework.stability.contact.press_kernel import press_responses
@@ -47,8 +46,9 @@ from falsework.stability.problem import build_problem
 from falsework.utils import bits
 from falsework.utils.kernel_code import ARCHIVE, PACKAGE, digest
 from falsework.utils.kernels import Kernel, flatten
+from falsework.viewer import Camera
 from falsework.viewer.pictures import raster
-from falsework.viewer.pictures.render import Camera, ColoredSolid, render
+from falsework.viewer.pictures.render import ColoredSolid, render
 
 GROUPS = {
     "contact": (rest_range, replay_range, press_responses),

@@ -20,9 +20,11 @@ import numpy as np
 import pytest
 
 import falsework as fw
-from falsework.assembly import Assembly, complete_state
+from falsework import Assembly, Outcome, make_task
+from falsework.assembly import complete_state
 from falsework.errors import DependencyError, InputError, PlanError, ReadWarning
-from falsework.search import Outcome, make_task, plan_to_dict, structure_of_plan
+from falsework.search.plans.plan_file import plan_to_dict
+from falsework.search.plans.plan_source import structure_of_plan
 from falsework.utils.files import formats as registry
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -205,11 +207,11 @@ def test_every_function_takes_a_structure_by_name_or_path(arch: Assembly, plan: 
     start = plan.states[4]
     calls: list[Callable[[Any], Any]] = [
         lambda given: fw.find_plans(given, robots=2).plans[0].actions.tolist(),
-        lambda given: fw.min_robots(given).robots,
+        lambda given: fw.min_robots(given).value,
         lambda given: make_task(given, 2).identity,
         lambda given: fw.replan(given, start).plans[0].actions.tolist(),
         lambda given: fw.Replanner(given).replan(start).plans[0].actions.tolist(),
-        lambda given: fw.validate_plan(plan, given).good,
+        lambda given: fw.check(given, plan).good,
         lambda given: fw.StabilityOracle(given).verdicts(start[None]).stable.tolist(),
         lambda given: fw.export(given, tmp_path / "copy.glb"),
         lambda given: fw.open_file(tmp_path / "plan.json", given).kind,
@@ -439,8 +441,8 @@ def test_results_print_as_one_line(arch: Assembly, plan: fw.Plan) -> None:
         ),
         (lambda arch, plan: UNTYPED.Assembly.from_meshes([5], boundary=[0]), "a part is a int; make it a TriangleMesh"),
         (lambda arch, plan: UNTYPED.save([plan], "plan.json"), "list has no file; save an assembly, a plan"),
-        (lambda arch, plan: UNTYPED.validate_plan([plan], arch), "checks a Plan, not list"),
-        (lambda arch, plan: UNTYPED.picture(fw.StabilityOracle(arch), "arch.png"), "Stability cannot be shown"),
+        (lambda arch, plan: UNTYPED.check(arch, [plan]), "a list cannot be checked; give a Plan"),
+        (lambda arch, plan: UNTYPED.picture(fw.StabilityOracle(arch), "arch.png"), "StabilityOracle cannot be shown"),
     ],
 )
 def test_wrong_types_get_one_line(arch: Assembly, plan: fw.Plan, call: Callable[..., Any], words: str) -> None:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from falsework.assembly import library, load_structure
+from falsework import load_structure
+from falsework.assembly import library
 from falsework.errors import AssemblyError
 from falsework.geometry import Contacts, ContactSettings, TriangleMesh, find_contacts
 from falsework.geometry.contact.interfaces import exact_contacts

@@ -8,9 +8,8 @@ import trimesh
 from trimesh.exchange.stl import export_stl_ascii
 
 from falsework.errors import InputError, MeshError
-from falsework.geometry import load_meshes
+from falsework.geometry import RepairWarning, load_meshes
 from falsework.geometry.mesh.obj import obj_text, read_obj
-from falsework.geometry.mesh.repair import RepairWarning
 
 Y_UP = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], float)
 """Turns z up into the y up of glTF."""

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly, load_structure
-from falsework.assembly.model import ContactWarning
+from falsework import Assembly, load_structure
+from falsework.assembly import ContactWarning
 from falsework.cli.main import main
 from falsework.errors import AssemblyError, InputError, MeshError, ReadWarning
+from falsework.interop import to_compas
 from falsework.interop.compas_read import load_compas
-from falsework.interop.compas_write import to_compas, write_compas
+from falsework.interop.compas_write import write_compas
 
 MODEL = "compas_model.models/Model"
 KINDS = ("meshes", "assembly", "dem")

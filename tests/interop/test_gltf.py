@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly, load_structure
+from falsework import Assembly, Plan, load_structure
 from falsework.errors import InputError, PlanError
 from falsework.interop.gltf import to_gltf, write_gltf
-from falsework.search import Plan
 
 Validate = Callable[[bytes], dict[str, Any]]
 
@@ -105,7 +104,7 @@ def test_a_structure_reads_back(spec: str, tmp_path: Path) -> None:
 
 def test_far_from_the_origin_nothing_is_lost(arch: Assembly, tmp_path: Path) -> None:
     """As surveyors model: hundreds of kilometres from the origin, where single precision knows centimetres only."""
-    from falsework.geometry.mesh.mesh import TriangleMesh
+    from falsework.geometry import TriangleMesh
 
     away = np.array([4.0e5, 5.0e6, 300.0])
     meshes = [TriangleMesh.from_arrays(mesh.name, mesh.vertices + away, mesh.faces) for mesh in arch.meshes]

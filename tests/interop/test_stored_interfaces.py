@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly, ContactWarning, complete_state, load_structure, save_assembly
+from falsework import Assembly, StabilityOracle, load_structure
+from falsework.assembly import ContactWarning, complete_state
+from falsework.assembly.store import save_assembly
 from falsework.cli.main import main
 from falsework.errors import AssemblyError, InputError
-from falsework.interop import load_compas, read_compas, write_compas
-from falsework.stability import StabilityOracle
+from falsework.interop.compas_read import load_compas, read_compas
+from falsework.interop.compas_write import write_compas
 
 
 @pytest.fixture

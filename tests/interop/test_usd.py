@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly, load_structure
+from falsework import Assembly, Plan, load_structure
 from falsework.interop.usd import to_usd, write_usd
-from falsework.search import Plan
 
 pytest.importorskip("pxr", reason="needs usd-core, of the dependency group test")
 
@@ -106,7 +105,7 @@ def test_presses_are_attributes_of_the_part(
 
 
 def test_names_that_usd_does_not_allow(tmp_path: Path) -> None:
-    from falsework.geometry.mesh.mesh import TriangleMesh
+    from falsework.geometry import TriangleMesh
 
     arch = load_structure("arch:blocks=3")
     names = ('key "stone"\n', "surface", "3", "schlußstein", "physics")

@@ -21,9 +21,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly, load_structure
+from falsework import Assembly, export, load_structure
 from falsework.errors import InputError, ReadWarning
-from falsework.interop.formats import export
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "files.md"
 TREATMENTS = ("used", "left alone", "warned", "refused")

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import load_structure
+from falsework import load_structure
 from falsework.stability.contact.kernel import build_contact_structure
 from falsework.stability.problem import build_problem
 from falsework.utils.kernels import njit

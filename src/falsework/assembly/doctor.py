@@ -118,7 +118,7 @@ class Diagnosis:
         }
 
 
-def diagnose(path: str | Path, unit: str | None = None, **options: Any) -> Diagnosis:
+def doctor(path: str | Path, unit: str | None = None, **options: Any) -> Diagnosis:
     """Examine a folder or file of parts, and collect all errors instead of stopping at the first.
 
     Args:

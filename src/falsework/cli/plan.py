@@ -30,7 +30,7 @@ from falsework.utils.quantity import counted
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
-    from falsework.search.find import Planning
+    from falsework.search.planning import Planning
     from falsework.search.plans.plan import Plan
     from falsework.search.problem.guide import Guide
     from falsework.search.problem.task import Task
@@ -125,7 +125,7 @@ class MakePlan(Command):
         from falsework.search.margins.demands import Demands, MarginOracle
         from falsework.search.maximise import maximise_margin
         from falsework.search.problem.deadline import Deadline, check_deadline
-        from falsework.stability import StabilityOracle
+        from falsework.stability.oracle import StabilityOracle
 
         if self.maximise_margin and (self.alternatives > 1 or self.resume):
             raise InputError(

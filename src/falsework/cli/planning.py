@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from falsework.search.find import TaskRules
     from falsework.search.plans.plan import PartDeadline, Plan
     from falsework.search.problem.task import Direction, Task
-    from falsework.stability import StabilityOracle, StabilitySettings
     from falsework.stability.contact.hold_loads import Loads
     from falsework.stability.judges.judgement import Judgement
+    from falsework.stability.oracle import StabilityOracle
     from falsework.stability.problem import Cone
-    from falsework.stability.settings import SolverName
+    from falsework.stability.settings import SolverName, StabilitySettings
     from falsework.stability.verdict import Criterion
 
 SHOWN = 8
@@ -157,8 +157,8 @@ class HoldOptions:
             InputError: options that a criterion does not have, or numbers that are not possible.
         """
         from falsework.search.find import PLANS
-        from falsework.stability import StabilitySettings
         from falsework.stability.holds import HoldMode, HoldSettings
+        from falsework.stability.settings import StabilitySettings
 
         given = self != HoldOptions()
         if criterion == "equilibrium" and given and self != HoldOptions(reserve=self.reserve):

@@ -12,7 +12,7 @@ from falsework.cli.exit_code import Exit
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output
-    from falsework.stability import StabilitySettings
+    from falsework.stability.settings import StabilitySettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,8 +48,10 @@ class CheckStability(JudgingCommand):
 
         from falsework.cli.arguments import parse_states
         from falsework.cli.velocity_text import describe, motions, part_name
-        from falsework.stability import Proof, StabilityOracle, Verdict
+        from falsework.stability import Proof
         from falsework.stability.motion import motion_of
+        from falsework.stability.oracle import StabilityOracle
+        from falsework.stability.verdict import Verdict
 
         assembly = self.structure.load()
         states = parse_states(self.states or "complete", "--states", assembly)
@@ -84,6 +86,6 @@ class CheckStability(JudgingCommand):
         return Exit.DONE if bool(np.all(verdicts.stable)) else Exit.NO
 
     def _settings(self) -> StabilitySettings:
-        from falsework.stability import StabilitySettings
+        from falsework.stability.settings import StabilitySettings
 
         return StabilitySettings(criterion=self.criterion, cone=self.cone, solver=self.solver)

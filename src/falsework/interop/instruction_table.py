@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.state import REMOVED
 from falsework.errors import PlanError
 from falsework.search.plans.steps import NO_ROBOT, Action, name_together
@@ -137,18 +138,21 @@ class AssemblyInstructions:
         return described
 
 
-def assembly_instructions(plan: Plan, assembly: Assembly) -> AssemblyInstructions:
-    """Return the sheet of a plan.
+def sheet(assembly: AnyStructure, plan: Plan) -> AssemblyInstructions:
+    """Return the assembly instructions of a plan for a crew: what to place, to hold and to release.
+
+    `export` writes them to a file, `pdf` with pictures or `csv`.
 
     Args:
-        plan: the plan.
-        assembly: its structure.
+        assembly: the structure, or its name or path.
+        plan: its plan.
 
     Raises:
         PlanError: the plan is for another structure, or it holds parts again or has props.
     """
     if plan.allow_regrasp:
         raise PlanError("a sheet says when to place and when to release, not what is held again or propped; export it")
+    assembly = as_assembly(assembly)
     timeline, missing, steps = Timeline.from_plan(plan, assembly), set(plan.missing), []
     for step in plan.steps:
         place, number = step.action is Action.INSERT, step.number
@@ -236,7 +240,7 @@ def _holding(timeline: Timeline, place: int) -> tuple[tuple[int, int], ...]:
 
 def _write_csv(path: Path | str, assembly: Assembly, plan: Plan) -> None:
     # The byte order mark is how spreadsheets detect the encoding.
-    write_sheet(path, instructions_csv(assembly_instructions(plan, assembly)).encode("utf-8-sig"))
+    write_sheet(path, instructions_csv(sheet(assembly, plan)).encode("utf-8-sig"))
 
 
 CSV = Exporter(_write_csv, (".csv",), ("Plan",))

@@ -13,18 +13,13 @@ import pytest
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
 pytest.importorskip("safetensors", reason="safetensors is not installed")
 
-from falsework.assembly import load_structure  # noqa: E402
+from falsework import StabilityOracle, load_structure, train  # noqa: E402
 from falsework.cli.main import main  # noqa: E402
-from falsework.learn.config.imitation import ImitationPhase  # noqa: E402
-from falsework.learn.config.policy import PolicySettings  # noqa: E402
-from falsework.learn.config.train import METHODS, TrainSettings  # noqa: E402
+from falsework.learn import Environment, ImitationPhase, PolicySettings, TrainSettings, make_policy  # noqa: E402
+from falsework.learn.config.train import METHODS  # noqa: E402
 from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, training_task  # noqa: E402
-from falsework.learn.env.environment import Environment  # noqa: E402
-from falsework.learn.networks.factory import make_policy  # noqa: E402
-from falsework.learn.training.evaluate import evaluate, greedy_success, sample  # noqa: E402
-from falsework.learn.training.train import train  # noqa: E402
+from falsework.learn.training.evaluate import greedy_success, measure_success, sample  # noqa: E402
 from falsework.search.problem.state_graph import load_state_graph  # noqa: E402
-from falsework.stability import StabilityOracle  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("few_tries")
 
@@ -74,7 +69,7 @@ def test_search_on_top_finds_a_plan_from_every_state(arch: Any, data: Dataset) -
     """All of them are known to have one, and a policy that knows nothing does not stand in the way."""
     environment = Environment(arch, 2, device="cpu")
     sets = {"train": (data.train, None), "test": (data.test, None)}
-    found = evaluate(environment, make_policy(arch, PARTS, seed=1), sets, search=True)
+    found = measure_success(environment, make_policy(arch, PARTS, seed=1), sets, search=True)
     assert found["test"]["success"] < 1.0
     assert found["test"]["search"]["share"] == 1.0
     assert sum(found["test"]["search"]["decided_by"].values()) == len(data.test)

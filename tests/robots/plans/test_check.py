@@ -10,15 +10,15 @@ import pytest
 
 pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'falsework[robots]'")
 
-from falsework.assembly.model import Assembly
+from falsework import Assembly
 from falsework.errors import InputError, PlanError
+from falsework.robots import Cell, Obstacle, RobotPlan, RobotStep, Trajectory
 from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.kinematics.forward import flange_pose
-from falsework.robots.model.cell import Cell, Obstacle, cell_identity
+from falsework.robots.model.cell import cell_identity
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.model.shapes import block
-from falsework.robots.plans.robot_plan import RobotPlan, RobotStep, Trajectory
 
 
 def with_trajectory(plan: RobotPlan, index: int, order: int, change: Callable[[Trajectory], Trajectory]) -> RobotPlan:

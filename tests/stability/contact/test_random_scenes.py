@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly.state import HELD, complete_state
-from falsework.stability import CpuSettings, StabilityOracle, StabilitySettings, Verdict
-from falsework.stability.judges import settle
+from falsework import StabilityOracle, StabilitySettings, Verdict
+from falsework.assembly import HELD, complete_state
+from falsework.stability import CpuSettings
+from falsework.stability.judges.discrete_elements import settle
 
 
 def compare(random_scenes: Any, seeds: range) -> tuple[int, int, int]:

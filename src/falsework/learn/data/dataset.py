@@ -297,7 +297,7 @@ def build_dataset(
         DependencyError: torch is not installed.
         InputError: no such device, or no path leads from the empty structure to the complete one.
     """
-    from falsework.stability import StabilityOracle
+    from falsework.stability.oracle import StabilityOracle
 
     where = choose_device(device)
     asked = tensor_oracle(StabilityOracle(assembly), where) if oracle is None else oracle

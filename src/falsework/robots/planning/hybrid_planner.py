@@ -41,6 +41,7 @@ def plan_robots(
     cell: AnyCell,
     *,
     task: Task | None = None,
+    concurrent: bool = False,
     configurations: Sequence[ArrayLike] | None = None,
     held: Sequence[int | None] | None = None,
     gripped: Sequence[ArrayLike | None] | None = None,
@@ -63,6 +64,7 @@ def plan_robots(
         task: states and rules; by default the whole structure is assembled. As in all tasks the start state is the one
             with more parts: an assembly begins in the target state. The number of robots is that of the cell, and
             every part needs a free exit direction, not downwards.
+        concurrent: robots move at the same time: motions are shortened, steps reordered, and the plan has a schedule.
         configurations: joint values of the robots before the first step that is executed, shape (joints,) each. By
             default they are at home in disassembly, and in assembly where the first motion begins.
         held: the part that each robot holds in place then, or carries; needed in disassembly if the start state has
@@ -84,13 +86,13 @@ def plan_robots(
         StateError: held parts that do not go with the state that is begun with.
         DependencyError: robots are to move at the same time, and OR-Tools is missing.
     """
-    if settings.together:
+    if concurrent:
         import_ortools()
     assembly, cell = as_assembly(assembly), as_cell(cell)
     progress = or_notebook(progress, "planning motions")
     if oracle is None:
         given: dict[str, Any] = {"task": task, "configurations": configurations, "held": held, "gripped": gripped}
-        given |= {"guide": guide, "progress": progress, "graph": graph}
+        given |= {"concurrent": concurrent, "guide": guide, "progress": progress, "graph": graph}
         return _keeping_reserve(
             lambda oracle, limits: plan_robots(assembly, cell, oracle=oracle, settings=limits, **given),
             assembly,
@@ -113,14 +115,15 @@ def plan_robots(
             ends = BoundaryMotions(graph)
             root = first if continues or configurations is None else ends.begin(first)
             ends.end_at(last, insert)
-            result = HybridSearch(graph, ends.reached(within), oracle, guide, limits, progress, ends, clock).run(root)
+            within_ends = (graph, ends.reached(within), oracle, guide, limits, progress, ends, clock)
+            result = HybridSearch(*within_ends, concurrent=concurrent).run(root)
             # That a carried part cannot be next is no proof for plans that bring it back.
             if result.explanation is None or (clock.passed and _may_exist(result)):
                 break
         assert result is not None
         return result
 
-    return _together(search, settings, graph, clock) if settings.together else search(settings, graph, clock)
+    return _concurrent(search, settings, graph, clock) if concurrent else search(settings, graph, clock)
 
 
 def _keeping_reserve(
@@ -144,7 +147,7 @@ def _keeping_reserve(
     return search(StabilityOracle(assembly, plain), replace(settings, deadline=clock.left if clock.limited else None))
 
 
-def _together(
+def _concurrent(
     search: Callable[[HybridSettings, KeyframeGraph | None, Deadline], HybridResult],
     settings: HybridSettings,
     graph: KeyframeGraph | None,
@@ -167,7 +170,7 @@ def _together(
         if again.explanation is None or again.explanation.reached >= reached:
             result, kind = again, "sequential"
     found = {"search": kind, "seconds": round(clock.seconds, 3)}
-    for plan in filter(None, (result.plan, result.partial)):
+    for plan in filter(None, (result.value, result.partial)):
         plan.statistics.update(found)
     return replace(result, statistics=result.statistics | found)
 

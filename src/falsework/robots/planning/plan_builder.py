@@ -33,6 +33,8 @@ class PlanBuilder:
         ends: BoundaryMotions,
         settings: HybridSettings,
         stop: Callable[[], bool],
+        *,
+        concurrent: bool = False,
     ) -> None:
         """Make plans of the edges of `graph`.
 
@@ -41,11 +43,12 @@ class PlanBuilder:
             oracle: decides stability.
             solvability: the task, and the actions that its rules allow.
             ends: motions before and after the chains.
-            settings: order, whether robots move at the same time, and the seed.
+            settings: order and seed.
             stop: tells when to end with the order found so far.
+            concurrent: whether robots move at the same time.
         """
         self.graph, self.oracle, self.solvability = graph, oracle, solvability
-        self.ends, self.settings, self.stop = ends, settings, stop
+        self.ends, self.settings, self.stop, self.concurrent = ends, settings, stop, concurrent
         self._timed: dict[PathSegment, Trajectory | None] = {}
 
     def plan(self, root: Node, chain: list[Edge], *, whole: bool) -> RobotPlan:
@@ -57,7 +60,7 @@ class PlanBuilder:
             whole: whether the chain reaches the target; a partial plan is scheduled as it is.
         """
         builds = self.settings.direction is Direction.ASSEMBLY
-        if self.settings.together and whole:
+        if self.concurrent and whole:
             chain = self._shortened(chain)
             self._make(root, chain)
             given = {"legal": self.solvability.legal, "stop": self.stop, "builds": builds}
@@ -69,7 +72,7 @@ class PlanBuilder:
             root, chain = self.ends.around(root, chain)
         plan = self._make(root, chain)
         plan = plan.reverse() if builds else plan
-        if not self.settings.together:
+        if not self.concurrent:
             return plan
         return schedule_plan(plan, self.graph.assembly, self.graph.cell, parts=self.graph.parts)
 
