@@ -31,7 +31,7 @@ def compas() -> Any:
 @pytest.mark.parametrize("spec", ["arch:blocks=7", "vault", "bottle"])
 def test_there_and_back_without_the_packages(spec: str, kind: Any, tmp_path: Path) -> None:
     assembly = load_structure(spec)
-    write_compas(tmp_path / "out.json", assembly, kind)
+    write_compas(assembly, tmp_path / "out.json", kind)
     again = load_compas(tmp_path / "out.json")
     assert again.identity == assembly.identity
     assert again.names == assembly.names
@@ -41,7 +41,7 @@ def test_there_and_back_without_the_packages(spec: str, kind: Any, tmp_path: Pat
 def test_there_and_back_through_the_packages(kind: Any, compas: Any, arch: Assembly, tmp_path: Path) -> None:
     pytest.importorskip("compas_assembly")
     pytest.importorskip("compas_dem")
-    write_compas(tmp_path / "out.json", arch, kind)
+    write_compas(arch, tmp_path / "out.json", kind)
     compas.json_dump(compas.json_load(tmp_path / "out.json"), tmp_path / "again.json")
     again = load_compas(tmp_path / "again.json")
     assert again.identity == arch.identity
@@ -50,7 +50,7 @@ def test_there_and_back_through_the_packages(kind: Any, compas: Any, arch: Assem
 
 def test_compas_assembly_sees_blocks_supports_and_interfaces(compas: Any, arch: Assembly, tmp_path: Path) -> None:
     pytest.importorskip("compas_assembly")
-    write_compas(tmp_path / "out.json", arch, "assembly")
+    write_compas(arch, tmp_path / "out.json", "assembly")
     found = compas.json_load(tmp_path / "out.json")
     assert [block.volume() for block in found.blocks()] == pytest.approx(arch.mass.volume)
     supports = [found.graph.node_attribute(node, "is_support") for node in found.graph.nodes()]
@@ -65,7 +65,7 @@ def test_compas_assembly_sees_blocks_supports_and_interfaces(compas: Any, arch: 
 
 def test_a_line_is_an_interface_of_two_points(compas: Any, beam_on_ridge: Assembly, tmp_path: Path) -> None:
     pytest.importorskip("compas_assembly")
-    write_compas(tmp_path / "out.json", beam_on_ridge, "assembly")
+    write_compas(beam_on_ridge, tmp_path / "out.json", "assembly")
     (interface,) = compas.json_load(tmp_path / "out.json").graph.edge_attribute((1, 2), "interfaces")
     assert np.allclose(interface.points, beam_on_ridge.contacts.points[-2:])
     assert interface.size == pytest.approx(beam_on_ridge.contacts.areas[1])
@@ -75,7 +75,7 @@ def test_a_line_is_an_interface_of_two_points(compas: Any, beam_on_ridge: Assemb
 
 def test_compas_dem_finds_the_same_contacts(compas: Any, arch: Assembly, tmp_path: Path) -> None:
     pytest.importorskip("compas_dem")
-    write_compas(tmp_path / "out.json", arch, "dem")
+    write_compas(arch, tmp_path / "out.json", "dem")
     model = compas.json_load(tmp_path / "out.json")
     assert [element.is_support for element in model.elements()] == arch.boundary.tolist()
     model.compute_contacts(tolerance=1e-4, minimum_area=1e-4)

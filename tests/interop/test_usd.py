@@ -112,7 +112,7 @@ def test_names_that_usd_does_not_allow(tmp_path: Path) -> None:
     meshes = [
         TriangleMesh.from_arrays(name, mesh.vertices, mesh.faces) for name, mesh in zip(names, arch.meshes, strict=True)
     ]
-    write_usd(tmp_path / "out.usda", Assembly.from_meshes(meshes, boundary=arch.boundary, name="7 days"))
+    write_usd(Assembly.from_meshes(meshes, boundary=arch.boundary, name="7 days"), tmp_path / "out.usda")
     stage = Usd.Stage.Open(str(tmp_path / "out.usda"))
     prims = parts_of(stage)
     assert [prim.GetDisplayName() for prim in prims] == ['key "stone"', "surface", "3", "schlußstein", "physics"]

@@ -431,7 +431,7 @@ def test_a_file_plays_without_a_server(browser: Any, arch: Any, tmp_path: Path) 
     from falsework.viewer.viewable import viewable_of
 
     assembly, plan = arch
-    save_page(tmp_path / "plan.html", viewable_of(plan, assembly))
+    save_page(viewable_of(plan, assembly), tmp_path / "plan.html")
     tab = browser.new_page()
     wrong: list[str] = []
     tab.on("pageerror", lambda error: wrong.append(str(error)))

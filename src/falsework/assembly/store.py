@@ -203,7 +203,7 @@ def read_description(source: Path) -> dict[str, Any]:
     return described
 
 
-def _write_folder(path: str | Path, assembly: Assembly, _: None) -> None:
+def _write_folder(assembly: Assembly, path: str | Path, _: None) -> None:
     save_assembly(assembly, path)
 
 

@@ -190,7 +190,7 @@ class MakePlan(Command):
                     assembly,
                     task,
                     self.maximise_margin,
-                    stability,
+                    stability=stability,
                     demands=demands,
                     settings=settings,
                     progress=report,

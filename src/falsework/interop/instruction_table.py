@@ -192,7 +192,7 @@ def instructions_csv(sheet: AssemblyInstructions) -> str:
     return text.getvalue()
 
 
-def write_sheet(path: Path | str, content: bytes) -> None:
+def write_sheet(content: bytes, path: Path | str) -> None:
     """Write a sheet, whole or not at all.
 
     Raises:
@@ -238,9 +238,9 @@ def _holding(timeline: Timeline, place: int) -> tuple[tuple[int, int], ...]:
     return tuple(sorted(((int(part), int(robots[part])) for part in held), key=lambda pair: pair[1]))
 
 
-def _write_csv(path: Path | str, assembly: Assembly, plan: Plan) -> None:
+def _write_csv(assembly: Assembly, path: Path | str, plan: Plan) -> None:
     # The byte order mark is how spreadsheets detect the encoding.
-    write_sheet(path, instructions_csv(sheet(assembly, plan)).encode("utf-8-sig"))
+    write_sheet(instructions_csv(sheet(assembly, plan)).encode("utf-8-sig"), path)
 
 
 CSV = Exporter(_write_csv, (".csv",), ("Plan",))

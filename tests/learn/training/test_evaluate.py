@@ -13,8 +13,10 @@ import pytest
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
 pytest.importorskip("safetensors", reason="safetensors is not installed")
 
+import falsework as fw  # noqa: E402
 from falsework import StabilityOracle, load_structure, train  # noqa: E402
 from falsework.cli.main import main  # noqa: E402
+from falsework.errors import InputError  # noqa: E402
 from falsework.learn import Environment, ImitationPhase, PolicySettings, TrainSettings, make_policy  # noqa: E402
 from falsework.learn.config.train import METHODS  # noqa: E402
 from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, training_task  # noqa: E402
@@ -96,6 +98,18 @@ def test_the_command_reports_one_object(run: Path, capsys: pytest.CaptureFixture
     assert json.loads(capsys.readouterr().out)["test"]["states"] == 7
     assert main(["evaluate", str(run), "--states", "7", "--device", "cpu"]) == 0
     assert "states succeed" in capsys.readouterr().out
+
+
+def test_the_function_and_the_command_agree(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    record = fw.evaluate(run, states=7, device="cpu")
+    assert record is not None
+    assert main(["evaluate", str(run), "--json", "--states", "7", "--device", "cpu"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert {name: told[name] for name in ("train", "validation", "test")} == {
+        name: record[name] for name in ("train", "validation", "test")
+    }
+    with pytest.raises(InputError, match="0 states leave nothing to evaluate"):
+        fw.evaluate(run, states=0)
 
 
 def test_the_criterion_is_that_of_the_run_unless_given(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

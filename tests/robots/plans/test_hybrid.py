@@ -106,7 +106,7 @@ def test_a_guide_is_asked_about_each_state_once(column: Assembly, cell: Cell, or
 def test_where_rollouts_fail_the_plan_is_searched_for(
     column: Assembly, cell: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("falsework.robots.planning.solvability.roll_out", lambda *_, **__: [])
+    monkeypatch.setattr("falsework.robots.planning.solvability.follow_scores", lambda *_, **__: [])
     found = plan_robots(column, cell, guide=SupportGuide(column), settings=APART)
     assert found.value is not None
     assert validate_plan(found.value.plan, column).good
@@ -295,7 +295,7 @@ def test_a_deadline_ends_the_search(column: Assembly, cell: Cell) -> None:
     )
 
 
-@pytest.mark.parametrize("support", [False, True])
+@pytest.mark.parametrize("allow_regrasp", [False, True])
 def test_ctrl_c_in_a_search_for_states_ends_the_whole_search(
     column: Assembly, cell: Cell, oracle: StabilityOracle, monkeypatch: pytest.MonkeyPatch, allow_regrasp: bool
 ) -> None:

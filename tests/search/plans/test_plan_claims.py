@@ -491,7 +491,8 @@ def test_certificates_in_a_plan_are_evaluated_instead_of_solving(plan: Plan, mon
         solved = validate_plan(bare, assembly, settings)
         assert (solved.good, solved.certified) == (True, 0)
         with monkeypatch.context() as patch:
-            for module, name in ((build_proofs, "StabilityOracle"), (build_proofs, "Replayer"), (plan_check, "StabilityOracle")):
+            solvers = ((build_proofs, "StabilityOracle"), (build_proofs, "Replayer"), (plan_check, "StabilityOracle"))
+            for module, name in solvers:
                 patch.setattr(module, name, type(name, (), {}))  # whoever asks a solver or a replay fails
             report = validate_plan(made, assembly, settings)
         assert report.good

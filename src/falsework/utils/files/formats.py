@@ -39,7 +39,7 @@ class Exporter:
     """Writer of structures and plans in one format."""
 
     write: Callable[..., None]
-    """Takes the path, the assembly, the plan or robot plan if it is to be shown, and the options that are given."""
+    """Takes the assembly, the path, the plan or robot plan if it is to be shown, and the options that are given."""
     suffixes: tuple[str, ...] = ()
     """Endings of the names of files that stand for the format, in lower case."""
     shows: tuple[str, ...] = ("Assembly",)
@@ -99,13 +99,13 @@ def exporter_by_suffix(path: Path | str) -> str | None:
     return next((name for name, exporter in formats(EXPORTERS).items() if suffix in exporter.suffixes), None)
 
 
-def write_format(name: str, path: Path | str, assembly: Any, plan: Any = None, **options: Any) -> None:
+def write_format(assembly: Any, path: Path | str, name: str, plan: Any = None, **options: Any) -> None:
     """Write a structure, or a plan of it, in a format.
 
     Args:
-        name: of the format.
-        path: file to write, or folder.
         assembly: the structure; None for a robot plan that needs none.
+        path: file to write, or folder.
+        name: of the format.
         plan: plan or robot plan to show; None for the structure at rest.
         options: of the format; None is equivalent to omission.
 
@@ -134,4 +134,4 @@ def write_format(name: str, path: Path | str, assembly: Any, plan: Any = None, *
             ExportWarning,
             stacklevel=3,
         )
-    exporter.write(path, assembly, plan, **{key: value for key, value in given.items() if key in exporter.options})
+    exporter.write(assembly, path, plan, **{key: value for key, value in given.items() if key in exporter.options})
