@@ -161,11 +161,11 @@ def _structures(assembly: Assembly, scratch: Path) -> Iterator[tuple[str, Kind]]
                 written if isinstance(written, bytes) else str(written).encode(), f"a.{suffix[:3]}", _read_structure, {}
             ),
         )
-    write_gltf(scratch / "a.glb", assembly)
+    write_gltf(assembly, scratch / "a.glb")
     yield "glb", _kind(scratch / "a.glb", _read_structure)
     for number, form in enumerate(("meshes", "assembly", "dem")):
         path = scratch / f"compas-{number}.json"
-        write_compas(path, assembly, form)  # type: ignore[arg-type]
+        write_compas(assembly, path, form)  # type: ignore[arg-type]
         yield f"compas {form}", _kind(path, _read_structure)
         if form != "meshes":
             yield f"interfaces of compas {form}", _kind(path, partial(load_structure, interfaces="compare"))

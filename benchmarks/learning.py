@@ -151,7 +151,9 @@ def evaluated(
     filled = settings.resolved(assembly.part_count, device.type)
     oracle = StabilityOracle(assembly, StabilitySettings(criterion=settings.criterion))
     clearance = settings.removable_only_if_clear
-    environment = Environment(assembly, settings.robots, oracle=oracle, device=device, clearance=clearance)
+    environment = Environment(
+        assembly, settings.robots, oracle=oracle, device=device, removable_only_if_clear=clearance
+    )
     network: Any = Network(result.policy, filled.precision)
     if settings.policy.goal_conditioned or one_state:
         narrow = replace(filled, data="width64")

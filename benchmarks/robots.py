@@ -151,7 +151,7 @@ def policy_guide(run: Path, assembly: Assembly, cell: Cell) -> Guide:
     from falsework.replanning.policy_guide import PolicyGuide
 
     torch.set_num_threads(1)
-    task = training_task(assembly, cell.robot_count, clearance=True)
+    task = training_task(assembly, cell.robot_count, removable_only_if_clear=True)
     return PolicyGuide(load_run(run, assembly=assembly).policy, task=task)
 
 

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.state import REMOVED
-from falsework.errors import PlanError
+from falsework.errors import InputError, PlanError
+from falsework.search.plans.plan import Plan
 from falsework.search.plans.steps import NO_ROBOT, Action, name_together
 from falsework.stability.holds import Press, describe_force
 from falsework.utils.files.formats import Exporter
@@ -27,7 +28,6 @@ from falsework.viewer.timeline import Timeline
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
-    from falsework.search.plans.plan import Plan
 
 COLUMNS = (
     "step",
@@ -148,8 +148,11 @@ def sheet(assembly: AnyStructure, plan: Plan) -> AssemblyInstructions:
         plan: its plan.
 
     Raises:
+        InputError: something other than a plan.
         PlanError: the plan is for another structure, or it holds parts again or has props.
     """
+    if not isinstance(plan, Plan):
+        raise InputError(f"{type(plan).__name__} is no plan; give the structure first, then its plan")
     if plan.allow_regrasp:
         raise PlanError("a sheet says when to place and when to release, not what is held again or propped; export it")
     assembly = as_assembly(assembly)

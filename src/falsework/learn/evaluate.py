@@ -76,7 +76,11 @@ def evaluate(
             policy.of_task(settings.robots, equilibrium=asked == "equilibrium")
         oracle = StabilityOracle(assembly, StabilitySettings(criterion=asked))
         environment = Environment(
-            assembly, settings.robots, oracle=oracle, device=chosen, clearance=settings.removable_only_if_clear
+            assembly,
+            settings.robots,
+            oracle=oracle,
+            device=chosen,
+            removable_only_if_clear=settings.removable_only_if_clear,
         )
         network: Any = Network(policy, settings.precision if chosen.type == "cuda" else "float32")
         if targets:

@@ -164,7 +164,7 @@ def test_the_first_unstable_state_costs_one(arch: Assembly) -> None:
 
 def test_a_state_without_legal_action_has_failed() -> None:
     """Robots that hold two parts neither of which can leave wait for ever."""
-    environment = Environment(load_structure("polycube"), 1, device="cpu", clearance=True)
+    environment = Environment(load_structure("polycube"), 1, device="cpu", removable_only_if_clear=True)
     starts = environment.rules.complete(50)
     rollouts = roll_out(environment, Indifferent(), starts, greedy=False, generator=environment.generator(0))
     stuck = rollouts.stuck.nonzero()[:, 0]

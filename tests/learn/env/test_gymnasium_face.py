@@ -44,7 +44,9 @@ def graph(arch: Assembly) -> StateGraph:
     return StateGraph.from_states(make_task(arch), search.states())
 
 
-@pytest.mark.parametrize("options", [{}, {"starts": "graph"}, {"target": "half"}, {"clearance": True, "robots": 1}])
+@pytest.mark.parametrize(
+    "options", [{}, {"starts": "graph"}, {"target": "half"}, {"removable_only_if_clear": True, "robots": 1}]
+)
 def test_it_passes_the_check_of_gymnasium(arch: Assembly, graph: StateGraph, options: dict) -> None:
     options = dict(options)
     if "starts" in options:

@@ -172,7 +172,7 @@ def test_one_check_has_motions_and_states(robot_plan: RobotPlan, column: Assembl
     assert report.good
     assert report.states is not None
     assert report.states.checked == len(robot_plan.plan) + 1
-    strict = check(column, robot_plan, cell, demands=Demands(friction=100.0))
+    strict = check(column, robot_plan, cell, demands=Demands(push=1e6))
     assert not strict.problems  # the motions are as good as before, the states have no such margin
     assert strict.states is not None
     assert not strict.states.good

@@ -165,19 +165,21 @@ def check_states(path: Path | str, arrays: Mapping[str, NDArray[Any]], parts: in
             raise InputError(f"{path} is damaged ({name} contains no states of {parts} parts); {remedy}")
 
 
-def training_task(assembly: Assembly, robots: int = 2, clearance: bool = False, fixed: Sequence[int] = ()) -> Task:
+def training_task(
+    assembly: Assembly, robots: int = 2, removable_only_if_clear: bool = False, fixed: Sequence[int] = ()
+) -> Task:
     """Return the task of complete disassembly that data sets and policies use.
 
     Args:
         assembly: the structure.
         robots: parts held at a time.
-        clearance: parts are removed only if they have a free exit direction.
+        removable_only_if_clear: parts are removed only if they have a free exit direction.
         fixed: parts that are never touched.
 
     Raises:
         InputError: fewer than one robot, or parts that do not exist.
     """
-    table = assembly.clearance if clearance else None
+    table = assembly.clearance if removable_only_if_clear else None
     return Task.from_rules(assembly.boundary, robots, fixed=tuple(fixed), clearance=table, identity=assembly.identity)
 
 

@@ -73,6 +73,10 @@ def check(
             raise InputError("a robot plan is checked in a cell; give its name, its file or a Cell")
         motions = check_robot_plan(plan, assembly, cell, progress=progress)
         return replace(motions, states=validate_plan(plan.plan, assembly, stability, demands=demands))
+    if not isinstance(plan, Plan):
+        raise InputError(
+            f"{type(plan).__name__} is no plan; give the structure first, then a plan, such as the value of a result"
+        )
     if cell is not None:
         raise InputError("a plan without motions needs no cell; leave it out")
     return validate_plan(plan, assembly, stability, demands=demands, progress=progress)

@@ -75,7 +75,9 @@ class Result(Generic[T]):
         """
         value = self.value
         if value is None:
-            raise NotFoundError(f"{self.outcome.value}: {self.reason}" if self.reason else self.outcome.value)
+            proved = self.outcome is Outcome.PROVED_IMPOSSIBLE
+            what = "it is proved that there is none" if proved else "none was found, which proves nothing"
+            raise NotFoundError(f"{what}: {self.reason}" if self.reason else what)
         return value
 
 
