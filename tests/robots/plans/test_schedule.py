@@ -247,7 +247,9 @@ def test_the_longer_of_two_partial_plans_is_kept(row: Assembly, wide: Cell, monk
     """The second search has what is left of the deadline, and often gets less far."""
     partial = SimpleNamespace(statistics={})
 
-    def search(graph: Any, task: Any, oracle: Any, guide: Any, settings: HybridSettings, *more: Any) -> Any:
+    def search(
+        graph: Any, task: Any, oracle: Any, guide: Any, settings: HybridSettings, *more: Any, concurrent: bool
+    ) -> Any:
         first = not given_lines(settings)
         why = Explanation("interrupted", 3 if first else 1, 6, (), None, (), "stopped")
         found = HybridResult(None, partial if first else None, why, {})  # type: ignore[arg-type]
