@@ -101,8 +101,8 @@ def main(arguments: Arguments) -> None:
     cpu: dict[str, list[float]] = {"sequential": [], "together": [], "command": []}
     tried = found = good = holding = carrying = 0
     for seed in seeds:
-        settings = HybridSettings(seed=seed, deadline=arguments.deadline)
-        plan = plan_robots(assembly, cell, settings=settings, concurrent=True).value
+        settings = HybridSettings(seed=seed)
+        plan = plan_robots(assembly, cell, settings=settings, deadline=arguments.deadline, concurrent=True).value
         if plan is None:
             continue
         for share in np.random.default_rng(seed).random(arguments.interruptions):
@@ -113,14 +113,16 @@ def main(arguments: Arguments) -> None:
             holding += any(part is not None and now.state[part] for part in now.held)
             carrying += any(grip is not None for grip in now.gripped)
             given: dict[str, Any] = {"configurations": now.configurations, "held": now.held, "gripped": now.gripped}
-            settings = HybridSettings(seed=seed + _OTHER_SEED, deadline=arguments.deadline)
+            settings = HybridSettings(seed=seed + _OTHER_SEED)
             rest: list[RobotPlan | None] = []
             begun = time.process_time()
-            one = plan_robots(assembly, cell, task=task, settings=settings, **given).value
+            one = plan_robots(assembly, cell, task=task, settings=settings, deadline=arguments.deadline, **given).value
             cpu["sequential"].append(time.process_time() - begun)
             rest.append(one)
             begun = time.process_time()
-            both = plan_robots(assembly, cell, task=task, settings=settings, concurrent=True, **given).value
+            both = plan_robots(
+                assembly, cell, task=task, settings=settings, deadline=arguments.deadline, concurrent=True, **given
+            ).value
             cpu["together"].append(time.process_time() - begun)
             rest.append(both)
             with tempfile.TemporaryDirectory() as folder:

@@ -121,7 +121,7 @@ def once(
     """Plan once from structure and cell alone, with a guide if given, and with parts held again if `support`."""
     task = Task.from_rules(assembly.boundary, cell.robot_count, identity=assembly.identity, allow_regrasp=support)
     begun, work = time.perf_counter(), time.process_time()
-    result = plan_robots(assembly, cell, task=task, guide=guide, settings=HybridSettings(seed=seed, deadline=deadline))
+    result = plan_robots(assembly, cell, task=task, guide=guide, settings=HybridSettings(seed=seed), deadline=deadline)
     seconds, work = time.perf_counter() - begun, time.process_time() - work
     statistics = {key: value for key, value in result.statistics.items() if key not in ("failure", "seconds", "seed")}
     fields: dict[str, Any] = {"found": result.found, "seconds": round(seconds, 3), "cpu_seconds": round(work, 3)}
@@ -227,11 +227,11 @@ def together(name: str, arguments: Arguments) -> None:
     shares, bounds, extra, extra_cpu, good = [], [], [], [], 0
     seeds = tuple(range(arguments.first_seed, arguments.first_seed + arguments.seeds))
     for seed in seeds:
-        alone = HybridSettings(seed=seed, deadline=arguments.deadline)
+        alone = HybridSettings(seed=seed)
         begun, work = time.perf_counter(), cpu_seconds()
-        before = plan_robots(assembly, cell, settings=alone).value
+        before = plan_robots(assembly, cell, settings=alone, deadline=arguments.deadline).value
         middle, used = time.perf_counter(), cpu_seconds()
-        plan = plan_robots(assembly, cell, settings=alone, concurrent=True).value
+        plan = plan_robots(assembly, cell, settings=alone, deadline=arguments.deadline, concurrent=True).value
         seconds, cpu = time.perf_counter() - middle, cpu_seconds() - used
         if before is None or plan is None or plan.schedule is None:
             both = {"found_sequential": before is not None, "cpu_seconds": round(cpu_seconds() - work, 1)}
@@ -287,9 +287,11 @@ def midway(name: str, arguments: Arguments) -> None:
     cpu: dict[str, list[float]] = {"fresh": [], "kept": []}
     tried = found = good = 0
     for seed in seeds:
-        settings = HybridSettings(Direction.DISASSEMBLY, seed=seed, deadline=arguments.deadline)
+        settings = HybridSettings(Direction.DISASSEMBLY, seed=seed)
         graph, oracle = KeyframeGraph(assembly, cell, seed=seed), StabilityOracle(assembly)
-        first = plan_robots(assembly, cell, settings=settings, concurrent=True, graph=graph, oracle=oracle).value
+        first = plan_robots(
+            assembly, cell, settings=settings, deadline=arguments.deadline, graph=graph, oracle=oracle
+        ).value
         if first is None:
             continue
         busy = [k for k, frame in enumerate(first.keyframes) if any(part is not None for part in frame.held)]
@@ -310,7 +312,7 @@ def midway(name: str, arguments: Arguments) -> None:
                     configurations=frame.configurations,
                     held=frame.held,
                     settings=settings,
-                    concurrent=True,
+                    deadline=arguments.deadline,
                     **again,
                 ).value
                 seconds[kind].append(time.perf_counter() - begun)
@@ -352,8 +354,8 @@ def delays(name: str, arguments: Arguments) -> None:
     """Plan with several seeds in one built-in cell, and check the schedules under any delays."""
     assembly, cell = structure(STRUCTURES[name]), load_cell(name)
     for seed in range(arguments.first_seed, arguments.first_seed + arguments.seeds):
-        settings = HybridSettings(seed=seed, deadline=arguments.deadline)
-        plan = plan_robots(assembly, cell, settings=settings, concurrent=True).value
+        settings = HybridSettings(seed=seed)
+        plan = plan_robots(assembly, cell, settings=settings, deadline=arguments.deadline, concurrent=True).value
         if plan is None or plan.schedule is None:
             report("robots delays", cell=name, robots=cell.robot_count, found=False, seeds=(seed,))
             continue

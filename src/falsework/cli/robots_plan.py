@@ -131,8 +131,7 @@ class PlanRobots(Command):
             assembly, cell = self._load()
         together = not self.sequential and cell.robot_count > 1 and can_schedule(output)
         order = Direction(self.order)
-        limits: dict[str, Any] = {"seed": self.seed, "deadline": self.deadline, "forces": self.proofs}
-        settings = HybridSettings(order, **limits)
+        settings = HybridSettings(order, seed=self.seed)
         building = order is Direction.ASSEMBLY
         if begun is not None:
             held, joints, grips = begun.arms
@@ -153,6 +152,8 @@ class PlanRobots(Command):
             "stability": stability,
             "guide": guide,
             "settings": settings,
+            "deadline": self.deadline,
+            "forces": self.proofs,
         }
         if not building or begun is not None or {self.state, self.joints, self.holding, self.grips} != {None}:
             given |= {"configurations": joints, "held": held, "gripped": grips}

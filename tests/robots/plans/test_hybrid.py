@@ -285,7 +285,7 @@ def test_a_structure_that_locks_itself_is_proven_so(cell: Cell) -> None:
 
 
 def test_a_deadline_ends_the_search(column: Assembly, cell: Cell) -> None:
-    found = plan_robots(column, cell, settings=HybridSettings(Direction.DISASSEMBLY, deadline=1e-6))
+    found = plan_robots(column, cell, settings=HybridSettings(Direction.DISASSEMBLY), deadline=1e-6)
     assert not found.found
     assert found.explanation is not None
     assert found.explanation.outcome == "interrupted"
@@ -339,7 +339,7 @@ def test_wrong_starts(column: Assembly, cell: Cell, oracle: StabilityOracle) -> 
     with pytest.raises(InputError, match=r"at the start bodies are too near: .* m?c?m into each other; move arm"):
         plan_robots(column, cell, configurations=[down, cell.homes[1]], oracle=oracle, settings=APART)
     with pytest.raises(InputError, match="leaves no time"):
-        HybridSettings(Direction.DISASSEMBLY, deadline=0.0)
+        plan_robots(column, cell, oracle=oracle, deadline=0.0)
     with pytest.raises(InputError, match="at least one attempt"):
         HybridSettings(Direction.DISASSEMBLY, attempts=0)
 

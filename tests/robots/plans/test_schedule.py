@@ -233,7 +233,7 @@ def test_times_that_do_not_fit_the_motions(
 
 
 def test_a_deadline_that_the_first_search_uses_up_ends_without_a_plan(row: Assembly, wide: Cell) -> None:
-    found = plan_robots(row, wide, settings=HybridSettings(Direction.DISASSEMBLY, deadline=1e-3), concurrent=True)
+    found = plan_robots(row, wide, settings=HybridSettings(Direction.DISASSEMBLY), deadline=1e-3, concurrent=True)
     assert found.value is None
     assert found.statistics["search"] == "sequential"
 
@@ -248,7 +248,7 @@ def test_the_longer_of_two_partial_plans_is_kept(row: Assembly, wide: Cell, monk
     partial = SimpleNamespace(statistics={})
 
     def search(
-        graph: Any, task: Any, oracle: Any, guide: Any, settings: HybridSettings, *more: Any, concurrent: bool
+        graph: Any, task: Any, oracle: Any, guide: Any, settings: HybridSettings, *more: Any, **choices: Any
     ) -> Any:
         first = not given_lines(settings)
         why = Explanation("interrupted", 3 if first else 1, 6, (), None, (), "stopped")
@@ -256,7 +256,7 @@ def test_the_longer_of_two_partial_plans_is_kept(row: Assembly, wide: Cell, monk
         return SimpleNamespace(run=lambda root: found)
 
     monkeypatch.setattr("falsework.robots.planning.hybrid_planner.HybridSearch", search)
-    found = plan_robots(row, wide, settings=HybridSettings(Direction.DISASSEMBLY, deadline=10.0), concurrent=True)
+    found = plan_robots(row, wide, settings=HybridSettings(Direction.DISASSEMBLY), deadline=10.0, concurrent=True)
     assert found.partial is partial
     assert found.explanation is not None
     assert found.explanation.reached == 3
@@ -266,20 +266,20 @@ def test_the_longer_of_two_partial_plans_is_kept(row: Assembly, wide: Cell, monk
 def test_longer_lines_are_tried_where_short_ones_lead_to_no_plan(
     row: Assembly, wide: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    settings = HybridSettings(Direction.DISASSEMBLY, deadline=120.0)
-    found = plan_robots(row, wide, settings=settings, concurrent=True)
+    settings = HybridSettings(Direction.DISASSEMBLY)
+    found = plan_robots(row, wide, settings=settings, deadline=120.0, concurrent=True)
     assert found.value is not None
     assert found.value.schedule is not None
     assert found.statistics["search"] == "together"
 
-    def search(*given: Any, concurrent: bool) -> HybridSearch:
-        made = HybridSearch(*given, concurrent=concurrent)
+    def search(*given: Any, **more: Any) -> HybridSearch:
+        made = HybridSearch(*given, **more)
         if not given_lines(made.settings):
             made.clock = Deadline(1e-9)
         return made
 
     monkeypatch.setattr("falsework.robots.planning.hybrid_planner.HybridSearch", search)
-    other = plan_robots(row, wide, settings=settings, concurrent=True)
+    other = plan_robots(row, wide, settings=settings, deadline=120.0, concurrent=True)
     alone = plan_robots(row, wide, settings=APART).value
     assert other.value is not None
     assert alone is not None

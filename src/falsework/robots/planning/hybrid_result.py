@@ -10,7 +10,6 @@ from falsework.errors import InputError
 from falsework.robots.keyframes.failure_report import Explanation
 from falsework.robots.keyframes.keyframe_graph import KeyframeSettings
 from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.search.problem.deadline import check_deadline
 from falsework.search.problem.result import Outcome, Result
 from falsework.search.problem.task import Direction
 from falsework.utils.quantity import check_seed
@@ -24,15 +23,11 @@ class HybridSettings:
     """Order in which the plan is executed, and in which its makespan is made short."""
     seed: int = 0
     """Same seed, same machine, same result, unless the deadline passes."""
-    deadline: float | None = None
-    """Seconds after which the search ends with what it has."""
     attempts: int = 40
     """Number of searches, each in another order."""
     dead_ends: int = 15
     """States at which the first search may go no further; then the next one begins, and may have more."""
     keyframes: KeyframeSettings = field(default_factory=KeyframeSettings)
-    forces: bool = False
-    """Whether to keep the contact forces that prove each state in the plan."""
 
     def __post_init__(self) -> None:
         if self.direction not in set(Direction):
@@ -40,7 +35,6 @@ class HybridSettings:
         object.__setattr__(self, "direction", Direction(self.direction))
         if min(self.attempts, self.dead_ends) < 1:
             raise InputError("a search needs at least one attempt and dead end; give numbers from 1 on")
-        check_deadline(self.deadline)
         check_seed(self.seed)
 
 

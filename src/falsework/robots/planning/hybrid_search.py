@@ -62,6 +62,7 @@ class HybridSearch:
         clock: Deadline,
         *,
         concurrent: bool = False,
+        forces: bool = False,
     ) -> None:
         self.graph, self.task, self.oracle, self.ends, self.clock = graph, task, oracle, ends, clock
         self.assembly, self.cell, self.settings, self.progress = graph.assembly, graph.cell, settings, progress
@@ -77,7 +78,7 @@ class HybridSearch:
         self.dead = self.graph.dead = DeadEnds()
         self.failures = FailedActions(self.graph, self.solvability)
         given = (self.graph, oracle, self.solvability, ends, settings, self.deadline_passed)
-        self.maker = PlanBuilder(*given, concurrent=concurrent)
+        self.maker = PlanBuilder(*given, concurrent=concurrent, forces=forces)
         self.counts: Counter[str] = Counter()
         self.attempt = 0
         self.unreachable: list[int] | None = None

@@ -35,6 +35,7 @@ class PlanBuilder:
         stop: Callable[[], bool],
         *,
         concurrent: bool = False,
+        forces: bool = False,
     ) -> None:
         """Make plans of the edges of `graph`.
 
@@ -46,9 +47,11 @@ class PlanBuilder:
             settings: order and seed.
             stop: tells when to end with the order found so far.
             concurrent: whether robots move at the same time.
+            forces: whether plans keep the forces that prove their states.
         """
         self.graph, self.oracle, self.solvability = graph, oracle, solvability
-        self.ends, self.settings, self.stop, self.concurrent = ends, settings, stop, concurrent
+        self.ends, self.settings, self.stop = ends, settings, stop
+        self.concurrent, self.forces = concurrent, forces
         self._timed: dict[PathSegment, Trajectory | None] = {}
 
     def plan(self, root: Node, chain: list[Edge], *, whole: bool) -> RobotPlan:
@@ -89,6 +92,6 @@ class PlanBuilder:
         return found
 
     def _make(self, root: Node, chain: list[Edge]) -> RobotPlan:
-        task, forces = self.ends.whole(self.solvability.task), self.settings.forces
+        task, forces = self.ends.whole(self.solvability.task), self.forces
         cell, assembly = self.graph.cell, self.graph.assembly
         return make_robot_plan(assembly, cell, task, self.oracle, root, chain, forces=forces, timed=self._timed)
