@@ -25,6 +25,8 @@ from falsework import Assembly, Plan
 from falsework.assembly import HELD, INSTALLED, ContactWarning
 from falsework.geometry import TriangleMesh
 from falsework.stability.holds import Press
+from falsework.utils.kernel_code import ARCHIVE
+from falsework.utils.kernels import Kernel
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -74,6 +76,18 @@ def read_answer() -> Callable[[str], dict[str, Any]]:
         return answer
 
     return read
+
+
+@pytest.fixture
+def without_numba(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fail where a kernel has no portable code for its arguments; skips the test where no archive was made."""
+    if not ARCHIVE.path.is_file():
+        pytest.skip("no archive of kernels here: make kernels")
+
+    def refuse(kernel: Kernel) -> None:
+        pytest.fail(f"numba is asked to compile {kernel.__name__}")
+
+    monkeypatch.setattr(Kernel, "dispatcher", property(refuse))
 
 
 @pytest.fixture(scope="session")

@@ -7,7 +7,7 @@ import pytest
 
 from falsework import Assembly, StabilityOracle, load_structure
 from falsework.assembly import ContactWarning
-from falsework.assembly.symmetry import _motions, _same_contacts, symmetries
+from falsework.assembly.symmetry import rigid_motions, same_contacts, symmetries
 from falsework.geometry import TriangleMesh
 from falsework.stability.settings import EQUILIBRIUM
 
@@ -93,10 +93,10 @@ def test_contacts_matter() -> None:
     one, other = dome.contacts.parts[lost]
     push[one, other] = push[other, one] = 0.0
     kept = 0
-    for turn in _motions(*_places(dome)):
+    for turn in rigid_motions(*_places(dome)):
         image = _image_under(dome, turn)
-        assert _same_contacts(dome.contacts.pushes(dome.part_count), turn, image)
-        kept += _same_contacts(push, turn, image)
+        assert same_contacts(dome.contacts.pushes(dome.part_count), turn, image)
+        kept += same_contacts(push, turn, image)
     assert kept == 2
 
 

@@ -30,7 +30,6 @@ from falsework.robots.plans.robot_plan_file import load_robot_plan, robot_plan_t
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph
 from falsework.robots.plans.timeline import arm_shares, event_times
 from falsework.search.problem.deadline import Deadline
-from falsework.utils.kernels import Kernel
 from tests.older_files import as_robot_version_2
 from tests.robots.plans.orders import APART
 
@@ -53,15 +52,9 @@ def graph_of(plan: RobotPlan) -> TemporalPlanGraph:
     return plan.schedule
 
 
-def test_arguments_have_the_types_of_the_portable_code(
-    row: Assembly, wide: Cell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.usefixtures("without_numba")
+def test_arguments_have_the_types_of_the_portable_code(row: Assembly, wide: Cell) -> None:
     """Numba, which takes twenty seconds where LLVM takes two, compiles nothing for a plan and its schedule."""
-
-    def refuse(kernel: Kernel) -> None:
-        pytest.fail(f"numba is asked to compile {kernel.__name__}")
-
-    monkeypatch.setattr(Kernel, "dispatcher", property(refuse))
     plan = plan_robots(row, wide, settings=HybridSettings(Direction.DISASSEMBLY, seed=1), concurrent=True).value
     assert plan is not None
     assert plan.schedule is not None
