@@ -236,7 +236,7 @@ def _read(path: Path, unit: str | None) -> tuple[Draft, dict[str, Any]]:
         check_meshes_path(path)
         described = read_description(path)
         draft = described_draft(path, described, unit)
-        names = ("density", "friction", "boundary", *LOAD_OPTIONS)
+        names = ("density", "friction", "boundary", "settle", *LOAD_OPTIONS)
         options = {name: described[name] for name in names if name in described}
         options["contact_settings"] = described["contact"]
     options.pop("unit", None)

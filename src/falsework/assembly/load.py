@@ -50,10 +50,10 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
 
     Args:
         structure: name of a built-in structure with its parameters, or a folder or file.
-        options: unit, density (kg/m3), friction, boundary, ground, contact_settings, loads, earthquake, materials,
+        options: unit, density (kg/m3), friction, boundary, ground, contact_settings, settle, loads, earthquake, materials,
             joints and fasteners as for `load_assembly`, and interfaces (`found`, `stored` or `compare`) as for
-            `load_compas`; None is equivalent to omission. A built-in structure takes neither unit nor contact_settings,
-            and only COMPAS data store interfaces.
+            `load_compas`; None is equivalent to omission. A built-in structure takes no unit, contact_settings
+            or settle, and only COMPAS data store interfaces.
 
     Raises:
         InputError: neither a path nor a built-in structure, or an option that it does not take.
@@ -79,9 +79,10 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
         return _not_all_fixed(assembly)
     if given.pop("interfaces", "found") != "found":
         raise InputError(f"{text} is a built-in structure and stores no interfaces; leave out --interfaces")
-    for option in ("unit", "contact_settings"):
+    for option in ("unit", "contact_settings", "settle"):
         if option in given:
-            raise InputError(f"{text} is a built-in structure and has its own {option}; leave it out")
+            has = "parts without clearance" if option == "settle" else f"its own {option}"
+            raise InputError(f"{text} is a built-in structure and has {has}; leave out {option}")
     ground, acting = given.pop("ground", False), {name: given.pop(name, None) for name in LOAD_OPTIONS}
     assembly = library.build(text, density=given.pop("density", None), friction=given.pop("friction", None))
     if given:
@@ -165,7 +166,7 @@ def described_options(path: Path) -> dict[str, Any]:
     settings = described.pop("contact")
     if settings != ContactSettings():
         described["contact_settings"] = settings
-    options = ("unit", "density", "friction", "boundary", "contact_settings", *LOAD_OPTIONS)
+    options = ("unit", "density", "friction", "boundary", "contact_settings", "settle", *LOAD_OPTIONS)
     return {name: described[name] for name in options if name in described}
 
 

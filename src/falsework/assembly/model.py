@@ -17,6 +17,7 @@ from falsework.assembly.assembly_model import Prop
 from falsework.assembly.joints import Joints
 from falsework.assembly.loads import Loads
 from falsework.assembly.part_numbers import part_ids
+from falsework.assembly.settling import Settlement, settle_parts
 from falsework.assembly.touching import check_touching, contact_warnings
 from falsework.errors import AssemblyError
 from falsework.geometry.clearance.table import ClearanceTable, clearance_table
@@ -65,6 +66,8 @@ class Assembly(Displayed):
     """Props that states may have: the last parts, which never move and need no robot; see `with_props`."""
     joints: Joints | None = None
     """Friction, cohesion and tension of the contacts, where they are not dry or differ."""
+    settlement: Settlement | None = None
+    """Motion of the parts from the poses of their model into these, if they settled."""
 
     @staticmethod
     def from_meshes(
@@ -77,6 +80,7 @@ class Assembly(Displayed):
         contact_settings: ContactSettings | None = None,
         ground: bool = False,
         contacts: Contacts | None = None,
+        settle: float | None = None,
     ) -> Assembly:
         """Find contacts and masses, and check that the parts make an assembly.
 
@@ -91,10 +95,11 @@ class Assembly(Displayed):
             contact_settings: tolerances.
             ground: add a fixed slab under the lowest point, as the last part.
             contacts: contacts of the parts, if they are known; found from the meshes if not given.
+            settle: largest motion with which parts settle into their clearance first, metres; none if not given.
 
         Raises:
-            AssemblyError: no parts, no boundary or ids out of range, density or friction out of range,
-                parts that pass through each other, or a part that touches nothing.
+            AssemblyError: no parts, no boundary or ids out of range, density or friction out of range, parts that
+                pass through each other, a part that touches nothing, or parts that cannot settle.
             MeshError: a part whose volume is not positive.
         """
         parts = tuple(meshes)
@@ -122,12 +127,17 @@ class Assembly(Displayed):
             )
         mass = mass_properties(parts, densities)
         settings = contact_settings or ContactSettings()
-        given = contacts is not None
+        given, settlement = contacts is not None, None
+        if settle is not None:
+            if given:
+                raise AssemblyError("given contacts belong to the poses of the parts, which cannot settle; find them")
+            parts, settlement = settle_parts(parts, fixed, mass, friction, settle)
+            mass = mass_properties(parts, densities)
         contacts = find_contacts(parts, settings) if contacts is None else contacts
         check_touching(parts, fixed, contacts, settings)
         fixed.setflags(write=False)
         densities.setflags(write=False)
-        assembly = Assembly(name, parts, fixed, densities, friction, contacts, mass, settings, given)
+        assembly = Assembly(name, parts, fixed, densities, friction, contacts, mass, settings, given, settlement=settlement)
         found = assembly.warnings
         for line in found[:_WARNED]:
             warnings.warn(line, ContactWarning, stacklevel=2)

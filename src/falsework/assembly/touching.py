@@ -85,7 +85,8 @@ def check_touching(
                 '("contact": {"angle": degrees} in assembly.json)'
             )
         raise AssemblyError(
-            f"{where}, and {1000 * allowed:.3g} mm is allowed; move it into place, or allow the gap if it is meant to "
+            f"{where}, and {1000 * allowed:.3g} mm is allowed; move it into place, let parts settle (--settle "
+            f"{1000 * float(_above(gap)):g}), or allow the gap if it is meant to "
             f'be filled ("contact": {{"gap": {_above(gap)}}} in assembly.json)'
         )
 

@@ -46,12 +46,13 @@ class CheckStability(JudgingCommand):
         """Compute the verdicts and describe how unstable states fail."""
         import numpy as np
 
+        from falsework.assembly.settling import clearance_hint
         from falsework.cli.arguments import parse_states
         from falsework.cli.velocity_text import describe, motions, part_name
         from falsework.stability import Proof, Stability, Verdict
         from falsework.stability.motion import motion_of
 
-        assembly = self.structure.load()
+        assembly = self.structure.load(output)
         states = parse_states(self.states or "complete", "--states", assembly)
         verdicts = Stability(assembly, self._settings()).verdicts(states, require_certificate=True)
         for index in range(len(states)):
@@ -81,6 +82,8 @@ class CheckStability(JudgingCommand):
                 f"{near}"
             )
             output.say(f"{line}; {describe(assembly, moving)}" if moving else line)
+            if not verdicts.stable[index] and states[index].all() and (hint := clearance_hint(assembly)):
+                output.note(f"falsework: {hint}")
         return Exit.DONE if bool(np.all(verdicts.stable)) else Exit.NO
 
     def _settings(self) -> StabilitySettings:

@@ -42,10 +42,18 @@ class Narrow:
     """Length that touches, zero for a point, shape (places,), metres."""
     lean: Array
     """Largest angle between the normal and those of the surfaces that have one, shape (places,), radians."""
+    gaps: Array
+    """Distance of the parts at both ends, along the normal, negative where they overlap, shape (places, 2), metres."""
 
     def take(self, chosen: NDArray) -> Narrow:
         """Return those places alone, in that order."""
         return Narrow(*(array[chosen] for array in vars(self).values()))
+
+    @staticmethod
+    def none() -> Narrow:
+        """Return no places."""
+        numbers, pairs = np.zeros(0), np.zeros((0, 2))
+        return Narrow(pairs.astype(np.int32), np.zeros((0, 3)), np.zeros((0, 2, 3)), numbers, numbers, pairs)
 
     @staticmethod
     def join(found: Sequence[Narrow]) -> Narrow:
@@ -178,7 +186,8 @@ def merged(found: Narrow, coplanar: float, tolerance: float) -> tuple[Narrow, Ar
             if extent >= tolerance or found.extent[one[0]] == 0:
                 lean = found.lean[one[far // 2]][order]
                 whole = np.array([extent]), np.array([lean.max()])
-                out.append(Narrow(found.parts[one[:1]], normal[None], ends[None, order], *whole))
+                gaps = found.gaps[one].ravel()[far][order]
+                out.append(Narrow(found.parts[one[:1]], normal[None], ends[None, order], *whole, gaps[None]))
                 outer.append(normals[None, order])
                 leans.append(lean[None])
             rest = rest[~near]
@@ -216,7 +225,7 @@ def _edges_on_faces(
     ends = ends - height[:, :, None] / 2 * normal[:, None]
     parts, normals = _ordered(sharp.part[edge], surface.part[face], -normal)
     # The face has a normal and the edge has none, so that nothing is inclined to it.
-    return Narrow(parts, normals, ends, extent, np.zeros(len(extent))).take(extent > 1e-3 * limits.tolerance)
+    return Narrow(parts, normals, ends, extent, np.zeros(len(extent)), height).take(extent > 1e-3 * limits.tolerance)
 
 
 def _clip(start: Array, stop: Array, level: Array, climb: Array) -> None:
@@ -316,9 +325,11 @@ def _corners_on_faces(
     keep = np.flatnonzero(inside)
     keep = keep[rises(surface, vertex[keep], normal[keep], limits.sine)]
     keep = keep[~_on_edges(point[keep], surface.part[face[keep]], rims, NARROW * limits.tolerance)]
-    middle = point[keep] - height[keep, None] / 2 * normal[keep]
+    height = height[keep]
+    middle = point[keep] - height[:, None] / 2 * normal[keep]
     parts, normals = _ordered(part[keep], surface.part[face[keep]], -normal[keep])
-    return Narrow(parts, normals, np.stack([middle, middle], axis=1), *np.zeros((2, len(keep))))
+    ends, gaps = np.stack([middle, middle], axis=1), np.stack([height, height], axis=1)
+    return Narrow(parts, normals, ends, *np.zeros((2, len(keep))), gaps)
 
 
 def _crossings(sharp: Creases, one: Index, two: Index, limits: ContactTolerances) -> Narrow:
@@ -346,5 +357,5 @@ def _crossings(sharp: Creases, one: Index, two: Index, limits: ContactTolerances
         keep &= (at >= margin[:, 0]) & (at <= sharp.length[edge] - margin[:, 1])
     point = sharp.tail[one] + at_one[:, None] * d + height[:, None] / 2 * normal
     parts, normals = _ordered(sharp.part[one], sharp.part[two], normal)
-    found = Narrow(parts, normals, np.stack([point, point], axis=1), *np.zeros((2, len(one))))
-    return found.take(keep)
+    ends, gaps = np.stack([point, point], axis=1), np.stack([height, height], axis=1)
+    return Narrow(parts, normals, ends, *np.zeros((2, len(one))), gaps).take(keep)

@@ -36,8 +36,8 @@ class Patches:
     """Corners, midway between the two faces, shape (points, 3), metres."""
     owner: NDArray[np.int64]
     """Patch of every corner, ascending, shape (points,)."""
-    distance: Array
-    """Smallest and largest distance of the two faces over the patch, negative where they overlap, shape (patches, 2),
+    gaps: Array
+    """Distance of the two faces at every corner, along the normal, negative where they overlap, shape (points,),
     metres."""
     faces: NDArray[np.int64]
     """Face of part `a` and of part `b`, shape (patches, 2)."""
@@ -49,8 +49,17 @@ class Patches:
     def none() -> Patches:
         """Return no patches."""
         ints, vectors, numbers = np.zeros((0, 2), dtype=np.int64), np.zeros((0, 3)), np.zeros(0)
-        owner, distance = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
-        return Patches(ints.astype(np.int32), vectors, numbers, vectors, owner, distance, ints, numbers)
+        return Patches(
+            ints.astype(np.int32), vectors, numbers, vectors, np.zeros(0, dtype=np.int64), numbers, ints, numbers
+        )
+
+    @cached_property
+    def distance(self) -> Array:
+        """Smallest and largest distance of the two faces over each patch, shape (patches, 2), metres."""
+        distance = np.full((len(self.areas), 2), (np.inf, -np.inf))
+        np.minimum.at(distance[:, 0], self.owner, self.gaps)
+        np.maximum.at(distance[:, 1], self.owner, self.gaps)
+        return distance
 
     @staticmethod
     def join(found: Sequence[Patches]) -> Patches:
@@ -63,7 +72,7 @@ class Patches:
             areas=np.concatenate([patches.areas for patches in found]),
             points=np.concatenate([patches.points for patches in found]),
             owner=np.concatenate([patches.owner + first for patches, first in zip(found, counts, strict=False)]),
-            distance=np.concatenate([patches.distance for patches in found]),
+            gaps=np.concatenate([patches.gaps for patches in found]),
             faces=np.concatenate([patches.faces for patches in found]),
             lean=np.concatenate([patches.lean for patches in found]),
         )
@@ -78,7 +87,7 @@ class Patches:
             self.areas[chosen],
             self.points[corners],
             owner,
-            self.distance[chosen],
+            self.gaps[corners],
             self.faces[chosen],
             self.lean[chosen],
         )
@@ -215,17 +224,14 @@ def intersect_faces(
     source = kept[owner]
     height = np.einsum("pi,pi->p", slope_a[source] + slope_b[source], flat) + level_a[source] + level_b[source]
     local = np.column_stack([height / 2, flat])
-    distance = np.full((len(areas), 2), (np.inf, -np.inf))
-    between = level_b[source] - level_a[source] + np.einsum("pi,pi->p", slope_b[source] - slope_a[source], flat)
-    np.minimum.at(distance[:, 0], owner, between)
-    np.maximum.at(distance[:, 1], owner, between)
+    gaps = level_b[source] - level_a[source] + np.einsum("pi,pi->p", slope_b[source] - slope_a[source], flat)
     return Patches(
         parts=np.stack([faces.part[i[kept]], faces.part[j[kept]]], axis=1),
         normals=normals[kept],
         areas=areas,
         points=origin[source] + np.einsum("pji,pj->pi", frames[source], local),
         owner=owner,
-        distance=distance,
+        gaps=gaps,
         faces=np.stack([i[kept], j[kept]], axis=1),
         lean=np.arcsin(np.minimum(np.linalg.norm(faces.normals[i[kept]] + faces.normals[j[kept]], axis=1) / 2, 1.0)),
     )
