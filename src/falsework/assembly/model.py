@@ -17,14 +17,15 @@ from falsework.assembly.assembly_model import Prop
 from falsework.assembly.joints import Joints
 from falsework.assembly.loads import Loads
 from falsework.assembly.part_numbers import part_ids
-from falsework.assembly.settling import Settlement, settle_parts
-from falsework.assembly.touching import check_touching, contact_warnings
+from falsework.assembly.touching import check_touching, clearance_hint, contact_warnings
 from falsework.errors import AssemblyError
 from falsework.geometry.clearance.table import ClearanceTable, clearance_table
 from falsework.geometry.clearance.together import SetClearance
 from falsework.geometry.contact.interfaces import Contacts, ContactSettings, find_contacts
 from falsework.geometry.contact.joints import JointReport
-from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh, mass_properties
+from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh, ground_slab, mass_properties
+from falsework.geometry.settling.settle import settle_parts
+from falsework.geometry.settling.settlement import Settlement
 from falsework.utils.display.notebook import Displayed
 from falsework.utils.quantity import counted
 
@@ -137,7 +138,9 @@ class Assembly(Displayed):
         check_touching(parts, fixed, contacts, settings)
         fixed.setflags(write=False)
         densities.setflags(write=False)
-        assembly = Assembly(name, parts, fixed, densities, friction, contacts, mass, settings, given, settlement=settlement)
+        assembly = Assembly(
+            name, parts, fixed, densities, friction, contacts, mass, settings, given, settlement=settlement
+        )
         found = assembly.warnings
         for line in found[:_WARNED]:
             warnings.warn(line, ContactWarning, stacklevel=2)
@@ -166,6 +169,12 @@ class Assembly(Displayed):
         friction holds have a line too. Pairs of boundary parts are omitted: no verdict depends on them.
         """
         return contact_warnings(self.meshes, self.boundary, self.contacts, self.friction)
+
+    @property
+    def clearance_hint(self) -> str:
+        """What to do if parts do not rest where the model has them, because they have clearance; empty if none has."""
+        known = self.settlement is not None or self.contacts_given
+        return "" if known else clearance_hint(self.meshes, self.boundary, self.contact_settings)
 
     @property
     def report(self) -> JointReport:
@@ -318,23 +327,6 @@ class Assembly(Displayed):
         if joints is not None:
             joints = joints.among(self.contacts, grounded.contacts, self.part_count)
         return grounded.replace(loads=loads, joints=joints)
-
-
-def ground_slab(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
-    """Return a slab whose top is level with the lowest point and that reaches past the parts on all sides."""
-    low = np.min([mesh.bounds[0] for mesh in meshes], axis=0)
-    high = np.max([mesh.bounds[1] for mesh in meshes], axis=0)
-    size = float((high - low).max())
-    bottom = np.array([low[0] - 0.1 * size, low[1] - 0.1 * size, low[2] - 0.05 * size])
-    top = np.array([high[0] + 0.1 * size, high[1] + 0.1 * size, low[2]])
-    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-    faces = [
-        (0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1),
-        (2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3),
-    ]  # fmt: skip
-    taken = {mesh.name for mesh in meshes}
-    name = next(name for name in ("ground", *(f"ground-{n}" for n in range(len(meshes)))) if name not in taken)
-    return TriangleMesh.from_arrays(name, np.where(corners, top, bottom), faces)
 
 
 def _loads(given: Loads, parts: int) -> Loads:

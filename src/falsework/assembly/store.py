@@ -55,8 +55,8 @@ def load_assembly(
 
     `assembly.json` in the folder, or beside the file, gives `name`, `unit`, `density` (one number or one a
     part, kg/m3), `friction`, `boundary` (ids or names of parts), `names`, `contact` (fields of
-    `ContactSettings`), `settle` (m), `loads` and `earthquake` (see `Loads.read`), `materials` and `joints` (see `Joints.read`), and
-    `fasteners` (see `fasten`); all of them may be missing. Arguments take precedence over the file.
+    `ContactSettings`), `settle` (m), `loads` and `earthquake` (see `Loads.read`), `materials` and `joints` (see
+    `Joints.read`), and `fasteners` (see `fasten`); all of them may be missing. Arguments take precedence over the file.
 
     Args:
         path: folder or mesh file.

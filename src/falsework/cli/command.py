@@ -97,6 +97,12 @@ class LoadOptions:
         return {name: value for name, value in options.items() if value is not None}
 
 
+def settlement_record(assembly: Assembly) -> dict[str, Any]:
+    """Return the entry of an answer on parts that settled; none if the structure was not asked to."""
+    settled = assembly.settlement
+    return {} if settled is None else {"settlement": settled.to_dict(assembly.names)}
+
+
 @dataclass(frozen=True, kw_only=True)
 class StructureOptions(LoadOptions):
     """Options that select the structure."""
@@ -104,11 +110,8 @@ class StructureOptions(LoadOptions):
     spec: Annotated[Positional[str], arg(metavar="STRUCTURE")]
     """Built-in such as `vault` or `arch:blocks=15,thickness=0.2`, or a folder or file of meshes or COMPAS data."""
 
-    def load(self, output: Output) -> Assembly:
-        """Build or read the structure, and warn of materials that none has.
-
-        Args:
-            output: where the motion of parts that settled is reported.
+    def load(self) -> Assembly:
+        """Build or read the structure, and warn of materials that none has and of parts that settled.
 
         Raises:
             InputError: no such structure, or it cannot be used; the message says what to do.
@@ -120,8 +123,7 @@ class StructureOptions(LoadOptions):
         for doubt in doubts_of_materials(assembly):
             warnings.warn(doubt, stacklevel=2)
         if assembly.settlement is not None:
-            output.record({"settlement": assembly.settlement.to_dict(assembly.names)})
-            output.note(f"falsework: {assembly.settlement.line(assembly.names)}")
+            warnings.warn(assembly.settlement.line(assembly.names), stacklevel=2)
         return assembly
 
     def source(self, beside: Path) -> dict[str, Any]:

@@ -73,7 +73,7 @@ class MakeGraph(JudgingCommand):
             raise InputError("processes that share a search choose no presses; leave out --presses")
         if self.presses and widths is not None:
             raise InputError("data sets are judged from rest; leave out --presses or --sets")
-        assembly = self.structure.load(output)
+        assembly = self.structure.load()
         oracle = Stability(assembly, StabilitySettings(criterion=self.criterion))
         judge, device = (PressingStability(oracle), "cpu") if self.presses else (oracle, self.device)
         task = self.task.task(assembly)

@@ -362,7 +362,6 @@ def refuse_unstable(
     """
     import numpy as np
 
-    from falsework.assembly.settling import clearance_hint
     from falsework.assembly.state import complete_state
     from falsework.cli.velocity_text import describe, motions
     from falsework.stability.motion import motion_of
@@ -381,7 +380,7 @@ def refuse_unstable(
         text = f"{outcome}: the {subject} {Verdict(verdicts.verdict[0]).words}"
         if verdicts.on_tolerance[0]:
             text += ", which depends on the tolerance"
-        if complete and (hint := clearance_hint(assembly)):
+        if complete and (hint := assembly.clearance_hint):
             text += f"; {hint}"
         output.outcome("impossible" if verdicts.unstable[0] else "not_found")
         output.record({"reason": text, "moving": [motion.to_dict(assembly) for motion in moving]})

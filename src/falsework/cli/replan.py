@@ -218,7 +218,7 @@ class MakeReplan(Command):
         folder = Path(self.structure.spec)
         if not (folder / "run.json").is_file():
             robots = 2 if self.robots is None else self.robots
-            return self.structure.load(output), None, self.structure.source(self.out), robots, self.removable_only_if_clear
+            return self.structure.load(), None, self.structure.source(self.out), robots, self.removable_only_if_clear
         if self.structure.given():
             option = next(iter(self.structure.given()))
             raise InputError(f"--{option}: a run is for one structure as it was trained; leave the option out")

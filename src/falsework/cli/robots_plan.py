@@ -190,7 +190,7 @@ class PlanRobots(Command):
         if missing:
             raise InputError(f"missing from falsework robots plan: {', '.join(missing)}; or go on by --from and --at")
         cell = load_cell(self.cell or "")
-        return self.structure.load(output), cell
+        return self.structure.load(), cell
 
     def _task(self, assembly: Assembly, cell: Cell, now: States) -> Task:
         from falsework.search.problem.task import Task

@@ -80,7 +80,7 @@ class Serve(JudgingCommand):
 
         folder = Path(self.structure.spec)
         if not (folder / "run.json").is_file():
-            assembly = self.structure.load(output)
+            assembly = self.structure.load()
             if self.policy is not None:
                 check_torch()
                 from falsework.learn.training.checkpoint import check_structure, read_run, run_folder

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import arg
 
-from falsework.cli.command import CONE_HINT, JudgingCommand, StructureOptions
+from falsework.cli.command import CONE_HINT, JudgingCommand, StructureOptions, settlement_record
 from falsework.cli.exit_code import Exit
 
 if TYPE_CHECKING:
@@ -46,13 +46,13 @@ class CheckStability(JudgingCommand):
         """Compute the verdicts and describe how unstable states fail."""
         import numpy as np
 
-        from falsework.assembly.settling import clearance_hint
         from falsework.cli.arguments import parse_states
         from falsework.cli.velocity_text import describe, motions, part_name
         from falsework.stability import Proof, Stability, Verdict
         from falsework.stability.motion import motion_of
 
-        assembly = self.structure.load(output)
+        assembly = self.structure.load()
+        output.record(settlement_record(assembly))
         states = parse_states(self.states or "complete", "--states", assembly)
         verdicts = Stability(assembly, self._settings()).verdicts(states, require_certificate=True)
         for index in range(len(states)):
@@ -82,7 +82,7 @@ class CheckStability(JudgingCommand):
                 f"{near}"
             )
             output.say(f"{line}; {describe(assembly, moving)}" if moving else line)
-            if not verdicts.stable[index] and states[index].all() and (hint := clearance_hint(assembly)):
+            if not verdicts.stable[index] and states[index].all() and (hint := assembly.clearance_hint):
                 output.note(f"falsework: {hint}")
         return Exit.DONE if bool(np.all(verdicts.stable)) else Exit.NO
 

@@ -97,7 +97,7 @@ class Train(JudgingCommand):
         for name, given in (("--minutes", self.minutes), ("--steps", self.steps)):
             if given is not None and not given > 0:
                 raise InputError(f"{name} {given} leaves no time to learn; give more than 0")
-        assembly = self.structure.load(output)
+        assembly = self.structure.load()
         settings = TrainSettings(
             phases=METHODS[self.method],
             robots=self.robots,

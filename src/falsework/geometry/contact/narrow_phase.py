@@ -262,9 +262,7 @@ def _along_edges(ends: Array, part: NDArray[np.int32], edges: Creases, limits: C
     return covered
 
 
-def _with_edges(
-    ends: Array, part: NDArray[np.int32], edges: Creases, width: float
-) -> Iterator[tuple[Index, Index]]:
+def _with_edges(ends: Array, part: NDArray[np.int32], edges: Creases, width: float) -> Iterator[tuple[Index, Index]]:
     """Yield segments with the edges of their part whose boxes are within a little more than `width`; in chunks.
 
     Args:
