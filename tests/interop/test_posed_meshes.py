@@ -101,6 +101,14 @@ def test_a_pose_that_is_none_is_named(folder, state):
         load_structure(folder, boundary=["0"])
 
 
+def test_a_ground_is_added_where_nothing_is_fixed(folder):
+    (folder / "config.json").write_text(json.dumps(POSES))
+    with pytest.warns(ReadWarning, match="a ground was added"):
+        assembly = loaded(folder)
+    assert assembly.names[-1] == "ground"
+    assert not assembly.boundary[:-1].any()
+
+
 def test_other_folders_with_json_files_are_not_taken_for_them(folder):
     assert reader_of(folder) is None
     (folder / "config.json").write_text('{"camera": [1, 2, 3]}')

@@ -780,6 +780,11 @@ def _(folder: Path) -> Case:
     return Case(place, ("a", "b"), "orientations of the whole for each step were left out")
 
 
+@case("Poses beside meshes", "no fixed part")
+def _(folder: Path) -> Case:
+    return Case(posed(folder, **POSES), ("a", "b"), "a ground was added under the lowest point", ground=False)
+
+
 @case("Poses beside meshes", "a pose that is none")
 def _(folder: Path) -> Case:
     return Case(posed(folder, **{**POSES, "b": {"final_state": [1, 2]}}), says=r"the pose of part b is \[1, 2\]")

@@ -135,7 +135,7 @@ class Assembly(Displayed):
             parts, settlement = settle_parts(parts, fixed, mass, friction, settle)
             mass = mass_properties(parts, densities)
         contacts = find_contacts(parts, settings) if contacts is None else contacts
-        check_touching(parts, fixed, contacts, settings)
+        check_touching(parts, fixed, contacts, settings, settle)
         fixed.setflags(write=False)
         densities.setflags(write=False)
         assembly = Assembly(

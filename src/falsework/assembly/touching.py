@@ -64,7 +64,7 @@ def clearance_hint(meshes: Sequence[TriangleMesh], boundary: NDArray[np.bool_], 
     thinnest = min(mesh.thickness for mesh in meshes)
     tolerance = max(*settings.lengths(meshes), default_gap(meshes))
     near = near_points(meshes, _FIT * thinnest, tolerance)
-    near = near.take((near.gaps > tolerance) & ~boundary[near.parts].all(axis=1))
+    near = near.take(np.flatnonzero((near.gaps > tolerance) & ~boundary[near.parts].all(axis=1)))
     if not len(near.gaps):
         return ""
     widest = int(near.gaps.argmax())
@@ -90,9 +90,21 @@ def inclinations(contacts: Contacts, of: np.ufunc = np.maximum) -> NDArray[np.fl
 
 
 def check_touching(
-    meshes: Sequence[TriangleMesh], boundary: NDArray[np.bool_], contacts: Contacts, settings: ContactSettings
+    meshes: Sequence[TriangleMesh],
+    boundary: NDArray[np.bool_],
+    contacts: Contacts,
+    settings: ContactSettings,
+    settled: float | None = None,
 ) -> None:
-    """Raise for a part without contacts; boundary parts may stand alone, as obstacles do."""
+    """Raise for a part without contacts; boundary parts may stand alone, as obstacles do.
+
+    Args:
+        meshes: the parts.
+        boundary: shape (parts,).
+        contacts: of the parts.
+        settings: tolerances of the contacts.
+        settled: length within which parts have settled, metres; None if they have not.
+    """
     alone = ~boundary
     alone[contacts.parts.ravel()] = False
     if alone.any():
@@ -109,10 +121,11 @@ def check_touching(
                 f"there to within {settings.angle:g} degrees; move it into place, or raise that angle "
                 '("contact": {"angle": degrees} in assembly.json)'
             )
+        farther = 1000 * float(_above(gap)) if settled is None else 2000 * settled
+        how = "let parts settle" if settled is None else "let parts settle farther"
         raise AssemblyError(
-            f"{where}, and {1000 * allowed:.3g} mm is allowed; move it into place, let parts settle (--settle "
-            f"{1000 * float(_above(gap)):g}), or allow the gap if it is meant to "
-            f'be filled ("contact": {{"gap": {_above(gap)}}} in assembly.json)'
+            f"{where}, and {1000 * allowed:.3g} mm is allowed; move it into place, {how} (--settle {farther:.2g}), or "
+            f'allow the gap if it is meant to be filled ("contact": {{"gap": {_above(gap)}}} in assembly.json)'
         )
 
 

@@ -10,3 +10,4 @@ from falsework.geometry.mesh.mesh import mass_properties as mass_properties
 from falsework.geometry.mesh.read import load_meshes as load_meshes
 from falsework.geometry.mesh.repair import RepairWarning as RepairWarning
 from falsework.geometry.mesh.repair import check_mesh as check_mesh
+from falsework.geometry.settling.settlement import Settlement as Settlement

@@ -41,14 +41,19 @@ def load_posed(path: Path | str, *, unit: str | None = None, **options: Any) -> 
     Args:
         path: the folder.
         unit: of the meshes and translations; centimetres if not given.
-        options: density, friction, boundary, ground, contact_settings and settle, as for `load_assembly`.
+        options: density, friction, boundary, ground, contact_settings and settle, as for `load_assembly`. Without a
+            boundary a ground is added, with a warning, as their programs do.
 
     Raises:
         InputError: no mesh, or a pose that is none.
         MeshError: a part that does not bound a solid.
         AssemblyError: the parts make no assembly.
     """
-    return read_posed(path, unit=unit).assemble(name=Path(path).resolve().name, **options)
+    draft = read_posed(path, unit=unit)
+    if options.get("boundary") is None and not options.get("ground"):
+        warn_of(draft.path, "no part is fixed, so a ground was added under the lowest point, as the last part")
+        options["ground"] = True
+    return draft.assemble(name=draft.path.resolve().name, **options)
 
 
 def read_posed(path: Path | str, *, unit: str | None = None) -> Draft:

@@ -327,7 +327,8 @@ def _corners_on_faces(
     middle = point[keep] - height[:, None] / 2 * normal[keep]
     parts, normals = _ordered(part[keep], surface.part[face[keep]], -normal[keep])
     ends, gaps = np.stack([middle, middle], axis=1), np.stack([height, height], axis=1)
-    return Narrow(parts, normals, ends, *np.zeros((2, len(keep))), gaps)
+    none = np.zeros(len(keep))
+    return Narrow(parts, normals, ends, none, none, gaps)
 
 
 def _crossings(sharp: Creases, one: Index, two: Index, limits: ContactTolerances) -> Narrow:
@@ -356,4 +357,5 @@ def _crossings(sharp: Creases, one: Index, two: Index, limits: ContactTolerances
     point = sharp.tail[one] + at_one[:, None] * d + height[:, None] / 2 * normal
     parts, normals = _ordered(sharp.part[one], sharp.part[two], normal)
     ends, gaps = np.stack([point, point], axis=1), np.stack([height, height], axis=1)
-    return Narrow(parts, normals, ends, *np.zeros((2, len(one))), gaps).take(keep)
+    none = np.zeros(len(one))
+    return Narrow(parts, normals, ends, none, none, gaps).take(keep)

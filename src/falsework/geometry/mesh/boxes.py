@@ -46,7 +46,8 @@ def crossing_boxes(low: Array, high: Array, other_low: Array, other_high: Array)
         other_high: highest corners of the other set, shape (others, 3), metres.
     """
     if len(low) * len(other_low) <= _FEW:
-        yield tuple(np.nonzero(((low[:, None] <= other_high) & (other_low <= high[:, None])).all(axis=2)))
+        i, j = np.nonzero(((low[:, None] <= other_high) & (other_low <= high[:, None])).all(axis=2))
+        yield i, j
         return
     size = (other_high - other_low).mean(axis=0)
     spread = np.ptp(np.concatenate([other_low, other_high]), axis=0) / np.maximum(size, 1e-300)

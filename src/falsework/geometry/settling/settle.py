@@ -68,7 +68,7 @@ def settle_parts(
     steps, at_rest = 0, not len(pose.free)
     while not at_rest:
         near = near_points(moved, 2 * stride, tolerance)
-        near = near.take(~fixed[near.parts].all(axis=1))
+        near = near.take(np.flatnonzero(~fixed[near.parts].all(axis=1)))
         strayed, still = 0.0, False
         at_rest = True
         # Surfaces are compared anew where parts have moved far, and at the end.
