@@ -31,7 +31,7 @@ from states import find, one_core, real_structures
 
 from falsework.assembly import load_structure
 from falsework.geometry import ContactSettings, TriangleMesh, find_contacts
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 
 REAL = ("bottle-12", "tetris-13", "tetris-14", "tetris-17", "cube-17", "dog-35", "dome-37", "vault-62", "dome-72")
 INEXACT = ("ursula-6", "cra-curve-3-blocks", "dome-90", "genevault-110", "pavilion-vault-387", "armadillo-399-cra")
@@ -124,7 +124,7 @@ def _settle(text: str, repeats: int) -> None:
         moved=int((settled.motion > 0).sum()),
         most_mm=1000 * float(settled.motion.max()),
         stopped=bool(settled.stopped.all()),
-        stable=bool(Stability(assembly).verdicts(state[None]).stable[0]),
+        stable=bool(StabilityOracle(assembly).verdicts(state[None]).stable[0]),
         seconds=spread(seconds),
         cpu_s=spread(cpu),
         peak_gib=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,

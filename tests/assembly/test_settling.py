@@ -10,7 +10,7 @@ import pytest
 from falsework.assembly import Assembly, load_structure, save_assembly
 from falsework.errors import AssemblyError, InputError, ReadWarning
 from falsework.geometry import TriangleMesh
-from falsework.stability import Stability, StabilitySettings
+from falsework.stability import StabilityOracle, StabilitySettings
 
 COMPLETE = {
     "contact": StabilitySettings(criterion="contact"),
@@ -77,7 +77,9 @@ def settled(meshes, bound, boundary=(0,), **options):
 
 
 def stable(assembly, criterion="contact"):
-    return bool(Stability(assembly, COMPLETE[criterion]).verdicts(np.where(assembly.boundary, 2, 1)[None]).stable[0])
+    return bool(
+        StabilityOracle(assembly, COMPLETE[criterion]).verdicts(np.where(assembly.boundary, 2, 1)[None]).stable[0]
+    )
 
 
 def test_a_wheel_hangs_on_its_axle_and_stands():

@@ -289,7 +289,9 @@ def test_pairs_of_faces_that_are_compared_grow_with_the_faces_alone():
     """Of a bearing, also within the wide bounds of joints."""
 
     def compared(scale):
-        faces = Faces.of([tube("shaft", 0.005, 0.01, 24 * scale, 6 * scale), tube("bush", 0.0101, 0.02, 24, 6)])
+        faces = Faces.from_meshes(
+            [tube("shaft", 0.005, 0.01, 24 * scale, 6 * scale), tube("bush", 0.0101, 0.02, 24, 6)]
+        )
         extent = np.full(len(faces.part), 0.02)
         return sum(len(i) for i, _ in opposed_faces(faces, extent / 20, extent / 3, 30.0)), len(faces.part)
 

@@ -69,7 +69,7 @@ def read_posed(path: Path | str, *, unit: str | None = None) -> Draft:
         InputError: no mesh, or a pose that is none.
     """
     path = Path(path)
-    draft = Draft.of_meshes(path, unit or UNIT)
+    draft = Draft.from_meshes(path, unit or UNIT)
     file, states = _states(path)
     poses = {name: _pose(file, name, state) for name, state in states.items()}
     gone = [name for name in poses if name not in draft.names]
