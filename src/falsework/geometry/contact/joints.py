@@ -127,7 +127,7 @@ def find_joints(
 
     Two faces belong to one joint if their outward normals differ from opposite by at most 30 degrees and their
     distance along the mean normal lies between minus `OVERLAP` and plus `GAP` of the extent of the smaller part along
-    its own normal. The patches lie midway, so that together they make the middle surface, which is cut into contacts
+    its own normal, and the overlap is less than the thickness of the thinner one. The patches lie midway, so that together they make the middle surface, which is cut into contacts
     of patches whose normals differ little. Where a joint has an overlap, the sides of the two parts overlap as well, in
     a narrow strip and by much more: a contact that is narrower than it is deep is left out.
 
@@ -141,10 +141,12 @@ def find_joints(
     extent = np.concatenate(
         [_extents(mesh.vertices, faces.normals[faces.part == part]) for part, mesh in enumerate(meshes)]
     )
+    # Beyond its thickness, the other side of a wall would count: nested cups have faces so far apart that are opposed.
+    deepest = np.minimum(OVERLAP * extent, _THROUGH * np.array([mesh.thickness for mesh in meshes])[faces.part])
     found = []
-    for i, j in opposed_faces(faces, GAP * extent, OVERLAP * extent, _ANGLE, among):
-        smaller = np.minimum(extent[i], extent[j])
-        found.append(intersect_faces(faces, i, j, gap=GAP * smaller, overlap=OVERLAP * smaller))
+    for i, j in opposed_faces(faces, GAP * extent, deepest, _ANGLE, among):
+        gap, overlap = GAP * np.minimum(extent[i], extent[j]), np.minimum(deepest[i], deepest[j])
+        found.append(intersect_faces(faces, i, j, gap=gap, overlap=overlap))
     patches = Patches.join(found)
     smaller = extent[patches.faces].min(axis=1)
     side = planes(patches, _ANGLE, OVERLAP * smaller)

@@ -63,7 +63,7 @@ def settle_parts(
     tolerance = default_gap(meshes)
     # Within one step no part may pass through the thinnest, whose far side looks away.
     stride = min(bound, min(mesh.thickness for mesh in meshes) / 4)
-    pose = Poses.of(meshes, fixed, mass)
+    pose = Poses.from_meshes(meshes, fixed, mass)
     moved = tuple(meshes)
     steps, at_rest = 0, not len(pose.free)
     while not at_rest:

@@ -77,7 +77,7 @@ class Poses:
         self.last = np.zeros(len(center))
 
     @staticmethod
-    def of(meshes: Sequence[TriangleMesh], fixed: NDArray[np.bool_], mass: MassProperties) -> Poses:
+    def from_meshes(meshes: Sequence[TriangleMesh], fixed: NDArray[np.bool_], mass: MassProperties) -> Poses:
         """Take the poses of a model."""
         ends = np.array([[[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]], dtype=bool)
         bounds = np.array([mesh.bounds for mesh in meshes])
