@@ -148,7 +148,7 @@ def _with_joints(
 ) -> Contacts:
     """Replace the contacts of pairs that overlap too much, or lack a part of their joint, by those of the joint."""
     tolerance = max(settings.lengths(meshes))
-    joints = find_joints(meshes, among, settings.curvature, 2 * tolerance)
+    joints = find_joints(meshes, among, settings.curvature, 2 * tolerance).without_far_sides(meshes, overlaps)
     first, second = overlaps.parts.T
     check_joints(meshes, overlaps, joints.bound[first, second])
     area = np.zeros((2, len(meshes), len(meshes)))

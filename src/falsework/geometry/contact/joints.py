@@ -97,6 +97,17 @@ class JointSurfaces:
         group = np.unique(self.group[chosen], return_inverse=True)[1]
         return JointSurfaces(self.patches.take(chosen), group, self.bound, self.bridged)
 
+    def without_far_sides(self, meshes: Sequence[TriangleMesh], overlaps: Overlaps) -> JointSurfaces:
+        """Leave out patches that are deeper than the thinner part is thick, of parts that do not overlap.
+
+        Nested cups that do not touch have such patches: the inside of one is opposed to the outside of the other.
+        """
+        thickness = np.array([mesh.thickness for mesh in meshes])
+        apart = np.ones(self.bound.shape, dtype=bool)
+        apart[tuple(overlaps.parts.T)] = False
+        deep = -self.patches.distance[:, 0] > _THROUGH * thickness[self.patches.parts].min(axis=1)
+        return self.take(~(deep & apart[tuple(self.patches.parts.T)]))
+
     def near(self, tolerance: float) -> NDArray[np.bool_]:
         """Return whether two parts are so near to each other that a gap between them is an inaccuracy.
 
@@ -127,7 +138,7 @@ def find_joints(
 
     Two faces belong to one joint if their outward normals differ from opposite by at most 30 degrees and their
     distance along the mean normal lies between minus `OVERLAP` and plus `GAP` of the extent of the smaller part along
-    its own normal, and the overlap is less than the thickness of the thinner one. The patches lie midway, so that together they make the middle surface, which is cut into contacts
+    its own normal. The patches lie midway, so that together they make the middle surface, which is cut into contacts
     of patches whose normals differ little. Where a joint has an overlap, the sides of the two parts overlap as well, in
     a narrow strip and by much more: a contact that is narrower than it is deep is left out.
 
@@ -141,12 +152,10 @@ def find_joints(
     extent = np.concatenate(
         [_extents(mesh.vertices, faces.normals[faces.part == part]) for part, mesh in enumerate(meshes)]
     )
-    # Beyond its thickness, the other side of a wall would count: nested cups have faces so far apart that are opposed.
-    deepest = np.minimum(OVERLAP * extent, _THROUGH * np.array([mesh.thickness for mesh in meshes])[faces.part])
     found = []
-    for i, j in opposed_faces(faces, GAP * extent, deepest, _ANGLE, among):
-        gap, overlap = GAP * np.minimum(extent[i], extent[j]), np.minimum(deepest[i], deepest[j])
-        found.append(intersect_faces(faces, i, j, gap=gap, overlap=overlap))
+    for i, j in opposed_faces(faces, GAP * extent, OVERLAP * extent, _ANGLE, among):
+        smaller = np.minimum(extent[i], extent[j])
+        found.append(intersect_faces(faces, i, j, gap=GAP * smaller, overlap=OVERLAP * smaller))
     patches = Patches.join(found)
     smaller = extent[patches.faces].min(axis=1)
     side = planes(patches, _ANGLE, OVERLAP * smaller)
