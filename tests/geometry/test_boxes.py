@@ -9,23 +9,20 @@ from falsework.geometry.mesh import boxes
 
 
 @pytest.mark.parametrize("stretch", [(1, 1, 1), (9, 0.4, 0.4), (0.4, 0.4, 9), (0.2, 3, 3)])
-def test_the_same_pairs_as_comparing_all(stretch, monkeypatch):
-    monkeypatch.setattr(boxes, "_CHUNK", 64)
+def test_the_same_pairs_as_comparing_all(stretch):
     random = np.random.default_rng(4)
     low = random.uniform(0, 5, (300, 3)) * stretch
     high = low + random.uniform(0, 1.5, (300, 3))
     overlap = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(axis=2)
     expected = np.argwhere(np.triu(overlap, 1))
-    i, j = boxes.box_pairs(low, high)
+    i, j = boxes.box_pairs(low, high, chunk=64)
     assert (np.stack([i, j], axis=1) == expected).all()
     assert len(i) > 20
 
 
 @pytest.mark.parametrize("few", [0, 10**9])
 @pytest.mark.parametrize("stretch", [(1, 1, 1), (9, 0.4, 0.4), (0.2, 3, 3)])
-def test_pairs_of_groups_are_those_of_a_comparison_of_all(stretch, few, monkeypatch):
-    monkeypatch.setattr(boxes, "_CHUNK", 64)
-    monkeypatch.setattr(boxes, "_FEW", few)
+def test_pairs_of_groups_are_those_of_a_comparison_of_all(stretch, few):
     random = np.random.default_rng(5)
     low = random.uniform(0, 5, (300, 3)) * stretch
     inner = np.stack([low, low + random.uniform(0, 1.2, (300, 3))])
@@ -34,7 +31,7 @@ def test_pairs_of_groups_are_those_of_a_comparison_of_all(stretch, few, monkeypa
     among = np.triu(random.uniform(size=(9, 9)) < 0.7)
     near = ((outer[0][:, None] <= inner[1]) & (inner[0] <= outer[1][:, None])).all(axis=2)
     expected = near & near.T & (group[:, None] < group) & among[group[:, None], group]
-    found = [np.stack(pair, axis=1) for pair in boxes.pairs_of_groups(inner, outer, group, among)]
+    found = [np.stack(pair, axis=1) for pair in boxes.pairs_of_groups(inner, outer, group, among, chunk=64, few=few)]
     assert sorted(map(tuple, np.concatenate(found).tolist())) == list(map(tuple, np.argwhere(expected).tolist()))
     assert expected.sum() > 20
 

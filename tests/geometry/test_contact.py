@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from falsework.errors import InputError
 from falsework.geometry import Contacts, ContactSettings, TriangleMesh, find_contacts, load_meshes
-from falsework.geometry.contact import grouping
+from falsework.geometry.contact.grouping import planes
 from falsework.geometry.contact.patches import Faces, face_patches, opposed_faces
 from falsework.geometry.mesh.collision import Body
 
@@ -300,12 +300,10 @@ def test_pairs_of_faces_that_are_compared_grow_with_the_faces_alone():
 
 
 @pytest.mark.parametrize("coplanar", [0.1, 30.0])
-def test_planes_by_the_tree_are_those_by_comparing_all(coplanar, monkeypatch):
+def test_planes_by_the_tree_are_those_by_comparing_all(coplanar):
     meshes = [tube("shaft", 0.005, 0.01, 40, 5), tube("bush", 0.01, 0.02, 40, 7)]
     patches = face_patches(meshes, gap=1e-5, overlap=1e-5, angle=6.0)
-    assert len(patches.areas) > grouping._MANY
-    by_tree = grouping.planes(patches, coplanar, 1e-5)
-    monkeypatch.setattr(grouping, "_MANY", 10**9)
-    expected = grouping.planes(patches, coplanar, 1e-5)
+    by_tree = planes(patches, coplanar, 1e-5, many=0)
+    expected = planes(patches, coplanar, 1e-5, many=10**9)
     assert len(np.unique(by_tree)) == len(np.unique(expected))
     assert len(np.unique(np.stack([by_tree, expected]), axis=1).T) == len(np.unique(expected))

@@ -29,11 +29,11 @@ def segment_mean(values: Array, owner: NDArray[np.integer], count: int) -> Array
     return segment_sum(values, owner, count) / np.maximum(np.bincount(owner, minlength=count), 1)[:, None]
 
 
-def planes(patches: Patches, coplanar: float, tolerance: float | Array) -> NDArray[np.int64]:
+def planes(patches: Patches, coplanar: float, tolerance: float | Array, many: int = _MANY) -> NDArray[np.int64]:
     """Assign patches to planes of their pair of parts.
 
     The largest patch that is left of a pair collects the patches of that pair within `coplanar` degrees and
-    `tolerance` metres, one number or one a patch, of its plane. Pairs of few patches go forward together.
+    `tolerance` metres, one number or one a patch, of its plane. Pairs of up to `many` patches go forward together.
 
     Returns:
         Plane of every patch, counted from 0, shape (patches,).
@@ -45,11 +45,11 @@ def planes(patches: Patches, coplanar: float, tolerance: float | Array) -> NDArr
     plane = np.full(count, -1, dtype=np.int64)
     rest = np.lexsort((-patches.areas, pair))
     found = 0
-    many = np.bincount(pair, minlength=1) > _MANY
-    for one in np.flatnonzero(many).tolist():
+    large = np.bincount(pair, minlength=1) > many
+    for one in np.flatnonzero(large).tolist():
         order = rest[np.searchsorted(pair[rest], one) : np.searchsorted(pair[rest], one, side="right")]
         found = _planes_of_pair(patches, order, centre, coplanar, tolerances, plane, found)
-    rest = rest[~many[pair[rest]]]
+    rest = rest[~large[pair[rest]]]
     limit = np.cos(np.radians(coplanar))
     corners = np.arange(len(patches.points))
     while len(rest):

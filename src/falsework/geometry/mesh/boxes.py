@@ -17,24 +17,27 @@ _FEW = 4096
 """Pairs of boxes up to which comparing all takes less time than a tree."""
 
 
-def box_pairs(low: Array, high: Array) -> tuple[Index, Index]:
+def box_pairs(low: Array, high: Array, chunk: int = _CHUNK) -> tuple[Index, Index]:
     """Return pairs `i < j` of boxes that overlap or touch, sorted.
 
     Args:
         low: lowest corners, shape (boxes, 3), metres.
         high: highest corners, shape (boxes, 3), metres.
+        chunk: boxes that are looked up at once.
 
     Returns:
         Two index arrays of equal length.
     """
-    i, j = _joined(list(crossing_boxes(low, high, low, high)))
+    i, j = _joined(list(crossing_boxes(low, high, low, high, chunk=chunk)))
     ahead = i < j
     i, j = i[ahead], j[ahead]
     order = np.lexsort((j, i))
     return i[order], j[order]
 
 
-def crossing_boxes(low: Array, high: Array, other_low: Array, other_high: Array) -> Iterator[tuple[Index, Index]]:
+def crossing_boxes(
+    low: Array, high: Array, other_low: Array, other_high: Array, *, chunk: int = _CHUNK, few: int = _FEW
+) -> Iterator[tuple[Index, Index]]:
     """Yield pairs of a box of one set and a box of another that overlap or touch, in chunks.
 
     A tree finds them over the two axes along which the boxes are most spread; the third is compared.
@@ -44,8 +47,10 @@ def crossing_boxes(low: Array, high: Array, other_low: Array, other_high: Array)
         high: highest corners of the first set, shape (boxes, 3), metres.
         other_low: lowest corners of the other set, shape (others, 3), metres.
         other_high: highest corners of the other set, shape (others, 3), metres.
+        chunk: boxes that are looked up at once.
+        few: pairs up to which all are compared.
     """
-    if len(low) * len(other_low) <= _FEW:
+    if len(low) * len(other_low) <= few:
         i, j = np.nonzero(((low[:, None] <= other_high) & (other_low <= high[:, None])).all(axis=2))
         yield i, j
         return
@@ -55,8 +60,8 @@ def crossing_boxes(low: Array, high: Array, other_low: Array, other_high: Array)
     tree = shapely.STRtree(
         shapely.box(other_low[:, first], other_low[:, second], other_high[:, first], other_high[:, second])
     )
-    for start in range(0, len(low), _CHUNK):
-        some = slice(start, start + _CHUNK)
+    for start in range(0, len(low), chunk):
+        some = slice(start, start + chunk)
         i, j = tree.query(shapely.box(low[some, first], low[some, second], high[some, first], high[some, second]))
         i = i + start
         keep = (low[i, third] <= other_high[j, third]) & (other_low[j, third] <= high[i, third])
@@ -64,7 +69,13 @@ def crossing_boxes(low: Array, high: Array, other_low: Array, other_high: Array)
 
 
 def pairs_of_groups(
-    boxes: Array, reach: Array, group: NDArray[np.integer], among: NDArray[np.bool_] | None = None
+    boxes: Array,
+    reach: Array,
+    group: NDArray[np.integer],
+    among: NDArray[np.bool_] | None = None,
+    *,
+    chunk: int = _CHUNK,
+    few: int = _FEW,
 ) -> Iterator[tuple[Index, Index]]:
     """Yield pairs of boxes of different groups, such as faces of different parts, each within the reach of the other.
 
@@ -76,6 +87,8 @@ def pairs_of_groups(
         reach: those of larger boxes around them, which contain all that a box may have to do with.
         group: of each box, ascending from 0, shape (boxes,).
         among: whether two groups are compared, shape (groups, groups); None: all.
+        chunk: boxes that are looked up at once, and pairs from which they are handed on.
+        few: pairs of two groups up to which all are compared.
 
     Yields:
         Indices of equal length, the first of the lower group.
@@ -99,12 +112,12 @@ def pairs_of_groups(
             for mine, other in ((one, two), (two, one))
             for span in [slice(start[mine], start[mine + 1])]
         )
-        for row, column in crossing_boxes(*reach[:, i], *boxes[:, j]):
+        for row, column in crossing_boxes(*reach[:, i], *boxes[:, j], chunk=chunk, few=few):
             row, column = i[row], j[column]
             both = _overlap(boxes, row, reach, column)
             batch.append((row[both], column[both]))
             held += len(row)
-        if held > _CHUNK:
+        if held > chunk:
             yield _joined(batch)
             batch, held = [], 0
     if batch:

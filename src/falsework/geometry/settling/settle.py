@@ -42,6 +42,7 @@ def settle_parts(
     mass: MassProperties,
     friction: float,
     bound: float,
+    most_steps: int = _STEPS,
 ) -> tuple[tuple[TriangleMesh, ...], Settlement]:
     """Move free parts by small amounts until their weight rests on contacts.
 
@@ -51,6 +52,7 @@ def settle_parts(
         mass: of the parts.
         friction: coefficient of friction of parts that touch.
         bound: largest motion of any point, metres.
+        most_steps: steps after which parts that still move are an error.
 
     Returns:
         The parts in their settled poses, and their motion. A part that reaches the bound is warned of.
@@ -73,9 +75,9 @@ def settle_parts(
         at_rest = True
         # Surfaces are compared anew where parts have moved far, and at the end.
         while strayed <= stride / 2 and not still:
-            if steps == _STEPS:
+            if steps == most_steps:
                 raise AssemblyError(
-                    f"parts do not come to rest in {_STEPS} steps of settling: {_named(pose.last, meshes)} still "
+                    f"parts do not come to rest in {most_steps} steps of settling: {_named(pose.last, meshes)} still "
                     f"moved by {format_quantity(float(pose.last.max()), 'length')}; fix a part that should not move "
                     "(--boundary), or settle by less"
                 )
