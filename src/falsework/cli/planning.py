@@ -384,6 +384,8 @@ def refuse_unstable(
         text = f"{outcome}: the {subject} {Verdict(verdicts.verdict[0]).words}"
         if verdicts.on_tolerance[0]:
             text += ", which depends on the tolerance"
+        if complete and (hint := assembly.clearance_hint):
+            text += f"; {hint}"
         output.outcome("impossible" if verdicts.unstable[0] else "not_found")
         output.record({"reason": text, "moving": [motion.to_dict(assembly) for motion in moving]})
         output.note(f"falsework: {text}{'; ' if moving else ''}{describe(assembly, moving, limit=3)}")

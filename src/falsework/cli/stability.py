@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import arg
 
-from falsework.cli.command import CONE_HINT, JudgingCommand, StructureOptions
+from falsework.cli.command import CONE_HINT, JudgingCommand, StructureOptions, settlement_record
 from falsework.cli.exit_code import Exit
 
 if TYPE_CHECKING:
@@ -54,6 +54,7 @@ class CheckStability(JudgingCommand):
         from falsework.stability.verdict import Verdict
 
         assembly = self.structure.load()
+        output.record(settlement_record(assembly))
         states = parse_states(self.states or "complete", "--states", assembly)
         verdicts = StabilityOracle(assembly, self._settings()).verdicts(states, require_certificate=True)
         for index in range(len(states)):
@@ -83,6 +84,8 @@ class CheckStability(JudgingCommand):
                 f"{near}"
             )
             output.say(f"{line}; {describe(assembly, moving)}" if moving else line)
+            if not verdicts.stable[index] and states[index].all() and (hint := assembly.clearance_hint):
+                output.note(f"falsework: {hint}")
         return Exit.DONE if bool(np.all(verdicts.stable)) else Exit.NO
 
     def _settings(self) -> StabilitySettings:

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 READERS, EXPORTERS = "falsework.readers", "falsework.exporters"
 """Groups of entry points; each names an object of the class below."""
+FOLDER = "/"
+"""Ending of a folder, for readers of folders with more in them than the meshes of parts."""
 _KINDS = {"Assembly": "a structure", "Plan": "a plan", "RobotPlan": "a robot plan"}
 
 
@@ -24,7 +26,7 @@ class Reader:
     """Reader of structures in files of one format."""
 
     suffixes: tuple[str, ...]
-    """Endings of the names of its files, in lower case."""
+    """Endings of the names of its files, in lower case, or `FOLDER`."""
     load: Callable[..., Any]
     """Takes the path and the options of `load_structure`, and returns an `Assembly`."""
     parts: Callable[..., Any] | None = None
@@ -85,12 +87,17 @@ def formats(group: str) -> dict[str, Any]:
 
 
 def reader_of(path: Path) -> Reader | None:
-    """Return the reader that recognizes a file, if one does."""
-    suffix = path.suffix.lower()
-    for reader in formats(READERS).values() if path.is_file() else ():
+    """Return the reader that recognizes a file or folder, if one does."""
+    suffix = FOLDER if path.is_dir() else path.suffix.lower()
+    for reader in formats(READERS).values() if path.is_file() or _has_more(path) else ():
         if suffix in reader.suffixes and reader.recognizes(path):
             return reader
     return None
+
+
+def _has_more(folder: Path) -> bool:
+    """Return whether a folder has JSON files of other programs, without which no reader needs to be imported."""
+    return folder.is_dir() and any(file.name != "assembly.json" for file in folder.glob("*.json"))
 
 
 def exporter_by_suffix(path: Path | str) -> str | None:
