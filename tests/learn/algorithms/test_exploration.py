@@ -8,17 +8,14 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
 
-from falsework.assembly import load_structure  # noqa: E402
+from falsework import Direction, StabilityOracle, StabilitySettings, load_structure, make_task  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
+from falsework.learn import Curriculum, Environment, PpoPhase  # noqa: E402
 from falsework.learn.algorithms.blended_starts import BlendedStarts  # noqa: E402
-from falsework.learn.algorithms.curriculum import Curriculum  # noqa: E402
 from falsework.learn.algorithms.exploration import Exploration  # noqa: E402
-from falsework.learn.config.ppo import PpoPhase  # noqa: E402
 from falsework.learn.data.solvable_states import SolvableStates  # noqa: E402
-from falsework.learn.env.environment import Environment  # noqa: E402
-from falsework.search import BeamSearch, BeamSettings, Direction, make_task  # noqa: E402
-from falsework.stability import StabilityOracle  # noqa: E402
-from falsework.stability.settings import EQUILIBRIUM, StabilitySettings  # noqa: E402
+from falsework.search import BeamSearch, BeamSettings  # noqa: E402
+from falsework.stability.settings import EQUILIBRIUM  # noqa: E402
 
 
 def found(name: str, settings: StabilitySettings = StabilitySettings(), width: int = 4) -> tuple[Environment, Any]:
