@@ -197,12 +197,12 @@ def success_on_draws(
     device = next(policy.parameters()).device
     oracle = StabilityOracle(assembly, StabilitySettings(criterion=settings.criterion))
     clear = settings.removable_only_if_clear
-    environment = Environment(assembly, settings.robots, oracle=oracle, device=device, clearance=clear)
+    environment = Environment(assembly, settings.robots, oracle=oracle, device=device, removable_only_if_clear=clear)
     network = Network(policy, settings.resolved(assembly.part_count, device.type).precision)
     pressed = None
     if settings.criterion == "contact":
         pressing = PressOracle(oracle)
-        pressed = Environment(assembly, settings.robots, oracle=pressing, device=device, clearance=clear)
+        pressed = Environment(assembly, settings.robots, oracle=pressing, device=device, removable_only_if_clear=clear)
     known = learned_from(assembly, draw)
     found: list[dict[str, Any]] = []
     for seed, states in draw.tests.items():
