@@ -36,8 +36,8 @@ from states import asked_states, find, real_structures
 from falsework.assembly import Assembly, load_structure
 from falsework.assembly.state import States, complete_state
 from falsework.stability import (
-    CpuSettings,
     ExactSolver,
+    NumericalSettings,
     Stability,
     StabilitySettings,
     verify_certificates,
@@ -103,7 +103,9 @@ def one_core() -> Iterator[None]:
 
 def measure_verdicts(name: str, assembly: Assembly, states: States, parents: States, options: Options) -> None:
     """Measure agreement and speed on the same states."""
-    settings = StabilitySettings(criterion="equilibrium", cone=options.cone, cpu=CpuSettings(threads=options.threads))
+    settings = StabilitySettings(
+        criterion="equilibrium", cone=options.cone, numerics=NumericalSettings(threads=options.threads)
+    )
     checked = Stability(assembly, settings)
     verdicts = checked.verdicts(states, require_certificate=True)
     accepted = int(verify_certificates(assembly, states, verdicts, settings.claim).sum())
@@ -154,7 +156,9 @@ def measure_verdicts(name: str, assembly: Assembly, states: States, parents: Sta
 
 def measure_cold(name: str, assembly: Assembly, states: States, options: Options) -> None:
     """Measure milliseconds from an assembly to the first verdict, and of single verdicts without cached neighbours."""
-    settings = StabilitySettings(criterion="equilibrium", cone=options.cone, cpu=CpuSettings(threads=options.threads))
+    settings = StabilitySettings(
+        criterion="equilibrium", cone=options.cone, numerics=NumericalSettings(threads=options.threads)
+    )
     state = complete_state(assembly.boundary)
     Stability(assembly, settings).verdicts(state, require_certificate=True)
     Stability(assembly, settings).verdicts(state)
@@ -183,7 +187,7 @@ def measure_baseline(name: str, assembly: Assembly, states: States, parents: Sta
     import torch
 
     torch.set_num_threads(options.baseline_threads)
-    settings = StabilitySettings(criterion="equilibrium", cpu=CpuSettings(threads=options.threads))
+    settings = StabilitySettings(criterion="equilibrium", numerics=NumericalSettings(threads=options.threads))
     states, parents = states[: options.baseline_states], parents[: options.baseline_states]
     method = SharedInverseSettings(
         device=options.device, inverse=options.inverse, precision=options.precision, batch=max(len(states), 1)

@@ -14,8 +14,8 @@ from falsework.assembly import library
 from falsework.assembly.model import Assembly
 from falsework.geometry import TriangleMesh
 from falsework.stability import (
-    CpuSettings,
     ExactSolver,
+    NumericalSettings,
     Solver,
     StabilitySettings,
     Verdict,
@@ -59,7 +59,7 @@ def solve(
 
 
 def settings_of(cone: str, gravity: float = EARTH) -> StabilitySettings:
-    return StabilitySettings(criterion="equilibrium", cone=cone, gravity=gravity, cpu=CpuSettings(threads=1))  # type: ignore[arg-type]
+    return StabilitySettings(criterion="equilibrium", cone=cone, gravity=gravity, numerics=NumericalSettings(threads=1))  # type: ignore[arg-type]
 
 
 @lru_cache

@@ -14,10 +14,8 @@ from falsework.stability.oracle import Stability as Stability
 from falsework.stability.problem import Problem as Problem
 from falsework.stability.problem import build_problem as build_problem
 from falsework.stability.reference.clarabel import ExactSolver as ExactSolver
-from falsework.stability.reference.gurobi import GurobiSolver as GurobiSolver
 from falsework.stability.settings import EQUILIBRIUM as EQUILIBRIUM
-from falsework.stability.settings import CpuSettings as CpuSettings
-from falsework.stability.settings import GpuSettings as GpuSettings
+from falsework.stability.settings import NumericalSettings as NumericalSettings
 from falsework.stability.settings import StabilitySettings as StabilitySettings
 from falsework.stability.verdict import Criterion as Criterion
 from falsework.stability.verdict import Proof as Proof

@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 
 from falsework.assembly.state import HELD, complete_state
-from falsework.stability import CpuSettings, Stability, StabilitySettings, Verdict
+from falsework.stability import NumericalSettings, Stability, StabilitySettings, Verdict
 from falsework.stability.judges import settle
 
 
 def compare(random_scenes: Any, seeds: range) -> tuple[int, int, int]:
     """How many cases stand in both, stand here and fall there, slide here and stand there."""
-    settings = StabilitySettings(cpu=CpuSettings(threads=1))
+    settings = StabilitySettings(numerics=NumericalSettings(threads=1))
     both = here = there = 0
     for seed in seeds:
         rng = np.random.default_rng(seed)

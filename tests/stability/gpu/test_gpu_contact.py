@@ -17,7 +17,7 @@ from falsework.stability import Proof, Stability, StabilitySettings, Verdict, bu
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.gpu.solver import GpuSolver
-from falsework.stability.settings import EQUILIBRIUM, GpuSettings
+from falsework.stability.settings import EQUILIBRIUM, NumericalSettings
 
 CONTACT = StabilitySettings()
 
@@ -67,7 +67,7 @@ def test_as_many_iterations_as_on_the_processor(scenes: Any, make_solver: Callab
     """The same method in other coordinates: stable states take the same steps but for rounding."""
     assembly = library.build("dome")
     states = states_of(scenes, assembly, 40, seed=4)
-    alone = replace(CONTACT, gpu=GpuSettings(iterations=0, interior_steps=0))
+    alone = replace(CONTACT, numerics=NumericalSettings(iterations=0, interior_steps=0))
     solver = make_solver(assembly, alone)
     verdicts = solver.check(states, certificates=False)
     expected = ContactSolver(assembly, solver.problem, CONTACT).check(states, certificates=False)
@@ -98,7 +98,9 @@ def test_a_clamped_cube_slides_though_forces_could_hold_it(scenes: Any, make_sol
     assert verdicts.verdict[0] == Verdict.SLIDES
     assert verify_certificates(assembly, state, verdicts, CONTACT.claim).all()
     assert make_solver(assembly, EQUILIBRIUM).check(state).stable.all()
-    one = replace(CONTACT, gpu=GpuSettings(iterations=1, first_check=1))  # then the interior point method decides
+    one = replace(
+        CONTACT, numerics=NumericalSettings(iterations=1, check_every=1)
+    )  # then the interior point method decides
     assert make_solver(assembly, one).check(state).verdict[0] == Verdict.SLIDES
 
 
@@ -143,7 +145,7 @@ def test_what_the_gpu_leaves_open_is_settled_on_the_processor(scenes: Any, on_ho
     torch = pytest.importorskip("torch")
     assembly = library.build("arch:blocks=7")
     states = states_of(scenes, assembly, 30, seed=6)
-    tired = replace(CONTACT, gpu=GpuSettings(contact_steps=1))
+    tired = replace(CONTACT, numerics=NumericalSettings(contact_steps=1))
 
     class OnTensors:
         def check_tensor(self, given: Any) -> Any:

@@ -50,14 +50,14 @@ class ContactSolver:
         self._options = kernel_options(settings)
         self.contact_options = ContactOptions(
             settings.claim.well_below,
-            settings.cpu.contact_steps,
+            settings.numerics.contact_steps,
             WARM_STEPS,
             WARM_STEPS // 2,
             FIRST_STEP,
             WARM_FIRST_STEP,
         )
         self._pulls = bool(problem.strength.pull.any())
-        self._workers = Workers(settings.cpu.threads)
+        self._workers = Workers(settings.numerics.threads)
 
     def falls(self, states: States, parents: States) -> NDArray[np.bool_]:
         """Return which states have a mechanism near where they differ from a stable one, as the kernel proves.

@@ -29,13 +29,13 @@ recorded searches."""
 
 def kernel_options(settings: StabilitySettings) -> Options:
     """Return the settings in the form of the kernel."""
-    cpu = settings.cpu
+    numerics = settings.numerics
     return Options(
-        rho=cpu.rho,
-        relaxation=cpu.relaxation,
-        iterations=cpu.iterations,
-        check_every=cpu.check_every,
-        interior_steps=cpu.interior_steps,
+        rho=numerics.rho,
+        relaxation=numerics.relaxation,
+        iterations=numerics.iterations,
+        check_every=numerics.check_every,
+        interior_steps=numerics.interior_steps,
         tolerance=settings.tolerance,
         resolution=settings.claim.well_below,
         force_bound=settings.force_bound,
@@ -88,7 +88,7 @@ class CpuSolver:
         rough = bool((strength.friction > SMOOTH).all())
         self.reach = FIRST_REACH
         self._interior = rough and not (strength.pull.any() or strength.stick.any())
-        self._workers = Workers(settings.cpu.threads)
+        self._workers = Workers(settings.numerics.threads)
 
     def check(
         self,
