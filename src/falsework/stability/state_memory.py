@@ -11,8 +11,8 @@ from falsework.assembly.state import HELD, INSTALLED, REMOVED, Mask, States
 from falsework.stability.state_arrays import BLOCK, Array, Blocks
 
 _SMALL, _LARGE = 256 << 20, 3 << 30
-"""Memory, bytes: where the states of a plan have room in it, and elsewhere. The latter has nearly all forces of a plan
-of ten thousand parts, which takes as much for its proofs."""
+"""Memory, bytes: for arrays stored whole, displacements and forces of which those of a plan have room in it; and for
+blocks: nearly all forces of a plan of ten thousand parts, which takes as much for its proofs."""
 REMEMBERED = 1 << 16
 """States whose answers are kept by key, until all are forgotten together: chosen for memory, 33 MB at 510 parts."""
 
@@ -90,8 +90,9 @@ class Guesses:
             boundary: parts that no robot holds, shape (parts,).
             holds_keep_stable: whether forces prove a state with more parts held too; displacements do not.
         """
-        limit = _SMALL if 2 * len(boundary) * nothing.nbytes <= _SMALL else _LARGE
-        self._memory = StateMemory(*nothing.shape, limit)
+        whole = not holds_keep_stable or 2 * len(boundary) * nothing.nbytes <= _SMALL
+        self._memory: dict[bytes, Array] | StateMemory = {} if whole else StateMemory(*nothing.shape, _LARGE)
+        self._most = _SMALL // max(nothing.nbytes, 1) if whole else np.inf
         self._boundary, self._holds_keep_stable = boundary, holds_keep_stable
 
     def of(self, state: States) -> Array | None:
@@ -111,11 +112,15 @@ class Guesses:
     def pass_on(self, states: States, origins: States) -> None:
         """Let states that were cached as stable share the guess of their parents."""
         for state, origin in zip(states, origins, strict=True):
-            key = state.tobytes()
-            if key not in self._memory and (known := self.of(origin)) is not None:
-                self._memory[key] = known
+            if state.tobytes() not in self._memory and (known := self.of(origin)) is not None:
+                self._keep(state, known)
 
-    def remember(self, states: States, found: NDArray[np.float64]) -> None:
+    def remember(self, states: States, found: Array) -> None:
         """Store what was found for states, shape (batch, points, 3) or (batch, parts, 6)."""
         for state, guess in zip(states, found, strict=True):
-            self._memory[state.tobytes()] = guess
+            self._keep(state, guess.copy())
+
+    def _keep(self, state: States, guess: Array) -> None:
+        self._memory[state.tobytes()] = guess
+        while len(self._memory) > self._most:
+            del self._memory[next(iter(self._memory))]  # type: ignore[attr-defined]

@@ -20,7 +20,7 @@ from falsework.stability.contact.newton import (
     mend,
 )
 from falsework.stability.cpu.layout import make_scratch, pair_velocity, point_velocity, restrict, set_gravity
-from falsework.stability.cpu.neighbourhood import RINGS, hold_far_parts
+from falsework.stability.cpu.neighbourhood import hold_far_parts
 from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED
 from falsework.stability.holds import PRESS_STIFFNESS, HoldMode, HoldSettings, limits_of
 from falsework.stability.problem import Problem
@@ -28,7 +28,7 @@ from falsework.stability.stiffness import MOVEMENT, TANGENTIAL_RATIO, normal_sti
 from falsework.utils.kernels import njit
 from falsework.utils.products import LANES, ROWS
 
-NEAR_RINGS = RINGS[-1]
+NEAR_RINGS = 3
 """Distance from a changed part, in contacts, within which parts settle first; smaller where that is half of all."""
 
 

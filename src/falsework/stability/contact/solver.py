@@ -11,7 +11,7 @@ from falsework.stability.contact.kernel import ContactOptions, build_contact_str
 from falsework.stability.contact.newton import FIRST_STEP, MOVES_AWAY, OPEN, RESTS, WARM_FIRST_STEP
 from falsework.stability.cpu.kernel import solve_range
 from falsework.stability.cpu.layout import COMPILED_LAYOUT, build_structure
-from falsework.stability.cpu.neighbourhood import RINGS, fall_range
+from falsework.stability.cpu.neighbourhood import fall_range
 from falsework.stability.cpu.panels import RIDGE
 from falsework.stability.cpu.solver import Workers, kernel_options
 from falsework.stability.cpu.termination import STABLE, UNDECIDED, UNSTABLE
@@ -73,7 +73,7 @@ class ContactSolver:
 
         def work(rows: slice) -> None:
             tail = verdict[rows], residual[rows], iterations[rows], steps[rows]
-            fall_range(self.structure, states[rows], parents[rows], RINGS, self._options, nothing, *tail)
+            fall_range(self.structure, states[rows], parents[rows], self._options, nothing, *tail)
 
         self._workers.run(work, batch)
         return verdict == UNSTABLE
@@ -168,7 +168,7 @@ class ContactSolver:
             if (
                 parents is not None
                 and not certificates
-                and not fall_range(self.structure, chosen, parents[rows], RINGS, balance, motion, *tail)
+                and not fall_range(self.structure, chosen, parents[rows], balance, motion, *tail)
             ):
                 return
             kernel = self.structure, self.contact_structure, chosen, origins[rows], rest
