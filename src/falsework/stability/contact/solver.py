@@ -13,7 +13,7 @@ from falsework.stability.cpu.kernel import solve_range
 from falsework.stability.cpu.layout import COMPILED_LAYOUT, build_structure
 from falsework.stability.cpu.neighbourhood import fall_range
 from falsework.stability.cpu.panels import RIDGE
-from falsework.stability.cpu.solver import Workers, kernel_options
+from falsework.stability.cpu.solver import SECOND_REACH, Workers, kernel_options
 from falsework.stability.cpu.termination import STABLE, UNDECIDED, UNSTABLE
 from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
@@ -73,7 +73,8 @@ class ContactSolver:
 
         def work(rows: slice) -> None:
             tail = verdict[rows], residual[rows], iterations[rows], steps[rows]
-            fall_range(self.structure, states[rows], parents[rows], self._options, nothing, *tail)
+            for reach in (1, SECOND_REACH):
+                fall_range(self.structure, states[rows], parents[rows], reach, self._options, nothing, *tail)
 
         self._workers.run(work, batch)
         return verdict == UNSTABLE
@@ -168,11 +169,13 @@ class ContactSolver:
             if (
                 parents is not None
                 and not certificates
-                and not fall_range(self.structure, chosen, parents[rows], balance, motion, *tail)
+                and not fall_range(self.structure, chosen, parents[rows], 1, balance, motion, *tail)
             ):
                 return
             kernel = self.structure, self.contact_structure, chosen, origins[rows], rest
             if rest_range(*kernel, displacement[rows], force, warm[rows], verdict, residual, taken, found[rows]):
+                if parents is not None and not certificates:
+                    fall_range(self.structure, chosen, parents[rows], SECOND_REACH, balance, motion, *tail)
                 solve_range(self.structure, chosen, balance, force, motion, cold, *tail)
                 again = np.flatnonzero(warm[rows] & (found[rows] == OPEN) & (verdict != UNSTABLE))
                 if len(again):

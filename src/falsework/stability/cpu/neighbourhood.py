@@ -162,10 +162,10 @@ def extend_region(structure, state, near, velocity, forces, reach):
 
 
 @njit(nogil=True, cache=True)
-def fall_range(structure, states, parents, options, velocity, verdict, residual, iterations, steps):
-    """Search for mechanisms of the parts that differ from those of a parent, and of those in contact with them.
+def fall_range(structure, states, parents, reach, options, velocity, verdict, residual, iterations, steps):
+    """Search for mechanisms near the difference of states, whose `verdict` is `UNDECIDED`, from their parents.
 
-    All others are held. Arrays as in `solve_range`.
+    Parts more than `reach` contacts away are held. Arrays as in `solve_range`.
 
     Returns:
         Number of states left undecided.
@@ -177,8 +177,10 @@ def fall_range(structure, states, parents, options, velocity, verdict, residual,
     cold = len(nothing_f) > 0  # not a literal, for which numba would recompile the solver
     left = 0
     for i in range(len(states)):
+        if verdict[i] != UNDECIDED:
+            continue
         motion = velocity[i] if len(velocity) else nothing_v
-        kept, free = hold_far_parts(structure, states[i], parents[i], 1, near)
+        kept, free = hold_far_parts(structure, states[i], parents[i], reach, near)
         v, r, k, s = UNDECIDED, np.nan, 0, 0
         if kept > 0 and 2 * kept <= free:
             v, r, k, s = solve_state(structure, near, options, work, nothing_f, motion, cold)

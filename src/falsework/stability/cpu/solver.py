@@ -25,6 +25,8 @@ _TASK = 16
 FIRST_REACH = 2
 """Contacts by which the first region of a repair reaches beyond a change, and by which it is extended first; checked on
 recorded searches."""
+SECOND_REACH = 3
+"""The same of the second search for a mechanism, after what touches the change; checked on recorded searches."""
 
 
 def kernel_options(settings: StabilitySettings) -> Options:
@@ -134,12 +136,14 @@ class CpuSolver:
         def work(rows: slice) -> None:
             tail = verdicts.verdict[rows], verdicts.residual[rows], verdicts.iterations[rows], steps[rows]
             chosen, motion, force = states[rows], velocity[rows], forces[rows]
-            if falls and not fall_range(self.structure, chosen, origins[rows], options, motion, *tail):
+            if falls and not fall_range(self.structure, chosen, origins[rows], 1, options, motion, *tail):
                 return
             if known[rows].any():
                 beside = origins[rows], known[rows], self.reach, self._interior
                 if not repair_range(self.structure, chosen, *beside, options, force, *tail):
                     return
+            if falls and not fall_range(self.structure, chosen, origins[rows], SECOND_REACH, options, motion, *tail):
+                return
             solve_range(self.structure, chosen, options, force, motion, False, *tail)
 
         self._workers.run(work, batch)
