@@ -17,15 +17,12 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import States, as_states
 from falsework.stability.certificate import residual_bound_of_velocity, residual_of_forces
 from falsework.stability.problem import Problem, build_problem
-from falsework.stability.reference.conic_program import Program, least_acceleration, without_slip
+from falsework.stability.reference.conic_program import ROUGH, Program, least_acceleration, without_slip
 from falsework.stability.second_order.springs import into_cone
 from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 
 Array = NDArray[np.float64]
-
-_ROUGH = 1e4
-"""Friction above which rounding errors of the slip in a velocity can spoil its proof."""
 
 _clarabel: Any = clarabel  # its classes come from a compiled module without type information
 
@@ -79,7 +76,7 @@ class ExactSolver:
             verdict.forces[:, active] = into_cone(found[None], problem.strength.of(active), claim.cone)[0]
         above = residual_of_forces(self.assembly, state, verdict.forces, claim)[0]
         below = residual_bound_of_velocity(self.assembly, state, verdict.velocity, claim)[0]
-        if problem.strength.friction.max(initial=0.0) > _ROUGH and above > claim.tolerance >= below:
+        if problem.strength.friction.max(initial=0.0) > ROUGH and above > claim.tolerance >= below:
             verdict.velocity[0][free] = without_slip(problem, free, active, verdict.velocity[0][free])
             below = residual_bound_of_velocity(self.assembly, state, verdict.velocity, claim)[0]
         verdict.residual[0] = above

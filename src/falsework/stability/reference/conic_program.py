@@ -18,6 +18,10 @@ from falsework.stability.problem import Problem
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+ROUGH = 1e4
+"""Friction above which rounding errors of the slip in a velocity can spoil its proof; programs take no more, with which
+forces in balance prove as much. Tested up to a friction of 1e8."""
+
 
 @dataclass(frozen=True)
 class Program:
@@ -153,7 +157,8 @@ class _Cone:
 
 def _cone_rows(problem: Problem, active: Mask, cone: str) -> _Cone:
     """Return rows `A` and bounds `b` of the friction cones, with tension cut-off at contact points with cohesion."""
-    friction, stick = problem.strength.friction[active], problem.strength.stick[active] / problem.weight
+    friction = np.minimum(problem.strength.friction[active], ROUGH)
+    stick = problem.strength.stick[active] / problem.weight
     tangent = _tangent_units(problem, active)
     slope = np.divide(friction, tangent, out=np.ones_like(friction), where=tangent > 0)
     points, sticky = len(friction), np.flatnonzero(stick > 0)
