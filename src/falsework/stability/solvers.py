@@ -31,8 +31,6 @@ class EquilibriumSolver:
     """Whether a stable state stays stable when a part is held."""
     cpu: CpuSolver | ContactSolver | None
     """Solver on the CPU; None where the exact solver is asked for, or the only one that knows all contacts."""
-    replayer: Replayer | None = None
-    """Replayer of state sequences, of an ensemble where there is a reserve; None without history."""
 
     def __init__(self, assembly: Assembly, problem: Problem, settings: StabilitySettings) -> None:
         if assembly.joints is not None and assembly.joints.setting:
@@ -40,6 +38,11 @@ class EquilibriumSolver:
         self._problem = problem
         known = settings.solver in ("auto", "cpu") and not problem.strength.idle.any()
         self.cpu = CpuSolver(problem, settings) if known else None
+
+    @cached_property
+    def replayer(self) -> Replayer | None:
+        """Replayer of state sequences, of an ensemble where there is a reserve; None without history."""
+        return None
 
     def blank(self, batch: int) -> Verdicts:
         """Return undecided verdicts with room for certificates."""
@@ -75,14 +78,14 @@ class RestSolver(EquilibriumSolver):
 
     def __init__(self, assembly: Assembly, problem: Problem, settings: StabilitySettings) -> None:
         self._assembly, self._problem, self._settings = assembly, problem, settings
-        self.cpu: ContactSolver = ContactSolver(assembly, problem, settings)
+        self.cpu = self._solver = ContactSolver(assembly, problem, settings)
         self._second_order = SecondOrder(assembly, settings.claim)
 
     @cached_property
     def replayer(self) -> Replayer | None:
         """Replayer of state sequences, of an ensemble where there is a reserve."""
         kind = EnsembleReplayer if self._settings.reserve > 1.0 else Replayer
-        return kind(self._assembly, self._settings, solver=self.cpu)
+        return kind(self._assembly, self._settings, solver=self._solver)
 
     def blank(self, batch: int) -> Verdicts:
         """Return undecided verdicts with room for displacements too."""
@@ -98,7 +101,7 @@ class RestSolver(EquilibriumSolver):
 
     def falls_near(self, states: States, near: States) -> Mask:
         """Return which states have a proven mechanism near where they differ from stable ones, shape (batch,)."""
-        return self.cpu.falls(states, near)
+        return self._solver.falls(states, near)
 
     def look_closer(self, states: States, verdicts: Verdicts) -> None:
         """Revise verdicts on rest positions that a small motion leaves: these states are not stable."""

@@ -29,14 +29,14 @@ class StateMemory:
     of a neighbouring state.
     """
 
-    def __init__(self, rows: int, width: int, limit: int) -> None:
+    def __init__(self, shape: tuple[int, ...], limit: int) -> None:
         """Begin empty.
 
         Args:
-            rows: of each array.
-            width: of each row.
+            shape: rows of each array, and their width.
             limit: bytes; one array is kept whatever it takes.
         """
+        rows, width = shape
         self._rows, self._limit, self._blocks = rows, limit, Blocks(width)
         self._users = np.ones(1, dtype=np.int64)
         """Arrays that have each block; the block of zeros is never given up."""
@@ -96,7 +96,7 @@ class Guesses:
             holds_keep_stable: whether forces prove a state with more parts held too; displacements do not.
         """
         whole = not holds_keep_stable or 2 * len(boundary) * nothing.nbytes <= _SMALL
-        self._memory: dict[bytes, Array] | StateMemory = {} if whole else StateMemory(*nothing.shape, _LARGE)
+        self._memory: dict[bytes, Array] | StateMemory = {} if whole else StateMemory(nothing.shape, _LARGE)
         self._most = _SMALL // max(nothing.nbytes, 1) if whole else np.inf
         self._boundary, self._holds_keep_stable = boundary, holds_keep_stable
 

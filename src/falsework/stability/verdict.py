@@ -177,7 +177,9 @@ class Verdicts(Displayed):
         """Return verdicts of selected states, as a batch."""
         if isinstance(index, (int, np.integer)):
             index = np.arange(len(self))[[index]]
-        picked = {name: None if array is None else array[index] for name, array in self._arrays().items()}
+        picked: dict[str, Any] = {
+            name: None if array is None else array[index] for name, array in self._arrays().items()
+        }
         states = None if self.states is None else self.states[index]
         return Verdicts(**picked, assembly=self.assembly, states=states)
 

@@ -88,7 +88,8 @@ class Interval:
         self.high, self.fails = known if known is not None else (None, None)
         self._guess: float | None = guess
         self._cap, self._floor, self._growth, self._cut = cap, floor, growth, cut
-        self._ratios, self._cut_last = repeat(growth), False
+        self._ratios: Iterator[float] = repeat(growth)
+        self._cut_last = False
         if near:
             self.begin_near(guess)
 
