@@ -44,9 +44,9 @@ class EquilibriumSolver:
         """Replayer of state sequences, of an ensemble where there is a reserve; None without history."""
         return None
 
-    def blank(self, batch: int) -> Verdicts:
+    def all_undecided(self, batch: int) -> Verdicts:
         """Return undecided verdicts with room for certificates."""
-        return Verdicts.blank(batch, points=self._problem.points, parts=self._problem.parts)
+        return Verdicts.all_undecided(batch, points=self._problem.points, parts=self._problem.parts)
 
     def no_guess(self, batch: int) -> NDArray[np.float64]:
         """Return guesses for states of which nothing is known, shape (batch, points, 3) or (batch, parts, 6)."""
@@ -56,11 +56,11 @@ class EquilibriumSolver:
         """Return what of the certificates of stable states starts solvers of states near by; None without any."""
         return verdicts.forces
 
-    def falls_near(self, states: States, near: States) -> Mask:
+    def is_locally_unstable(self, states: States, near: States) -> Mask:
         """Return which states have a proven mechanism near where they differ from stable ones, shape (batch,)."""
         return np.zeros(len(states), dtype=bool)  # only replays ask this, and there are none
 
-    def look_closer(self, states: States, verdicts: Verdicts) -> None:
+    def refine_undecided(self, states: States, verdicts: Verdicts) -> None:
         """Revise verdicts that have a proof, where more is asked of stable states than balance."""
 
     def is_left_to_exact(self, verdicts: Verdicts) -> Mask:
@@ -87,9 +87,9 @@ class RestSolver(EquilibriumSolver):
         kind = EnsembleReplayer if self._settings.reserve > 1.0 else Replayer
         return kind(self._assembly, self._settings, solver=self._solver)
 
-    def blank(self, batch: int) -> Verdicts:
+    def all_undecided(self, batch: int) -> Verdicts:
         """Return undecided verdicts with room for displacements too."""
-        return Verdicts.blank(batch, points=self._problem.points, parts=self._problem.parts, displaced=True)
+        return Verdicts.all_undecided(batch, points=self._problem.points, parts=self._problem.parts, displaced=True)
 
     def no_guess(self, batch: int) -> NDArray[np.float64]:
         """Return unknown displacements, shape (batch, parts, 6)."""
@@ -99,11 +99,11 @@ class RestSolver(EquilibriumSolver):
         """Return the displacements at rest."""
         return verdicts.displacement
 
-    def falls_near(self, states: States, near: States) -> Mask:
+    def is_locally_unstable(self, states: States, near: States) -> Mask:
         """Return which states have a proven mechanism near where they differ from stable ones, shape (batch,)."""
         return self._solver.falls(states, near)
 
-    def look_closer(self, states: States, verdicts: Verdicts) -> None:
+    def refine_undecided(self, states: States, verdicts: Verdicts) -> None:
         """Revise verdicts on rest positions that a small motion leaves: these states are not stable."""
         self._second_order.revise(states, verdicts)
 

@@ -100,7 +100,7 @@ class Guesses:
         self._most = _SMALL // max(nothing.nbytes, 1) if whole else np.inf
         self._boundary, self._holds_keep_stable = boundary, holds_keep_stable
 
-    def of(self, state: States) -> Array | None:
+    def get(self, state: States) -> Array | None:
         """Return the guess stored for a state; where holds keep states stable, also for it with parts not yet held."""
         found = self._memory.get(state.tobytes())
         if found is not None or not self._holds_keep_stable:
@@ -115,7 +115,7 @@ class Guesses:
     def pass_on(self, states: States, origins: States) -> None:
         """Let states that were cached as stable share the guess of their parents."""
         for state, origin in zip(states, origins, strict=True):
-            if state.tobytes() not in self._memory and (known := self.of(origin)) is not None:
+            if state.tobytes() not in self._memory and (known := self.get(origin)) is not None:
                 self._keep(state, known)
 
     def remember(self, states: States, found: Array) -> None:

@@ -11,7 +11,7 @@ from falsework.stability.contact.kernel import ContactOptions, build_contact_str
 from falsework.stability.contact.newton import FIRST_STEP, MOVES_AWAY, OPEN, RESTS, WARM_FIRST_STEP
 from falsework.stability.cpu.kernel import solve_range
 from falsework.stability.cpu.layout import COMPILED_LAYOUT, build_structure
-from falsework.stability.cpu.neighbourhood import fall_range
+from falsework.stability.cpu.neighbourhood import local_instability_range
 from falsework.stability.cpu.panels import RIDGE
 from falsework.stability.cpu.solver import SECOND_REACH, Workers, kernel_options
 from falsework.stability.cpu.termination import STABLE, UNDECIDED, UNSTABLE
@@ -74,7 +74,9 @@ class ContactSolver:
         def work(rows: slice) -> None:
             tail = verdict[rows], residual[rows], iterations[rows], steps[rows]
             for reach in (1, SECOND_REACH):
-                fall_range(self.structure, states[rows], parents[rows], reach, self._options, nothing, *tail)
+                local_instability_range(
+                    self.structure, states[rows], parents[rows], reach, self._options, nothing, *tail
+                )
 
         self._workers.run(work, batch)
         return verdict == UNSTABLE
@@ -111,7 +113,7 @@ class ContactSolver:
         if certificates and parents is None:
             resolution = self.settings.resolution
             balance, rest = balance._replace(resolution=resolution), rest._replace(tolerance=resolution)
-        verdicts = Verdicts.blank(
+        verdicts = Verdicts.all_undecided(
             batch,
             points=problem.points if certificates else None,
             parts=problem.parts if certificates else None,
@@ -145,7 +147,7 @@ class ContactSolver:
             displacement[rows] = np.where((verdict == STABLE)[:, None, None], start, displacement[rows])
             return left == 0
 
-        def go_on(rows: NDArray[np.intp]) -> None:
+        def continue_from(rows: NDArray[np.intp]) -> None:
             """Continue iterations from where they ended; arrays that are indexed by `rows` are copies."""
             chosen, start, force = states[rows], displacement[rows], forces[rows] if len(forces) else forces
             verdict, residual = np.full(len(rows), UNDECIDED, verdicts.verdict.dtype), verdicts.residual[rows]
@@ -169,17 +171,17 @@ class ContactSolver:
             if (
                 parents is not None
                 and not certificates
-                and not fall_range(self.structure, chosen, parents[rows], 1, balance, motion, *tail)
+                and not local_instability_range(self.structure, chosen, parents[rows], 1, balance, motion, *tail)
             ):
                 return
             kernel = self.structure, self.contact_structure, chosen, origins[rows], rest
             if rest_range(*kernel, displacement[rows], force, warm[rows], verdict, residual, taken, found[rows]):
                 if parents is not None and not certificates:
-                    fall_range(self.structure, chosen, parents[rows], SECOND_REACH, balance, motion, *tail)
+                    local_instability_range(self.structure, chosen, parents[rows], SECOND_REACH, balance, motion, *tail)
                 solve_range(self.structure, chosen, balance, force, motion, cold, *tail)
                 again = np.flatnonzero(warm[rows] & (found[rows] == OPEN) & (verdict != UNSTABLE))
                 if len(again):
-                    go_on(again + rows.start)
+                    continue_from(again + rows.start)
 
         self._workers.run(work, batch)
         verdict, moves = verdicts.verdict, found == MOVES_AWAY

@@ -22,7 +22,7 @@ pressed (the marking of Doerfler, 1996); checked on recorded searches."""
 
 
 @njit(cache=True)
-def _measure_ways(structure, state, seeds, count, limit, depth):
+def _path_lengths(structure, state, seeds, count, limit, depth):
     """Write how many contacts each free part is away from the parts `seeds[:count]`, -1 beyond a limit.
 
     `seeds` has room for all parts and is overwritten.
@@ -58,14 +58,14 @@ def _changed_parts(state, parent, changed):
 
 
 @njit(cache=True)
-def hold_far_parts(structure, state, parent, rings, near):
+def freeze_outside_ball(structure, state, parent, rings, near):
     """Copy `state` to `near`, holding free parts over `rings` contacts from where it differs from `parent`.
 
     Returns:
         Number of parts that stay free, and number of free parts before.
     """
     depth, queue = np.empty(len(state), np.int32), np.empty(len(state), np.int32)
-    _measure_ways(structure, state, queue, _changed_parts(state, parent, queue), rings, depth)
+    _path_lengths(structure, state, queue, _changed_parts(state, parent, queue), rings, depth)
     kept, free = 0, 0
     for i in range(len(state)):
         near[i] = 2 if state[i] == 1 and depth[i] < 0 else state[i]
@@ -75,7 +75,7 @@ def hold_far_parts(structure, state, parent, rings, near):
 
 
 @njit(cache=True)
-def hold_beside_corridor(structure, state, parent, detour, near):
+def freeze_outside_corridor(structure, state, parent, detour, near):
     """Copy `state` to `near`, holding free parts away from the shortest ways from the change to a support.
 
     Those on ways that are longer than the shortest by up to `detour` contacts stay free, and those as far from where it
@@ -94,14 +94,14 @@ def hold_beside_corridor(structure, state, parent, detour, near):
             if state[i] == 2 and (supported == 1 or position[i] < 0):
                 queue[fixed] = i
                 fixed += 1
-        _measure_ways(structure, state, queue, fixed, parts, down)
+        _path_lengths(structure, state, queue, fixed, parts, down)
         changed = _changed_parts(state, parent, queue)
         for k in range(changed):
             if down[queue[k]] >= 0:
                 shortest = min(shortest, down[queue[k]])
         if shortest < parts:
             break
-    _measure_ways(structure, state, queue, changed, shortest + detour, away)
+    _path_lengths(structure, state, queue, changed, shortest + detour, away)
     kept, free = 0, 0
     for i in range(parts):
         beside = away[i] < 0 or (away[i] > detour and (down[i] < 0 or away[i] + down[i] > shortest + detour))
@@ -153,7 +153,7 @@ def extend_region(structure, state, near, velocity, forces, reach):
         if pressed[i] > 0.0 and pressed[i] >= _MARKED * most:
             queue[count] = i
             count += 1
-    _measure_ways(structure, state, queue, count, reach - 1, away)
+    _path_lengths(structure, state, queue, count, reach - 1, away)
     for i in range(len(state)):
         if away[i] >= 0:
             near[i] = 1
@@ -162,7 +162,7 @@ def extend_region(structure, state, near, velocity, forces, reach):
 
 
 @njit(nogil=True, cache=True)
-def fall_range(structure, states, parents, reach, options, velocity, verdict, residual, iterations, steps):
+def local_instability_range(structure, states, parents, reach, options, velocity, verdict, residual, iterations, steps):
     """Search for mechanisms near the difference of states, whose `verdict` is `UNDECIDED`, from their parents.
 
     Parts more than `reach` contacts away are held. Arrays as in `solve_range`.
@@ -180,7 +180,7 @@ def fall_range(structure, states, parents, reach, options, velocity, verdict, re
         if verdict[i] != UNDECIDED:
             continue
         motion = velocity[i] if len(velocity) else nothing_v
-        kept, free = hold_far_parts(structure, states[i], parents[i], reach, near)
+        kept, free = freeze_outside_ball(structure, states[i], parents[i], reach, near)
         v, r, k, s = UNDECIDED, np.nan, 0, 0
         if kept > 0 and 2 * kept <= free:
             v, r, k, s = solve_state(structure, near, options, work, nothing_f, motion, cold)

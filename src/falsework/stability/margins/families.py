@@ -33,7 +33,7 @@ def friction_bracket(prober: Prober, state: States, start: Answer, near: Near) -
     floor = SMOOTH * max(own, 1.0)
 
     def ask(value: float, nearby: Answer | None) -> Answer:
-        return prober.ask(state, Condition(value, extra), nearby, quick=True)
+        return prober.ask(state, Condition(value, extra), nearby, coarse=True)
 
     def from_rest(value: float, _: Answer | None) -> Answer:
         return ask(value, None)
@@ -127,7 +127,7 @@ def weakest_load(
 
     def confirm(row: int, value: float, failed: Answer) -> tuple[float, Answer]:
         """Return the answer from rest, where a quick probe failed."""
-        if not failed.quick:
+        if not failed.coarse:
             # A velocity may prove failure below the value at which it was found.
             return value, replace(failed, condition=under(row, value))
         answer = prober.ask(state, under(row, value))
@@ -153,7 +153,7 @@ def weakest_load(
     if prober.contact and bracket.finished and bracket.fails is not None:
 
         def ask(value: float, nearby: Answer | None) -> Answer:
-            return prober.ask(state, under(row, value), nearby, quick=True)
+            return prober.ask(state, under(row, value), nearby, coarse=True)
 
         def again(value: float, failed: Answer) -> Bracket:
             first, known = guess(row), (value, failed)
@@ -178,7 +178,7 @@ def _from_rest_too(
         full: answer at a value, from a nearby answer and from rest.
         find: the bracket beyond a value that proves stable.
     """
-    while found.outside is not None and found.fails is not None and found.fails.quick:
+    while found.outside is not None and found.fails is not None and found.fails.coarse:
         answer = full(found.outside, found.stands)
         if not answer.stands:
             return replace(found, fails=replace(answer, moves_away=answer.moves_away or found.fails.moves_away))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from falsework.stability.contact.kernel import lacks_contact, place_contacts, read_displacement, write_displacement
-from falsework.stability.contact.newton import MOVES_AWAY, RESTS, come_to_rest, make_contact_scratch
+from falsework.stability.contact.newton import MOVES_AWAY, RESTS, make_contact_scratch, solve_statics
 from falsework.stability.cpu.layout import make_scratch, restrict
 from falsework.stability.cpu.termination import MARGIN
 from falsework.utils.kernels import njit
@@ -69,8 +69,17 @@ def rest_under(
             steps, first_step = options.warm_steps, options.warm_first_step
             if cold:
                 steps, first_step = options.steps, options.first_step
-            result[k], residual[k], taken = come_to_rest(
-                structure, contact_structure, work, contact, pairs, steps, tolerance, first_step, mends, options.pace
+            result[k], residual[k], taken = solve_statics(
+                structure,
+                contact_structure,
+                work,
+                contact,
+                pairs,
+                steps,
+                tolerance,
+                first_step,
+                mends,
+                options.schedule,
             )
             iterations[k] += taken
             if result[k] == RESTS or options.steps == 0:

@@ -57,7 +57,7 @@ class ExactSolver:
             StateError: states of the wrong length or with other values.
         """
         batch = as_states(states, self.assembly.boundary)
-        verdicts = Verdicts.blank(len(batch), points=self.problem.points, parts=self.problem.parts)
+        verdicts = Verdicts.all_undecided(len(batch), points=self.problem.points, parts=self.problem.parts)
         for row in range(len(batch)):
             verdicts.put(np.array([row]), self._check_one(batch[row : row + 1]))
         return verdicts
@@ -65,7 +65,7 @@ class ExactSolver:
     def _check_one(self, state: States) -> Verdicts:
         """Check a single state."""
         claim, problem = self.settings.claim, self.problem
-        verdict = Verdicts.blank(1, points=problem.points, parts=problem.parts)
+        verdict = Verdicts.all_undecided(1, points=problem.points, parts=problem.parts)
         assert verdict.forces is not None
         assert verdict.velocity is not None
         free, active = problem.free(state)[0], problem.active(state)[0]
@@ -73,7 +73,7 @@ class ExactSolver:
             program = least_acceleration(problem, free, active, claim)
             solution, multipliers, verdict.iterations[0] = self._solve(program)
             found, verdict.velocity[0][free] = program.read(solution, multipliers)
-            verdict.forces[:, active] = into_cone(found[None], problem.strength.of(active), claim.cone)[0]
+            verdict.forces[:, active] = into_cone(found[None], problem.strength.take(active), claim.cone)[0]
         above = residual_of_forces(self.assembly, state, verdict.forces, claim)[0]
         below = residual_bound_of_velocity(self.assembly, state, verdict.velocity, claim)[0]
         if problem.strength.friction.max(initial=0.0) > ROUGH and above > claim.tolerance >= below:
