@@ -18,8 +18,8 @@ REMEMBERED = 1 << 16
 """States whose answers are kept by key, until all are forgotten together: chosen for memory, 33 MB at 510 parts."""
 
 _UNHELD = 3
-"""Held parts of which a guess is looked up for the state before they were held: as many as robots mostly hold. With one
-alone, twelve states of a search for a pavilion were solved anew."""
+"""Held parts of which a guess is looked up for the state before they were held: as many as robots mostly hold;
+checked on recorded searches."""
 
 
 class StateMemory:
