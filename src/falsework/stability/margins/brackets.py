@@ -40,16 +40,16 @@ class Bracket:
     """Whether the search ended before its time was over; if not, the bracket is wider."""
 
 
-def strides(growth: float) -> Iterator[float]:
-    """Yield the ratios of successive probes from the bound of a nearby state: short at first, then `growth`.
+def strides() -> Iterator[float]:
+    """Yield the ratios of successive probes from the bound of a nearby state: short at first, then `GROWTH`.
 
     Bounds of successive states of a plan are mostly the same, or differ by a few per cent.
     """
     excess = 2.0 * ACCURACY
-    while 1.0 + excess < growth:
+    while 1.0 + excess < GROWTH:
         yield 1.0 + excess
         excess *= GROWTH
-    yield from repeat(growth)
+    yield from repeat(GROWTH)
 
 
 class Interval:
@@ -66,7 +66,6 @@ class Interval:
         cap: float,
         low: float = 0.0,
         floor: float = 0.0,
-        growth: float = GROWTH,
         near: bool = False,
         known: tuple[float, Answer] | None = None,
         cut: Callable[[Answer], float] | None = None,
@@ -79,7 +78,6 @@ class Interval:
             cap: value beyond which there is no bound.
             low: value at which the family is known to be stable.
             floor: absolute width at which a bracket is narrow enough.
-            growth: ratio of successive probes while only one end is known.
             near: whether the guess is the bound of a nearby state, so that the first steps from it are short.
             known: a failing value and its answer, if known.
             cut: value down to which the velocity of a failing answer proves failure, if it proves it for others.
@@ -87,15 +85,15 @@ class Interval:
         self.low, self.stands = low, start
         self.high, self.fails = known if known is not None else (None, None)
         self._guess: float | None = guess
-        self._cap, self._floor, self._growth, self._cut = cap, floor, growth, cut
-        self._ratios: Iterator[float] = repeat(growth)
+        self._cap, self._floor, self._cut = cap, floor, cut
+        self._ratios: Iterator[float] = repeat(GROWTH)
         self._cut_last = False
         if near:
             self.begin_near(guess)
 
     def begin_near(self, bound: float) -> None:
         """Begin at the bound of a nearby state, with short steps."""
-        self._guess, self._ratios = bound / (1.0 + ACCURACY), strides(self._growth)
+        self._guess, self._ratios = bound / (1.0 + ACCURACY), strides()
 
     @property
     def unbounded(self) -> bool:
@@ -119,7 +117,7 @@ class Interval:
             return min(next(self._ratios) * self.low, self._cap)
         if self._cut_last:
             return self.high - 0.25 * self._width(self.high)
-        if self.low < self.high / self._growth:
+        if self.low < self.high / GROWTH:
             return max(self.high / next(self._ratios), float(np.sqrt(self.low * self.high)))
         return 0.5 * (self.low + self.high)
 
@@ -138,7 +136,7 @@ class Interval:
     def reopen(self, value: float, answer: Answer) -> None:
         """Go on from a stable answer at or beyond the outer end, in short steps at first."""
         self.low, self.stands, self.high, self.fails = value, answer, None, None
-        self._ratios = strides(self._growth)
+        self._ratios = strides()
 
     def bracket(self, *, finished: bool = True) -> Bracket:
         """Return the bracket as it is."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import States
-from falsework.stability.margins.brackets import FLOOR, Bracket, Interval, Probe, checked, largest
+from falsework.stability.margins.brackets import FLOOR, Bracket, Interval, checked, largest
 from falsework.stability.margins.conditions import Answer, Condition, OutOfTime
 from falsework.stability.margins.prober import Prober
 from falsework.stability.margins.weakest import Weakest
@@ -31,59 +31,29 @@ def friction_bracket(prober: Prober, state: States, start: Answer, near: Near) -
     """
     extra, own = start.condition.extra, start.condition.friction
     floor = SMOOTH * max(own, 1.0)
-
-    def ask(value: float, nearby: Answer | None) -> Answer:
-        return prober.ask(state, Condition(value, extra), nearby, coarse=True)
-
-    def from_rest(value: float, _: Answer | None) -> Answer:
-        return ask(value, None)
-
-    def find(
-        known: tuple[float, Answer] | None, low: float = own, stands: Answer = start, probe: Probe = from_rest
-    ) -> Bracket:
-        _, guess = near.get("friction", (0, 0.5 * own)) if low == own else (0, low)
-        found = largest(
-            lambda inverse, nearby: probe(1.0 / inverse, nearby),
-            Interval(
-                stands,
-                guess=1.0 / guess,
-                cap=1.0 / floor,
-                low=1.0 / low,
-                growth=2.0,
-                near="friction" in near or low < own,
-                known=None if known is None else (1.0 / known[0], known[1]),
-            ),
-        )
-        if not found.finished:
-            outside = None if found.outside is None else 1.0 / found.outside
-            return Bracket(1.0 / found.inside, found.stands, outside, found.fails, finished=False)
-        if found.outside is not None:
-            return Bracket(1.0 / found.inside, found.stands, 1.0 / found.outside, found.fails)
-        smooth = from_rest(0.0, None)
-        if smooth.stands:
-            return Bracket(0.0, smooth, None, None)
-        return Bracket(1.0 / found.inside, found.stands, 0.0, smooth)
-
     if not prober.assembly.has_common_friction:
         return None
-    if own == 0.0:
-        return Bracket(0.0, start, None, None)
-    if own <= floor:
-        smooth = from_rest(0.0, None)
-        return Bracket(0.0, smooth, None, None) if smooth.stands else Bracket(own, start, 0.0, smooth)
-    found = find(None, probe=ask)
-    if prober.contact:
-        try:
-            found = _from_rest_too(found, from_rest, lambda low, stands: find(None, low, stands))
-            # A check of the number starts from rest, and near the bound the start matters.
-            loaded = from_rest(found.inside, None)
-            found = replace(found, stands=loaded) if loaded.stands else find((found.inside, loaded))
-            found = checked(found, ask, start, lambda value, answer: find((value, answer)), origin=own)
-        except OutOfTime:
-            found = replace(found, finished=False)
-    if found.inside > floor and found.finished:
-        near["friction"] = 0, found.inside
-    return found
+    bracket = Bracket(own, start, None, None)
+    if own > floor:
+        found = weakest_load(
+            prober,
+            state,
+            start,
+            lambda _, inverse: Condition(1.0 / inverse, extra),
+            [0],
+            guess=lambda _: 2.0 / own,
+            cap=1.0 / floor,
+            low=1.0 / own,
+            near=near,
+            name="friction",
+        )
+        assert found is not None  # there is one family
+        inside, outside = (None if end is None else 1.0 / end for end in (found[1].inside, found[1].outside))
+        bracket = replace(found[1], inside=inside, outside=outside)
+    if own == 0.0 or bracket.outside is not None or not bracket.finished:
+        return bracket
+    smooth = prober.ask(state, Condition(0.0, extra))
+    return Bracket(0.0, smooth, None, None) if smooth.stands else replace(bracket, outside=0.0, fails=smooth)
 
 
 def weakest_load(
@@ -95,7 +65,9 @@ def weakest_load(
     *,
     guess: Callable[[int], float],
     cap: float,
+    low: float = 0.0,
     near: Near | None = None,
+    name: str = "load",
     numbers: Sequence[int] | None = None,
     loads: Array | None = None,
     around: bool = False,
@@ -113,13 +85,15 @@ def weakest_load(
         order: order in which to try the families.
         guess: guess at the bound of a family.
         cap: value beyond which there is no bound.
+        low: value at which all are known to be stable.
         near: weakest family of a nearby state, and its bound; replaced by that of this one.
+        name: under which it is in `near`.
         numbers: identifier of each family, the same in all states; its index by default.
         loads: where values are multiples of loads, these, N and Nm, shape (families, parts, 6).
         around, sample: as for `Weakest`.
     """
     names, near = range(max(order, default=-1) + 1) if numbers is None else numbers, {} if near is None else near
-    weak, value = near.get("load", (-1, 0.0))
+    weak, value = near.get(name, (-1, 0.0))
     order = sorted(order, key=lambda row: names[row] != weak)
 
     def probe(rows: Sequence[int], value: float, nearby: Sequence[Answer | int]) -> list[Answer]:
@@ -139,6 +113,7 @@ def weakest_load(
         start,
         guess=guess,
         cap=cap,
+        low=low,
         floor=lambda row: FLOOR * guess(row),
         around=around,
         sample=sample,
@@ -157,30 +132,15 @@ def weakest_load(
 
         def again(value: float, failed: Answer) -> Bracket:
             first, known = guess(row), (value, failed)
-            return largest(ask, Interval(start, guess=first, cap=cap, floor=FLOOR * first, known=known))
+            return largest(ask, Interval(start, guess=first, cap=cap, low=low, floor=FLOOR * first, known=known))
 
         try:
-            bracket = checked(bracket, ask, start, again)
+            if name == "friction":  # a check of the number starts from rest, and near the bound the start matters
+                loaded = prober.ask(state, under(row, bracket.inside))
+                bracket = replace(bracket, stands=loaded) if loaded.stands else again(bracket.inside, loaded)
+            bracket = checked(bracket, ask, start, again, origin=low)
         except OutOfTime:
             bracket = replace(bracket, finished=False)
     if bracket.outside is not None and bracket.finished:
-        near["load"] = names[row], bracket.inside
+        near[name] = names[row], bracket.inside
     return row, bracket
-
-
-def _from_rest_too(
-    found: Bracket, full: Callable[[float, Answer], Answer], find: Callable[[float, Answer], Bracket]
-) -> Bracket:
-    """Return a bracket whose outer end has no rest position from an unloaded start either.
-
-    Args:
-        found: the bracket found by quick probes.
-        full: answer at a value, from a nearby answer and from rest.
-        find: the bracket beyond a value that proves stable.
-    """
-    while found.outside is not None and found.fails is not None and found.fails.coarse:
-        answer = full(found.outside, found.stands)
-        if not answer.stands:
-            return replace(found, fails=replace(answer, moves_away=answer.moves_away or found.fails.moves_away))
-        found = find(found.outside, answer)
-    return found

@@ -35,6 +35,7 @@ class Weakest:
         *,
         guess: Callable[[int], float],
         cap: float,
+        low: float = 0.0,
         floor: Callable[[int], float],
         around: bool = False,
         sample: int | None = None,
@@ -50,6 +51,7 @@ class Weakest:
             start: the stable answer at 0.
             guess: value of a family to try first.
             cap: value beyond which there is no bound.
+            low: value at which all are known to be stable.
             floor: absolute width at which the bracket of a family is narrow enough.
             around: whether families are numbered around a circle; a probe starts from the rest of a family nearby.
             sample: number of the first families that are tested before the weakest of them is narrowed; all by
@@ -61,13 +63,18 @@ class Weakest:
         self._families, self._probe, self._cap = list(families), probe, cap
         self._searches = {
             row: Interval(
-                start, guess=guess(row), cap=cap, floor=floor(row), cut=None if cut is None else partial(cut, row)
+                start,
+                guess=guess(row),
+                cap=cap,
+                low=low,
+                floor=floor(row),
+                cut=None if cut is None else partial(cut, row),
             )
             for row in families
         }
         if near is not None and self._families:
             self._searches[self._families[0]].begin_near(near)
-        self._first = min(map(guess, families), default=0.0) / (2.0 * GROWTH)
+        self._first = max(min(map(guess, families), default=0.0) / (2.0 * GROWTH), (1.0 + 2.0 * ACCURACY) * low)
         self._distance = _distances(len(self._families)) if around else None
         self._beyond = True
         """Whether families are tested beyond the least bound: until one fails, since failures are costly."""
