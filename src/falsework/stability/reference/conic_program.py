@@ -18,25 +18,24 @@ from falsework.stability.problem import Problem
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-ROUGH = 1e4
-"""Friction above which rounding errors of the slip in a velocity can spoil its proof; programs take no more, with which
-forces in balance prove as much. Tested up to a friction of 1e8."""
-
 
 @dataclass(frozen=True)
 class Program:
-    """`min cost . x` over rows `A x` that are constrained in one of two ways.
+    """`min 1/2 x . (curvature * x) + cost . x` over rows `A x` that are constrained in one of three ways.
 
-    The first `inequalities` rows are `A x <= b`, the rest come in threes in which `b - A x` lies in the cone
-    `s0 >= |(s1, s2)|`.
+    The first `equalities` rows are `A x = b`, the next `inequalities` rows `A x <= b`, and the rest come in
+    threes in which `b - A x` lies in the cone `s0 >= |(s1, s2)|`.
     """
 
+    curvature: Array
+    """Shape (variables,)."""
     cost: Array
     """Shape (variables,)."""
     rows: sp.csc_matrix
     """`A`, shape (rows, variables)."""
     bound: Array
     """`b`, shape (rows,)."""
+    equalities: int
     inequalities: int
     read: Callable[[Array, Array], tuple[Array, Array]]
     """Maps solution and multipliers (nonnegative for rows `A x <= b`) to contact forces of the
@@ -45,7 +44,7 @@ class Program:
     @property
     def cones(self) -> int:
         """Number of second-order cones."""
-        return (len(self.bound) - self.inequalities) // 3
+        return (len(self.bound) - self.equalities - self.inequalities) // 3
 
 
 def block_diagonal(blocks: Array) -> sp.csc_matrix:
@@ -57,17 +56,47 @@ def block_diagonal(blocks: Array) -> sp.csc_matrix:
     return matrix
 
 
-def least_acceleration(problem: Problem, free: Mask, active: Mask, claim: StabilityCriterion) -> Program:
-    """Return `min t` with `|D M^-1 (G f + g)| <= t`, `f` in the cones, sum of normals bounded; `D` is `measure`.
-
-    Its multipliers are the best virtual velocity: by strong duality they prove exactly the residual that its
-    solution reaches.
+def least_squares(problem: Problem, free: Mask, active: Mask, claim: StabilityCriterion) -> Program:
+    """Return `min 1/2 |y|^2` with `y = L^-1 (G f + g)` up to a factor, `f` in the cones (paper, equation 6).
 
     Args:
         problem: the structure.
         free: parts that can move in the state, shape (parts,).
         active: contact points that act, shape (points,).
         claim: cone and force bound.
+    """
+    # Forces as shares of the weight and accelerations as shares of gravity keep the numbers near one, and make them
+    # independent of the size of the structure.
+    rows, columns = 6 * int(free.sum()), 3 * int(active.sum())
+    units = _force_units(problem, active)
+    lightest = (problem.momentum[free, 2, 2] / problem.measure[free, 0]).min()
+    whiten = block_diagonal(problem.whitening[free] / lightest)
+    wrench = wrench_matrix(problem, free, active)
+    tension = _tension(problem, active)
+    gravity = whiten @ (problem.gravity_wrench[free].ravel() + wrench @ tension)
+    cone = _cone_rows(problem, active, claim.cone)
+
+    def read(x: Array, _: Array) -> tuple[Array, Array]:
+        return (units * x[:columns] + tension).reshape(-1, 3), _normalised(whiten.T @ x[columns:])
+
+    return Program(
+        curvature=np.repeat([0.0, 1.0], [columns, rows]),
+        cost=np.zeros(columns + rows),
+        rows=_stack(
+            [[whiten @ wrench @ sp.diags(units), -sp.eye(rows)], [cone.rows, sp.csc_matrix((len(cone.bound), rows))]]
+        ),
+        bound=np.concatenate([-gravity, cone.bound]),
+        equalities=rows,
+        inequalities=cone.inequalities,
+        read=read,
+    )
+
+
+def least_acceleration(problem: Problem, free: Mask, active: Mask, claim: StabilityCriterion) -> Program:
+    """Return `min t` with `|D M^-1 (G f + g)| <= t`, `f` in the cones, sum of normals bounded; `D` is `measure`.
+
+    Its multipliers are the best virtual velocity: by strong duality they prove exactly the residual that its
+    solution reaches. Arguments as for `least_squares`.
     """
     rows, columns = 6 * int(free.sum()), 3 * int(active.sum())
     units = _force_units(problem, active)
@@ -87,6 +116,7 @@ def least_acceleration(problem: Problem, free: Mask, active: Mask, claim: Stabil
         return (units * x[:columns] + tension).reshape(-1, 3), _normalised(velocity)
 
     return Program(
+        curvature=np.zeros(columns + 1),
         cost=np.append(np.zeros(columns), 1.0),
         rows=_stack(
             [
@@ -97,6 +127,7 @@ def least_acceleration(problem: Problem, free: Mask, active: Mask, claim: Stabil
             ]
         ),
         bound=np.concatenate([-gravity, gravity, [most], cone.bound]),
+        equalities=0,
         inequalities=2 * rows + 1 + cone.inequalities,
         read=read,
     )
@@ -157,8 +188,7 @@ class _Cone:
 
 def _cone_rows(problem: Problem, active: Mask, cone: str) -> _Cone:
     """Return rows `A` and bounds `b` of the friction cones, with tension cut-off at contact points with cohesion."""
-    friction = np.minimum(problem.strength.friction[active], ROUGH)
-    stick = problem.strength.stick[active] / problem.weight
+    friction, stick = problem.strength.friction[active], problem.strength.stick[active] / problem.weight
     tangent = _tangent_units(problem, active)
     slope = np.divide(friction, tangent, out=np.ones_like(friction), where=tangent > 0)
     points, sticky = len(friction), np.flatnonzero(stick > 0)
