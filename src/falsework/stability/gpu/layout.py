@@ -14,6 +14,7 @@ from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
 
 _GROUP_SIZES = (3, 4, 5, 6)
+"""Largest numbers of contact points of a group, of which the one with the least cost is compiled."""
 _GROUP_COST = 3
 """Fixed cost of a group of contact points, in contact points."""
 _INT_FIELDS = ("parts", "positions", "groups", "blocks", "levels", "points", "products")
