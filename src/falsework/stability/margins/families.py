@@ -48,8 +48,9 @@ def friction_bracket(prober: Prober, state: States, start: Answer, near: Near) -
             name="friction",
         )
         assert found is not None  # there is one family
-        inside, outside = (None if end is None else 1.0 / end for end in (found[1].inside, found[1].outside))
-        bracket = replace(found[1], inside=inside, outside=outside)
+        bracket = found[1]
+        outside = None if bracket.outside is None else 1.0 / bracket.outside
+        bracket = replace(bracket, inside=1.0 / bracket.inside, outside=outside)
     if own == 0.0 or bracket.outside is not None or not bracket.finished:
         return bracket
     smooth = prober.ask(state, Condition(0.0, extra))
