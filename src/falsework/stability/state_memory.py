@@ -37,7 +37,7 @@ class StateMemory:
             limit: bytes; one array is kept whatever it takes.
         """
         rows, width = shape
-        self._rows, self._limit, self._blocks = rows, limit, Blocks(width)
+        self._rows, self._limit, self.blocks = rows, limit, Blocks(width)
         self._users = np.ones(1, dtype=np.int64)
         """Arrays that have each block; the block of zeros is never given up."""
         self._numbers: OrderedDict[bytes, NDArray[np.int32]] = OrderedDict()
@@ -46,8 +46,8 @@ class StateMemory:
     @property
     def nbytes(self) -> int:
         """Bytes that the arrays take, without room for more."""
-        block = self._blocks.values[0].nbytes + self._users.itemsize
-        return (self._blocks.count - len(self._blocks.free)) * block + len(self) * self._nothing.nbytes
+        block = self.blocks.values[0].nbytes + self._users.itemsize
+        return (self.blocks.count - len(self.blocks.free)) * block + len(self) * self._nothing.nbytes
 
     def __len__(self) -> int:
         return len(self._numbers)
@@ -61,12 +61,12 @@ class StateMemory:
         if number is None:
             return None
         self._last = number
-        return self._blocks.read(number, self._rows)
+        return self.blocks.read(number, self._rows)
 
     def __setitem__(self, key: bytes, array: NDArray[np.floating]) -> None:
         """Store an array, shape (rows, width)."""
-        number = self._blocks.store(array, self._last)
-        self._users.resize(len(self._blocks.values), refcheck=False)
+        number = self.blocks.store(array, self._last)
+        self._users.resize(len(self.blocks.values), refcheck=False)
         self._users[number] += 1  # the zero block alone may be there twice
         if key in self:
             self._give_up(self._numbers[key])
@@ -79,7 +79,7 @@ class StateMemory:
         self._users[number] -= 1
         self._users[0] = 1
         unused = number[(self._users[number] == 0) & (number > 0)]
-        self._blocks.free = np.concatenate([self._blocks.free, unused])
+        self.blocks.free = np.concatenate([self.blocks.free, unused])
         if self._last is number:
             self._last = self._nothing
 
@@ -96,26 +96,26 @@ class Guesses:
             holds_keep_stable: whether forces prove a state with more parts held too; displacements do not.
         """
         whole = not holds_keep_stable or 2 * len(boundary) * nothing.nbytes <= _SMALL
-        self._memory: dict[bytes, Array] | StateMemory = {} if whole else StateMemory(nothing.shape, _LARGE)
+        self.memory: dict[bytes, Array] | StateMemory = {} if whole else StateMemory(nothing.shape, _LARGE)
         self._most = _SMALL // max(nothing.nbytes, 1) if whole else np.inf
         self._boundary, self._holds_keep_stable = boundary, holds_keep_stable
 
     def get(self, state: States) -> Array | None:
         """Return the guess stored for a state; where holds keep states stable, also for it with parts not yet held."""
-        found = self._memory.get(state.tobytes())
+        found = self.memory.get(state.tobytes())
         if found is not None or not self._holds_keep_stable:
             return found
         held, before = np.flatnonzero((state == HELD) & ~self._boundary)[:_UNHELD], state.copy()
         for values in product((REMOVED, INSTALLED, HELD), repeat=len(held)):
             before[held] = values
-            if (found := self._memory.get(before.tobytes())) is not None:
+            if (found := self.memory.get(before.tobytes())) is not None:
                 break
         return found
 
     def pass_on(self, states: States, origins: States) -> None:
         """Let states that were cached as stable share the guess of their parents."""
         for state, origin in zip(states, origins, strict=True):
-            if state.tobytes() not in self._memory and (known := self.get(origin)) is not None:
+            if state.tobytes() not in self.memory and (known := self.get(origin)) is not None:
                 self._keep(state, known)
 
     def remember(self, states: States, found: Array) -> None:
@@ -124,6 +124,6 @@ class Guesses:
             self._keep(state, guess.copy())
 
     def _keep(self, state: States, guess: Array) -> None:
-        self._memory[state.tobytes()] = guess
-        while len(self._memory) > self._most:
-            del self._memory[next(iter(self._memory))]  # type: ignore[attr-defined]
+        self.memory[state.tobytes()] = guess
+        while len(self.memory) > self._most:
+            del self.memory[next(iter(self.memory))]  # type: ignore[attr-defined]
