@@ -31,7 +31,7 @@ TORCH_VERSION   ?= 2.13.0
 TORCH_CPU_INDEX ?= https://download.pytorch.org/whl/cpu
 
 # Extras that the tests need; dependency groups cannot name them.
-EXTRAS := gurobi,judge,learn,picture,rhino,robots,schedule,service,sheet,viewer
+EXTRAS := judge,learn,picture,rhino,robots,schedule,service,sheet,viewer
 
 # The validator of the Khronos Group, for tests; it runs in the node that comes from the Python registry.
 GLTF_VALIDATOR ?= gltf-validator@2.0.0-dev.3.10

@@ -223,7 +223,7 @@ def time_structure(assembly: Assembly, states: np.ndarray, criterion: Criterion,
     result["batch_of_one_ms"] = {"median": round(float(np.median(alone)), 3), "most": round(max(alone), 3)}
     if options.graph and not contact:
         chosen = np.resize(states, (options.graph, states.shape[1]))
-        result["graph"] = time_graph(problem, chosen, solver.settings.gpu.iterations)
+        result["graph"] = time_graph(problem, chosen, solver.settings.numerics.iterations)
     if options.baseline and not contact:
         result["shared_inverse"] = time_baseline(assembly, problem, solver, states[: options.baseline])
     return result

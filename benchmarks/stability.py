@@ -41,7 +41,7 @@ from states import asked_states, find, real_structures
 
 from falsework import Assembly, StabilityOracle, StabilitySettings, load_structure, verify_certificates
 from falsework.assembly import States, complete_state
-from falsework.stability import CpuSettings, ExactSolver
+from falsework.stability import ExactSolver, NumericalSettings
 
 Measure = Literal["verdicts", "certificates", "cold", "baseline"]
 _CHUNK = 2048
@@ -105,7 +105,9 @@ def one_core() -> Iterator[None]:
 
 def measure_verdicts(name: str, assembly: Assembly, states: States, parents: States, options: Options) -> None:
     """Measure agreement and speed on the same states."""
-    settings = StabilitySettings(criterion="equilibrium", cone=options.cone, cpu=CpuSettings(threads=options.threads))
+    settings = StabilitySettings(
+        criterion="equilibrium", cone=options.cone, numerics=NumericalSettings(threads=options.threads)
+    )
     checked = StabilityOracle(assembly, settings)
     verdicts = checked.verdicts(states, require_certificate=True)
     accepted = int(verify_certificates(assembly, states, verdicts, settings.claim).sum())
@@ -186,7 +188,9 @@ def measure_certificates(name: str, assembly: Assembly, options: Options) -> Non
 
 def measure_cold(name: str, assembly: Assembly, states: States, options: Options) -> None:
     """Measure milliseconds from an assembly to the first verdict, and of single verdicts without cached neighbours."""
-    settings = StabilitySettings(criterion="equilibrium", cone=options.cone, cpu=CpuSettings(threads=options.threads))
+    settings = StabilitySettings(
+        criterion="equilibrium", cone=options.cone, numerics=NumericalSettings(threads=options.threads)
+    )
     state = complete_state(assembly.boundary)
     StabilityOracle(assembly, settings).verdicts(state, require_certificate=True)
     StabilityOracle(assembly, settings).verdicts(state)
@@ -215,7 +219,7 @@ def measure_baseline(name: str, assembly: Assembly, states: States, parents: Sta
     import torch
 
     torch.set_num_threads(options.baseline_threads)
-    settings = StabilitySettings(criterion="equilibrium", cpu=CpuSettings(threads=options.threads))
+    settings = StabilitySettings(criterion="equilibrium", numerics=NumericalSettings(threads=options.threads))
     states, parents = states[: options.baseline_states], parents[: options.baseline_states]
     method = SharedInverseSettings(
         device=options.device, inverse=options.inverse, precision=options.precision, batch=max(len(states), 1)

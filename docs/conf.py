@@ -44,7 +44,6 @@ napoleon_numpy_docstring = False
 # Optional packages are not installed to build the pages.
 autodoc_mock_imports = [
     "torch",
-    "gurobipy",
     "gymnasium",
     "safetensors",
     "fastapi",

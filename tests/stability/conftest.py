@@ -260,7 +260,7 @@ class HostDriver:
 def solver_on_host(assembly: Assembly, settings: StabilitySettings = EQUILIBRIUM, **limits: Any) -> GpuSolver:
     """The solver for a GPU, on the processor."""
     problem = build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity)
-    return GpuSolver(assembly, problem, settings, make_driver=lambda defines: HostDriver(defines, **limits))
+    return GpuSolver(assembly, problem, settings, make_driver=lambda defines, _: HostDriver(defines, **limits))
 
 
 @pytest.fixture(scope="session")

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from falsework import Assembly, StabilityOracle, StabilitySettings, Verdict, verify_certificates
 from falsework.assembly import library
-from falsework.stability import CpuSettings, ExactSolver, GpuSettings
+from falsework.stability import ExactSolver, NumericalSettings
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.problem import Cone, build_problem
-from falsework.stability.reference.conic_program import into_cone
+from falsework.stability.second_order.springs import into_cone
 from falsework.stability.strength import Strength
 
 Decided = Callable[[str, float, Cone], NDArray[np.int8]]
@@ -80,7 +80,7 @@ def test_forces_of_the_exact_solver_end_in_the_cone(cone: Cone, friction: float)
     """A pull of a solver's last digits becomes no force at all; forces in the cone stay as they are."""
     dry = Strength(np.array(friction), np.zeros(()), np.zeros(()), np.array(True), np.array(False))
     pull, slip, within = [-1e-9, 1e-9, 0.0], [2.0, 3.0, -4.0], [2.0, friction, 0.0]
-    pulled, slipped, kept = into_cone(np.array([pull, slip, within]), dry, cone)
+    pulled, slipped, kept = into_cone(np.array([pull, slip, within]), dry, cone)[0]
     assert not pulled.any()
     assert slipped[0] == 2.0
     np.testing.assert_allclose(slipped[1] * -4.0, slipped[2] * 3.0)
@@ -120,7 +120,7 @@ def test_the_interior_point_method_needs_no_friction(scenes: Any, request: pytes
     verdict = []
     for cone in CONES:
         settings = StabilitySettings(
-            criterion="equilibrium", cone=cone, cpu=CpuSettings(iterations=1, threads=1), gpu=GpuSettings(iterations=1)
+            criterion="equilibrium", cone=cone, numerics=NumericalSettings(iterations=1, threads=1)
         )
         if make == "gpu":
             solver = request.getfixturevalue("on_host")(assembly, settings)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from falsework import Assembly, StabilityOracle, StabilitySettings, Verdict, verify_certificates
 from falsework.assembly import complete_state, library
 from falsework.errors import InputError, StateError
-from falsework.stability import CpuSettings, ExactSolver, Proof, Verdicts
+from falsework.stability import ExactSolver, NumericalSettings, Proof, Verdicts
 from falsework.stability.certificate import CONTACT
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.problem import build_problem
@@ -288,9 +288,9 @@ def test_a_proof_found_near_a_change_proves_the_whole(structure: str) -> None:
 
 def test_threads_change_nothing(arch: Assembly, states: NDArray) -> None:
     one, two, again = (
-        StabilityOracle(arch, StabilitySettings(criterion="equilibrium", cpu=CpuSettings(threads=threads))).verdicts(
-            states, require_certificate=True
-        )
+        StabilityOracle(
+            arch, StabilitySettings(criterion="equilibrium", numerics=NumericalSettings(threads=threads))
+        ).verdicts(states, require_certificate=True)
         for threads in (1, 2, 2)
     )
     for other in (two, again):
@@ -364,29 +364,13 @@ def test_the_exact_solver_can_be_asked_alone(arch: Assembly, states: NDArray, ex
 
 def test_what_the_fast_solver_leaves_goes_to_the_exact_one(arch: Assembly, states: NDArray, expected: NDArray) -> None:
     """With next to no iterations nothing is decided fast, yet everything is decided."""
-    cpu = CpuSettings(iterations=1, interior_steps=0)
+    numerics = NumericalSettings(iterations=1, interior_steps=0)
     for certificates in (True, False):
-        stability = StabilityOracle(arch, StabilitySettings(criterion="equilibrium", cpu=cpu))
+        stability = StabilityOracle(arch, StabilitySettings(criterion="equilibrium", numerics=numerics))
         verdicts = stability.verdicts(states, require_certificate=certificates)
         np.testing.assert_array_equal(verdicts.verdict, expected)
         assert stability.counters.exact > 0
         assert balanced(stability)
-
-
-def test_searches_of_large_structures_do_not_wait_for_the_exact_solver(
-    arch: Assembly, states: NDArray, expected: NDArray, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    cpu = CpuSettings(iterations=1, interior_steps=0)
-    parents = states[np.flatnonzero(expected == 1)[:1]].repeat(len(states), axis=0)
-    stability = StabilityOracle(arch, StabilitySettings(criterion="equilibrium", cpu=cpu))
-    monkeypatch.setattr("falsework.stability.oracle.UNDECIDED_FROM", arch.part_count)
-    verdicts = stability.verdicts(states, near=parents)
-    decided = ~verdicts.undecided
-    assert not decided.all()
-    np.testing.assert_array_equal(verdicts.verdict[decided], expected[decided])
-    assert stability.counters.exact == 0
-    np.testing.assert_array_equal(stability.verdicts(states).verdict, expected)
-    assert balanced(stability)
 
 
 def test_a_proof_that_is_rejected_goes_to_the_exact_solver(
@@ -457,7 +441,7 @@ def test_bad_settings_are_named(name: str, value: float) -> None:
 )
 def test_bad_numbers_for_the_solver_are_named(name: str, value: float) -> None:
     with pytest.raises(InputError, match=name):
-        CpuSettings(**{name: value})  # type: ignore[arg-type]
+        NumericalSettings(**{name: value})  # type: ignore[arg-type]
 
 
 def test_unknown_choices_are_named() -> None:

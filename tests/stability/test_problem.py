@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from falsework import Assembly, StabilitySettings
 from falsework.assembly import library
 from falsework.errors import AssemblyError, InputError
-from falsework.stability import CpuSettings, ExactSolver
+from falsework.stability import ExactSolver, NumericalSettings
 from falsework.stability.cpu.admm import factor_admm
 from falsework.stability.cpu.elimination import eliminate
 from falsework.stability.cpu.layout import add_wrenches, build_structure, make_scratch, restrict
@@ -41,15 +41,13 @@ def assembly(request: pytest.FixtureRequest) -> Assembly:
 def test_forces_act_in_pairs(assembly: Assembly) -> None:
     """Newton: about one common point, the wrenches on both parts of a contact cancel."""
     problem = build_problem(assembly)
-    total = np.zeros((problem.points, 6, 3))
-    for wrench, part in ((problem.wrench_a, problem.part_a), (problem.wrench_b, problem.part_b)):
-        total += wrench
-        arms = assembly.mass.center[part]
-        total[:, 3:] += np.cross(arms[:, None, :], wrench[:, :3].transpose(0, 2, 1)).transpose(0, 2, 1)
+    wrench = problem.wrench.toarray().reshape(problem.parts, 6, problem.points, 3)
+    total = wrench.sum(axis=0)
+    for center, each in zip(assembly.mass.center, wrench, strict=True):
+        total[3:] += np.cross(center, each[:3].transpose(1, 2, 0)).transpose(2, 0, 1)
     np.testing.assert_allclose(total, 0, atol=1e-12)
-    np.testing.assert_allclose(
-        problem.wrench_b[:, :3, 0], assembly.contacts.normals[assembly.contacts.contact_of_point]
-    )
+    on_b = wrench[problem.part_b, :3, np.arange(problem.points), 0]
+    np.testing.assert_allclose(on_b, assembly.contacts.normals[assembly.contacts.contact_of_point])
 
 
 def test_power_is_the_same_on_both_sides(assembly: Assembly) -> None:
@@ -58,9 +56,7 @@ def test_power_is_the_same_on_both_sides(assembly: Assembly) -> None:
     random = np.random.default_rng(0)
     velocity = random.standard_normal((problem.parts, 6))
     forces = random.standard_normal((problem.points, 3))
-    on_parts = np.zeros_like(velocity)
-    np.add.at(on_parts, problem.part_a, np.einsum("cij,cj->ci", problem.wrench_a, forces))
-    np.add.at(on_parts, problem.part_b, np.einsum("cij,cj->ci", problem.wrench_b, forces))
+    on_parts = (problem.wrench @ forces.ravel()).reshape(-1, 6)
     contacts, center = assembly.contacts, assembly.mass.center
     relative = np.zeros((problem.points, 3))
     for part, sign in ((problem.part_a, -1), (problem.part_b, 1)):
@@ -164,8 +160,8 @@ def test_the_interior_point_method_needs_little_to_start_from(scenes: Any, cone:
     """It settles every state within its steps even where ADMM has hardly begun."""
     assembly = library.build("arch:blocks=7,thickness=0.2")
     states = np.unique(scenes.few_changes(assembly, 60, seed=6), axis=0)
-    cpu = CpuSettings(iterations=iterations, check_every=1000, threads=1)
-    settings = StabilitySettings(criterion="equilibrium", cone=cone, cpu=cpu)  # type: ignore[arg-type]
+    numerics = NumericalSettings(iterations=iterations, check_every=1000, threads=1)
+    settings = StabilitySettings(criterion="equilibrium", cone=cone, numerics=numerics)  # type: ignore[arg-type]
     verdicts = CpuSolver(build_problem(assembly, cone=cone), settings).check(states)  # type: ignore[arg-type]
     moving = (states == 1).any(axis=1)
     assert (verdicts.iterations[moving] > iterations).all()

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from falsework import Assembly, StabilitySettings, Verdict, verify_certificates
 from falsework.assembly import library
 from falsework.geometry import TriangleMesh
-from falsework.stability import CpuSettings, ExactSolver, Verdicts
+from falsework.stability import ExactSolver, NumericalSettings, Verdicts
 from falsework.stability.certificate import StabilityCriterion, residual_bound_of_velocity, residual_of_forces
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.problem import build_problem
@@ -52,7 +52,7 @@ def solve(
 
 
 def settings_of(cone: str, gravity: float = EARTH) -> StabilitySettings:
-    return StabilitySettings(criterion="equilibrium", cone=cone, gravity=gravity, cpu=CpuSettings(threads=1))  # type: ignore[arg-type]
+    return StabilitySettings(criterion="equilibrium", cone=cone, gravity=gravity, numerics=NumericalSettings(threads=1))  # type: ignore[arg-type]
 
 
 @lru_cache

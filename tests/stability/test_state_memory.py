@@ -8,7 +8,7 @@ from falsework.stability.state_memory import StateMemory
 
 
 def test_it_returns_what_was_stored_last_under_a_key() -> None:
-    rng, memory, stored = np.random.default_rng(0), StateMemory(100, 3, 1 << 40), dict[bytes, np.ndarray]()
+    rng, memory, stored = np.random.default_rng(0), StateMemory((100, 3), 1 << 40), dict[bytes, np.ndarray]()
     array = rng.normal(size=(100, 3))
     for step in range(300):
         key = bytes([int(rng.integers(40))])
@@ -25,7 +25,7 @@ def test_it_returns_what_was_stored_last_under_a_key() -> None:
 
 def test_it_takes_memory_for_what_differs_and_gives_it_back() -> None:
     rng, whole = np.random.default_rng(0), 8 * 3200 * 3
-    memory, array = StateMemory(3200, 3, 4 * whole), rng.normal(size=(3200, 3))
+    memory, array = StateMemory((3200, 3), 4 * whole), rng.normal(size=(3200, 3))
     for k in range(50):
         array[rng.integers(3200)] += 1.0
         memory[bytes([k])] = array
@@ -36,11 +36,11 @@ def test_it_takes_memory_for_what_differs_and_gives_it_back() -> None:
     assert memory.nbytes <= 4 * whole
     assert bytes([199]) in memory
     assert bytes([100]) not in memory
-    assert memory.values.nbytes < 8 * whole
+    assert memory.blocks.values.nbytes < 8 * whole
 
 
 def test_one_array_is_kept_whatever_the_limit() -> None:
-    memory = StateMemory(100, 3, 1)
+    memory = StateMemory((100, 3), 1)
     for k in range(3):
         memory[bytes([k])] = np.full((100, 3), float(k + 1))
     assert len(memory) == 1

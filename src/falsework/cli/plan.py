@@ -95,7 +95,7 @@ class MakePlan(Command):
     replay of the whole plan; or (paper) contact forces in balance exist."""
     cone: Annotated[Literal["octagon", "quadratic"] | None, arg(help_behavior_hint=CONE_HINT)] = None
     """Friction cone: round, or eight-sided as in the paper."""
-    solver: Literal["auto", "cpu", "gpu", "exact", "gurobi"] = "cpu"
+    solver: Literal["auto", "cpu", "gpu", "exact"] = "cpu"
     """Solver; `auto` takes a GPU where there is one and it is faster."""
     margin: Annotated[str | None, arg(metavar="MARGINS", help_behavior_hint=UNSET)] = None
     """Margins that every state must keep: friction=1.25 (factor of safety), tilt=2deg, horizontal=0.05g, push=20N (on

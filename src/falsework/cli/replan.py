@@ -106,7 +106,7 @@ class MakeReplan(Command):
     """File to write; alternatives get -2, -3, ... added to its name."""
     device: Literal["auto", "cpu", "cuda"] = "cpu"
     """Device of the policy; `auto` takes a GPU if there is one."""
-    solver: Literal["auto", "cpu", "gpu", "exact", "gurobi"] = "cpu"
+    solver: Literal["auto", "cpu", "gpu", "exact"] = "cpu"
     """Solver; `auto` takes a GPU where there is one and it is faster."""
 
     def run(self, output: Output) -> Exit:

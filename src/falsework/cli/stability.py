@@ -39,7 +39,7 @@ class CheckStability(JudgingCommand):
     JSON list, a .npy array, or a plan."""
     cone: Annotated[Literal["octagon", "quadratic"] | None, arg(help_behavior_hint=CONE_HINT)] = None
     """Friction cone: round, or eight-sided as in the paper."""
-    solver: Literal["auto", "cpu", "gpu", "exact", "gurobi"] = "cpu"
+    solver: Literal["auto", "cpu", "gpu", "exact"] = "cpu"
     """Solver; `auto` takes a GPU where there is one and it is faster."""
 
     def run(self, output: Output) -> Exit:

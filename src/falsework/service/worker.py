@@ -27,7 +27,7 @@ from falsework.search.problem.result import Outcome
 from falsework.service.picture import PictureOrder, draw_png, read_plan
 from falsework.stability.motion import motion_of
 from falsework.stability.oracle import StabilityOracle
-from falsework.stability.settings import CpuSettings, StabilitySettings
+from falsework.stability.settings import NumericalSettings, StabilitySettings
 from falsework.stability.verdict import Criterion, Proof, Verdict, Verdicts
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ def refusal(text: str) -> bytes:
 
 def one_thread(criterion: Criterion) -> StabilitySettings:
     """Return settings of an oracle in a worker: the processes share the cores already."""
-    return StabilitySettings(criterion=criterion, cpu=CpuSettings(threads=1))
+    return StabilitySettings(criterion=criterion, numerics=NumericalSettings(threads=1))
 
 
 class _Judge:

@@ -312,7 +312,13 @@ def _slip(relative: Array, cone: str) -> Array:
     return (tangent @ np.stack([np.cos(angle), np.sin(angle)])).max(axis=-1)
 
 
-def chunks(rows: NDArray, points: int) -> list[NDArray]:
-    """Split rows of states with a number of contact points into chunks whose evaluation fits into the cache."""
-    size = max(_CHUNK_POINTS // max(points, 1), 1)
+def chunks(rows: NDArray, points: int, least: int = 1) -> list[NDArray]:
+    """Split rows of states with a number of contact points into chunks whose arrays fit into the cache.
+
+    Args:
+        rows: numbers of the states.
+        points: contact points of the structure.
+        least: states of a chunk, however many points they have.
+    """
+    size = max(_CHUNK_POINTS // max(points, 1), least)
     return [rows[first : first + size] for first in range(0, len(rows), size)]

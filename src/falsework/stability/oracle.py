@@ -14,7 +14,7 @@ from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.state import States, as_states
 from falsework.errors import StateError
 from falsework.stability.cache import VerdictCache, unique_rows, unique_states
-from falsework.stability.certificate import verify_certificates
+from falsework.stability.certificate import chunks, verify_certificates
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.counters import Counters
@@ -25,18 +25,13 @@ from falsework.stability.margins.prober import Prober
 from falsework.stability.margins.state_margins import StateMargins
 from falsework.stability.problem import build_problem
 from falsework.stability.settings import StabilitySettings
-from falsework.stability.solvers import criterion_solver, gpu_solver, gurobi_solver
+from falsework.stability.solvers import criterion_solver, gpu_solver
 from falsework.stability.state_memory import Guesses
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 
 if TYPE_CHECKING:
     from falsework.stability.reference.clarabel import ExactSolver
 
-_BATCH = 32 * 1024 * 1024
-"""Memory for contact forces or displacements of one batch, bytes."""
-UNDECIDED_FROM = 1000
-"""Parts from which a search does not ask the exact solver, which takes ten seconds and more for one state: a bound on
-its work, not a choice of method."""
 _WORTH_A_GPU = 8
 """States from which `auto` uses the GPU: a launch costs as much as a few states on the CPU."""
 
@@ -54,18 +49,16 @@ class StabilityOracle:
         self.problem = build_problem(
             assembly, cone=settings.friction_cone, gravity=settings.gravity, reserve=settings.reserve
         )
-        self._gurobi = gurobi_solver(assembly, settings, self.problem)
         self.counters = Counters()
         self._criterion = criterion_solver(assembly, self.problem, settings)
         self._gpu = gpu_solver(assembly, settings, self.problem)
         self._cache = VerdictCache(holds_keep_stable=self.holds_keep_stable)
-        self.guesses = Guesses(self._criterion.memory(), assembly.boundary, holds_keep_stable=self.holds_keep_stable)
+        nothing = self._criterion.no_guess(1)[0]
+        self.guesses = Guesses(nothing, assembly.boundary, holds_keep_stable=self.holds_keep_stable)
 
     @cached_property
     def exact(self) -> ExactSolver:
         """Exact solver for states that the others leave undecided; most searches never need it."""
-        if self._gurobi is not None:
-            return self._gurobi
         from falsework.stability.reference.clarabel import ExactSolver
 
         return ExactSolver(self.assembly, self.settings, self.problem)
@@ -92,8 +85,7 @@ class StabilityOracle:
             states: one state `(parts,)` or a batch `(batch, parts)`; 0 removed, 1 installed, 2 held.
             near: for each state a stable one that differs from it in few parts, such as its predecessor in a plan,
                 or itself. What was found of that one is the first guess, and a mechanism is sought near the difference
-                first. Without certificates, states that the other solvers leave undecided in structures of 1,000 parts
-                and more stay so. Same shape.
+                first. Same shape.
             require_certificate: return forces, velocity and, under `contact`, displacement, each accepted by the
                 certificate checker, and whether a stable state tips. Else verdicts come from the cache if possible,
                 which keeps no certificates, and only a state that is known to tip is not stable for that.
@@ -271,13 +263,12 @@ class StabilityOracle:
         verdicts = Verdicts.all_undecided(len(states))
         # Look up the near states first: storing what is found may evict them.
         known = [None] * len(states) if near is None else [self.guesses.get(origin) for origin in near]
-        size = max(_BATCH // max(self._criterion.no_guess(1).nbytes, 1), 16)
-        for first in range(0, len(states), size):
-            rows = np.arange(first, min(first + size, len(states)))
+        each = np.arange(len(states))  # a GPU divides them itself
+        for rows in [each] if solver is self._gpu else chunks(each, self.problem.points, 16):
             origins = guess = None
             if near is not None and solver.starts_from_guesses:
                 origins, guess = near[rows], self._criterion.no_guess(len(rows))
-                for row, start in zip(range(len(rows)), known[first : first + size], strict=True):
+                for row, start in enumerate(known[rows[0] : rows[-1] + 1]):
                     if start is not None:
                         guess[row] = start
                         self.counters.warm += 1
@@ -289,7 +280,7 @@ class StabilityOracle:
         if len(rest) and solver is self._gpu and self._criterion.cpu is not None:
             verdicts.put(rest, self._criterion.cpu.check(states[rest], certificates=False))
             rest = rest[verdicts.undecided[rest]]
-        if len(rest) and (near is None or self.problem.parts < UNDECIDED_FROM):
+        if len(rest):
             exact = self._decide_exactly(states[rest], verdicts[rest])
             self._remember(states[rest], exact)
             verdicts.put(rest, exact)
@@ -330,7 +321,7 @@ class StabilityOracle:
     def _count(self, verdicts: Verdicts) -> None:
         self.counters.cpu += int((verdicts.decided_by == Solver.CPU).sum())
         self.counters.gpu += int((verdicts.decided_by == Solver.GPU).sum())
-        self.counters.exact += int(np.isin(verdicts.decided_by, (Solver.EXACT, Solver.GUROBI)).sum())
+        self.counters.exact += int((verdicts.decided_by == Solver.EXACT).sum())
         self.counters.undecided += int(verdicts.undecided.sum())
 
 

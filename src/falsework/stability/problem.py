@@ -10,9 +10,12 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States
 from falsework.errors import AssemblyError, InputError
+from falsework.stability.contact_geometry import geometry_of
 from falsework.stability.strength import Strength, strength_of
 
 if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
     from falsework.assembly.model import Assembly
 
 Cone = Literal["octagon", "quadratic"]
@@ -53,10 +56,8 @@ class Problem:
     strength: Strength
     """Strength of each contact point."""
     cone: Cone
-    wrench_a: Array
-    """Wrench on part `a` of a unit force, shape (points, 6, 3), N and Nm per N."""
-    wrench_b: Array
-    """Wrench on part `b` of a unit force, shape (points, 6, 3)."""
+    wrench: csr_array
+    """Map of contact forces to wrenches on the parts, shape (6 parts, 3 points); see `ContactGeometry`."""
     gravity_wrench: Array
     """Weight and loads, shape (parts, 6), N and Nm."""
     pair_parts: NDArray[np.int32]
@@ -158,8 +159,6 @@ def build_problem(
         "boundary": immovable,
         "part_a": part_a.astype(np.int32),
         "part_b": part_b.astype(np.int32),
-        "wrench_a": -_unit_wrenches(axes, contacts.points - mass.center[part_a]),
-        "wrench_b": _unit_wrenches(axes, contacts.points - mass.center[part_b]),
         "gravity_wrench": gravity_wrench,
         "pair_parts": pair_parts.astype(np.int32),
         "pair_start": pair_start,
@@ -181,6 +180,7 @@ def build_problem(
         friction=float(assembly.friction) / reserve,
         strength=strength_of(assembly, gravity, reserve),
         cone=cone,
+        wrench=geometry_of(contacts, mass).wrench,
         weight=float(gravity * mass.mass[~immovable].sum()),
         **arrays,
     )

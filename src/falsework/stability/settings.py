@@ -15,12 +15,12 @@ from falsework.stability.stiffness import TANGENTIAL_RATIO
 from falsework.stability.strength import FORCE_BOUND
 from falsework.stability.verdict import Criterion
 
-SolverName = Literal["auto", "cpu", "gpu", "exact", "gurobi"]
+SolverName = Literal["auto", "cpu", "gpu", "exact"]
 
 
 @dataclass(frozen=True)
-class CpuSettings:
-    """Numerical settings of the CPU solver; the defaults were tuned on the paper's nine structures."""
+class NumericalSettings:
+    """Numerical settings of the solvers; the defaults were tuned on the paper's nine structures."""
 
     rho: float = 1e-3
     """Penalty of ADMM, relative to the scaled problem."""
@@ -35,7 +35,7 @@ class CpuSettings:
     contact_steps: int = 400
     """Newton iterations under the criterion `contact` before a state is left undecided."""
     threads: int | None = None
-    """Worker threads; all cores by default."""
+    """Worker threads on the CPU; all cores by default."""
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.rho) and self.rho > 0):
@@ -52,26 +52,6 @@ class CpuSettings:
             value = getattr(self, name)
             if value is not None and value < least:
                 raise InputError(f"{name} is {value}; give a whole number from {least} up")
-
-
-@dataclass(frozen=True)
-class GpuSettings:
-    """Numerical settings of the GPU solver."""
-
-    rho: float = 1e-3
-    """Penalty of ADMM, relative to the scaled problem."""
-    relaxation: float = 1.3
-    """Over-relaxation of ADMM, between 1 and 2."""
-    iterations: int = 60
-    """ADMM iterations before the interior point method takes over."""
-    first_check: int = 5
-    """Iterations before the first termination test."""
-    check_every: int = 5
-    """Iterations between two termination tests."""
-    interior_steps: int = 50
-    """Iterations of the interior point method before a state is left to the exact solver."""
-    contact_steps: int = 400
-    """Newton iterations under the criterion `contact` before a state is left undecided."""
 
 
 @dataclass(frozen=True)
@@ -101,8 +81,7 @@ class StabilitySettings:
     solver: SolverName = "cpu"
     """First solver; states that it leaves undecided go to the exact solver. `auto` takes the GPU, where there is
     one, for batches on which it is faster than the CPU."""
-    cpu: CpuSettings = CpuSettings()
-    gpu: GpuSettings = GpuSettings()
+    numerics: NumericalSettings = NumericalSettings()
 
     def __post_init__(self) -> None:
         if self.criterion not in get_args(Criterion):

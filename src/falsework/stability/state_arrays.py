@@ -15,23 +15,42 @@ GROWTH = 1.0625
 """Factor by which the memory for blocks grows: small, since room that is not used is resident too."""
 
 
-class _Blocks:
-    """Blocks in the order in which they were added; none is ever changed."""
+class Blocks:
+    """Blocks of rows, each stored once for all arrays that have it; the first is zero."""
 
     def __init__(self, width: int) -> None:
-        """Begin with one block of zeros."""
-        self.count = 1
+        """Begin with the block of zeros."""
+        self.count, self.free = 1, np.zeros(0, dtype=np.int32)
+        """Blocks so far, and the numbers of those that no array has any more."""
         self.values = np.zeros((1, BLOCK, width))
 
     def add(self, blocks: Array) -> NDArray[np.int32]:
         """Store blocks, shape (some, block, width), and return their numbers."""
-        first, self.count = self.count, self.count + len(blocks)
+        reused, self.free = self.free[: len(blocks)], self.free[len(blocks) :]
+        first, self.count = self.count, self.count + len(blocks) - len(reused)
         if self.count > len(self.values):
             # In place, so that old and new memory are never both in use.
             shape = (max(self.count, int(GROWTH * len(self.values))), *self.values.shape[1:])
             self.values.resize(shape, refcheck=False)
-        self.values[first : self.count] = blocks
-        return np.arange(first, self.count, dtype=np.int32)
+        numbers = np.concatenate([reused, np.arange(first, self.count, dtype=np.int32)])
+        self.values[numbers] = blocks
+        return numbers
+
+    def store(self, array: NDArray[np.floating], before: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Store an array, shape (rows, width), and return the numbers of its blocks.
+
+        Those that are, bit by bit, the ones of the array whose blocks are `before` are shared.
+        """
+        blocks = np.zeros((len(before), *self.values.shape[1:]))
+        blocks.reshape(-1, blocks.shape[2])[: len(array)] = array
+        new = (blocks.view(np.uint64) != self.values[before].view(np.uint64)).any(axis=(1, 2))
+        number = before.copy()
+        number[new] = self.add(blocks[new])
+        return number
+
+    def read(self, number: NDArray[np.int32], rows: int) -> Array:
+        """Return a copy of arrays by the numbers of their blocks, shape (..., rows, width)."""
+        return self.values[number].reshape(*number.shape[:-1], -1, self.values.shape[2])[..., :rows, :]
 
 
 class StateArrays:
@@ -44,7 +63,7 @@ class StateArrays:
     def __init__(self, states: int, rows: int, width: int) -> None:
         """Begin with zeros."""
         self._rows = rows
-        self._blocks = _Blocks(width)
+        self._blocks = Blocks(width)
         self._number = np.zeros((states, -(-rows // BLOCK)), dtype=np.int32)
         self._known = np.zeros(states, dtype=bool)
 
@@ -68,9 +87,7 @@ class StateArrays:
             some._rows, some._blocks = self._rows, self._blocks
             some._number, some._known = self._number[index], self._known[index]
             return some
-        number = self._number[index]
-        states, (_, rows, width) = number.shape[:-1], self.shape
-        return self._blocks.values[number].reshape(*states, -1, width)[..., :rows, :]
+        return self._blocks.read(self._number[index], self._rows)
 
     def __setitem__(self, states: NDArray[np.integer], arrays: Array) -> None:
         """Store the arrays of some states, shape (some, rows, width)."""
@@ -103,12 +120,7 @@ class StateArrays:
 
     def _put(self, state: int, array: Array) -> None:
         """Store the array of one state; blocks that are, bit by bit, those of the last stored before it are shared."""
-        count, rows, width = self._number.shape[1], *self.shape[1:]
-        blocks = np.zeros((count, BLOCK, width))
-        blocks.reshape(-1, width)[:rows] = array
         before = np.flatnonzero(self._known[:state])
-        number = self._number[before[-1]].copy() if len(before) else np.zeros(count, dtype=np.int32)
-        same = blocks.view(np.uint64) == self._blocks.values[number].view(np.uint64)
-        new = ~same.all(axis=(1, 2))
-        number[new] = self._blocks.add(blocks[new])
-        self._number[state], self._known[state] = number, True
+        last = self._number[before[-1]] if len(before) else np.zeros_like(self._number[0])
+        self._number[state] = self._blocks.store(array, last)
+        self._known[state] = True

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cache
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,7 +80,6 @@ class Solver(IntEnum):
     """A proof of another state that holds for this one: the two monotonicity rules of the cache."""
     SHARED_INVERSE = 5
     """The paper's method, which proves nothing."""
-    GUROBI = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,42 +177,26 @@ class Verdicts(Displayed):
         """Return verdicts of selected states, as a batch."""
         if isinstance(index, (int, np.integer)):
             index = np.arange(len(self))[[index]]
-        return Verdicts(
-            self.verdict[index],
-            self.proof[index],
-            self.residual[index],
-            self.iterations[index],
-            self.decided_by[index],
-            self.on_tolerance[index],
-            None if self.forces is None else self.forces[index],
-            None if self.velocity is None else self.velocity[index],
-            None if self.displacement is None else self.displacement[index],
-            self.assembly,
-            None if self.states is None else self.states[index],
-        )
+        picked: dict[str, Any] = {
+            name: None if array is None else array[index] for name, array in self._arrays().items()
+        }
+        states = None if self.states is None else self.states[index]
+        return Verdicts(**picked, assembly=self.assembly, states=states)
 
     def put(self, rows: NDArray, other: Verdicts) -> None:
         """Overwrite the verdicts of some states."""
-        for mine, theirs in zip(self._fields(), other._fields(), strict=True):
-            if mine is not None and theirs is not None:
+        given = other._arrays()
+        for name, mine in self._arrays().items():
+            if mine is not None and (theirs := given[name]) is not None:
                 mine[rows] = theirs
 
     def without_certificates(self) -> Verdicts:
         """Return the same verdicts without forces, velocity and displacement."""
         return replace(self, forces=None, velocity=None, displacement=None)
 
-    def _fields(self) -> tuple[NDArray | None, ...]:
-        return (
-            self.verdict,
-            self.proof,
-            self.residual,
-            self.iterations,
-            self.decided_by,
-            self.on_tolerance,
-            self.forces,
-            self.velocity,
-            self.displacement,
-        )
+    def _arrays(self) -> dict[str, Any]:
+        """Return the arrays with one entry a state, but the states themselves; None for those that are absent."""
+        return {name: value for name, value in vars(self).items() if name not in ("assembly", "states")}
 
 
 def proof_of(verdict: NDArray[np.int8], criterion: Criterion = "equilibrium") -> NDArray[np.int8]:

@@ -206,14 +206,16 @@ def test_other_displacements_are_rejected(proven: Any, factor: float) -> None:
 
 
 def test_the_forces_of_a_displacement_balance_by_another_formula(proven: Any) -> None:
-    """The wrenches of `Problem`, which the checker does not use, agree that the forces hold every part."""
+    """Sums of forces and of their moments, part by part, agree that the forces hold every part."""
     arch, states, verdicts, settings = proven
     problem = StabilityOracle(arch, settings).problem
     forces = forces_of_displacement(arch, states, verdicts.displacement, settings.claim)[0]
     np.testing.assert_allclose(forces, verdicts.forces[0], atol=1e-6 * problem.weight)
-    net = problem.gravity_wrench.copy()
-    np.add.at(net, problem.part_a, np.einsum("cij,cj->ci", problem.wrench_a, forces))
-    np.add.at(net, problem.part_b, np.einsum("cij,cj->ci", problem.wrench_b, forces))
+    net, contacts = problem.gravity_wrench.copy(), arch.contacts
+    on_b = np.einsum("pij,pi->pj", contacts.point_frames, forces)
+    for part, sign in ((problem.part_a, -1.0), (problem.part_b, 1.0)):
+        moment = np.cross(contacts.points - arch.mass.center[part], on_b)
+        np.add.at(net, part, sign * np.hstack([on_b, moment]))
     free = states[0] == 1
     assert np.abs(net[free][:, :3]).max() < 1e-3 * problem.weight
     assert residual_of_displacement(arch, states, verdicts.displacement, settings.claim)[0] <= settings.tolerance

@@ -17,13 +17,13 @@ import pytest
 
 from falsework import StabilityOracle, StabilitySettings, Verdict
 from falsework.assembly import HELD, complete_state
-from falsework.stability import CpuSettings
+from falsework.stability import NumericalSettings
 from falsework.stability.judges.discrete_elements import DiscreteElementSettings, settle
 
 
 def compare(random_scenes: Any, seeds: range) -> tuple[int, int, int]:
     """How many cases stand in both, stand here and fall there, slide here and stand there."""
-    settings = StabilitySettings(cpu=CpuSettings(threads=1))
+    settings = StabilitySettings(numerics=NumericalSettings(threads=1))
     both = here = there = 0
     for seed in seeds:
         rng = np.random.default_rng(seed)

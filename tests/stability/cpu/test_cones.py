@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from falsework.stability.cpu.cones import OCTAGON, QUADRATIC, project, project_joint, support
-from falsework.stability.reference.conic_program import into_cone
+from falsework.stability.second_order.springs import into_cone
 from falsework.stability.strength import Strength
 
 BOTH = pytest.mark.parametrize("cone", [OCTAGON, QUADRATIC])
@@ -114,7 +114,7 @@ def test_shrinking_into_the_cone_keeps_what_is_inside(name: str, point: tuple[fl
         np.array([point]),
         Strength(np.array(friction), np.zeros(()), np.zeros(()), np.array(True), np.array(False)),
         name,
-    )[0]
+    )[0][0]
     assert outside(cone, shrunk, friction) <= 1e-12 * (1 + max(map(abs, point)))
     if outside(cone, np.array(point), friction) < -1e-9:
         np.testing.assert_array_equal(shrunk, point)

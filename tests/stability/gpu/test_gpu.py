@@ -14,7 +14,7 @@ import pytest
 from falsework import Assembly, StabilityOracle, StabilitySettings, Verdict, load_structure, verify_certificates
 from falsework.assembly import library
 from falsework.errors import DependencyError, InputError
-from falsework.stability import GpuSettings, solvers
+from falsework.stability import NumericalSettings, solvers
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.gpu.driver import KERNELS, CudaDriver, compile_kernel
 from falsework.stability.gpu.layout import build_layout
@@ -62,8 +62,8 @@ def test_agrees_with_the_processor(
 def test_points_may_differ_in_friction(scenes: Any, cone: Any, make_solver: Callable[..., GpuSolver]) -> None:
     """Where faces lean, points have less; both methods, which share the states, take it from the same array."""
     assembly = scenes.leaning(library.build("wall:bricks=3,courses=3"))
-    for options in (GpuSettings(), GpuSettings(iterations=1, first_check=1)):
-        settings = replace(EQUILIBRIUM, cone=cone, gpu=options)
+    for options in (NumericalSettings(), NumericalSettings(iterations=1, check_every=1)):
+        settings = replace(EQUILIBRIUM, cone=cone, numerics=options)
         verdicts = compare(make_solver, assembly, mixed_states(scenes, assembly, 30, seed=5), settings)
         assert verdicts.stable.any()
         assert verdicts.unstable.any()
@@ -90,7 +90,7 @@ def test_the_interior_point_method_agrees_from_the_first_step(
     assembly = library.build("wall:bricks=3,courses=3")
     states = mixed_states(scenes, assembly, 30, seed=8)
     for cone in ("octagon", "quadratic"):
-        settings = replace(EQUILIBRIUM, cone=cone, gpu=GpuSettings(iterations=1, first_check=1))
+        settings = replace(EQUILIBRIUM, cone=cone, numerics=NumericalSettings(iterations=1, check_every=1))
         verdicts = compare(make_solver, assembly, states, settings)
         assert (verdicts.iterations > 1).mean() > 0.5
 
@@ -122,7 +122,7 @@ def test_states_too_large_for_the_chip_are_judged_in_memory(scenes: Any, on_host
     """With next to no shared memory every state takes the kernels that work in device memory, to the same end."""
     assembly = library.build("arch:blocks=7")
     states = mixed_states(scenes, assembly, 30, seed=2)
-    settings = replace(EQUILIBRIUM, gpu=GpuSettings(iterations=10))
+    settings = replace(EQUILIBRIUM, numerics=NumericalSettings(iterations=10))
     roomy, tight = on_host(assembly, settings), on_host(assembly, settings, shared_limit=8 * 1024)
     first, second = roomy.check(states), tight.check(states)
     assert "interior_scratch" not in roomy.driver.launched  # type: ignore[attr-defined]
@@ -220,7 +220,7 @@ def test_a_missing_device_is_said_in_one_line() -> None:
         if torch.cuda.is_available():
             pytest.skip("this machine has a GPU")
     with pytest.raises((DependencyError, InputError), match=r"pip install|solver='cpu'"):
-        CudaDriver("cuda", {})
+        CudaDriver({}, "cuda")
 
 
 @pytest.mark.slow
@@ -245,7 +245,9 @@ def test_oracle_sends_large_batches_to_the_gpu_and_small_ones_to_the_processor(m
     monkeypatch.setattr(
         solvers,
         "GpuSolver",
-        lambda assembly, problem, settings: GpuSolver(assembly, problem, settings, make_driver=host_driver),
+        lambda assembly, problem, settings: GpuSolver(
+            assembly, problem, settings, make_driver=lambda defines, _: host_driver(defines)
+        ),
     )
     rng = np.random.default_rng(3)
     states = rng.integers(0, 3, (60, assembly.part_count)).astype(np.uint8)

@@ -13,7 +13,7 @@ import pytest
 from falsework import Assembly, StabilityOracle, StabilitySettings, Verdict, load_structure, verify_certificates
 from falsework.assembly import library
 from falsework.search.device.oracle import DeviceOracle
-from falsework.stability import GpuSettings, Proof
+from falsework.stability import NumericalSettings, Proof
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.gpu.solver import GpuSolver
@@ -68,7 +68,7 @@ def test_as_many_iterations_as_on_the_processor(scenes: Any, make_solver: Callab
     """The same method in other coordinates: stable states take the same steps but for rounding."""
     assembly = library.build("dome")
     states = states_of(scenes, assembly, 40, seed=4)
-    alone = replace(CONTACT, gpu=GpuSettings(iterations=0, interior_steps=0))
+    alone = replace(CONTACT, numerics=NumericalSettings(iterations=0, interior_steps=0))
     solver = make_solver(assembly, alone)
     verdicts = solver.check(states, certificates=False)
     expected = ContactSolver(assembly, solver.problem, CONTACT).check(states, certificates=False)
@@ -99,7 +99,9 @@ def test_a_clamped_cube_slides_though_forces_could_hold_it(scenes: Any, make_sol
     assert verdicts.verdict[0] == Verdict.SLIDES
     assert verify_certificates(assembly, state, verdicts, CONTACT.claim).all()
     assert make_solver(assembly, EQUILIBRIUM).check(state).stable.all()
-    one = replace(CONTACT, gpu=GpuSettings(iterations=1, first_check=1))  # then the interior point method decides
+    one = replace(
+        CONTACT, numerics=NumericalSettings(iterations=1, check_every=1)
+    )  # then the interior point method decides
     assert make_solver(assembly, one).check(state).verdict[0] == Verdict.SLIDES
 
 
@@ -144,14 +146,14 @@ def test_what_the_gpu_leaves_open_is_settled_on_the_processor(scenes: Any, on_ho
     torch = pytest.importorskip("torch")
     assembly = library.build("arch:blocks=7")
     states = states_of(scenes, assembly, 30, seed=6)
-    tired = replace(CONTACT, gpu=GpuSettings(contact_steps=1))
+    tired = replace(CONTACT, numerics=NumericalSettings(contact_steps=1))
 
     class OnTensors:
         def check_tensor(self, given: Any) -> Any:
             return tuple(torch.from_numpy(each) for each in on_host(assembly, tired).check_tensor(given.numpy()))
 
     oracle = DeviceOracle.__new__(DeviceOracle)
-    oracle.solver, oracle.fallback = OnTensors(), StabilityOracle(assembly, tired)  # type: ignore[assignment]
+    oracle.solver, oracle.fallback = OnTensors(), StabilityOracle(assembly)  # type: ignore[assignment]
     given = torch.from_numpy(states)
     alone = oracle.without_fallback()(given, given).numpy()
     expected = StabilityOracle(assembly).verdicts(states, require_certificate=True).verdict

@@ -33,7 +33,7 @@ from falsework.search.problem.result import Stop
 from falsework.search.problem.task import Direction
 from falsework.search.settings import PlannerSettings
 from falsework.stability.oracle import StabilityOracle
-from falsework.stability.settings import CpuSettings, StabilitySettings
+from falsework.stability.settings import NumericalSettings, StabilitySettings
 from falsework.stability.verdict import Criterion
 from falsework.utils.archive import read_archive, write_archive
 from falsework.utils.files.damage import blamed_on
@@ -107,7 +107,7 @@ def label_states(
     def late() -> bool:
         return time.perf_counter() > end
 
-    oracle = StabilityOracle(assembly, StabilitySettings(criterion=criterion, cpu=CpuSettings(threads=1)))
+    oracle = StabilityOracle(assembly, StabilitySettings(criterion=criterion, numerics=NumericalSettings(threads=1)))
     environment = Environment(assembly, robots, oracle=oracle, device="cpu")
     solved, generator = SolvableStates(environment.rules), environment.generator(seed)
     if known is not None:

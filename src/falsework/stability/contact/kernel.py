@@ -20,7 +20,7 @@ from falsework.stability.contact.newton import (
     solve_statics,
 )
 from falsework.stability.cpu.layout import make_scratch, pair_velocity, point_velocity, restrict, set_gravity
-from falsework.stability.cpu.neighbourhood import RINGS, freeze_outside_ball
+from falsework.stability.cpu.neighbourhood import freeze_outside_ball
 from falsework.stability.cpu.products import LANES, ROWS
 from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED
 from falsework.stability.holds import PRESS_STIFFNESS, HoldMode, HoldSettings, limits_of
@@ -28,7 +28,7 @@ from falsework.stability.problem import Problem
 from falsework.stability.stiffness import MOVEMENT, TANGENTIAL_RATIO, normal_stiffness, structure_size
 from falsework.utils.kernels import njit
 
-NEAR_RINGS = RINGS[-1]
+NEAR_RINGS = 3
 """Distance from a changed part, in contacts, within which parts settle first; smaller where that is half of all."""
 
 

@@ -11,9 +11,9 @@ from falsework.stability.contact.kernel import ContactOptions, build_contact_str
 from falsework.stability.contact.newton import FIRST_STEP, MOVES_AWAY, OPEN, RESTS, WARM_FIRST_STEP
 from falsework.stability.cpu.kernel import solve_range
 from falsework.stability.cpu.layout import COMPILED_LAYOUT, build_structure
-from falsework.stability.cpu.neighbourhood import RINGS, local_instability_range
+from falsework.stability.cpu.neighbourhood import local_instability_range
 from falsework.stability.cpu.panels import RIDGE
-from falsework.stability.cpu.solver import Workers, kernel_options
+from falsework.stability.cpu.solver import SECOND_REACH, Workers, kernel_options
 from falsework.stability.cpu.termination import STABLE, UNDECIDED, UNSTABLE
 from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
@@ -50,14 +50,14 @@ class ContactSolver:
         self._options = kernel_options(settings)
         self.contact_options = ContactOptions(
             settings.claim.well_below,
-            settings.cpu.contact_steps,
+            settings.numerics.contact_steps,
             WARM_STEPS,
             WARM_STEPS // 2,
             FIRST_STEP,
             WARM_FIRST_STEP,
         )
         self._pulls = bool(problem.strength.pull.any())
-        self._workers = Workers(settings.cpu.threads)
+        self._workers = Workers(settings.numerics.threads)
 
     def falls(self, states: States, parents: States) -> NDArray[np.bool_]:
         """Return which states have a mechanism near where they differ from a stable one, as the kernel proves.
@@ -73,7 +73,10 @@ class ContactSolver:
 
         def work(rows: slice) -> None:
             tail = verdict[rows], residual[rows], iterations[rows], steps[rows]
-            local_instability_range(self.structure, states[rows], parents[rows], RINGS, self._options, nothing, *tail)
+            for reach in (1, SECOND_REACH):
+                local_instability_range(
+                    self.structure, states[rows], parents[rows], reach, self._options, nothing, *tail
+                )
 
         self._workers.run(work, batch)
         return verdict == UNSTABLE
@@ -168,11 +171,13 @@ class ContactSolver:
             if (
                 parents is not None
                 and not certificates
-                and not local_instability_range(self.structure, chosen, parents[rows], RINGS, balance, motion, *tail)
+                and not local_instability_range(self.structure, chosen, parents[rows], 1, balance, motion, *tail)
             ):
                 return
             kernel = self.structure, self.contact_structure, chosen, origins[rows], rest
             if rest_range(*kernel, displacement[rows], force, warm[rows], verdict, residual, taken, found[rows]):
+                if parents is not None and not certificates:
+                    local_instability_range(self.structure, chosen, parents[rows], SECOND_REACH, balance, motion, *tail)
                 solve_range(self.structure, chosen, balance, force, motion, cold, *tail)
                 again = np.flatnonzero(warm[rows] & (found[rows] == OPEN) & (verdict != UNSTABLE))
                 if len(again):

@@ -30,14 +30,15 @@ _X = np.array([math.cos((k + 0.5) * math.pi / 4) for k in range(8)])
 _Y = np.array([math.sin((k + 0.5) * math.pi / 4) for k in range(8)])
 _NEAR = math.cos(math.pi / 8)
 """Distance of the facets of the octagon from its axis; it lies inside the quadratic cone."""
-ATTEMPTS = np.array([[0.7, 0.01, 0.5, 0.2], [0.4, 0.002, 0.5, 0.2]])
-"""Settings of attempts: a quick one, and one that fails in fewer states. Columns: largest share of the way to the
-nearest facet in a step; share of the way to the middle of the cones; and at the start the largest tangential force, as
-a share of what friction allows, and the least normal force in force levels."""
+_BACK_OFF, _CENTRING = 0.7, 0.01
+"""Largest share of the way to the nearest facet in a step, and share of the way to the middle of the cones; checked on
+recorded searches."""
+_INSIDE, _LEAST = 0.5, 0.2
+"""Largest tangential force at the start, as a share of what friction allows, and least normal force in force levels."""
 
 
 @njit(fastmath=FAST, cache=True)
-def _move_inside(structure, work, pairs, level, inside, small):
+def _move_inside(structure, work, pairs, level):
     """Raise normal forces until all forces lie inside their cones; new contacts share what is not in balance."""
     z, mu, scale, start, slot_a, slot_b = work.z, work.friction, work.force_scale, work.start, work.slot_a, work.slot_b
     residual, new = work.residual, work.velocity
@@ -63,18 +64,18 @@ def _move_inside(structure, work, pairs, level, inside, small):
         if slot_b[p] >= 0:
             share = max(share, new[slot_b[p], 1])
         for j in range(start[p], start[p + 1]):
-            least = max(small * level / scale[j], share if z[j, 0] == 0.0 else 0.0)
+            least = max(_LEAST * level / scale[j], share if z[j, 0] == 0.0 else 0.0)
             side = math.sqrt(z[j, 1] * z[j, 1] + z[j, 2] * z[j, 2]) / (mu[j] * _NEAR)
-            z[j, 0] = max(z[j, 0], least, side / inside)
+            z[j, 0] = max(z[j, 0], least, side / _INSIDE)
 
 
 @njit(fastmath=FAST, cache=True)
-def _assemble(structure, work, pairs, level, first, centring):
+def _assemble(structure, work, pairs, level, first):
     """Write the Newton system: its matrix, and its right-hand side from `work.residual` to `work.rhs`.
 
     Multipliers of the facets are in `work.weights`; at the `first` step they are set. The inverse of the second
-    derivative at each contact point goes to `work.weight_steps`, and minus its product with the first, times the share
-    of centring, to `work.slacks`. Unknown are velocities; forces change by the latter, less the former times the
+    derivative at each contact point goes to `work.weight_steps`, and minus its product with the first, times
+    `_CENTRING`, to `work.slacks`. Unknown are velocities; forces change by the latter, less the former times the
     strains.
     """
     basis, start, z, mu, scale = work.basis, work.start, work.z, work.friction, work.force_scale
@@ -109,7 +110,7 @@ def _assemble(structure, work, pairs, level, first, centring):
         w22 = (h00 * h11 - h01 * h01) * inverse
         metric[j, 0], metric[j, 1], metric[j, 2] = w00, w01, w02
         metric[j, 3], metric[j, 4], metric[j, 5] = w11, w12, w22
-        g0, g1, g2 = centring * g0, centring * g1, centring * g2
+        g0, g1, g2 = _CENTRING * g0, _CENTRING * g1, _CENTRING * g2
         pull[j, 0] = -(w00 * g0 + w01 * g1 + w02 * g2)
         pull[j, 1] = -(w01 * g0 + w11 * g1 + w12 * g2)
         pull[j, 2] = -(w02 * g0 + w12 * g1 + w22 * g2)
@@ -131,7 +132,7 @@ def _assemble(structure, work, pairs, level, first, centring):
 
 
 @njit(fastmath=FAST, cache=True)
-def _advance(structure, work, pairs, back_off, centring):
+def _advance(structure, work, pairs):
     """Step forces in `work.z` along the velocities in `work.rhs`, and multipliers; each contact as far as it may go."""
     z, v, mu, multiplier = work.z, work.v, work.friction, work.weights
     metric, pull, step = work.weight_steps, work.slacks, np.empty(8)
@@ -142,26 +143,26 @@ def _advance(structure, work, pairs, back_off, centring):
         d0 = pull[j, 0] - w00 * v[j, 0] - w01 * v[j, 1] - w02 * v[j, 2]
         d1 = pull[j, 1] - w01 * v[j, 0] - w11 * v[j, 1] - w12 * v[j, 2]
         d2 = pull[j, 2] - w02 * v[j, 0] - w12 * v[j, 1] - w22 * v[j, 2]
-        m, reach, dual_reach = mu[j] * _NEAR, 1.0 / back_off, 1.0 / back_off
+        m, reach, dual_reach = mu[j] * _NEAR, 1.0 / _BACK_OFF, 1.0 / _BACK_OFF
         for k in range(8):
             distance = m * z[j, 0] - _X[k] * z[j, 1] - _Y[k] * z[j, 2]
             fall = _X[k] * d1 + _Y[k] * d2 - m * d0
             s = multiplier[j, k]
-            step[k] = (centring * (1.0 - s * distance) + s * fall) / distance
+            step[k] = (_CENTRING * (1.0 - s * distance) + s * fall) / distance
             if fall > 0.0:
                 reach = min(reach, distance / fall)
             if step[k] < 0.0:
                 dual_reach = min(dual_reach, -s / step[k])
         for k in range(8):
-            multiplier[j, k] += back_off * dual_reach * step[k]
-        share = back_off * reach
+            multiplier[j, k] += _BACK_OFF * dual_reach * step[k]
+        share = _BACK_OFF * reach
         z[j, 0] += share * d0
         z[j, 1] += share * d1
         z[j, 2] += share * d2
 
 
 @njit(fastmath=FAST, cache=True)
-def run_centring(structure, work, pairs, options, level, settings):
+def run_centring(structure, work, pairs, options, level):
     """Balance the forces in `work.z` by primal-dual steps inside their cones, as long as the residual falls.
 
     Where forces can balance the parts, it is less after any three steps than before them, but for one case in fifty on
@@ -170,25 +171,24 @@ def run_centring(structure, work, pairs, options, level, settings):
     Args:
         structure, work, pairs, options: as for `run_admm`.
         level: force in N that contacts without need of it take up, about.
-        settings: a row of `ATTEMPTS`.
 
     Returns:
         Verdict and steps taken.
     """
     lay_out_panels(structure, work.free, work.panels)
     check_primal(structure, work, pairs, work.z, options, work.residual)
-    _move_inside(structure, work, pairs, level, settings[2], settings[3])
+    _move_inside(structure, work, pairs, level)
     symmetric = pairs >= 0  # no literal, which numba would compile separately
     check_primal(structure, work, pairs, work.z, options, work.residual)
     one, two, three = np.inf, np.inf, np.inf  # residuals so many steps ago
     for step in range(1, options.interior_steps + 1):
-        _assemble(structure, work, pairs, level, step == 1, settings[1])
+        _assemble(structure, work, pairs, level, step == 1)
         if not factor_panels(structure.elimination.supernode, work.panels, symmetric):
             return UNDECIDED, step
         solve_panels(work.panels, work.rhs, symmetric)
         if not dot(work, work.rhs, work.rhs) < np.inf:
             return UNDECIDED, step
-        _advance(structure, work, pairs, settings[0], settings[1])
+        _advance(structure, work, pairs)
         residual = check_primal(structure, work, pairs, work.z, options, work.residual)
         if residual < (1.0 - MARGIN) * options.resolution:
             return STABLE, step

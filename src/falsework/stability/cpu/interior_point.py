@@ -37,6 +37,7 @@ from falsework.utils.kernels import njit
 _RAY_X = np.array([math.cos(k * math.pi / 4) for k in range(8)])
 _RAY_Y = np.array([math.sin(k * math.pi / 4) for k in range(8)])
 _BACK_OFF = 0.99
+"""Share of the way to the boundary of the cones in a step, as is common for such methods."""
 
 
 @njit(inline="always", fastmath=FAST)

@@ -16,8 +16,6 @@ from falsework.stability.cpu.layout import make_scratch, pair_velocity, point_ve
 from falsework.stability.cpu.termination import UNDECIDED, UNSTABLE
 from falsework.utils.kernels import njit
 
-RINGS = (1, 3)
-"""Distances from a changed part in contacts, tried in turn. Three rings or more alone gain only half as much."""
 _MARKED = 0.5
 """Share of the largest change of force that a region would pass on over its border, from which another part counts as
 pressed (the marking of Doerfler, 1996); checked on recorded searches."""
@@ -163,32 +161,11 @@ def extend_region(structure, state, near, velocity, forces, reach):
     return kept
 
 
-@njit(cache=True)
-def local_instability(structure, state, parent, rings, options, work, near, no_forces, velocity):
-    """Search for a mechanism near the difference of a state from its parent.
-
-    Returns:
-        `UNSTABLE` with its proof in `velocity`, else `UNDECIDED`; residual, ADMM iterations, interior-point steps.
-    """
-    cold = len(no_forces) > 0  # not a literal, for which numba would recompile the solver
-    spent, taken = 0, 0
-    for ring in rings:
-        kept, free = freeze_outside_ball(structure, state, parent, ring, near)
-        if 2 * kept > free:
-            break
-        if kept == 0:
-            continue
-        verdict, residual, iterations, steps = solve_state(structure, near, options, work, no_forces, velocity, cold)
-        spent += iterations
-        taken += steps
-        if verdict == UNSTABLE:
-            return verdict, residual, spent, taken
-    return UNDECIDED, np.nan, spent, taken
-
-
 @njit(nogil=True, cache=True)
-def local_instability_range(structure, states, parents, rings, options, velocity, verdict, residual, iterations, steps):
-    """Search for mechanisms near the difference of states from their parents; arrays as in `solve_range`.
+def local_instability_range(structure, states, parents, reach, options, velocity, verdict, residual, iterations, steps):
+    """Search for mechanisms near the difference of states, whose `verdict` is `UNDECIDED`, from their parents.
+
+    Parts more than `reach` contacts away are held. Arrays as in `solve_range`.
 
     Returns:
         Number of states left undecided.
@@ -197,10 +174,18 @@ def local_instability_range(structure, states, parents, rings, options, velocity
     nothing_v = np.zeros((0, 6))
     near = np.empty(states.shape[1], np.uint8)
     work = make_scratch(structure)
+    cold = len(nothing_f) > 0  # not a literal, for which numba would recompile the solver
     left = 0
     for i in range(len(states)):
+        if verdict[i] != UNDECIDED:
+            continue
         motion = velocity[i] if len(velocity) else nothing_v
-        v, r, k, s = local_instability(structure, states[i], parents[i], rings, options, work, near, nothing_f, motion)
+        kept, free = freeze_outside_ball(structure, states[i], parents[i], reach, near)
+        v, r, k, s = UNDECIDED, np.nan, 0, 0
+        if kept > 0 and 2 * kept <= free:
+            v, r, k, s = solve_state(structure, near, options, work, nothing_f, motion, cold)
+        if v != UNSTABLE:  # forces that balance these parts alone prove nothing
+            v, r = UNDECIDED, np.nan
         verdict[i] = v
         residual[i] = r
         iterations[i] += k

@@ -86,7 +86,7 @@ def separate(neighbours: Graph, parts: set[int]) -> tuple[set[int], set[int], se
     for here, there in ends:
         ranked = sorted(parts, key=lambda part: (here[part] - there[part], here[part], part))
         one = set(ranked[: len(ranked) // 2])
-        between = _cover(neighbours, one, parts - one)
+        between = {part for part in one if neighbours[part] & parts - one}
         found.append(_shift(neighbours, one - between, parts - one - between, between))
     return min(found, key=lambda sides: _cost(*map(len, sides)))
 
@@ -94,33 +94,6 @@ def separate(neighbours: Graph, parts: set[int]) -> tuple[set[int], set[int], se
 def _cost(one: int, other: int, between: int) -> float:
     """Return the size of a separator over those of both sides, the ratio cut (Wei and Cheng, 1989)."""
     return between / one + between / other if min(one, other) else float("inf")
-
-
-def _cover(neighbours: Graph, one: set[int], other: set[int]) -> set[int]:
-    """Return the fewest parts that touch all contacts between two sides, by a maximum matching (Koenig's theorem)."""
-    facing = {part: [near for near in neighbours[part] if near in other] for part in sorted(one)}
-    facing = {part: near for part, near in facing.items() if near}
-    partner: dict[int, int] = {}
-
-    def match(part: int, tried: set[int]) -> bool:
-        for near in facing[part]:
-            if near not in tried:
-                tried.add(near)
-                if near not in partner or match(partner[near], tried):
-                    partner[near] = part
-                    return True
-        return False
-
-    alone = [part for part in facing if not match(part, set())]
-    reached, beyond = set(alone), set()
-    for part in alone:
-        for near in facing[part]:
-            if near not in beyond:
-                beyond.add(near)
-                if partner[near] not in reached:
-                    reached.add(partner[near])
-                    alone.append(partner[near])
-    return (set(facing) - reached) | beyond
 
 
 def _shift(neighbours: Graph, one: set[int], other: set[int], between: set[int]) -> tuple[set[int], set[int], set[int]]:

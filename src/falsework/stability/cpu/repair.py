@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from falsework.stability.cpu.admm import factor_admm, run_admm
-from falsework.stability.cpu.centring import ATTEMPTS, run_centring
+from falsework.stability.cpu.centring import run_centring
 from falsework.stability.cpu.cones import project_joint
 from falsework.stability.cpu.layout import (
     FAST,
@@ -115,13 +115,13 @@ def _accept_forces(structure, state, options, residual, forces):
 
 
 @njit(cache=True)
-def _balance(structure, work, pairs, options, interior, level, settings, forces):
+def _balance(structure, work, pairs, options, interior, level, forces):
     """Balance forces on the parts in `work` from known ones, in N; return the verdict, ADMM iterations and steps."""
     if pairs == 0:  # nothing touches the parts, so no force can balance them
         return UNDECIDED, 0, 0
     if interior:
         load_forces(structure, work, pairs, forces, work.z)
-        verdict, steps = run_centring(structure, work, pairs, options, level, settings)
+        verdict, steps = run_centring(structure, work, pairs, options, level)
         return verdict, 0, steps
     load_forces(structure, work, pairs, forces, work.u)
     if not factor_admm(structure, work, pairs, options.rho):
@@ -151,23 +151,21 @@ def repair_state(structure, state, parent, reach, interior, options, work, near,
     residual = _accept_forces(structure, state, options, work.residual, forces)
     if residual < bound:
         return STABLE, residual, spent, taken
-    level, regions, whole = structure.weight / len(state), 0, 0
+    level, regions = structure.weight / len(state), 0
     velocity = work.rhs if interior else work.velocity
     kept, free = freeze_outside_ball(structure, state, parent, reach, near)
     local = reach > 0 and kept > 0
-    while whole < (len(ATTEMPTS) if interior else 1):
-        if local and 2 * kept > free:
-            local = False
+    while True:
+        local = local and 2 * kept <= free
         if not local:
             for part in range(len(state)):  # assigning the array would need what portable code has not
                 near[part] = state[part]
-        settings = ATTEMPTS[whole]
         pairs, _ = restrict(structure, near, work)
         grounded = True
         if local:
             pairs, grounded = _keep_border(structure, state, near, work, pairs, forces)
         if grounded:
-            verdict, iterations, steps = _balance(structure, work, pairs, options, interior, level, settings, forces)
+            verdict, iterations, steps = _balance(structure, work, pairs, options, interior, level, forces)
             spent += iterations
             taken += steps
             if verdict == STABLE:
@@ -177,8 +175,8 @@ def repair_state(structure, state, parent, reach, interior, options, work, near,
                     return STABLE, residual, spent, taken
                 # What is still out of balance lies outside the region.
         if not local:
-            whole += 1
-        elif regions == 0:
+            return UNDECIDED, np.nan, spent, taken
+        if regions == 0:
             kept, free = freeze_outside_corridor(structure, state, parent, reach, near)
             regions = 1
         else:
@@ -187,7 +185,6 @@ def repair_state(structure, state, parent, reach, interior, options, work, near,
                 kept = extend_region(structure, state, near, velocity, forces, reach << (regions - 1))
             local = kept > before
             regions += 1
-    return UNDECIDED, np.nan, spent, taken
 
 
 @njit(nogil=True, cache=True)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import States
 from falsework.stability.cpu.kernel import solve_range
 from falsework.stability.cpu.layout import COMPILED_LAYOUT, build_structure
-from falsework.stability.cpu.neighbourhood import RINGS, local_instability_range
+from falsework.stability.cpu.neighbourhood import local_instability_range
 from falsework.stability.cpu.repair import repair_range
 from falsework.stability.cpu.termination import Options
 from falsework.stability.problem import Problem
@@ -25,17 +25,19 @@ _TASK = 16
 FIRST_REACH = 2
 """Contacts by which the first region of a repair reaches beyond a change, and by which it is extended first; checked on
 recorded searches."""
+SECOND_REACH = 3
+"""The same of the second search for a mechanism, after what touches the change; checked on recorded searches."""
 
 
 def kernel_options(settings: StabilitySettings) -> Options:
     """Return the settings in the form of the kernel."""
-    cpu = settings.cpu
+    numerics = settings.numerics
     return Options(
-        rho=cpu.rho,
-        relaxation=cpu.relaxation,
-        iterations=cpu.iterations,
-        check_every=cpu.check_every,
-        interior_steps=cpu.interior_steps,
+        rho=numerics.rho,
+        relaxation=numerics.relaxation,
+        iterations=numerics.iterations,
+        check_every=numerics.check_every,
+        interior_steps=numerics.interior_steps,
         tolerance=settings.tolerance,
         resolution=settings.claim.well_below,
         force_bound=settings.force_bound,
@@ -88,7 +90,7 @@ class CpuSolver:
         rough = bool((strength.friction > SMOOTH).all())
         self.reach = FIRST_REACH
         self._interior = rough and not (strength.pull.any() or strength.stick.any())
-        self._workers = Workers(settings.cpu.threads)
+        self._workers = Workers(settings.numerics.threads)
 
     def check(
         self,
@@ -134,14 +136,16 @@ class CpuSolver:
         def work(rows: slice) -> None:
             tail = verdicts.verdict[rows], verdicts.residual[rows], verdicts.iterations[rows], steps[rows]
             chosen, motion, force = states[rows], velocity[rows], forces[rows]
-            if falls and not local_instability_range(
-                self.structure, chosen, origins[rows], RINGS, options, motion, *tail
-            ):
+            if falls and not local_instability_range(self.structure, chosen, origins[rows], 1, options, motion, *tail):
                 return
             if known[rows].any():
                 beside = origins[rows], known[rows], self.reach, self._interior
                 if not repair_range(self.structure, chosen, *beside, options, force, *tail):
                     return
+            if falls and not local_instability_range(
+                self.structure, chosen, origins[rows], SECOND_REACH, options, motion, *tail
+            ):
+                return
             solve_range(self.structure, chosen, options, force, motion, False, *tail)
 
         self._workers.run(work, batch)

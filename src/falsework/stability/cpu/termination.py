@@ -19,7 +19,7 @@ MARGIN = 1e-3
 
 
 class Options(NamedTuple):
-    """Numerical options of the kernel; see `CpuSettings` for their meaning."""
+    """Numerical options of the kernel; see `NumericalSettings` for their meaning."""
 
     rho: float
     relaxation: float

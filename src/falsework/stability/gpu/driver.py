@@ -7,7 +7,7 @@ import hashlib
 from collections.abc import Sequence
 from functools import lru_cache
 from importlib import import_module, resources
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -41,46 +41,6 @@ KERNELS = (
 """Kernels of the source, in the order of its `PART`s: each is compiled when it is first needed."""
 
 
-class Driver(Protocol):
-    """Device interface of the solver; the tests run the same kernel on the CPU behind it."""
-
-    multiprocessors: int
-    shared_limit: int
-    """Largest shared memory of a block, bytes."""
-    most_threads: int
-    """Largest number of threads of a block."""
-
-    def put(self, array: NDArray) -> Any:
-        """Return a copy of an array on the device."""
-        ...
-
-    def empty(self, shape: tuple[int, ...], dtype: DTypeLike) -> Any:
-        """Return an uninitialised array on the device."""
-        ...
-
-    def zeros(self, shape: tuple[int, ...], dtype: DTypeLike) -> Any:
-        """Return an array of zeros on the device."""
-        ...
-
-    def get(self, array: Any) -> NDArray:
-        """Return a copy of a device array on the host."""
-        ...
-
-    def address(self, array: Any) -> int:
-        """Return the address of a device array."""
-        ...
-
-    def blocks(self, kernel: str, threads: int, shared: int) -> int:
-        """Return the number of blocks of a kernel that the device can hold at a time."""
-        ...
-
-    def launch(
-        self, kernel: str, blocks: int, threads: int, shared: int, arguments: Sequence[ctypes.Structure]
-    ) -> None:
-        """Queue a kernel."""
-        ...
-
-
 def kernel_source() -> str:
     """Return the whole source: C++17, for NVRTC or, with one thread a block, for any other compiler."""
     folder = resources.files("falsework.stability.gpu.kernels")
@@ -88,9 +48,18 @@ def kernel_source() -> str:
 
 
 class CudaDriver:
-    """CUDA device driver: torch for memory and streams, NVIDIA's `cuda-bindings` for compiling and launching."""
+    """CUDA device driver: torch for memory and streams, NVIDIA's `cuda-bindings` for compiling and launching.
 
-    def __init__(self, device: str, defines: dict[str, int]) -> None:
+    The tests run the same kernel on the CPU behind the same methods.
+    """
+
+    multiprocessors: int
+    shared_limit: int
+    """Largest shared memory of a block, bytes."""
+    most_threads: int
+    """Largest number of threads of a block."""
+
+    def __init__(self, defines: dict[str, int], device: str) -> None:
         try:
             import torch
         except ImportError as error:

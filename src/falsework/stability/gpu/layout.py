@@ -14,11 +14,12 @@ from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
 
 _GROUP_SIZES = (3, 4, 5, 6)
+"""Largest numbers of contact points of a group, of which the one with the least cost is compiled."""
 _GROUP_COST = 3
 """Fixed cost of a group of contact points, in contact points."""
 _INT_FIELDS = ("parts", "positions", "groups", "blocks", "levels", "points", "products")
 _DOUBLE_OPTIONS = ("rho", "relaxation", "tolerance", "resolution", "force_bound", "first_step")
-_INT_OPTIONS = ("iterations", "first_check", "check_every", "interior_steps", "contact_steps")
+_INT_OPTIONS = ("iterations", "check_every", "interior_steps", "contact_steps")
 _SCALAR_FIELDS = ("weight", "friction", "length", "tangential", "unit", "limit")
 _ARRAY_FIELDS = (
     "position",
@@ -196,20 +197,19 @@ class Layout:
 
 def kernel_options(settings: StabilitySettings) -> KernelOptions:
     """Return the argument of the kernel from the settings."""
-    gpu = settings.gpu
+    numerics = settings.numerics
     contact = settings.criterion == "contact"
     return KernelOptions(
-        rho=gpu.rho,
-        relaxation=gpu.relaxation,
+        rho=numerics.rho,
+        relaxation=numerics.relaxation,
         tolerance=settings.tolerance,
         resolution=settings.claim.well_below,
         force_bound=settings.force_bound,
         first_step=FIRST_STEP,
-        iterations=gpu.iterations,
-        first_check=gpu.first_check,
-        check_every=gpu.check_every,
-        interior_steps=gpu.interior_steps,
-        contact_steps=gpu.contact_steps if contact else 0,
+        iterations=numerics.iterations,
+        check_every=numerics.check_every,
+        interior_steps=numerics.interior_steps,
+        contact_steps=numerics.contact_steps if contact else 0,
     )
 
 

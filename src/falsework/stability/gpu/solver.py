@@ -15,7 +15,7 @@ from falsework.errors import InputError
 from falsework.stability.contact.kernel import build_contact_structure
 from falsework.stability.cpu.cones import CONES, NEGLIGIBLE
 from falsework.stability.gpu.contact_layout import add_contact
-from falsework.stability.gpu.driver import CudaDriver, Driver
+from falsework.stability.gpu.driver import CudaDriver
 from falsework.stability.gpu.layout import KernelBatch, build_layout, kernel_options
 from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
@@ -88,7 +88,8 @@ class GpuSolver:
         assembly, problem: the structure, and its scaled equilibrium problem.
         settings: stability criterion and numerical settings.
         device: a CUDA device, such as `cuda` or `cuda:1`.
-        make_driver: creates another device driver, given the compile-time constants of the kernel.
+        make_driver: creates another device driver, given the compile-time constants of the kernel and
+            the device.
 
     Raises:
         DependencyError: torch or cuda-bindings is missing.
@@ -102,7 +103,7 @@ class GpuSolver:
         settings: StabilitySettings = StabilitySettings(),
         device: str = "cuda",
         *,
-        make_driver: Callable[[dict[str, int]], Driver] | None = None,
+        make_driver: Callable[[dict[str, int], str], Any] = CudaDriver,
     ) -> None:
         if assembly.joints is not None:
             raise InputError("joints are not checked on a GPU; use the solver cpu (--solver cpu) or auto")
@@ -125,7 +126,7 @@ class GpuSolver:
         quadratic = 0 if smooth.any() else CONES[settings.friction_cone]
         own = int("own_friction" in self.layout.arrays)
         constants = {"QUADRATIC": quadratic, "GROUP": self.layout.group_size, "OWN_FRICTION": own}
-        self.driver = CudaDriver(device, constants) if make_driver is None else make_driver(constants)
+        self.driver: CudaDriver = make_driver(constants, device)
         self._arrays = {name: self.driver.put(array) for name, array in self.layout.arrays.items()}
         addresses = {name: self.driver.address(array) for name, array in self._arrays.items()}
         self._structure = self.layout.kernel_structure(addresses)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import repeat
 
@@ -40,79 +40,119 @@ class Bracket:
     """Whether the search ended before its time was over; if not, the bracket is wider."""
 
 
-def strides(growth: float) -> Iterator[float]:
-    """Yield the ratios of successive probes from the bound of a nearby state: short at first, then `growth`.
+def strides() -> Iterator[float]:
+    """Yield the ratios of successive probes from the bound of a nearby state: short at first, then `GROWTH`.
 
     Bounds of successive states of a plan are mostly the same, or differ by a few per cent.
     """
     excess = 2.0 * ACCURACY
-    while 1.0 + excess < growth:
+    while 1.0 + excess < GROWTH:
         yield 1.0 + excess
         excess *= GROWTH
-    yield from repeat(growth)
+    yield from repeat(GROWTH)
 
 
-def largest(
-    probe: Probe,
-    start: Answer,
-    *,
-    guess: float,
-    cap: float,
-    low: float = 0.0,
-    floor: float = 0.0,
-    growth: float = GROWTH,
-    near: bool = False,
-    known: tuple[float, Answer] | None = None,
-    cut: Callable[[Answer], float] | None = None,
-) -> Bracket:
-    """Find the largest stable value of a family: outwards in strides until one fails, then by halves.
+class Interval:
+    """Bracket of the bound of one family while it is searched: outwards in strides until one fails, then by halves.
 
     Failing probes are costly, so a value that fails is followed by one not far below it.
-
-    Args:
-        probe: the family.
-        start: the stable answer at `low`.
-        guess: value to try first.
-        cap: value beyond which there is no bound.
-        low: value at which the family is known to be stable.
-        floor: absolute width at which a bracket is narrow enough.
-        growth: ratio of successive probes while only one end is known.
-        near: whether the guess is the bound of a nearby state, so that the first steps from it are short.
-        known: a failing value and its answer, if known.
-        cut: value down to which the velocity of a failing answer proves failure, if it proves it for others.
     """
-    inside, (high, outside) = start, known if known is not None else (None, None)
-    ratios, cut_last = strides(growth) if near else repeat(growth), False
-    value = guess / (1.0 + ACCURACY) if near else guess
-    if high is not None and not low < value < high:
-        value = high / float(np.sqrt(growth))
-    value = min(value if value > low else next(ratios) * low, cap)
-    while True:
-        try:
-            answer = probe(value, inside)
-        except OutOfTime:
-            return Bracket(low, inside, high, outside, finished=False)
-        before = high
+
+    def __init__(
+        self,
+        start: Answer,
+        *,
+        guess: float,
+        cap: float,
+        low: float = 0.0,
+        floor: float = 0.0,
+        near: bool = False,
+        known: tuple[float, Answer] | None = None,
+        cut: Callable[[Answer], float] | None = None,
+    ) -> None:
+        """Take the family.
+
+        Args:
+            start: the stable answer at `low`.
+            guess: value to try first.
+            cap: value beyond which there is no bound.
+            low: value at which the family is known to be stable.
+            floor: absolute width at which a bracket is narrow enough.
+            near: whether the guess is the bound of a nearby state, so that the first steps from it are short.
+            known: a failing value and its answer, if known.
+            cut: value down to which the velocity of a failing answer proves failure, if it proves it for others.
+        """
+        self.low, self.stands = low, start
+        self.high, self.fails = known if known is not None else (None, None)
+        self._guess: float | None = guess
+        self._cap, self._floor, self._cut = cap, floor, cut
+        self._ratios: Iterator[float] = repeat(GROWTH)
+        self._cut_last = False
+        if near:
+            self.begin_near(guess)
+
+    def begin_near(self, bound: float) -> None:
+        """Begin at the bound of a nearby state, with short steps."""
+        self._guess, self._ratios = bound / (1.0 + ACCURACY), strides()
+
+    @property
+    def unbounded(self) -> bool:
+        """Whether the family is stable up to the cap."""
+        return self.high is None and self.low >= self._cap
+
+    @property
+    def narrow(self) -> bool:
+        """Whether the bracket is narrow enough."""
+        return self.high is not None and self.high - self.low <= self._width(self.low)
+
+    def _width(self, value: float) -> float:
+        return max(ACCURACY * value, self._floor)
+
+    def next_value(self) -> float:
+        """Return the value to probe next."""
+        guess, self._guess = self._guess, None
+        if guess is not None and self.low < guess < (np.inf if self.high is None else self.high):
+            return min(guess, self._cap)
+        if self.high is None:
+            return min(next(self._ratios) * self.low, self._cap)
+        if self._cut_last:
+            return self.high - 0.25 * self._width(self.high)
+        if self.low < self.high / GROWTH:
+            return max(self.high / next(self._ratios), float(np.sqrt(self.low * self.high)))
+        return 0.5 * (self.low + self.high)
+
+    def record(self, value: float, answer: Answer) -> bool:
+        """Keep the answer at a value; return whether it is stable."""
         if answer.stands:
-            low, inside, cut_last = value, answer, False
-            if high is None and value >= cap:
-                return Bracket(low, inside, None, None)
-        else:
-            proven = value if cut is None else min(cut(answer), value)
-            # Successive cuts may take ever shorter steps; then bisection takes over.
-            slow = cut_last and before is not None and before - proven < 0.5 * (before - low)
-            cut_last = low < proven < value and not slow
-            high, outside = max(proven, low * (1.0 + 1e-9)), answer
-        if high is None:
-            value = min(next(ratios) * value, cap)
-        elif high - low <= max(ACCURACY * low, floor):
-            return Bracket(low, inside, high, outside)
-        elif cut_last:
-            value = high - 0.25 * max(ACCURACY * high, floor)
-        elif low < high / growth:
-            value = max(high / next(ratios), float(np.sqrt(low * high)))
-        else:
-            value = 0.5 * (low + high)
+            self.low, self.stands, self._cut_last = value, answer, False
+            return True
+        before, proven = self.high, value if self._cut is None else min(self._cut(answer), value)
+        # Successive cuts may take ever shorter steps; then bisection takes over.
+        slow = self._cut_last and before is not None and before - proven < 0.5 * (before - self.low)
+        self._cut_last = self.low < proven < value and not slow
+        self.high, self.fails = max(proven, self.low * (1.0 + 1e-9)), answer
+        return False
+
+    def reopen(self, value: float, answer: Answer) -> None:
+        """Go on from a stable answer at or beyond the outer end, in short steps at first."""
+        self.low, self.stands, self.high, self.fails = value, answer, None, None
+        self._ratios = strides()
+
+    def bracket(self, *, finished: bool = True) -> Bracket:
+        """Return the bracket as it is."""
+        return Bracket(self.low, self.stands, self.high, self.fails, finished=finished)
+
+
+def largest(probe: Probe, search: Interval) -> Bracket:
+    """Return the bracket of the largest stable value of a family; not finished where the time ends before."""
+    while not (search.narrow or search.unbounded):
+        value = search.next_value()
+        try:
+            answer = probe(value, search.stands)
+        except OutOfTime:
+            return search.bracket(finished=False)
+        search.record(value, answer)
+    return search.bracket()
 
 
 def checked(
@@ -139,47 +179,3 @@ def checked(
     if answer.stands:
         return bracket
     return replace(again(value, answer), monotone=False)
-
-
-def weakest(
-    families: Sequence[int],
-    test: Callable[[int, float], Answer],
-    bound: Callable[[int, tuple[float, Answer] | None], Bracket],
-    cap: float,
-    start: Answer,
-) -> tuple[int, Bracket] | None:
-    """Find the family with the least bound, without a search for the bounds of the others.
-
-    A monotone family that is stable at the least bound so far is not weaker, so for most families one probe is enough.
-    It is made just inside that bound, within the 1 % to which a bound is known.
-
-    Args:
-        families: those to compare, likely weakest first.
-        test: answer of a family at a value.
-        bound: bound of a family, given a failing value and its answer where known.
-        cap: value beyond which there is no bound.
-        start: the stable answer at 0.
-
-    Returns:
-        The family and its bracket, without an outer end where no family has a bound; None without families.
-    """
-    best: tuple[int, Bracket] | None = None
-    for family in families:
-        known = None
-        try:
-            if best is not None:
-                # Where the first has no bound, others mostly have none either.
-                value = cap if best[1].outside is None else (1.0 - ACCURACY / 2) * best[1].inside
-                answer = test(family, value)
-                if answer.stands:
-                    continue
-                known = value, answer
-            bracket = bound(family, known)
-        except OutOfTime:
-            bracket = Bracket(0.0, start, None, None, finished=False)
-        if not bracket.finished:  # nothing is known of the families that were not tested
-            least = bracket if best is None or bracket.outside is not None else best[1]
-            return family, Bracket(0.0, start, least.outside, least.fails, finished=False)
-        if best is None or bracket.outside is not None:
-            best = family, bracket
-    return best

@@ -60,36 +60,30 @@ def rest_under(
                 contact.load[j, r] = 0.0
                 for c in range(6):
                     contact.load[j, r] += turn[part, c, r] * loads[k, part, c]
-        if warm:
-            guess = displacement[k if after[k] < 0 else after[k]]
-            read_displacement(structure, contact_structure, work, guess, contact.displacement)
-            result[k], residual[k], iterations[k] = solve_statics(
-                structure,
-                contact_structure,
-                work,
-                contact,
-                pairs,
-                options.warm_steps,
-                tolerance,
-                options.warm_first_step,
-                mends,
-                options.schedule,
-            )
-        if not warm or (result[k] != RESTS and options.steps > 0):
-            contact.displacement[:] = 0.0
+        for cold in range(0 if warm else 1, 2):
+            if cold:
+                contact.displacement[:] = 0.0
+            else:
+                guess = displacement[k if after[k] < 0 else after[k]]
+                read_displacement(structure, contact_structure, work, guess, contact.displacement)
+            steps, first_step = options.warm_steps, options.warm_first_step
+            if cold:
+                steps, first_step = options.steps, options.first_step
             result[k], residual[k], taken = solve_statics(
                 structure,
                 contact_structure,
                 work,
                 contact,
                 pairs,
-                options.steps,
+                steps,
                 tolerance,
-                options.first_step,
+                first_step,
                 mends,
                 options.schedule,
             )
             iterations[k] += taken
+            if result[k] == RESTS or options.steps == 0:
+                break
         displacement[k] = 0.0
         write_displacement(structure, contact_structure, work, contact.displacement, displacement[k])
         if result[k] != RESTS:

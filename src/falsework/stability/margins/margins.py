@@ -7,16 +7,17 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.state import INSTALLED, REMOVED, States, as_states
 from falsework.errors import InputError
-from falsework.stability.margins.brackets import ACCURACY, FLOOR, GROWTH, Bracket, largest, weakest
+from falsework.stability.margins.brackets import ACCURACY, GROWTH, Bracket, Interval, largest
 from falsework.stability.margins.conditions import Answer, Condition, OutOfTime
-from falsework.stability.margins.families import Near, friction_bracket, load_bracket, weakest_load
+from falsework.stability.margins.families import Near, friction_bracket, weakest_load
 from falsework.stability.margins.prober import Prober
 from falsework.stability.margins.pushes import Pushes
 from falsework.stability.margins.state_margins import Bound, StateMargins, triple
@@ -90,7 +91,7 @@ class MarginFinder:
         return self._all(batch, kinds)
 
     def _all(self, batch: States, kinds: Sequence[str]) -> list[StateMargins]:
-        with ThreadPoolExecutor(self.prober.settings.cpu.threads) as pool:
+        with ThreadPoolExecutor(self.prober.settings.numerics.threads) as pool:
             prober = self.prober.until(np.inf)
             starts = list(pool.map(lambda state: prober.ask(state, prober.own()), batch))
             found = [StateMargins(start.stands, tuple(kinds)) for start in starts]
@@ -162,7 +163,7 @@ class MarginFinder:
             return prober.ask(state, Condition(1.0 / inverse, start.condition.extra), near)
 
         cap = 1.0 / max(low.condition.friction, SMOOTH)
-        found = largest(ask, answer, guess=1.0 / high, low=1.0 / high, cap=cap, known=(cap, low))
+        found = largest(ask, Interval(answer, guess=1.0 / high, low=1.0 / high, cap=cap, known=(cap, low)))
         turned = replace(found, inside=1.0 / found.inside, outside=(found.fails or low).condition.friction)
         return StateMargins(False, friction=self._bound(state, turned, self._rough(start.condition), always=True))
 
@@ -177,28 +178,14 @@ class MarginFinder:
         order = sorted(range(DIRECTIONS), key=lambda row: (row % 9 != 0) + (row % 3 != 0))
         loads = self.weights[None, :, None] * np.pad(self.directions, ((0, 0), (0, 3)))[:, None, :]
         guess = max(self._assembly.friction, 0.1)
-        found = weakest_load(
-            self.prober,
-            state,
-            start,
-            loads,
-            order,
-            guess=lambda _: guess,
-            cap=LARGEST_SHARE,
-            near=near,
-            around=True,
-            sample=DIRECTIONS // 3,
-        )
-        if found is None:
-            none = self._unbounded(state, start)
-            return none if "tilt" in kinds else None, none if "horizontal" in kinds else None
-        row, bracket = found
+        circle: dict[str, Any] = {"around": True, "sample": DIRECTIONS // 3}
+        row, bracket = self._weakest(state, start, loads, order, lambda _: guess, LARGEST_SHARE, near=near, **circle)
         direction = triple(self.directions[row])
         tilt = horizontal = None
         if "horizontal" in kinds:
             horizontal = self._bound(state, bracket, self._times(start.condition, loads[row]), direction=direction)
         if "tilt" in kinds and (self._assembly.loads is not None or self._assembly.joints is not None):
-            tilt = self._tilt(state, start, order)
+            tilt = self._tilt(state, start, order, circle)
         elif "tilt" in kinds:
             # Weight with a horizontal acceleration `a g` is the weight on ground tilted by atan(a), times a factor;
             # forces, displacements and velocities that prove one prove the other after scaling by that factor.
@@ -228,35 +215,54 @@ class MarginFinder:
             displacement=None if answer.displacement is None else factor * answer.displacement,
         )
 
-    def _tilt(self, state: States, start: Answer, order: Sequence[int]) -> Bound:
+    def _tilt(self, state: States, start: Answer, order: Sequence[int], circle: dict[str, Any]) -> Bound:
         """Return the largest tilt where other loads keep their direction."""
-
-        def probe(row: int, angle: float, near: Answer = start) -> Answer:
-            return self.prober.ask(state, self._tilts(start.condition, row)(angle), near)
-
-        def bound(row: int, known: tuple[float, Answer] | None) -> Bracket:
-            return largest(
-                partial(probe, row),
-                start,
-                guess=float(np.arctan(max(self._assembly.friction, 0.1))),
-                cap=cap,
-                floor=FLOOR,
-                known=known,
-            )
-
-        cap = float(np.arctan(LARGEST_SHARE))
-        found = weakest(order, probe, bound, cap, start)
-        if found is None:
-            return self._unbounded(state, start)
+        guess, cap = (float(np.arctan(share)) for share in (max(self._assembly.friction, 0.1), LARGEST_SHARE))
+        found = weakest_load(
+            self.prober,
+            state,
+            start,
+            lambda row, angle: self._tilts(start.condition, row)(angle),
+            order,
+            guess=lambda _: guess,
+            cap=cap,
+            **circle,
+        )
+        assert found is not None  # there are directions
         row, bracket = found
         direction = triple(self.directions[row])
         return self._bound(state, bracket, self._tilts(start.condition, row), direction=direction)
+
+    def _weakest(
+        self,
+        state: States,
+        start: Answer,
+        loads: Array,
+        order: Sequence[int],
+        guess: Callable[[int], float],
+        cap: float,
+        **options: Any,
+    ) -> tuple[int, Bracket]:
+        """Return the load with the least largest multiple, and its bracket; -1 without loads. See `weakest_load`."""
+        friction = start.condition.friction
+        found = weakest_load(
+            self.prober,
+            state,
+            start,
+            lambda row, value: Condition(friction, value * loads[row]),
+            order,
+            guess=guess,
+            cap=cap,
+            loads=loads,
+            **options,
+        )
+        return found or (-1, Bracket(0.0, start, None, None))
 
     def _polygon(self, state: States, start: Answer) -> Array:
         guess, limits = max(self._assembly.friction, 0.1), np.full(DIRECTIONS, np.inf)
         for row in range(DIRECTIONS):
             load = self.weights[:, None] * np.pad(self.directions[row], (0, 3))
-            bracket = load_bracket(self.prober, state, start, load, guess=guess, cap=LARGEST_SHARE)
+            _, bracket = self._weakest(state, start, load[None], [0], lambda _, guess=guess: guess, LARGEST_SHARE)
             if not bracket.finished:
                 raise OutOfTime
             if bracket.outside is not None:
@@ -268,29 +274,20 @@ class MarginFinder:
         loads = np.zeros((len(installed), self._parts, 6))
         loads[np.arange(len(installed)), installed, 2] = -self.weights[installed]
         order = np.argsort(-self.weights[installed], kind="stable").tolist()
-        found = weakest_load(
-            self.prober,
-            state,
-            start,
-            loads,
-            order,
-            guess=lambda _: 1.0,
-            cap=LARGEST_FACTOR - 1.0,
-            near=near,
-            numbers=installed.tolist(),
-        )
-        if found is None:
+        numbers = installed.tolist()
+        cap = LARGEST_FACTOR - 1.0
+        row, bracket = self._weakest(state, start, loads, order, lambda _: 1.0, cap, near=near, numbers=numbers)
+        if row < 0:
             return self._unbounded(state, start)
-        row, bracket = found
         times = self._times(start.condition, loads[row])
-        return self._bound(state, bracket, times, shift=1.0, part=int(installed[row]), direction=(0.0, 0.0, -1.0))
+        return self._bound(state, bracket, times, shift=1.0, part=numbers[row], direction=(0.0, 0.0, -1.0))
 
     def _total_factor(self, state: States, start: Answer) -> Bound:
         if self._assembly.loads is None and self._assembly.joints is None:
             # Forces that balance the weights balance any multiple of them.
             return self._unbounded(state, start)
         load = np.where((state != REMOVED)[:, None], self.weights[:, None] * np.array([0, 0, -1.0, 0, 0, 0]), 0.0)
-        bracket = load_bracket(self.prober, state, start, load, guess=1.0, cap=LARGEST_FACTOR - 1.0)
+        _, bracket = self._weakest(state, start, load[None], [0], lambda _: 1.0, LARGEST_FACTOR - 1.0)
         return self._bound(state, bracket, self._times(start.condition, load), shift=1.0)
 
     def _push(self, state: States, start: Answer, near: Near) -> Bound:
@@ -301,22 +298,15 @@ class MarginFinder:
         order = np.argsort(grip, kind="stable").tolist()
         cap = LARGEST_SHARE * self.prober.problem.weight
         loads = pushes.loads(rows, self._parts)
-        found = weakest_load(
-            self.prober,
-            state,
-            start,
-            loads,
-            order,
-            guess=lambda row: float(grip[row]),
-            cap=cap,
-            near=near,
-            numbers=rows.tolist(),
+        numbers = rows.tolist()
+        weakest, bracket = self._weakest(
+            state, start, loads, order, lambda row: float(grip[row]), cap, near=near, numbers=numbers
         )
-        if found is None:
+        if weakest < 0:
             return self._unbounded(state, start)
-        row, times = int(rows[found[0]]), self._times(start.condition, loads[found[0]])
+        row, times = numbers[weakest], self._times(start.condition, loads[weakest])
         direction = triple(pushes.normal[row])
-        return self._bound(state, found[1], times, part=int(pushes.part[row]), direction=direction)
+        return self._bound(state, bracket, times, part=int(pushes.part[row]), direction=direction)
 
     def _grip(self, state: States, start: Answer) -> Array:
         """Return the sum of the friction limits at the contacts of each part, N, shape (parts,)."""

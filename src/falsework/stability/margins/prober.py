@@ -204,13 +204,20 @@ class Prober:
         return Answer(condition, stands, forces=forces[0] if stands else None, velocity=velocity[0] if fails else None)
 
     def ask_each(self, state: States, conditions: Sequence[Condition], near: Sequence[Answer | int]) -> list[Answer]:
-        """Check a state quickly under conditions with the same friction, until it fails under one; under `contact`.
+        """Check a state under conditions with the same friction, until it fails under one; quickly under `contact`.
 
         Args:
             state: shape (parts,).
             conditions: friction and loads.
             near: for each the stable answer under a nearby condition, or the index of an earlier one of these.
         """
+        if not self.contact:
+            answers: list[Answer] = []
+            for condition, start in zip(conditions, near, strict=True):
+                answers.append(self.ask(state, condition, answers[start] if isinstance(start, int) else start))
+                if not answers[-1].stands:
+                    break
+            return answers
         if time.perf_counter() > self._end:
             raise OutOfTime
         known = [answer if isinstance(answer, Answer) else None for answer in near]
@@ -279,11 +286,8 @@ class Prober:
 
     def contact_wrench(self, state: States, forces: Array) -> Array:
         """Return the wrenches of contact forces, N, shape (points, 3), on all parts, N and Nm, shape (parts, 6)."""
-        problem = self.problem
-        active, net = problem.active(state[None])[0], np.zeros((problem.parts, 6))
-        for part, wrench in ((problem.part_a, problem.wrench_a), (problem.part_b, problem.wrench_b)):
-            np.add.at(net, part[active], np.einsum("pri,pi->pr", wrench[active], forces[active]))
-        return net
+        active = self.problem.active(state[None])[0]
+        return (self.problem.wrench @ np.where(active[:, None], forces, 0.0).ravel()).reshape(-1, 6)
 
     def forces(self, state: States, answer: Answer) -> Array:
         """Return the contact forces of a stable answer, N, shape (points, 3)."""
@@ -390,8 +394,7 @@ class Prober:
         """Return the scaled spring forces that displaced fixed parts cause at contact points, shape (points, 3)."""
         problem, law = self.problem, self._contact
         assert law is not None
-        relative = np.einsum("pri,pr->pi", problem.wrench_a, moved[problem.part_a])
-        relative += np.einsum("pri,pr->pi", problem.wrench_b, moved[problem.part_b])
+        relative = (problem.wrench.T @ moved.ravel()).reshape(-1, 3)
         stiffness = np.stack([law.normal, law.tangential, law.tangential], axis=1)
         # Scaled springs act on relative displacements times `force_scale`, in units of `scale`.
         return -stiffness * relative * (problem.force_scale / law.scale)[:, None]

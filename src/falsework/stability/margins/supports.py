@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, States
 from falsework.stability.certificate import forces_of_displacement, residual_of_forces
-from falsework.stability.margins.brackets import FLOOR, largest
+from falsework.stability.margins.brackets import FLOOR, Interval, largest
 from falsework.stability.margins.conditions import Answer, OutOfTime
 from falsework.stability.margins.prober import Prober
 from falsework.stability.margins.state_margins import HeldLoad, triple
@@ -71,7 +71,7 @@ def settlements(prober: Prober, state: States, start: Answer) -> tuple[tuple[int
             left = residual_of_forces(assembly, state[None], forces, claim)[0]
             return answer if left <= claim.tolerance else replace(answer, stands=False)
 
-        bracket = largest(probe, start, guess=0.5 * cap, cap=cap, floor=FLOOR * cap)
+        bracket = largest(probe, Interval(start, guess=0.5 * cap, cap=cap, floor=FLOOR * cap))
         if not bracket.finished:
             raise OutOfTime
         depths.append((part, None if bracket.outside is None else float(bracket.inside)))

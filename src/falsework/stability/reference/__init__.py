@@ -1,1 +1,1 @@
-"""Reference solvers: conic programs solved by Clarabel or Gurobi."""
+"""Reference solvers: conic programs solved by Clarabel."""

@@ -6,8 +6,7 @@ tests, in `validate_plan`, and for the few states that they leave undecided.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any
 
 import clarabel
 import numpy as np
@@ -16,20 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States, as_states
-from falsework.stability.certificate import StabilityCriterion, residual_bound_of_velocity, residual_of_forces
+from falsework.stability.certificate import residual_bound_of_velocity, residual_of_forces
 from falsework.stability.problem import Problem, build_problem
-from falsework.stability.reference.conic_program import (
-    Program,
-    into_cone,
-    least_acceleration,
-    least_squares,
-    without_slip,
-)
+from falsework.stability.reference.conic_program import Program, least_acceleration, least_squares, without_slip
+from falsework.stability.second_order.springs import into_cone
 from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 
 Array = NDArray[np.float64]
-ProgramOf = Callable[[Problem, NDArray[np.bool_], NDArray[np.bool_], StabilityCriterion], Program]
 
 _ROUGH = 1e4
 """Friction above which rounding errors of the slip in a velocity can spoil its proof."""
@@ -45,9 +38,6 @@ class ExactSolver:
     the residual of `certificate.py` itself, whose dual is the best virtual velocity there is. Where a velocity proves
     that forces leave more than the resolution, the state is unstable, though they may leave less than the tolerance.
     """
-
-    _programs: ClassVar[tuple[ProgramOf, ...]] = (least_squares, least_acceleration)
-    _name: ClassVar[Solver] = Solver.EXACT
 
     def __init__(
         self,
@@ -84,13 +74,13 @@ class ExactSolver:
         assert verdict.velocity is not None
         free, active = problem.free(state)[0], problem.active(state)[0]
         above, below = np.inf, 0.0
-        for program_of in self._programs:
+        for program_of in (least_squares, least_acceleration):
             forces, velocity = np.zeros_like(verdict.forces), np.zeros_like(verdict.velocity)
             if free.any():
                 program = program_of(problem, free, active, claim)
                 solution, multipliers, steps = self._solve(program)
                 found, velocity[0][free] = program.read(solution, multipliers)
-                forces[0][active] = into_cone(found, problem.strength.take(active), claim.cone)
+                forces[:, active] = into_cone(found[None], problem.strength.take(active), claim.cone)[0]
                 verdict.iterations[0] += steps
             left = residual_of_forces(self.assembly, state, forces, claim)[0]
             bound = residual_bound_of_velocity(self.assembly, state, velocity, claim)[0]
@@ -110,7 +100,7 @@ class ExactSolver:
             verdict.verdict[0] = Verdict.STABLE
         verdict.on_tolerance[:] = claim.on_tolerance(verdict)
         verdict.proof[:] = proof_of(verdict.verdict)
-        verdict.decided_by[:] = np.where(verdict.undecided, Solver.NONE, self._name)
+        verdict.decided_by[:] = np.where(verdict.undecided, Solver.NONE, Solver.EXACT)
         return verdict
 
     def _solve(self, program: Program) -> tuple[Array, Array, int]:

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from falsework.stability.certificate import StabilityCriterion
 from falsework.stability.problem import Problem
-from falsework.stability.strength import Strength
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -136,34 +135,8 @@ def least_acceleration(problem: Problem, free: Mask, active: Mask, claim: Stabil
 
 def wrench_matrix(problem: Problem, free: Mask, active: Mask) -> sp.csc_matrix:
     """Return wrenches on the free parts per force at the active points, shape (6 free, 3 active)."""
-    slot = np.full(problem.parts, -1)
-    slot[free] = np.arange(free.sum())
-    points = np.flatnonzero(active)
-    entries: list[tuple[Array, NDArray, NDArray]] = []
-    for part, blocks in ((problem.part_a, problem.wrench_a), (problem.part_b, problem.wrench_b)):
-        rows = slot[part[points]]
-        on = rows >= 0
-        block = blocks[points[on]]
-        row = np.broadcast_to(6 * rows[on][:, None, None] + np.arange(6)[:, None], block.shape)
-        column = np.broadcast_to(3 * np.flatnonzero(on)[:, None, None] + np.arange(3), block.shape)
-        entries.append((block.ravel(), row.ravel(), column.ravel()))
-    values, row, column = (np.concatenate(arrays) for arrays in zip(*entries, strict=True))
-    return sp.csc_matrix((values, (row, column)), shape=(6 * int(free.sum()), 3 * len(points)))
-
-
-def into_cone(forces: Array, strength: Strength, cone: str) -> Array:
-    """Return forces with tangents shrunk that a solver's rounding left outside the cone. Shape (points, 3)."""
-    forces = forces.copy()
-    forces[:, 0] = np.maximum(forces[:, 0], -strength.pull)
-    x, y = np.abs(forces[:, 1]), np.abs(forces[:, 2])
-    if cone == "quadratic":
-        size = np.hypot(x, y)
-    else:
-        size = np.maximum(x, y) + (np.sqrt(2.0) - 1.0) * np.minimum(x, y)
-    limit = strength.friction * (forces[:, 0] + strength.pull) + strength.stick
-    shrink = np.divide(limit, size, out=np.ones_like(size), where=size > limit)
-    forces[:, 1:] *= shrink[:, None]
-    return forces
+    rows, columns = np.repeat(free, 6), np.repeat(active, 3)
+    return sp.csc_matrix(problem.wrench[np.flatnonzero(rows)][:, np.flatnonzero(columns)])
 
 
 def without_slip(problem: Problem, free: Mask, active: Mask, velocity: Array) -> Array:

@@ -157,7 +157,7 @@ DEVICE void run_admm(const Structure& s, const Options& o, const Batch& b) {
       for (int t = TID; t < a.nodes * 6; t += THREADS) x[t] = node_wrench(s, a, t / 6, t % 6, wrench);
       SYNC;
       solve(a, m, x, between, w);
-      bool check = iteration >= o.first_check && (iteration - o.first_check) % o.check_every == 0;
+      bool check = iteration % o.check_every == 0;
       Tally tally = {{0, -kHuge, 0, 0, 0}};
       for (int slot = TID; slot < a.groups; slot += THREADS) {
         if (!OneEach) load_group(s, a, slot, q), load_iterate(a, slot, u, z, q);

@@ -154,7 +154,7 @@ struct Options {
   double tolerance;          // what a velocity proves exceeds it
   double resolution;         // what forces leave is below it
   double force_bound, first_step;
-  int iterations, first_check, check_every, interior_steps;
+  int iterations, check_every, interior_steps;
   int contact_steps;         // Newton iterations; 0 under the criterion `equilibrium`
 };
 
