@@ -23,9 +23,9 @@ from falsework.viewer.timeline import Timeline
 
 
 @cache
-def planned(spec: str, robots: int = 2) -> tuple[Assembly, Plan]:
+def planned(spec: str, robots: int = 2, *, ground: bool = False) -> tuple[Assembly, Plan]:
     """A built-in structure and a plan of it."""
-    assembly = load_structure(spec)
+    assembly = load_structure(spec, ground=ground)
     return assembly, find_plans(assembly, task_of(assembly, robots)).plans[0]
 
 

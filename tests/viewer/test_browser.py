@@ -259,7 +259,7 @@ def test_an_unstable_state(opened: Callable[..., Open]) -> None:
     now.tab.get_by_role("checkbox", name="Motion").uncheck()
     still = now.picture()
     assert near(moving, "#00c08b", 40) > near(still, "#00c08b", 40) + 100
-    for label in ("Step", "Order", "Steps per second", "Arms", "Presses", "Contact forces", "Section at"):
+    for label in ("Step", "Order", "Steps per second", "Arms", "Presses", "Contact forces", "Section leaves"):
         assert now.tab.get_by_text(label, exact=True).count() == 0, label  # it would do nothing here
     now.tab.get_by_role("tab", name="Disrupt").click()
     now.tab.get_by_role("button", name="Find a plan").click()
@@ -371,8 +371,8 @@ def test_one_sees_into_a_structure(opened: Callable[..., Open], arch: Any) -> No
     now = opened(ViewerState(Timeline.of(plan, assembly), plan=plan))
     now.slide(len(plan))
     whole = now.picture()
-    now.choose("Section", "along z")
-    now.tab.get_by_text("Section at").wait_for()
+    now.choose("Section", "across z")
+    now.tab.get_by_text("Section leaves").wait_for()
     cut = now.picture()
     assert (np.abs(cut - whole).max(axis=2) > 40).sum() > 1000
     now.choose("Section", "none")

@@ -8,3 +8,4 @@ from falsework.replanning.request import Request as Request
 from falsework.replanning.result import ReplanResult as ReplanResult
 from falsework.replanning.result import Stage as Stage
 from falsework.replanning.session import ReplanSettings as ReplanSettings
+from falsework.replanning.since import SiteSteps as SiteSteps

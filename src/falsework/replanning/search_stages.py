@@ -91,7 +91,7 @@ def search_on(session: ReplanSession, guide: Guide) -> Iterator[None]:
         yield from _first_plan(session, guide)
     if session.routes and not session.done:
         yield from _better_plans(session, guide)
-    if not session.decided and not session.clock.passed:
+    if not session.decided and not session.clock.passed and not session.task.support:
         yield from _finish([_Turns(_Census(session), Stage.EXHAUSTIVE, _TURN_LEVELS)], session)
 
 

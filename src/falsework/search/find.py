@@ -261,11 +261,12 @@ def plan_of(
     *,
     forces: bool = True,
     replay: PlanReplay | None = None,
+    all_props: bool = False,
 ) -> Plan:
     """Plan along a route, each state proved stable anew with a proof that the certificate checker accepts.
 
     Under the criterion `contact` states are proved in the order in which they are built; the result of that replay is
-    in `Plan.replay`. The plan has only those places for props that it uses.
+    in `Plan.replay`.
 
     Args:
         route: states and actions.
@@ -274,11 +275,12 @@ def plan_of(
         oracle: proves the states.
         forces: keep the forces in the plan, under `contact` the displacements too.
         replay: of the route by the oracle's replayer, where it is known already.
+        all_props: keep the places for props that the route does not use.
 
     Raises:
         PlanError: a state that cannot be proved stable.
     """
-    if assembly.props:
+    if assembly.props and not all_props:
         bare = assembly.part_count - len(assembly.props)
         used = np.flatnonzero((route.states[:, bare:] != REMOVED).any(axis=0))
         if len(used) < len(assembly.props):

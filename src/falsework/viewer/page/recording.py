@@ -22,13 +22,14 @@ from falsework.utils.files.printable import printable
 from falsework.utils.quantity import counted
 from falsework.viewer.appearance import Appearance
 from falsework.viewer.arrows import Arrows, arrows_of_step
-from falsework.viewer.page.page_text import legend_text
+from falsework.viewer.page.page_text import labels_of, legend_text
 from falsework.viewer.page.scene import ViserScene
 from falsework.viewer.page.stage import set_stage
 from falsework.viewer.page.step_list import step_list
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.palette import INK, rgb
 from falsework.viewer.pictures.contact_sheet import caption
+from falsework.viewer.section import Plane
 from falsework.viewer.web.content_policy import policy_of
 from falsework.viewer.web.markup import html_text
 from falsework.viewer.web.origin_guard import OriginGuard, import_viser, start_server
@@ -79,8 +80,9 @@ class RecordedScene(ViserScene):
         missing: Iterable[int] = (),
         pale: Iterable[int] = (),
         labels: Mapping[int, str] | None = None,
+        plane: Plane | None = None,
     ) -> int:
-        """Update the parts; see `ViserScene.show`, but nothing is missing or pale in a recording."""
+        """Update the parts; see `ViserScene.show`, but nothing is missing, pale or cut in a recording."""
         before, now = self._opacities, appearance.opacity
         dyed = (appearance.color != self._colors).any(axis=1)
         shifted = (appearance.shift != self._shifts).any(axis=1)
@@ -202,7 +204,7 @@ def save_page(path: Path | str, shown: Viewable | ViewerState) -> None:
 def _frame(model: ViewerState, scene: RecordedScene, title: Any) -> dict[str, Arrows]:
     """Update the scene to the present reading, and return the arrows in it."""
     appearance = model.appearance()
-    scene.show(appearance, labels=model.labels(appearance))
+    scene.show(appearance, labels=labels_of(model, appearance))
     scene.show_arms(model.arms, model.arm_poses())
     arrows = arrows_of_step(model.timeline, model.step)
     moved, words = {}, ""
