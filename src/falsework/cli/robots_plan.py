@@ -219,6 +219,11 @@ class PlanRobots(Command):
 
     def _report(self, result: HybridResult, found: RobotPlan | None, begun: BegunPlan | None, output: Output) -> Exit:
         if found is not None:
+            fails_at = None
+            if begun is not None:
+                from falsework.robots.plans.continued import continued
+
+                found, fails_at = continued(found, begun.plan, begun.now.done, begun.assembly)
             saved = self._save(found, begun)
             output.file(self.out)
             output.record(
@@ -232,6 +237,12 @@ class PlanRobots(Command):
             if result.found:
                 for text in found_texts(saved, str(self.out), result.statistics):
                     output.say(text)
+                if fails_at is not None:
+                    output.note(
+                        f"falsework: with the history of the steps that are done the replay fails at step {fails_at}, "
+                        "so the new steps are numbered from 1 and proven from rest"
+                    )
+                    return output.outcome("weaker")
                 return Exit.DONE
             output.outcome("partial")
             which = "first" if saved.direction == "disassembly" else "last"

@@ -124,12 +124,17 @@ class SceneView:
         length = self.keep * (high - low)
         return Plane(self.axis, high - length, True) if self.axis == "y" else Plane(self.axis, low + length)
 
+    def gone(self, assembly: Assembly) -> NDArray[np.bool_]:
+        """Return the parts that are cut away as a whole, shape (parts,)."""
+        plane = self.plane(assembly)
+        if plane is None:
+            return np.zeros(assembly.part_count, dtype=bool)
+        heights = plane.heights(np.array([mesh.bounds for mesh in assembly.meshes]))
+        return np.max(heights, axis=1) <= 0
+
     def of(self, look: Appearance, assembly: Assembly) -> Appearance:
         """Return the appearance with parts moved apart, and without those that are cut away as a whole."""
-        plane, opacity, shift = self.plane(assembly), look.opacity, look.shift
-        if plane is not None:
-            boxes = np.array([mesh.bounds for mesh in assembly.meshes])
-            opacity = np.where((plane.heights(boxes) <= 0).all(axis=1), 0.0, opacity)
+        opacity, shift = np.where(self.gone(assembly), 0.0, look.opacity), look.shift
         if self.explode:
             low, high = bounds_of(assembly)
             shift = shift + self.explode * (assembly.mass.center - np.array([*(low + high)[:2] / 2, low[2]]))

@@ -99,6 +99,7 @@ class Timeline:
         states = np.concatenate([self.states[:place], plan.states])
         presses = (*(self.presses or ((),) * len(self))[:place], *(plan.presses or ((),) * len(plan)))
         known = self.verdicts or (Verdict.UNDECIDED,) * len(self.states)
+        loads = (*(self.loads or ((),) * len(self.states))[:place], *(plan.loads or ((),) * len(plan.states)))
         return replace(
             self,
             states=states,
@@ -107,6 +108,7 @@ class Timeline:
             robots=plan.robots,
             presses=presses if any(presses) else (),
             verdicts=(*known[:place], *plan.verdicts),
+            loads=loads if any(loads) else (),
         )
 
     def with_places(self, assembly: Assembly) -> Timeline:

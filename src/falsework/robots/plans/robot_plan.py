@@ -215,12 +215,17 @@ class RobotPlan(Displayed):
     """Schedule of simultaneous motions; None: one after the other."""
     direction: Direction = Direction.ASSEMBLY
     """Order in which the motions are executed, and keyframes and steps are listed."""
+    before: tuple[int, ...] = ()
+    """Robots of the first steps of the plan, in the order of assembly, that have no motions: they were done before, by
+    the plan that this one goes on from."""
+    after: tuple[int, ...] = ()
+    """The same of its last steps: they were undone before, in disassembly."""
 
     def __post_init__(self) -> None:
         if self.plan.parts_at_once > 1:
             raise PlanError("robot plans move one part at a time, but the plan moves several in one step; plan again")
         actions = sum(acts(step) for step in self.steps)
-        if len(self.keyframes) != len(self.steps) + 1 or actions != len(self.plan):
+        if len(self.keyframes) != len(self.steps) + 1 or actions != len(self.plan) - len(self.before) - len(self.after):
             raise PlanError(
                 f"{len(self.keyframes)} keyframes and {len(self.steps)} steps, {len(self.steps) - actions} of them "
                 f"hand-overs or transits, do not match a plan of {len(self.plan)} actions; plan again"
@@ -242,7 +247,12 @@ class RobotPlan(Displayed):
     @cached_property
     def done(self) -> NDArray[np.int64]:
         """Number of actions executed before each keyframe, shape (keyframes,)."""
-        return np.cumsum([0, *(acts(step) for step in self.steps)])
+        return np.cumsum([len(self.done_by), *(acts(step) for step in self.steps)])
+
+    @property
+    def done_by(self) -> tuple[int, ...]:
+        """Robots of the actions that were executed before the first keyframe, in their order."""
+        return self.before if self.direction is Direction.ASSEMBLY else self.after[::-1]
 
     def number(self, step: int) -> int:
         """Return the number of the plan's step that a step executes; if it has none, of the last one that has."""
@@ -260,7 +270,8 @@ class RobotPlan(Displayed):
         Shape (steps,).
         """
         found = np.array([-1 if step.hands_over is None else step.hands_over for step in self.steps], dtype=np.int64)
-        found[np.diff(self.done) > 0] = self.plan.actions[:: 1 if self.direction is Direction.ASSEMBLY else -1]
+        own = self.plan.actions[len(self.before) : len(self.plan) - len(self.after)]
+        found[np.diff(self.done) > 0] = own if self.direction is Direction.ASSEMBLY else own[::-1]
         return found
 
     @property

@@ -63,6 +63,7 @@ class ViewerState:
             criterion: stability criterion, where no oracle is given.
             deadline: time limit for a new plan, s; None for no limit.
         """
+        self.lock = threading.RLock()
         self.timeline = timeline
         self._unmarked = timeline
         """The timeline without places for the props that are marked."""
@@ -72,15 +73,14 @@ class ViewerState:
         self.policy = policy
         self.graph = graph
         self.arms = arms
-        self.position = float(timeline.begin)
-        self.seconds = 0.0
+        self.position = self.seconds = 0.0
+        self.rewind()
         self.tool = ClickMode.LOOK
         self.selected: int | None = None
         self.disruption = Disruption(robots=timeline.robots)
         self.view = SceneView()
         self.show_probabilities = policy is not None
         self.deadline = deadline
-        self.lock = threading.RLock()
         self._oracles = {} if oracle is None else {oracle.assembly.identity: oracle}
         self._settings = StabilitySettings(criterion=criterion) if oracle is None else oracle.settings
         self.criterion: Criterion = criterion if oracle is None else oracle.settings.criterion
@@ -153,6 +153,13 @@ class ViewerState:
             self.position = min(max(float(position), 0.0), float(len(self.timeline)))
             self.seconds = 0.0 if self.clock is None else self.clock.seconds(self.position)
 
+    def rewind(self) -> None:
+        """Show the beginning, in the order shown; with a schedule, that of its motions."""
+        if self.clock is None:
+            self.go_to(self.timeline.begin)
+        else:
+            self.go_to_reading(0.0)
+
     def go_to_reading(self, reading: float) -> None:
         """Show another position, in seconds of the schedule, or steps without one; clipped to the ends."""
         with self.lock:
@@ -214,7 +221,8 @@ class ViewerState:
         """Absent parts that are drawn in a pale colour, so that they can be clicked."""
         if self.tool is ClickMode.LOOK:
             return ()
-        return [int(part) for part in np.flatnonzero(self.site == REMOVED) if part not in self.disruption.missing]
+        absent = (self.site == REMOVED) & ~self.view.gone(self.assembly)
+        return [part for part in np.flatnonzero(absent).tolist() if part not in self.disruption.missing]
 
     def click(self, origin: NDArray[np.float64], ray: NDArray[np.float64]) -> int | None:
         """Select the part that a ray hits, None if none, and toggle its mark if a tool is chosen; return the part.
