@@ -19,15 +19,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly.state import REMOVED
+from falsework.assembly.state import HELD, REMOVED
 from falsework.errors import InputError
 from falsework.search import task_of
+from falsework.search.plans.steps import NO_ROBOT
 from falsework.viewer.page.disruption import ClickMode
 from falsework.viewer.page.page import Page
 from falsework.viewer.page.scene import SIZE
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.palette import ROBOTS, rgb
 from falsework.viewer.timeline import Timeline
+from tests.viewer.conftest import planned
 
 pytest.importorskip("viser", reason="the page needs viser; pip install 'falsework[viewer]'")
 playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright to steer a browser")
@@ -363,6 +365,33 @@ def test_files_come_and_go(opened: Callable[..., Open], arch: Any, tmp_path: Pat
     tab.get_by_role("tab", name="Steps").wait_for(timeout=1000 * PATIENCE)  # it has a plan now
     tab.get_by_role("tab", name="Disrupt").click()
     tab.get_by_text("decided by").wait_for()
+    assert complaints_of(now) == []
+
+
+@pytest.mark.slow
+def test_a_prop_is_placed_by_a_click(opened: Callable[..., Open]) -> None:
+    """It stands at once, the new plan has it as its next step, and the page goes on from there."""
+    assembly, plan = planned("arch:blocks=7", ground=True)
+    model = ViewerState(Timeline.of(plan, assembly), plan=plan)
+    place = next(p for p in range(len(plan)) if (plan.holders[p] != NO_ROBOT).sum() == 2)
+    now = opened(model)
+    tab = now.tab
+    now.slide(place)
+    tab.get_by_role("tab", name="Disrupt").click()
+    now.choose("A click will", "place a prop under it")
+    before = now.picture()
+    part = int(np.argmax(model.state == HELD))
+    now.click(part)
+    now.until(lambda: model.disruption.props == {part}, "the prop is marked")
+    tab.get_by_text(f"a prop under: {assembly.names[part]}").wait_for()
+    tab.get_by_text("stable: contact forces balance").wait_for()
+    assert (np.abs(now.picture() - before).max(axis=2) > 40).sum() > 100
+    tab.get_by_role("button", name="Replan").click()
+    tab.get_by_text(f"insert prop-{assembly.names[part]} instead of").wait_for(timeout=1000 * PATIENCE)
+    tab.get_by_text(f"step {place + 1} of").wait_for()
+    now.slide(len(model.timeline))
+    tab.get_by_role("button", name="Back to the previous plan").click()
+    now.until(lambda: model.plan is plan, "the old plan is shown again")
     assert complaints_of(now) == []
 
 

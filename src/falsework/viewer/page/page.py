@@ -39,6 +39,7 @@ body:has(div[style*="pointer-events: none"] .falsework-alive)::before {
 @media (max-width: 36em) {
   div[style*="position: fixed"][style*="max-height: 60%"] { width: 100% !important; max-height: 45% !important; }
   div[style*="position: fixed"][style*="max-height: 60%"] div[style="width: 20em;"] { width: 100% !important; }
+  .falsework-hint { display: none; }
 }</style>"""
 """A note shown by the style sheet alone, since viser only disables the controls when it loses the server; and controls
 across the lower half of a phone."""
