@@ -51,6 +51,12 @@ _PANEL = (
     "overflow:auto;background:rgba(255,255,255,0.9);border:1px solid #ccc;border-radius:4px;padding:0.4em 0.7em;"
     f"font:14px sans-serif;color:{INK}"
 )
+_UPRIGHT = """<style>@media (max-aspect-ratio: 3/4) {
+#root { height: 110vw !important; }
+.falsework-panel { top: 112vw !important; left: 0; right: 0 !important; max-width: none !important;
+max-height: calc(100vh - 113vw) !important; }
+}</style>"""
+"""On a phone held upright the scene is about as high as wide, so that all of it is seen, and the list below it."""
 
 
 class RecordedScene(ViserScene):
@@ -228,7 +234,8 @@ def _panel(model: ViewerState, shown: dict[str, Arrows]) -> str:
     about = counted(model.assembly.part_count, "part") + (f", {counted(steps, 'step')}" if steps else "")
     inside = legend_text(model, shown) + (step_list(model.timeline, names=model.robot_name) if steps else "")
     return (
-        f"<div style='{_PANEL}'><details><summary><b>{html_text(model.assembly.name)}</b>, {about}</summary>"
+        f"{_UPRIGHT}<div class='falsework-panel' style='{_PANEL}'>"
+        f"<details><summary><b>{html_text(model.assembly.name)}</b>, {about}</summary>"
         f"{inside}</details></div>"
     )
 
