@@ -154,11 +154,10 @@ def diagnose(
     doubts = [[*([error] if error else []), *more] for error, more in zip(errors, notes, strict=True)]
     _compare_parts(solids, doubts)
     assembly, error, remarks = _load(draft, options)
-    remarks = list(dict.fromkeys([*(str(warning.message) for warning in caught), *remarks]))
+    remarks = list(dict.fromkeys(str(warning.message) for warning in caught) | dict.fromkeys(remarks))
     fixed = np.zeros(len(draft.blocks), dtype=bool)
     fixed[draft.supports(options.get("boundary"))] = True
-    additions: dict[str, Any] = {}
-    stored = None
+    additions, stored = dict[str, Any](), None
     if assembly is not None:
         contacts: Contacts | None = assembly.contacts
         if draft.interfaces:

@@ -315,32 +315,6 @@ class RobotPlan(Displayed):
         other = " and ".join(self.robots[k].name for k in others) or "no robot"
         return f"take {name} over from {other}" if self.grip(step) == "close" else f"leave {name} to {other}"
 
-    def fault(self, step: int) -> str:
-        """Return why a step is not half of a hand-over, though it says so; empty if it is one, or does not say so."""
-        entry, part = self.steps[step], self.steps[step].hands_over
-        if part is None:
-            return ""
-        name, before, after = self.plan.part_names[part], self.keyframes[step].held, self.keyframes[step + 1].held
-        if self.states[step][part] != HELD or part not in before:
-            return f"{name} is handed over although it is not held"
-        mine, others = before[entry.robot], sum(held == part for held in before) - (before[entry.robot] == part)
-        if mine is not None and mine != part:
-            return f"{name} is handed over to a robot that holds {self.plan.part_names[mine]}"
-        if not others:
-            return f"{name} is left before another robot holds it"
-        others_stay = all(
-            k == entry.robot or old == new for k, (old, new) in enumerate(zip(before, after, strict=True))
-        )
-        if after[entry.robot] != (part if mine is None else None) or not others_stay:
-            return f"one robot must take {name} over or leave it, and no other held part change"
-        # The other half: left at once after it was taken over, and taken over just before it is left.
-        other = step + 1 if mine is None else step - 1
-        if not 0 <= other < len(self.steps) or self.steps[other].hands_over != part:
-            return f"{name} is held by two robots other than between the two steps of a hand-over"
-        if self.steps[other].robot == entry.robot or others > 1:
-            return f"{name} is not left by the robot that held it before"
-        return ""
-
     def describe(self, step: int) -> str:
         """Describe a step, such as `left: remove keystone (3.1 s)`."""
         entry = self.steps[step]

@@ -12,7 +12,7 @@ from msgspec import convert, to_builtins
 from numpy.typing import NDArray
 
 from falsework.errors import PlanError
-from falsework.robots.plans.loads import put_down_fault, transit_fault
+from falsework.robots.plans.loads import step_fault
 from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Trajectory
 from falsework.robots.plans.robot_plan_model import (
     FORMAT,
@@ -291,7 +291,7 @@ class _Reader:
         """Check hand-overs, parts put down, and that trajectories lead from a keyframe to the next without jumps."""
         for index, (before, after) in enumerate(pairwise(plan.keyframes)):
             step, place = plan.steps[index], f"step {index + 1} ({plan.does(index)})"
-            if fault := plan.fault(index) or put_down_fault(plan, index) or transit_fault(plan, index):
+            if fault := step_fault(plan, index):
                 self._fail(f"{place}: {fault}")
             values = before.configurations[step.robot]
             for trajectory in step.trajectories:

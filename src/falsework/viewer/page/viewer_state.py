@@ -326,7 +326,7 @@ class ViewerState:
 
     def visited(self, rollouts: int = 32) -> States:
         """Return states that the policy visits from the start, greedily and at random. Shape (count, parts)."""
-        from falsework.viewer.page.coverage import visited_states
+        from falsework.viewer.coverage import visited_states
 
         assert self._guide is not None or self.policy is not None
         self.action_probabilities()
