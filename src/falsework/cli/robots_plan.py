@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -136,10 +137,10 @@ class PlanRobots(Command):
         building = order is Direction.ASSEMBLY
         if begun is not None:
             held, joints, grips = begun.arms
-            task = self._task(assembly, cell, begun.state)
+            task = self._task(assembly, cell, begun.state, held)
         else:
             held, joints = parse_holding(self.holding, cell, assembly), parse_joints(self.joints, cell)
-            task = self._task(assembly, cell, parse_now(self.state or self._beginning, held, assembly))
+            task = self._task(assembly, cell, parse_now(self.state or self._beginning, held, assembly), held)
             grips = parse_grips(self.grips, held, task.target if building else task.start, cell, assembly)
         stability = self.holds.settings(self.criterion or ("contact" if begun is None else begun.criterion))
         if refuse_unstable(
@@ -192,10 +193,18 @@ class PlanRobots(Command):
         cell = load_cell(self.cell or "")
         return self.structure.load(), cell
 
-    def _task(self, assembly: Assembly, cell: Cell, now: States) -> Task:
+    def _task(self, assembly: Assembly, cell: Cell, now: States, held: Sequence[int | None]) -> Task:
         from falsework.search.problem.task import Task
 
         building = self.order == "assembly"
+        missing = () if self.missing is None else parse_parts(self.missing, "--missing", assembly.names)
+        for part in missing if building else ():
+            there = part < len(now) and bool(now[part])
+            if there or part in held:
+                where = "in place" if there else f"in the gripper of {cell.robots[held.index(part)].name}"
+                raise InputError(
+                    f"part {assembly.names[part]} is said to be missing, yet it is {where}; name parts that are not there"
+                )
         end = None if self.target is None else parse_state(self.target, "--target", assembly)
         start, target = (end, now) if building else (now, end)  # plans are found as disassembly
         return Task.create(
@@ -203,7 +212,7 @@ class PlanRobots(Command):
             cell.robot_count,
             start=start,
             target=target,
-            missing=() if self.missing is None else parse_parts(self.missing, "--missing", assembly.names),
+            missing=missing,
             clearance=assembly.clearance,
             identity=assembly.identity,
             support=self.support,
