@@ -202,9 +202,8 @@ class PlanRobots(Command):
             there = part < len(now) and bool(now[part])
             if there or part in held:
                 where = "in place" if there else f"in the gripper of {cell.robots[held.index(part)].name}"
-                raise InputError(
-                    f"part {assembly.names[part]} is said to be missing, yet it is {where}; name parts that are not there"
-                )
+                name = assembly.names[part]
+                raise InputError(f"part {name} is said to be missing, yet it is {where}; name parts that are not there")
         end = None if self.target is None else parse_state(self.target, "--target", assembly)
         start, target = (end, now) if building else (now, end)  # plans are found as disassembly
         return Task.create(
