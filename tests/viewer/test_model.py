@@ -250,7 +250,7 @@ def test_a_robot_holds_a_part_by_a_click(model: ViewerState) -> None:
 
 def test_a_prop_is_placed_by_a_click() -> None:
     assembly, plan = planned("arch:blocks=7", ground=True)
-    model = ViewerState(Timeline.of(plan, assembly), plan=plan)
+    model = ViewerState(Timeline.from_plan(plan, assembly), plan=plan)
     place = next(p for p in range(len(plan)) if (plan.holders[p] != NO_ROBOT).sum() == 2)
     model.go_to(place)
     model.tool = ClickMode.PROP
@@ -354,7 +354,7 @@ def test_a_structure_without_a_plan_gets_one(arch) -> None:
 
 def test_probabilities_are_those_of_the_policy(arch, policy) -> None:
     assembly, plan = arch
-    model = ViewerState(Timeline.of(plan, assembly, Direction.DISASSEMBLY), plan=plan, policy=policy)
+    model = ViewerState(Timeline.from_plan(plan, assembly, Direction.DISASSEMBLY), plan=plan, policy=policy)
     action_probabilities = model.action_probabilities()
     assert np.isfinite(action_probabilities).sum() == (model.state == INSTALLED).sum()
     assert np.nansum(action_probabilities) == pytest.approx(1.0)
@@ -365,9 +365,9 @@ def test_probabilities_are_those_of_the_policy(arch, policy) -> None:
     visited = model.visited(4)
     assert (visited[:, assembly.boundary] == HELD).all()
     assert (visited == plan.states[-1]).all(axis=1).any()
-    from falsework.stability import Stability
+    from falsework.stability import StabilityOracle
 
-    assert Stability(assembly).verdicts(visited).stable.all()
+    assert StabilityOracle(assembly).verdicts(visited).stable.all()
 
 
 def test_chances_of_parts() -> None:

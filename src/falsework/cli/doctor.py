@@ -114,9 +114,9 @@ class Doctor(Command, LoadOptions):
 def _stands(assembly: Assembly) -> bool:
     """Return whether forces balance a complete structure."""
     from falsework.assembly.state import complete_state
-    from falsework.stability import Stability, StabilitySettings
+    from falsework.stability import StabilityOracle, StabilitySettings
 
-    oracle = Stability(assembly, StabilitySettings(criterion="equilibrium"))
+    oracle = StabilityOracle(assembly, StabilitySettings(criterion="equilibrium"))
     return bool(oracle.verdicts(complete_state(assembly.boundary)[None]).stable[0])
 
 

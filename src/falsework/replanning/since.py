@@ -12,9 +12,9 @@ from falsework.assembly.part_numbers import part_id, part_ids
 from falsework.assembly.props import keep_props, prop_place, with_props
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, held_count
 from falsework.errors import StateError
-from falsework.replanning.built import BuiltSteps
+from falsework.replanning.executed_steps import ExecutedSteps
 from falsework.search.plans.plan import Plan
-from falsework.search.problem.support_route import actions_between
+from falsework.search.problem.regrasp_route import actions_between
 from falsework.stability.verdict import Proof, Verdict
 
 
@@ -51,7 +51,7 @@ class SiteSteps:
             InputError: a part that does not exist, a step that the plan does not have, a part without a place for a
                 prop or with one already, or one that cannot be held or released; the message names it.
         """
-        BuiltSteps(plan, step)
+        ExecutedSteps(plan, step)
         props, held, released = (
             [part_id(part, assembly.names, f"{what} is part") for part in part_ids(parts, assembly.names, what)]
             for what, parts in (("props", self.props), ("held", self.held), ("released", self.released))
@@ -85,7 +85,7 @@ class SiteSteps:
             proofs=(*plan.proofs[: step + 1], *(Proof.NONE,) * new),
             residuals=np.append(plan.residuals[: step + 1], np.zeros(new)),
             robots=max(plan.robots, robots),
-            support=True,
+            allow_regrasp=True,
             prop_limit=max(plan.prop_limit, int(standing.max(initial=0))),
             presses=(*(plan.presses or ((),) * len(plan))[:step], *((),) * new),
             loads=(),

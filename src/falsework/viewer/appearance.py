@@ -92,7 +92,7 @@ def appearance_at(
         for part in np.flatnonzero(leaving):
             share = float(gone[part]) / FADE
             opacity[part] = 1 - share
-            shift[part] = far * share * timeline.ways[part]
+            shift[part] = far * share * timeline.exit_directions[part]
             last = int(timeline.holders[timeline.insertion[part], part])
             if last != NO_ROBOT:
                 color[part] = rgb(robot_color(last))

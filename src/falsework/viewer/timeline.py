@@ -58,7 +58,7 @@ class Timeline:
     """What robots bear in each state; empty where it is not known."""
 
     @classmethod
-    def of(
+    def from_plan(
         cls,
         plan: Plan,
         assembly: Assembly,
@@ -186,13 +186,13 @@ class Timeline:
         return np.where(there.any(axis=0), there.argmax(axis=0), -1)
 
     @cached_property
-    def ways(self) -> Array:
+    def exit_directions(self) -> Array:
         """Unit vector along which each part leaves, zero for those that stay. Shape (parts, 3)."""
         ways = np.zeros((self.assembly.part_count, 3))
         for part in np.flatnonzero(self.insertion > 0):
             step = int(self.insertion[part])
             moved, _ = moved_parts(self.states[step - 1], self.states[step])
-            ways[part] = ways_out(self.assembly, self.states[step], moved)[moved.index(part)]
+            ways[part] = exit_directions(self.assembly, self.states[step], moved)[moved.index(part)]
         return ways
 
     def held_when(self, part: int) -> list[tuple[int, int, int]]:
@@ -209,17 +209,17 @@ class Timeline:
         return spans
 
 
-def ways_out(assembly: Assembly, state: States, parts: Sequence[int]) -> Array:
+def exit_directions(assembly: Assembly, state: States, parts: Sequence[int]) -> Array:
     """Return the unit vectors along which parts that move in one step can leave a state, shape (parts, 3)."""
     if len(parts) > 1:
         order = sorted(parts)
         motion = assembly.clearance_of_sets.exit_motion(tuple(order), state)
         if motion is not None:
             return motion[[order.index(part) for part in parts]]
-    return np.array([way_out(assembly, state, part) for part in parts])
+    return np.array([exit_direction_of(assembly, state, part) for part in parts])
 
 
-def way_out(assembly: Assembly, state: States, part: int) -> Array:
+def exit_direction_of(assembly: Assembly, state: States, part: int) -> Array:
     """Return the unit vector along which a part can leave a state; shape (3,).
 
     From the clearance table, or if that is not computed (many parts) or has no direction: away from the parts that it

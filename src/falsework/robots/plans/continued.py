@@ -9,11 +9,11 @@ import numpy as np
 from falsework.assembly.model import Assembly
 from falsework.replanning.replanner import settings_of
 from falsework.robots.plans.robot_plan import RobotPlan, acts
-from falsework.search.find import plan_of
+from falsework.search.find import prove_route
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Direction, Task
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 
 
 def continued(rest: RobotPlan, begun: RobotPlan, done: int, assembly: Assembly) -> tuple[RobotPlan, int | None]:
@@ -43,9 +43,9 @@ def continued(rest: RobotPlan, begun: RobotPlan, done: int, assembly: Assembly) 
     else:
         states = np.concatenate([old.states[:done], new.states])
         actions = np.concatenate([old.actions[:done], new.actions])
-    route, oracle = Route(states, actions), Stability(assembly, settings_of(rest.plan))
+    route, oracle = Route(states, actions), StabilityOracle(assembly, settings_of(rest.plan))
     forces = rest.plan.proof_arrays() is not None
-    whole = plan_of(route, assembly, _task(route, rest.plan, begun.plan, assembly), oracle, forces=forces)
+    whole = prove_route(route, assembly, _task(route, rest.plan, begun.plan, assembly), oracle, forces=forces)
     if whole.replay is not None and not whole.replay.stands:
         return rest, whole.replay.falls_at
     robots = (*begun.done_by, *(step.robot for step in begun.steps if acts(step)))[:done]
@@ -56,7 +56,7 @@ def continued(rest: RobotPlan, begun: RobotPlan, done: int, assembly: Assembly) 
 def _task(route: Route, rest: Plan, begun: Plan, assembly: Assembly) -> Task:
     """Return the task of a route of steps that are done and those that follow."""
     moved = set((begun.actions % len(begun.boundary)).tolist())
-    return Task.create(
+    return Task.from_rules(
         assembly.boundary,
         max(rest.robots, begun.robots),
         start=route.states[0],

@@ -71,7 +71,7 @@ class Plan(Displayed):
     """State at first, and after each step; shape (steps + 1, parts)."""
     actions: NDArray[np.int64]
     """Steps as numbers, shape (steps,): `parts + i` inserts part `i`, held by a robot, and `i` releases it. With
-    `support`, `i` holds or releases part `i`, whichever it is not, and `parts + i` inserts or removes a prop. Where a
+    `allow_regrasp`, `i` holds or releases part `i`, whichever it is not; `parts + i` inserts or removes a prop. Where a
     step inserts several parts, `i` is the first that a robot holds; see `PlanStep.parts`."""
     verdicts: tuple[Verdict, ...]
     """One a state."""
@@ -96,7 +96,7 @@ class Plan(Displayed):
     """Parts that were not delivered yet when the plan was made."""
     removable_only_if_clear: bool = False
     """Whether every part that is removed has a free straight exit."""
-    support: bool = False
+    allow_regrasp: bool = False
     """Whether parts may be released without being removed, and held again."""
     props: tuple[Prop, ...] = ()
     """Props of the plan, which are the last parts."""
@@ -126,7 +126,7 @@ class Plan(Displayed):
     """Margins that its states keep; None if none were required."""
 
     @classmethod
-    def of(
+    def from_route(
         cls,
         route: Route,
         assembly: Assembly,
@@ -150,10 +150,10 @@ class Plan(Displayed):
         bad = np.flatnonzero(~verdicts.stable)
         if len(bad):
             raise PlanError(f"state {bad[0]} of the plan is not proven stable; plan again")
-        return cls.unproven(route, assembly, task, verdicts, claim)
+        return cls.from_unproven_route(route, assembly, task, verdicts, claim)
 
     @classmethod
-    def unproven(
+    def from_unproven_route(
         cls, route: Route, assembly: Assembly, task: Task, verdicts: Verdicts, claim: StabilityCriterion
     ) -> Plan:
         """Plan as `of`, whatever the verdicts are."""
@@ -173,7 +173,8 @@ class Plan(Displayed):
             fixed=task.fixed,
             missing=task.missing,
             removable_only_if_clear=task.clearance is not None,
-            support=bool(((route.states[:-1] == HELD) & (route.states[1:] == INSTALLED)).any()) or bool(assembly.props),
+            allow_regrasp=bool(((route.states[:-1] == HELD) & (route.states[1:] == INSTALLED)).any())
+            or bool(assembly.props),
             props=assembly.props,
             prop_limit=task.prop_limit if assembly.props else 0,
             parts_at_once=1 if task.together is None or not inserts_several(route.states) else task.together.largest,

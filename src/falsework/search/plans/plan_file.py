@@ -77,7 +77,7 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
             "fixed": plan.fixed,
             "missing": plan.missing,
             "removable_only_if_clear": plan.removable_only_if_clear,
-            "support": plan.support,
+            "support": plan.allow_regrasp,
             "props": plan.prop_limit if plan.props else 0,
             "parts_at_once": plan.parts_at_once,
         },

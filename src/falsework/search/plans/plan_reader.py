@@ -112,7 +112,7 @@ class PlanReader:
             "fixed": rules.fixed,
             "missing": missing,
             "removable_only_if_clear": rules.removable_only_if_clear,
-            "support": rules.support,
+            "allow_regrasp": rules.support,
             "props": structure.props,
             "prop_limit": rules.props,
             "parts_at_once": rules.parts_at_once,

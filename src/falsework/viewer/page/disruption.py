@@ -68,7 +68,7 @@ class Disruption:
             raise InputError(f"{name} is boundary, which never changes; click another part")
         if assembly.immovable[part]:
             raise InputError(f"{name} is a prop, which the plan places and takes away; click another part")
-        if tool in (ClickMode.HOLD, ClickMode.PROP) and self.on(state, assembly)[part] == REMOVED:
+        if tool in (ClickMode.HOLD, ClickMode.PROP) and self.applied_to(state, assembly)[part] == REMOVED:
             raise InputError(f"{name} is not there yet; click a part that is")
         if tool is ClickMode.PROP and state[[*prop_parts(assembly, part)]].any():
             raise InputError(f"a prop stands under {name} already; click another part")
@@ -113,7 +113,7 @@ class Disruption:
         released = tuple(part for part in sorted(self.turned) if state[part] == HELD)
         return SiteSteps(tuple(sorted(self.props)), held, released)
 
-    def on(self, state: States, assembly: Assembly) -> States:
+    def applied_to(self, state: States, assembly: Assembly) -> States:
         """Return the state on site according to the marks, shape (parts,).
 
         Args:
@@ -137,7 +137,7 @@ class Disruption:
             direction: whether parts are being added or removed.
         """
         missing = self.missing
-        site = self.on(state, assembly)
+        site = self.applied_to(state, assembly)
         if direction is Direction.ASSEMBLY:
             target = whole_state(assembly)
             target[list(self.target)] = REMOVED

@@ -16,11 +16,11 @@ from falsework.assembly.state import HELD, REMOVED, States, action_mask, empty_s
 from falsework.errors import InputError
 from falsework.replanning.since import places_under
 from falsework.search.problem.task import Direction
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Criterion
 from falsework.viewer.appearance import Appearance, SceneView, appearance_at, pick
-from falsework.viewer.arms import ArmPoses, Arms, look_with_arms
+from falsework.viewer.arms import ArmPoses, Arms, appearance_with_arms
 from falsework.viewer.clock import Clock
 from falsework.viewer.page.disruption import ClickMode, Disruption, chance_of_parts
 from falsework.viewer.page.new_plan import NewPlan, new_plan
@@ -47,7 +47,7 @@ class ViewerState:
         policy: Any = None,
         graph: StateGraph | None = None,
         arms: Arms | None = None,
-        oracle: Stability | None = None,
+        oracle: StabilityOracle | None = None,
         criterion: Criterion = "contact",
         deadline: float | None = 60.0,
     ) -> None:
@@ -95,11 +95,11 @@ class ViewerState:
         return self.timeline.assembly
 
     @property
-    def oracle(self) -> Stability:
+    def oracle(self) -> StabilityOracle:
         """Stability oracle of the structure, created at first use."""
         identity = self.assembly.identity
         if identity not in self._oracles:
-            self._oracles[identity] = Stability(self.assembly, self._settings)
+            self._oracles[identity] = StabilityOracle(self.assembly, self._settings)
         return self._oracles[identity]
 
     @property
@@ -115,7 +115,7 @@ class ViewerState:
     @property
     def site(self) -> States:
         """State on site according to the marks, shape (parts,)."""
-        return self.disruption.on(self.state, self.assembly)
+        return self.disruption.applied_to(self.state, self.assembly)
 
     @property
     def clock(self) -> Clock | None:
@@ -206,7 +206,7 @@ class ViewerState:
                 travelling=self.arms is None,
             )
             arm_poses = self.arm_poses()
-            seen = appearance if arm_poses is None or disrupted else look_with_arms(appearance, arm_poses)
+            seen = appearance if arm_poses is None or disrupted else appearance_with_arms(appearance, arm_poses)
             return self.view.of(seen, self.assembly)
 
     def arm_poses(self) -> ArmPoses | None:
@@ -371,7 +371,7 @@ class ViewerState:
                 if building:
                     self.timeline = self.timeline.going_on(before, found.plan)
                 else:
-                    self.timeline = Timeline.of(found.plan, assembly, answer.direction)
+                    self.timeline = Timeline.from_plan(found.plan, assembly, answer.direction)
                 self._unmarked = self.timeline
                 self.plan, self.built = found.plan, before
                 self.go_to(before + answer.built if building else self.timeline.begin)
