@@ -73,7 +73,7 @@ class ExecutedSteps:
             missing=rest.missing,
             clearance=rest.clearance if self.plan.removable_only_if_clear else None,
             identity=rest.identity,
-            allow_regrasp=self.plan.allow_regrasp or rest.support,
+            allow_regrasp=self.plan.allow_regrasp or rest.allow_regrasp,
             props=rest.props,
             prop_limit=rest.prop_limit,
         )

@@ -281,7 +281,7 @@ class ReplanSession:
     def _route(self, states: States) -> Route:
         """Return the route through states in the order of assembly."""
         kind = RegraspRoute if self.task.allow_regrasp else Route
-        return kind.through(states[::-1].copy())
+        return kind.from_states(states[::-1].copy())
 
     def _with_built(self, route: Route) -> tuple[Route, Task]:
         assert self.built is not None

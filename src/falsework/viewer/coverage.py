@@ -40,6 +40,6 @@ def visited_states(
     seen = [starts[:1]]
     for several, rng in ((starts[:1], None), (starts[1:], np.random.default_rng(0))):
         owner = np.zeros(len(several), dtype=np.int64)
-        ways = roll_out([task], several, owner, guide.log_probabilities, rng=rng, stable=stable)
-        seen += [way.states[: len(way.states) - way.unstable] for way in ways]
+        played = roll_out([task], several, owner, guide.log_probabilities, rng=rng, stable=stable)
+        seen += [rollout.states[: len(rollout.states) - rollout.unstable] for rollout in played]
     return np.unique(np.concatenate(seen), axis=0)
