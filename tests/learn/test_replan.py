@@ -558,3 +558,13 @@ def test_interruption_is_passed_on(alone: Replanner, monkeypatch: pytest.MonkeyP
 
 def test_errors_are_ours() -> None:
     assert issubclass(StateError, FalseworkError)
+
+
+def test_a_deadline_may_pass_at_any_moment(guided: Replanner, alone: Replanner) -> None:
+    """Wherever the work is then, each request is answered, and none of them interrupts the others."""
+    for seconds in np.geomspace(2e-4, 0.1, 24).tolist():
+        for replanner in (guided, alone):
+            requests = [Request(COMPLETE, deadline=scale * seconds, seed=k) for k, scale in enumerate((1.0, 0.5, 3.0))]
+            answers = replanner.replan_many(requests)
+            assert len(answers) == 3
+            assert all(answer.found or answer.deadline_passed or answer.outcome for answer in answers)

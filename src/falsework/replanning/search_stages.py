@@ -17,7 +17,7 @@ from falsework.search.beam.beam import BeamSearch
 from falsework.search.beam.settings import BeamSettings
 from falsework.search.exhaustive import ExhaustiveSearch
 from falsework.search.planner import Planner
-from falsework.search.problem.deadline import Deadline
+from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.result import Outcome, SearchResult, Stop
 from falsework.search.problem.state_graph import StateGraph
@@ -147,7 +147,8 @@ def _finish(rivals: list[_TimeSlices], session: ReplanSession) -> Iterator[None]
                 session.busy = True
                 try:
                     for rest in rivals:
-                        session.ended(rest.search.run(stop=lambda: True), rest.decider)
+                        if (last := rest.run(lambda: True)) is not None:
+                            session.ended(last, rest.decider)
                 finally:
                     session.busy = False
                 return
@@ -173,14 +174,21 @@ class _TimeSlices:
         """
         self._left, self._session, self._told, session.busy = self._levels, session, False, True
         try:
-            result = self.search.run(stop=self._over)
+            result = self.run(self._over)
         finally:
             session.busy = False
-        if not result.interrupted:
+        if result is None or not result.interrupted:
             return result
         if not self._told and not session.clock.passed:
             raise KeyboardInterrupt
         return None
+
+    def run(self, stop: Stop) -> SearchResult | None:
+        """Run the search; None if the deadline passed before it had anything to report."""
+        try:
+            return self.search.run(stop=stop)
+        except DeadlineExceeded:
+            return None
 
     def _over(self) -> bool:
         session = self._session

@@ -376,12 +376,11 @@ def _run(
 def _resume(
     checkpoint: Path | str | None, task: Task, oracle: Oracle, settings: PlannerSettings, guide: Guide
 ) -> Planner:
-    if checkpoint is not None and (task.allow_regrasp or task.together is not None):
-        what = "repeated holds" if task.allow_regrasp else "several parts in one step"
-        raise InputError(f"a search with {what} cannot be saved; leave out the checkpoint")
-    if checkpoint is not None and Path(checkpoint).exists():
-        return Planner.load(checkpoint, task, oracle, settings, guide=guide)
-    return Planner(task, oracle, settings, guide=guide)
+    planner = Planner(task, oracle, settings, guide=guide)
+    if checkpoint is None:
+        return planner
+    planner.check_saving()
+    return Planner.load(checkpoint, task, oracle, settings, guide=guide) if Path(checkpoint).exists() else planner
 
 
 def _saving(planner: Planner, checkpoint: Path | str | None, progress: Progress | None) -> Progress | None:
