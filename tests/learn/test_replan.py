@@ -7,7 +7,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -18,9 +19,13 @@ from falsework.assembly import load_structure
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, complete_state, empty_state
 from falsework.errors import FalseworkError, InputError, StateError
 from falsework.replanning.replanner import Replanner, ReplanSettings, Request, Stage, replan
+from falsework.replanning.search_stages import _TimeSlices
+from falsework.replanning.session import ReplanSession
 from falsework.search import ExhaustiveSearch, Outcome, Plan, find_plans
 from falsework.search.planner import Planner
 from falsework.search.plans.plan_check import validate_plan
+from falsework.search.problem.deadline import DeadlineExceeded
+from falsework.search.problem.result import SearchResult
 from falsework.search.problem.task import Direction
 from falsework.stability import Proof, StabilityOracle, StabilitySettings
 from falsework.stability.contact.history import History, Replay
@@ -560,11 +565,16 @@ def test_errors_are_ours() -> None:
     assert issubclass(StateError, FalseworkError)
 
 
-def test_a_deadline_may_pass_at_any_moment(guided: Replanner, alone: Replanner) -> None:
-    """Wherever the work is then, each request is answered, and none of them interrupts the others."""
-    for seconds in np.geomspace(2e-4, 0.1, 24).tolist():
-        for replanner in (guided, alone):
-            requests = [Request(COMPLETE, deadline=scale * seconds, seed=k) for k, scale in enumerate((1.0, 0.5, 3.0))]
-            answers = replanner.replan_many(requests)
-            assert len(answers) == 3
-            assert all(answer.found or answer.deadline_passed or answer.outcome for answer in answers)
+def test_a_deadline_may_pass_before_a_search_begins() -> None:
+    """A search that raises then, such as on the ends of the task, ends its turn and no other request."""
+
+    class Late:
+        def run(self, *, stop: object = None) -> SearchResult:
+            raise DeadlineExceeded
+
+    clock = SimpleNamespace(passed=True, limited=True)
+    session = cast(ReplanSession, SimpleNamespace(busy=False, clock=clock, yield_control=lambda: None))
+    turns = _TimeSlices(Late(), Stage.EXHAUSTIVE, 1)
+    assert turns.take(session) is None
+    assert turns.run(lambda: True) is None
+    assert not session.busy
