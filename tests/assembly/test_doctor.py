@@ -13,7 +13,7 @@ import pytest
 
 from falsework.assembly import diagnose, load_structure
 from falsework.assembly.model import ContactWarning
-from falsework.cli.doctor import _stands
+from falsework.cli.doctor import stands
 from falsework.cli.main import main
 from falsework.errors import InputError
 
@@ -273,17 +273,17 @@ def test_doubts_about_entries_of_the_file(column: Path) -> None:
 def test_y_up_is_seen(tmp_path: Path) -> None:
     """Of a wall all bricks lie at the lowest level then; of a table the plate hangs beside its legs."""
     turned = write_wall(tmp_path / "wall.obj", lambda points: points[:, [0, 2, 1]] * (1, 1, -1))
-    found = diagnose(turned, stands=_stands)
+    found = diagnose(turned, stands=stands)
     assert any("all parts lie on the ground" in remark for remark in found.remarks)
     assert "boundary" not in found.additions
-    upright = diagnose(write_wall(tmp_path / "wall.obj"), stands=_stands)
+    upright = diagnose(write_wall(tmp_path / "wall.obj"), stands=stands)
     assert not any("y up" in remark for remark in upright.remarks)
     table = tmp_path / "table"
     table.mkdir()
     write_box(table, "plate", (0, 1, 0), (3, 1.2, 2))
     for number, x in enumerate((0, 2.5)):
         write_box(table, f"leg-{number}", (x, 0, 0.8), (x + 0.5, 1, 1.2))
-    assert any("falls as it is, but would stand with y up" in one for one in diagnose(table, stands=_stands).remarks)
+    assert any("falls as it is, but would stand with y up" in one for one in diagnose(table, stands=stands).remarks)
 
 
 @pytest.mark.parametrize("spec", ["vault", "dome", "arch:blocks=9", "wall"])
@@ -299,7 +299,7 @@ def test_which_way_is_up_is_seen_of_shells(tmp_path: Path, spec: str, named: boo
             points = mesh.vertices[:, [0, 2, 1]] * (1, 1, -1) if turned else mesh.vertices
             lines = [f"v {x} {y} {z}" for x, y, z in points] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in mesh.faces]
             (folder / f"{mesh.name}.obj").write_text("\n".join(lines))
-        found = diagnose(folder, stands=_stands, boundary=boundary if named else None)
+        found = diagnose(folder, stands=stands, boundary=boundary if named else None)
         assert any("y up" in remark for remark in found.remarks) == turned
         if not named:
             assert sorted(found.additions.get("boundary", [])) == ([] if turned else sorted(boundary))

@@ -19,7 +19,7 @@ from falsework.assembly import load_structure
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, complete_state, empty_state
 from falsework.errors import FalseworkError, InputError, StateError
 from falsework.replanning.replanner import Replanner, ReplanSettings, Request, Stage, replan
-from falsework.replanning.search_stages import _TimeSlices
+from falsework.replanning.search_stages import TimeSlices
 from falsework.replanning.session import ReplanSession
 from falsework.search import ExhaustiveSearch, Outcome, Plan, find_plans
 from falsework.search.planner import Planner
@@ -574,7 +574,7 @@ def test_a_deadline_may_pass_before_a_search_begins() -> None:
 
     clock = SimpleNamespace(passed=True, limited=True)
     session = cast(ReplanSession, SimpleNamespace(busy=False, clock=clock, yield_control=lambda: None))
-    turns = _TimeSlices(Late(), Stage.EXHAUSTIVE, 1)
+    turns = TimeSlices(Late(), Stage.EXHAUSTIVE, 1)
     assert turns.take(session) is None
     assert turns.run(lambda: True) is None
     assert not session.busy

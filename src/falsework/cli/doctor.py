@@ -90,7 +90,7 @@ class Doctor(Command, LoadOptions):
     def _diagnose(self, output: Output) -> Diagnosis:
         from falsework.assembly.doctor import diagnose
 
-        found = diagnose(self.path, stands=_stands, **self.given())
+        found = diagnose(self.path, stands=stands, **self.given())
         output.record(found.to_dict())
         for line in _lines(found):
             output.say(line)
@@ -111,7 +111,7 @@ class Doctor(Command, LoadOptions):
         return report_reach(assembly, cell, self.propose or "auto", self.picture, output)
 
 
-def _stands(assembly: Assembly) -> bool:
+def stands(assembly: Assembly) -> bool:
     """Return whether forces balance a complete structure."""
     from falsework.assembly.state import complete_state
     from falsework.stability import StabilityOracle, StabilitySettings

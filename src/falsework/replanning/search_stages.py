@@ -92,18 +92,18 @@ def search_on(session: ReplanSession, guide: Guide) -> Iterator[None]:
     if session.routes and not session.done:
         yield from _better_plans(session, guide)
     if not session.decided and not session.clock.passed and not session.task.allow_regrasp:
-        yield from _finish([_TimeSlices(_ReachabilityStage(session), Stage.EXHAUSTIVE, _TURN_LEVELS)], session)
+        yield from _finish([TimeSlices(_ReachabilityStage(session), Stage.EXHAUSTIVE, _TURN_LEVELS)], session)
 
 
 def _first_plan(session: ReplanSession, guide: Guide) -> Iterator[None]:
     settings = PlannerSettings(session.context.settings.width, seed=session.request.seed)
     # Later missing parts are looked for once there is a plan.
     task = replace(session.task, missing=(), postponed=())
-    rivals = [_TimeSlices(Planner(task, session.oracle, settings, guide=guide), Stage.SEARCH, _PLAIN_LEVELS)]
+    rivals = [TimeSlices(Planner(task, session.oracle, settings, guide=guide), Stage.SEARCH, _PLAIN_LEVELS)]
     policy = session.context.guide
     if policy is not None and _affordable(session, policy):
         timed = _TimedGuide(policy.for_task(session.task), session.clock)
-        rivals.insert(0, _TimeSlices(_WideningBeam(session, timed), Stage.GUIDED, 1))
+        rivals.insert(0, TimeSlices(_WideningBeam(session, timed), Stage.GUIDED, 1))
     yield from _finish(rivals, session)
 
 
@@ -124,7 +124,7 @@ def _better_plans(session: ReplanSession, guide: Guide) -> Iterator[None]:
     clock, reserve = session.clock, session.clock.reserve
     if clock.limited and request.alternatives > 1:
         clock.reserve += _CHOOSING * (clock.left - reserve)
-    yield from _finish([_TimeSlices(planner, Stage.SEARCH, _TURN_LEVELS)], session)
+    yield from _finish([TimeSlices(planner, Stage.SEARCH, _TURN_LEVELS)], session)
     clock.reserve = reserve
     if request.alternatives == 1:
         session.take(planner.routes)
@@ -133,7 +133,7 @@ def _better_plans(session: ReplanSession, guide: Guide) -> Iterator[None]:
     session.take(session.choose(planner.task.postpone(planner.postponed), states, planner.routes))
 
 
-def _finish(rivals: list[_TimeSlices], session: ReplanSession) -> Iterator[None]:
+def _finish(rivals: list[TimeSlices], session: ReplanSession) -> Iterator[None]:
     """Let searches take turns until one finds a plan or proves that there is none, all are at an end, or time is up."""
     while rivals:
         for rival in list(rivals):
@@ -155,7 +155,7 @@ def _finish(rivals: list[_TimeSlices], session: ReplanSession) -> Iterator[None]
         yield
 
 
-class _TimeSlices:
+class TimeSlices:
     """Search that runs some levels per turn."""
 
     def __init__(self, search: _Search, decider: Stage, levels: int) -> None:
