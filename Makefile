@@ -39,11 +39,11 @@ GLTF_VALIDATOR ?= gltf-validator@2.0.0-dev.3.10
 # One worker a core; test files stay whole, since their fixtures are shared, in the order that tests/conftest.py gives.
 PYTEST_ARGS ?= -n logical --dist loadfile --no-loadscope-reorder
 
-# One or two files for each layer, about a minute together on two cores.
+# One or two files for each layer: about a minute of processor time together, once the kernels are compiled.
 SMOKE := tests/test_architecture.py tests/utils tests/geometry/test_contact.py tests/assembly/test_model.py \
 	tests/stability/test_theorems.py tests/search/test_planner.py tests/search/plans/test_plan.py \
 	tests/learn/training/test_checkpoint.py tests/robots/kinematics tests/viewer/test_timeline.py \
-	tests/service/test_answers.py tests/interop/test_export.py tests/cli/test_arguments.py tests/cli/test_plan.py \
+	tests/service/test_answers.py tests/interop/test_export.py tests/cli/test_arguments.py tests/cli/test_replan.py \
 	tests/bench/test_structures.py
 
 .PHONY: demo install compile kernels schemas test smoke lint types docs package lock images results reference fuzz check clean help

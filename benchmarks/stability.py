@@ -159,7 +159,9 @@ def measure_verdicts(name: str, assembly: Assembly, states: States, parents: Sta
 def measure_certificates(name: str, assembly: Assembly, options: Options) -> None:
     """Count the verdicts on all states that the search checks, and those of them whose certificates are accepted."""
     states, parents = asked_states(assembly, sys.maxsize, width=options.width, seed=options.seed)
-    settings = StabilitySettings(criterion="equilibrium", cone=options.cone, cpu=CpuSettings(threads=options.threads))
+    settings = StabilitySettings(
+        criterion="equilibrium", cone=options.cone, numerics=NumericalSettings(threads=options.threads)
+    )
     oracle = StabilityOracle(assembly, settings)
     counts: Counter[str] = Counter()
     seconds = 0.0

@@ -42,6 +42,7 @@ def main() -> None:
         **{f"real-{name}": commands.real for name in (*commands.REAL, *commands.PUBLIC)},
         "arch-plan.gif": commands.film,
         "page": screen.page,
+        "page-prop": screen.page_with_prop,
         "notebook": screen.notebook,
         "cell": cell_pictures.cell,
         "cell-page": cell_pictures.cell_page,

@@ -11,7 +11,9 @@ Needs: pip install 'falsework[robots,schedule]'; ROS 2 with ros2_control, ros2_c
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import signal
 import subprocess
 import tempfile
 import threading
@@ -136,7 +138,8 @@ def description(cell: Cell, starts: dict[str, list[float]]) -> str:
             lines.append(' effort="1000"/></joint>')
             mock.append(f'<joint name="{own}{joint}"><command_interface name="position"/>')
             mock.append(f'<state_interface name="position"><param name="initial_value">{starts[robot.name][k]}</param>')
-            mock.append('</state_interface><state_interface name="velocity"/></joint>')
+            mock.append('</state_interface><state_interface name="velocity"><param name="initial_value">0.0</param>')
+            mock.append("</state_interface></joint>")
             parent = link
     return "".join([*lines, *mock, "</ros2_control></robot>"])
 
@@ -162,8 +165,8 @@ def mock_controllers(content: dict[str, Any], cell: Cell, folder: Path) -> Itera
     names = ["joint_state_broadcaster", *(f"{arm['robot']}_controller" for arm in content["arms"])]
     given = ["--ros-args", "--params-file", str(file)]
     started = [
-        subprocess.Popen(["ros2", "run", "robot_state_publisher", "robot_state_publisher", *given]),
-        subprocess.Popen(["ros2", "run", "controller_manager", "ros2_control_node", *given]),
+        subprocess.Popen(["ros2", "run", *node, *given], start_new_session=True)
+        for node in (("robot_state_publisher", "robot_state_publisher"), ("controller_manager", "ros2_control_node"))
     ]
     try:
         # From Jazzy on controllers get their parameters from the spawner, before from the controller manager.
@@ -172,7 +175,7 @@ def mock_controllers(content: dict[str, Any], cell: Cell, folder: Path) -> Itera
         yield
     finally:
         for process in started:
-            process.terminate()
+            os.killpg(process.pid, signal.SIGINT)  # `ros2 run` alone would leave its node behind
             process.wait(timeout=10)
 
 

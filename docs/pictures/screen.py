@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 
 from falsework import find_plans, load_structure, make_task
+from falsework.assembly import HELD
 from falsework.search.plans.steps import NO_ROBOT
 from falsework.viewer import Timeline
+from falsework.viewer.page.disruption import ClickMode
 from falsework.viewer.page.page import Page
 from falsework.viewer.page.viewer_state import ViewerState
 
@@ -59,6 +61,25 @@ def page(path: Path) -> None:
         if tab is not None:
             tab.get_by_role("tab", name="Look").wait_for()
             tab.get_by_label("Contact forces").check()
+            tab.wait_for_timeout(12_000)
+    shown.close()
+
+
+def page_with_prop(path: Path) -> None:
+    """The page after a prop was placed by a click and the plan made anew."""
+    arch = load_structure("arch:blocks=9", ground=True)
+    plan = find_plans(arch, make_task(arch)).plans[0]
+    model = ViewerState(Timeline.from_plan(plan, arch), plan=plan)
+    model.go_to(max(place for place in range(len(plan)) if (plan.holders[place] != NO_ROBOT).sum() == 2))
+    model.tool = ClickMode.PROP
+    shown = Page(model, port=8192)
+    with opened(path, shown.address, 1200, 780) as tab:
+        if tab is not None:
+            tab.get_by_role("tab", name="Disrupt").click()
+            model.click_part(int(np.argmax(model.state == HELD)))
+            shown.refresh()
+            tab.get_by_role("button", name="Replan").click()
+            tab.get_by_text("decided by").wait_for()
             tab.wait_for_timeout(12_000)
     shown.close()
 

@@ -13,6 +13,7 @@ import pytest
 
 from falsework import doctor, load_structure
 from falsework.assembly import ContactWarning
+from falsework.cli.doctor import stands
 from falsework.cli.main import main
 from falsework.errors import InputError
 
@@ -210,7 +211,7 @@ def test_one_file_and_a_folder_get_the_same_advice(tmp_path: Path) -> None:
     one, many = doctor(write_wall(tmp_path / "wall.obj")), doctor(folder)
     for found in (one, many):
         assert [report.size for report in found.parts] == pytest.approx([np.sqrt(4 + 0.25 + 0.25)] * 15)
-        assert found.additions == {"boundary": [0, 1, 2, 3, 4]}
+        assert found.additions == {"boundary": [f"brick-{number}" for number in range(5)]}
         assert found.cured
     assert one.remarks == many.remarks
 
@@ -229,7 +230,7 @@ def test_an_open_part_is_told_as_it_is(tmp_path: Path) -> None:
         found = doctor(folder)
         assert found.error.startswith("part top is not closed")
         assert found.parts[1].size == pytest.approx(np.sqrt(3))
-        assert found.additions == {"boundary": [0]}
+        assert found.additions == {"boundary": ["base"]}
         assert not found.cured
 
 
@@ -271,16 +272,37 @@ def test_doubts_about_entries_of_the_file(column: Path) -> None:
 
 def test_y_up_is_seen(tmp_path: Path) -> None:
     """Of a wall all bricks lie at the lowest level then; of a table the plate hangs beside its legs."""
-    found = doctor(write_wall(tmp_path / "wall.obj", lambda points: points[:, [0, 2, 1]] * (1, 1, -1)))
-    assert any("some would with y up" in remark for remark in found.remarks)
+    turned = write_wall(tmp_path / "wall.obj", lambda points: points[:, [0, 2, 1]] * (1, 1, -1))
+    found = doctor(turned, stands=stands)
+    assert any("all parts lie on the ground" in remark for remark in found.remarks)
     assert "boundary" not in found.additions
-    assert not any("y up" in remark for remark in doctor(write_wall(tmp_path / "wall.obj")).remarks)
+    upright = doctor(write_wall(tmp_path / "wall.obj"), stands=stands)
+    assert not any("y up" in remark for remark in upright.remarks)
     table = tmp_path / "table"
     table.mkdir()
     write_box(table, "plate", (0, 1, 0), (3, 1.2, 2))
     for number, x in enumerate((0, 2.5)):
         write_box(table, f"leg-{number}", (x, 0, 0.8), (x + 0.5, 1, 1.2))
-    assert any("y up" in remark for remark in doctor(table).remarks)
+    assert any("falls as it is, but would stand with y up" in one for one in doctor(table, stands=stands).remarks)
+
+
+@pytest.mark.parametrize("spec", ["vault", "dome", "arch:blocks=9", "wall"])
+@pytest.mark.parametrize("named", [False, True])
+def test_which_way_is_up_is_seen_of_shells(tmp_path: Path, spec: str, named: bool) -> None:
+    """Their stones may touch no other from above; whether they stand tells."""
+    structure = load_structure(spec)
+    boundary = [name for name, fixed in zip(structure.names, structure.boundary, strict=True) if fixed]
+    for turned in (False, True):
+        folder = tmp_path / str(turned)
+        folder.mkdir()
+        for mesh in structure.meshes:
+            points = mesh.vertices[:, [0, 2, 1]] * (1, 1, -1) if turned else mesh.vertices
+            lines = [f"v {x} {y} {z}" for x, y, z in points] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in mesh.faces]
+            (folder / f"{mesh.name}.obj").write_text("\n".join(lines))
+        found = doctor(folder, stands=stands, boundary=boundary if named else None)
+        assert any("y up" in remark for remark in found.remarks) == turned
+        if not named:
+            assert sorted(found.additions.get("boundary", [])) == ([] if turned else sorted(boundary))
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from falsework.search.plans.plan_file import save_plan
 
 _BOUNDARY = np.array([True, False, False, False])
 FOUR_PARTS: Any = SimpleNamespace(
-    boundary=_BOUNDARY, immovable=_BOUNDARY, part_count=4, names=("ground", "left", "key", "held:up")
+    boundary=_BOUNDARY, immovable=_BOUNDARY, props=(), part_count=4, names=("ground", "left", "key", "held:up")
 )
 
 

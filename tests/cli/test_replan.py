@@ -332,3 +332,28 @@ def test_a_wrong_step_plan_or_part_gets_one_line(
     assert message in refused.error, refused.error
     assert refused.error.count("\n") == 1
     assert not out.exists()
+
+
+def test_a_prop_and_a_hold_on_site(falsework: Run, tmp_path: Path) -> None:
+    """The new plan has them as its next steps, and the next one goes on from it."""
+    old, new = tmp_path / "old.json", tmp_path / "new.json"
+    assert falsework("plan", "arch:blocks=7", "--ground", "--out", old).code == 0
+    plan = load_plan(old)
+    step = next(k for k in range(len(plan)) if (plan.states[k] == 2).sum() == plan.boundary.sum() + 2)
+    part = plan.part_names[int(np.flatnonzero((plan.states[step] == 2) & ~plan.boundary)[0])]
+    said = falsework("replan", old, "--step", step, "--prop", part, "--out", new)
+    assert said.code == 0
+    assert f"then insert prop-{part} instead of" in said.out
+    assert f"the first {step} steps stay as they were" in said.out
+    assert load_plan(new)[step].words == f"insert prop-{part}"
+    assert falsework("check", new, "--accept-overrides").code == 0
+    again = falsework("replan", new, "--step", step + 1, "--out", tmp_path / "again.json")
+    assert again.code == 0
+    for options, words in (
+        (("--step", step, "--prop", part, "--missing", part), "plans with props take no missing parts"),
+        (("--step", 0, "--hold", part), f"part {part} is not placed yet"),
+        (("--state", "complete", "--release", part), "give the plan and --step"),
+    ):
+        wrong = falsework("replan", old, *options, "--out", tmp_path / "wrong.json")
+        assert wrong.code == 2
+        assert words in wrong.error

@@ -7,7 +7,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -28,9 +29,13 @@ from falsework import (
 from falsework.assembly import HELD, INSTALLED, REMOVED, States, complete_state, empty_state
 from falsework.errors import FalseworkError, InputError, StateError
 from falsework.replanning.replanner import ReplanSettings, Request, Stage
+from falsework.replanning.search_stages import TimeSlices
+from falsework.replanning.session import ReplanSession
 from falsework.search import ExhaustiveSearch
 from falsework.search.planner import Planner
 from falsework.search.plans.plan_check import validate_plan
+from falsework.search.problem.deadline import DeadlineExceeded
+from falsework.search.problem.result import SearchResult
 from falsework.stability import Proof
 from falsework.stability.contact.history import History, Replay
 from falsework.stability.contact.replay import Replayer
@@ -566,3 +571,18 @@ def test_interruption_is_passed_on(alone: Replanner, monkeypatch: pytest.MonkeyP
 
 def test_errors_are_ours() -> None:
     assert issubclass(StateError, FalseworkError)
+
+
+def test_a_deadline_may_pass_before_a_search_begins() -> None:
+    """A search that raises then, such as on the ends of the task, ends its turn and no other request."""
+
+    class Late:
+        def run(self, *, stop: object = None) -> SearchResult:
+            raise DeadlineExceeded
+
+    clock = SimpleNamespace(passed=True, limited=True)
+    session = cast(ReplanSession, SimpleNamespace(busy=False, clock=clock, yield_control=lambda: None))
+    turns = TimeSlices(Late(), Stage.EXHAUSTIVE, 1)
+    assert turns.take(session) is None
+    assert turns.run(lambda: True) is None
+    assert not session.busy

@@ -10,10 +10,19 @@ import numpy as np
 import pytest
 
 import falsework as fw
-from falsework import Assembly, Plan, Replanner, StabilityOracle, StabilitySettings, find_plans, load_structure, replan
-from falsework.assembly import prop_places, with_props
-from falsework.errors import InputError, PlanError, StateError
-from falsework.replanning.executed_steps import ExecutedSteps
+from falsework import (
+    Assembly,
+    Plan,
+    Replanner,
+    StabilityOracle,
+    StabilitySettings,
+    find_plans,
+    load_structure,
+    replan,
+)
+from falsework.assembly import with_props
+from falsework.errors import InputError, StateError
+from falsework.replanning import SiteSteps
 from falsework.replanning.named_state import named_state
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.plans.plan_file import save_plan
@@ -132,27 +141,72 @@ def test_wrong_requests(subject: str, options: dict[str, Any], message: str, pla
         replan(plan if subject == "plan" else subject, **options)
 
 
-def test_props_are_not_replanned() -> None:
-    arch = load_structure("arch:blocks=5", ground=True)
-    propped = with_props(arch, prop_places(arch)[:1])
-    states = np.zeros((1, propped.part_count), dtype=np.uint8)
-    states[0, propped.boundary] = 2
-    plan = Plan(
-        states=states,
-        actions=np.zeros(0, dtype=np.int64),
-        verdicts=(),
-        proofs=(),
-        residuals=np.zeros(1),
-        name=propped.name,
-        identity=propped.identity,
-        part_names=tuple(propped.names),
-        boundary=propped.boundary,
-        friction=propped.friction,
-        robots=1,
-        props=propped.props,
-    )
-    with pytest.raises(PlanError, match="has props, which replanning cannot move"):
-        ExecutedSteps(plan, 0)
+def test_plans_with_props_go_on() -> None:
+    """The prop that stands stays until it may go, and the steps that are done keep their numbers."""
+    arch = load_structure("arch:blocks=7", ground=True)
+    plan = find_plans(arch, robots=2).plans[0]
+    step = next(k for k in range(len(plan)) if (plan.states[k] == 2).sum() == arch.boundary.sum() + 2)
+    part = arch.names[int(np.flatnonzero((plan.states[step] == 2) & ~arch.boundary)[0])]
+    first = replan(plan, step=step, since=SiteSteps(props=[part]), structure=arch)
+    assert first.built == step + 1
+    new = first.plans[0]
+    assert [str(one) for one in new.steps[:step]] == [str(one) for one in plan.steps[:step]]
+    assert new[step].words == f"insert prop-{part}"
+    assert new[-1].state[-1] == 0  # taken away in the end
+    propped = with_props(arch, new.props)
+    assert validate_plan(new, propped).good
+    for done in (step + 1, len(new) - 1):
+        again = replan(new, step=done, structure=arch)
+        assert [str(one) for one in again.plans[0].steps[:done]] == [str(one) for one in new.steps[:done]]
+        assert validate_plan(again.plans[0], propped).good
+    with pytest.raises(InputError, match="plans with props take no missing parts; leave out one of the two"):
+        replan(new, step=step + 1, structure=arch, missing=[part])
+    with pytest.raises(InputError, match="plans with props take no alternatives; leave out one of the two"):
+        replan(new, step=step + 1, structure=arch, alternatives=2)
+    with pytest.raises(InputError, match="has props, which policies do not know; leave the policy out"):
+        Replanner(propped, policy=object())
+
+
+def test_holds_since_are_the_next_steps(plan: Plan) -> None:
+    step = next(k for k in range(len(plan)) if (plan.states[k] == 1).any() and (plan.states[k] == 2).sum() == 3)
+    standing = int(np.argmax(plan.states[step] == 1))
+    answer = replan(plan, step=step, since=SiteSteps(held=[standing]), structure=ARCH)
+    assert answer.plans[0][step].words == f"hold {ARCH.names[standing]}"
+    assert validate_plan(answer.plans[0], ARCH).good
+
+
+def test_a_robot_changes_from_part_to_part(plan: Plan) -> None:
+    """Where no robot is free, one lets go before it takes hold."""
+    step = next(k for k in range(len(plan)) if (plan.states[k] == 1).any() and (plan.states[k] == 2).sum() == 4)
+    held = int(np.flatnonzero((plan.states[step] == 2) & ~ARCH.boundary)[0])
+    standing = int(np.argmax(plan.states[step] == 1))
+    done, _ = SiteSteps(held=[standing], released=[held]).after(plan, step, ARCH)
+    names = ARCH.names
+    assert [one.words for one in done.steps[step:]] == [f"release {names[held]}", f"hold {names[standing]}"]
+    with pytest.raises(StateError, match=r"no robot is free to hold part .* are held; release one of them too"):
+        SiteSteps(held=[standing]).after(plan, step, ARCH)
+
+
+@pytest.mark.parametrize(
+    ("since", "message"),
+    [
+        (SiteSteps(props=[0]), "part voussoir-0 is not placed yet, so no prop can stand under it"),
+        (SiteSteps(props=["abutment-7"]), "part abutment-7 is fixed and needs no prop"),
+        (SiteSteps(held=[0]), "part voussoir-0 is not placed yet, so no robot can take hold of it"),
+        (SiteSteps(released=["abutment-7"]), "part abutment-7 is fixed, so no robot can let go of it"),
+        (SiteSteps(held=["keystone"]), "held is part 'keystone', which does not exist"),
+    ],
+)
+def test_what_cannot_have_been_done_is_refused(since: SiteSteps, message: str) -> None:
+    arch = load_structure("arch:blocks=7", ground=True)
+    plan = find_plans(arch, robots=2).plans[0]
+    with pytest.raises(InputError, match=message):
+        replan(plan, step=0, since=since, structure=arch)
+
+
+def test_what_was_done_since_needs_a_step() -> None:
+    with pytest.raises(InputError, match="give the plan and its step"):
+        replan("arch:blocks=7", since=SiteSteps(held=[0]))
 
 
 @pytest.mark.parametrize(

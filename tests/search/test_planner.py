@@ -116,8 +116,10 @@ def test_resuming_strategies_that_take_turns_changes_nothing(
 
 
 def test_each_strategy_has_twice_as_many_verdicts_in_each_round() -> None:
-    def portfolio(stage: str = "plan", parts: int = 100, *, edges: bool = False, support: bool = False, **how: Any):
-        task = Task.from_rules(np.arange(parts) == 0, 2, allow_regrasp=support)
+    def portfolio(
+        stage: str = "plan", parts: int = 100, *, edges: bool = False, allow_regrasp: bool = False, **how: Any
+    ):
+        task = Task.from_rules(np.arange(parts) == 0, 2, allow_regrasp=allow_regrasp)
         return Portfolio.from_settings(PlannerSettings(**how), stage, task, edges=edges)
 
     both = portfolio()

@@ -32,9 +32,9 @@ from falsework.viewer import Timeline
 
 
 @cache
-def planned(spec: str, robots: int = 2) -> tuple[Assembly, Plan]:
+def planned(spec: str, robots: int = 2, *, ground: bool = False) -> tuple[Assembly, Plan]:
     """A built-in structure and a plan of it."""
-    assembly = load_structure(spec)
+    assembly = load_structure(spec, ground=ground)
     return assembly, find_plans(assembly, make_task(assembly, robots)).plans[0]
 
 

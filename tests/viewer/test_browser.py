@@ -20,14 +20,16 @@ import numpy as np
 import pytest
 
 from falsework import make_task
-from falsework.assembly import REMOVED
+from falsework.assembly import HELD, REMOVED
 from falsework.errors import InputError
+from falsework.search.plans.steps import NO_ROBOT
 from falsework.viewer import Timeline
 from falsework.viewer.page.disruption import ClickMode
 from falsework.viewer.page.page import Page
 from falsework.viewer.page.scene import SIZE
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.palette import ROBOTS, rgb
+from tests.viewer.conftest import planned
 
 pytest.importorskip("viser", reason="the page needs viser; pip install 'falsework[viewer]'")
 playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright to steer a browser")
@@ -259,7 +261,7 @@ def test_an_unstable_state(opened: Callable[..., Open]) -> None:
     now.tab.get_by_role("checkbox", name="Motion").uncheck()
     still = now.picture()
     assert near(moving, "#00c08b", 40) > near(still, "#00c08b", 40) + 100
-    for label in ("Step", "Order", "Steps per second", "Arms", "Presses", "Contact forces", "Section at"):
+    for label in ("Step", "Order", "Steps per second", "Arms", "Presses", "Contact forces", "Section leaves"):
         assert now.tab.get_by_text(label, exact=True).count() == 0, label  # it would do nothing here
     now.tab.get_by_role("tab", name="Disrupt").click()
     now.tab.get_by_role("button", name="Find a plan").click()
@@ -368,13 +370,40 @@ def test_files_come_and_go(opened: Callable[..., Open], arch: Any, tmp_path: Pat
     assert complaints_of(now) == []
 
 
+@pytest.mark.slow
+def test_a_prop_is_placed_by_a_click(opened: Callable[..., Open]) -> None:
+    """It stands at once, the new plan has it as its next step, and the page goes on from there."""
+    assembly, plan = planned("arch:blocks=7", ground=True)
+    model = ViewerState(Timeline.from_plan(plan, assembly), plan=plan)
+    place = next(p for p in range(len(plan)) if (plan.holders[p] != NO_ROBOT).sum() == 2)
+    now = opened(model)
+    tab = now.tab
+    now.slide(place)
+    tab.get_by_role("tab", name="Disrupt").click()
+    now.choose("A click will", "place a prop under it")
+    before = now.picture()
+    part = int(np.argmax(model.state == HELD))
+    now.click(part)
+    now.until(lambda: model.disruption.props == {part}, "the prop is marked")
+    tab.get_by_text(f"a prop under: {assembly.names[part]}").wait_for()
+    tab.get_by_text("stable: contact forces balance").wait_for()
+    assert (np.abs(now.picture() - before).max(axis=2) > 40).sum() > 100
+    tab.get_by_role("button", name="Replan").click()
+    tab.get_by_text(f"insert prop-{assembly.names[part]} instead of").wait_for(timeout=1000 * PATIENCE)
+    tab.get_by_text(f"step {place + 1} of").wait_for()
+    now.slide(len(model.timeline))
+    tab.get_by_role("button", name="Back to the previous plan").click()
+    now.until(lambda: model.plan is plan, "the old plan is shown again")
+    assert complaints_of(now) == []
+
+
 def test_one_sees_into_a_structure(opened: Callable[..., Open], arch: Any) -> None:
     assembly, plan = arch
     now = opened(ViewerState(Timeline.from_plan(plan, assembly), plan=plan))
     now.slide(len(plan))
     whole = now.picture()
-    now.choose("Section", "along z")
-    now.tab.get_by_text("Section at").wait_for()
+    now.choose("Section", "across z")
+    now.tab.get_by_text("Section leaves").wait_for()
     cut = now.picture()
     assert (np.abs(cut - whole).max(axis=2) > 40).sum() > 1000
     now.choose("Section", "none")

@@ -9,12 +9,15 @@ from falsework import Direction
 from falsework.assembly import HELD, INSTALLED, REMOVED
 from falsework.errors import InputError, StateError
 from falsework.search.plans.plan_check import validate_plan
+from falsework.search.plans.steps import NO_ROBOT
 from falsework.viewer import Timeline
 from falsework.viewer.appearance import SceneView, bounds_of
 from falsework.viewer.page.disruption import ClickMode, Disruption, chance_of_parts
-from falsework.viewer.page.page_text import facts_of
+from falsework.viewer.page.page_text import facts_of, labels_of
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.palette import FIXED, SELECTED, ramp_in_steps, rgb
+from falsework.viewer.section import Plane
+from tests.viewer.conftest import planned
 
 ABOVE, DOWN = np.array([0.0, 0.0, 10.0]), np.array([0.0, 0.0, -1.0])
 
@@ -65,7 +68,7 @@ def test_a_click_selects_and_a_click_beside_forgets(model: ViewerState) -> None:
     assert model.click(over(model, top), DOWN) == top
     assert model.selected == top
     assert tuple(model.appearance().color[top]) == rgb(SELECTED)
-    assert model.labels(model.appearance())[top] == model.assembly.names[top]
+    assert labels_of(model, model.appearance())[top] == model.assembly.names[top]
     facts = dict(facts_of(model, top))
     assert facts["mass"] == f"{model.assembly.mass.mass[top]:.4g} kg"
     assert facts["held by"].startswith("R")
@@ -92,7 +95,7 @@ def test_a_tool_marks_and_unmarks(model: ViewerState, tool: ClickMode, field: st
     model.click(over(model, top), DOWN)
     assert getattr(model.disruption, field) == {top}
     assert model.assembly.names[top] in model.disruption.words(model.assembly)
-    assert top in model.labels(model.appearance())
+    assert top in labels_of(model, model.appearance())
     model.click(over(model, top), DOWN)
     assert model.disruption.empty
 
@@ -205,14 +208,18 @@ def test_replanning_around_a_missing_part_and_back(model: ViewerState) -> None:
 @pytest.mark.parametrize("found", [True, False])
 def test_proofs_of_a_new_plan_are_those_of_its_own_states(model: ViewerState, found: bool) -> None:
     """With another state on site than planned, the steps that are done belong to no plan that can be proved."""
-    model.go_to(4)
+    model.go_to(2)
     if found:
-        model.tool = ClickMode.HOLD
-        model.click_part(int(np.argmax(model.state == INSTALLED)))
+        model.tool = ClickMode.THERE
+        for part in np.flatnonzero(model.state == REMOVED).tolist():
+            model.click_part(part)
+            if model.proof().stable:
+                break
+            model.click_part(part)
     count = len(model.timeline)
     assert model.replan().found
-    assert (len(model.timeline) > count) == found  # what is held now is released
-    assert model.built == (4 if found else 0)
+    assert (len(model.timeline) < count) == found  # what is there already need not be placed
+    assert model.built == (2 if found else 0)
     for place in range(len(model.timeline) + 1):
         model.go_to(place)
         proof = model.proof()
@@ -225,13 +232,60 @@ def test_a_robot_holds_a_part_by_a_click(model: ViewerState) -> None:
     model.go_to(place)
     part = int(np.argmax(model.state == INSTALLED))
     model.tool = ClickMode.HOLD
+    with pytest.raises(InputError, match="is not there yet; click a part that is"):
+        model.click_part(int(np.argmax(model.state == REMOVED)))
     model.click_part(part)
     assert model.site[part] == HELD
     assert "held or released" in model.disruption.words(model.assembly)
+    old = model.timeline.steps
     assert model.replan().found
-    assert model.timeline.states[place, part] == HELD
+    steps = model.timeline.steps
+    assert [step.words for step in steps[:place]] == [step.words for step in old[:place]]
+    assert steps[place].words == f"hold {model.assembly.names[part]}"  # the next step, which is done
+    assert model.position == place + 1
+    assert model.plan is not None
+    assert validate_plan(model.plan, model.assembly).good
     model.click_part(part)
     assert model.site[part] == INSTALLED
+
+
+def test_a_prop_is_placed_by_a_click() -> None:
+    assembly, plan = planned("arch:blocks=7", ground=True)
+    model = ViewerState(Timeline.from_plan(plan, assembly), plan=plan)
+    place = next(p for p in range(len(plan)) if (plan.holders[p] != NO_ROBOT).sum() == 2)
+    model.go_to(place)
+    model.tool = ClickMode.PROP
+    low = int(np.argmin(np.where(model.state == INSTALLED, assembly.mass.center[:, 2], np.inf)))
+    with pytest.raises(InputError, match="has no place for a prop"):
+        model.click_part(low)
+    assert model.disruption.empty
+    part = int(np.argmax(model.state == HELD))
+    assert model.click(over(model, part), DOWN) == part
+    assert model.site[-1] == HELD  # the prop is drawn, and carries in the verdict on the state
+    assert "a prop under" in model.disruption.words(model.assembly)
+    model.turn(Direction.DISASSEMBLY)
+    model.turn(Direction.ASSEMBLY)
+    assert model.proof().stable
+    model.click_part(part)
+    assert model.assembly is assembly
+    model.click_part(part)
+    old = model.timeline.steps
+    assert model.replan().found
+    words = [step.words for step in model.timeline.steps]
+    assert words[:place] == [step.words for step in old[:place]]
+    assert words[place] == f"insert prop-{assembly.names[part]}"
+    assert f"remove prop-{assembly.names[part]}" in words
+    assert model.plan is not None
+    assert validate_plan(model.plan, model.assembly).good
+    with pytest.raises(InputError, match="a prop stands under"):
+        model.click_part(part)
+    with pytest.raises(InputError, match="is a prop"):
+        model.click_part(model.assembly.part_count - 1)
+    model.go_back()
+    assert len(model.plan) == len(plan)
+    assert model.disruption.props == {part}
+    model.clear_marks()
+    assert model.assembly.identity == assembly.identity
 
 
 def test_parts_move_apart_and_are_cut_away(model: ViewerState) -> None:
@@ -244,9 +298,26 @@ def test_parts_move_apart_and_are_cut_away(model: ViewerState) -> None:
     np.testing.assert_allclose(look.shift, 0.5 * apart)
     assert model.click(over(model, top) + look.shift[top], DOWN) == top  # where it is seen
     model.view = SceneView(axis="z", keep=0.5)
-    cut = model.assembly.mass.center[:, 2] > low[2] + 0.5 * (high - low)[2]
-    np.testing.assert_array_equal(model.appearance().opacity == 0, cut)
+    level = low[2] + 0.5 * (high - low)[2]
+    gone = np.array([mesh.bounds[0, 2] >= level for mesh in model.assembly.meshes])
+    assert gone.any()
+    np.testing.assert_array_equal(model.appearance().opacity == 0, gone)
     assert model.click(over(model, top), DOWN) != top
+
+
+def test_what_is_cut_away_of_a_part_is_not_clicked(model: ViewerState) -> None:
+    """Of the first part a bit stays; what was in front of the cut does not take the click."""
+    model.go_to(len(model.timeline))
+    bounds = model.assembly.meshes[0].bounds
+    ahead = np.array([*bounds.mean(axis=0)[:2] * [1, 0] + [0, bounds[0, 1] - 1.0], bounds[:, 2].mean()])
+    assert model.click(ahead, np.array([0.0, 1.0, 0.0])) == 0
+    low, high = bounds_of(model.assembly)[:, 1]
+    model.view = SceneView(axis="y", keep=0.5)
+    assert model.view.plane(model.assembly) == Plane("y", high - 0.5 * (high - low), True)
+    from_the_far_side = np.array([ahead[0], high + 1.0, ahead[2]])
+    assert model.click(from_the_far_side, np.array([0.0, -1.0, 0.0])) == 0
+    above_the_part_cut_away = np.array([ahead[0], bounds[0, 1] + 0.1 * np.ptp(bounds[:, 1]), bounds[1, 2] + 1.0])
+    assert model.click(above_the_part_cut_away, DOWN) != 0
 
 
 def test_a_question_without_an_answer_says_why(model: ViewerState) -> None:

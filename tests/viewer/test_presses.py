@@ -15,7 +15,7 @@ from falsework.stability.verdict import Criterion
 from falsework.viewer import Camera, Timeline
 from falsework.viewer.arrows import PRESSES, arrows_of_step
 from falsework.viewer.page.disruption import ClickMode
-from falsework.viewer.page.page_text import where_text
+from falsework.viewer.page.page_text import labels_of, where_text
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.palette import PRESS, rgb
 from falsework.viewer.pictures.contact_sheet import contact_sheet, one_state
@@ -172,7 +172,7 @@ def test_the_page_says_how_a_state_was_judged(
     text = where_text(model, ask=True)
     assert f"robot presses {assembly.names[part]} with 50 N" in text
     assert ("(as reached in assembly)" in text) == contact
-    assert model.labels(model.appearance())[part].endswith(" presses 50 N")
+    assert labels_of(model, model.appearance())[part].endswith(" presses 50 N")
     model.tool = ClickMode.FIXED
     model.click_part(part)
     assert ("(from rest)" in where_text(model, ask=False)) == contact

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -44,6 +44,8 @@ _SAME = 1e-6
 """Distance of the bounds of duplicates, as a share of a part's size."""
 _MANY = 2000
 """Faces of a pair of parts from which the depth of an overlap is measured at vertices and on a coarse grid."""
+_Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""Turns y to z."""
 _HAVE_UNITS = {".3dm", ".step", ".stp", ".glb", ".gltf", ".ldr", ".mpd", ".txt"}
 """Files that say their unit."""
 
@@ -119,12 +121,15 @@ class Diagnosis:
         }
 
 
-def doctor(path: str | Path, unit: str | None = None, **options: Any) -> Diagnosis:
+def doctor(
+    path: str | Path, unit: str | None = None, *, stands: Callable[[Assembly], bool] | None = None, **options: Any
+) -> Diagnosis:
     """Examine a folder or file of parts, and collect all errors instead of stopping at the first.
 
     Args:
         path: folder or file, as for `load_structure`.
         unit: unit of the coordinates; that of `assembly.json` or the file if not given.
+        stands: tells whether a complete structure stands, to doubt which way is up; without it that is not asked.
         options: others of `load_structure`, such as boundary, ground, density and friction.
 
     Raises:
@@ -150,12 +155,10 @@ def doctor(path: str | Path, unit: str | None = None, **options: Any) -> Diagnos
     doubts = [[*([error] if error else []), *more] for error, more in zip(errors, notes, strict=True)]
     _compare_parts(solids, doubts)
     assembly, error, remarks = _load(draft, options)
-    remarks = list(dict.fromkeys([*(str(warning.message) for warning in caught), *remarks]))
-    error = error if assembly is None else ""
+    remarks = list(dict.fromkeys(str(warning.message) for warning in caught) | dict.fromkeys(remarks))
     fixed = np.zeros(len(draft.blocks), dtype=bool)
     fixed[draft.supports(options.get("boundary"))] = True
-    additions: dict[str, Any] = {}
-    stored = None
+    additions, stored = dict[str, Any](), None
     if assembly is not None:
         contacts: Contacts | None = assembly.contacts
         if draft.interfaces:
@@ -171,7 +174,11 @@ def doctor(path: str | Path, unit: str | None = None, **options: Any) -> Diagnos
             remarks.append("it loads without the lengths gap and overlap of its contacts: joints are then fitted")
         if draft.interfaces and _load(draft, {**options, "interfaces": "stored"})[0] is not None:
             remarks.append(f"it loads with its {len(draft.interfaces)} stored interfaces (--interfaces stored)")
-    lying = upright_doubt(solids, contacts)
+    lying = ""
+    if stands is not None and None not in solids and len(solids) > 1:
+        known = assembly if assembly is not None and not options.get("ground") else None
+        upright = stands(known) if known is not None and not fixed.all() else _stands(draft, solids, options, stands)
+        lying = upright_doubt(upright, lambda: _stands(draft, solids, options, stands, _Y_UP))
     remarks += material_doubts(draft, options, assembly)
     remarks += inclination_doubts(draft.names if assembly is None else assembly.names, contacts)
     if lying:
@@ -182,12 +189,14 @@ def doctor(path: str | Path, unit: str | None = None, **options: Any) -> Diagnos
         remarks.append("no part is boundary")
         low = lowest(solids)
         if 0 < len(low) < len(solids) and not lying:
-            additions["boundary"] = low
+            names = [draft.names[part] for part in low]  # which stay when a file is added
+            additions["boundary"] = low if any(name.isdecimal() for name in names) else names
         else:
             remarks.append("which parts are fixed cannot be seen: name them (--boundary), or put a --ground under all")
-    likely = [] if path.suffix.lower() in _HAVE_UNITS else likely_units(float(np.median(size)), draft.scale)
+    middle = float(np.median(size))
+    likely = [] if path.suffix.lower() in _HAVE_UNITS else likely_units(middle, draft.scale)
     if likely:
-        typical = format_quantity(float(np.median(size)), "length")
+        typical = format_quantity(middle, "length")
         remarks.append(f"a typical part is {typical} long; the unit may be {' or '.join(likely)}")
     if len(likely) == 1:
         additions = {"unit": likely[0], **additions}
@@ -224,8 +233,8 @@ def doctor(path: str | Path, unit: str | None = None, **options: Any) -> Diagnos
 
 def _part_record(report: PartReport) -> dict[str, Any]:
     """Return a report as plain JSON values, with units in names."""
-    names = {"size": "size_m", "volume": "volume_m3"}
-    return {names.get(name, name): value for name, value in asdict(report).items()}
+    record = asdict(report)
+    return {"size_m": record.pop("size"), "volume_m3": record.pop("volume"), **record}
 
 
 def _read(path: Path, unit: str | None) -> tuple[Draft, dict[str, Any]]:
@@ -296,6 +305,25 @@ def _compare_parts(solids: Sequence[TriangleMesh | None], doubts: list[list[str]
     for i, j in sorted(KDTree(corners).query_pairs(reach)):
         if abs(volume[i] - volume[j]) <= 1e-6 * volume[i]:
             doubts[there[j]].append(f"is a duplicate of part {meshes[i].name}")
+
+
+def _stands(
+    draft: Draft,
+    solids: Sequence[TriangleMesh | None],
+    options: dict[str, Any],
+    stands: Callable[[Assembly], bool],
+    turn: np.ndarray = np.eye(3),
+) -> bool | None:
+    """Return whether the parts, once turned, stand on those that are boundary, or if none is, on the lowest.
+
+    None if that are all, or if they do not load so.
+    """
+    blocks = tuple(replace(block, vertices=block.vertices @ turn.T) for block in draft.blocks)
+    fixed = draft.supports(options.get("boundary"))
+    fixed = list(fixed) or lowest([s and replace(s, vertices=s.vertices @ turn.T) for s in solids])
+    others = {"boundary": fixed, "ground": False, "interfaces": "found"}
+    assembly = _load(replace(draft, blocks=blocks, interfaces=()), {**options, **others})[0]
+    return None if assembly is None or len(fixed) == len(blocks) else stands(assembly)
 
 
 def _load(draft: Draft, options: dict[str, Any]) -> tuple[Assembly | None, str, list[str]]:

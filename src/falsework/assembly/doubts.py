@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,8 +26,6 @@ _INCLINED = 1.0
 """Angle between faces that touch from which they are doubtful, degrees."""
 _NAMED = 3
 """Pairs of parts that are named; the rest is counted."""
-_BEARING = 0.1
-"""Vertical component from which the normal of a contact bears a part."""
 
 
 def material_doubts(draft: Draft, options: dict[str, Any], assembly: Assembly | None) -> list[str]:
@@ -105,29 +103,17 @@ def lowest(solids: Sequence[TriangleMesh | None]) -> list[int]:
     return np.flatnonzero(low <= np.nanmin(low) + level).tolist()
 
 
-def upright_doubt(solids: Sequence[TriangleMesh | None], contacts: Contacts | None) -> str:
-    """Return the doubt that the structure does not stand on its lowest parts, such as if it was made with y up."""
-    if contacts is None or sum(solid is not None for solid in solids) < 2:
+def upright_doubt(upright: bool | None, with_y_up: Callable[[], bool | None]) -> str:
+    """Return the doubt that a structure was made with y up.
+
+    Args:
+        upright: whether it stands as it is; None if it has nothing to stand on, or all of it lies on the ground.
+        with_y_up: the same with y up; called only if it does not stand.
+    """
+    if upright or not with_y_up():
         return ""
-    pairs, normals = contacts.parts, contacts.frames[:, 0]
-    among = (pairs < len(solids)).all(axis=1)
-    borne, floating = {}, {}
-    for name, axis in (("z", 2), ("y", 1)):
-        up = normals[among, axis]
-        parts = np.concatenate([pairs[among][up > _BEARING, 1], pairs[among][up < -_BEARING, 0]])
-        low = np.array([np.inf if solid is None else solid.bounds[0, axis] for solid in solids])
-        high = max(solid.bounds[1, axis] for solid in solids if solid is not None)
-        above = np.isfinite(low) & (low > low.min() + _LEVEL * (high - low.min()))
-        above[parts] = False
-        borne[name], floating[name] = len(np.unique(parts)), int(above.sum())
-    # Where no part rests on another with y up, all lie on the ground there, as the bricks of any straight wall do.
-    lies = borne["z"] == 0
-    if borne["y"] > 0 and (lies or floating["z"] > floating["y"] == 0):
-        count = floating["z"]
-        floats = "1 part rests on nothing, but would" if count == 1 else f"{count} parts rest on nothing, but would"
-        said = "no part rests on another, but some would" if lies else floats
-        return f"{said} with y up: export the model with z up"
-    return ""
+    now = "all parts lie on the ground or touch no other as it is" if upright is None else "it falls as it is"
+    return f"{now}, but would stand with y up: export the model with z up"
 
 
 def likely_units(size: float, scale: float) -> list[str]:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.assembly_model import Prop
+from falsework.assembly.state import REMOVED, States, complete_state
 from falsework.errors import AssemblyError
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.contact.patches import frames_of
@@ -50,24 +51,32 @@ def prop_places(assembly: Assembly) -> tuple[Prop, ...]:
         AssemblyError: no part has such a place.
     """
     columns = _Columns(assembly)
-    found = []
-    for part in np.flatnonzero(~assembly.boundary).tolist():
-        low, high = assembly.meshes[part].bounds
-        share = (np.arange(_GRID) + 0.5) / _GRID
-        x, y = np.meshgrid(low[0] + share * (high[0] - low[0]), low[1] + share * (high[1] - low[1]))
-        center = assembly.mass.center[part, :2]
-        places = np.vstack([center, np.column_stack([x.ravel(), y.ravel()])])
-        for place in places[np.argsort(np.linalg.norm(places - center, axis=1), kind="stable")]:
-            head, _ = columns.head(part, place)
-            if head is not None:
-                found.append(head.prop)
-                break
+    heads = [columns.best(part)[0] for part in np.flatnonzero(~assembly.boundary).tolist()]
+    found = tuple(head.prop for head in heads if head is not None)
     if not found:
         raise AssemblyError(
             "no part has a place for a prop: below none is a fixed part and nothing else; "
             "put a floor under the structure (--ground)"
         )
-    return tuple(found)
+    return found
+
+
+def prop_place(assembly: Assembly, part: int) -> Prop:
+    """Return the place for a prop under one part, as `prop_places` finds it.
+
+    Raises:
+        AssemblyError: the part is fixed, or there is no place under it.
+    """
+    name = assembly.names[part]
+    if assembly.immovable[part]:
+        raise AssemblyError(f"part {name} is fixed and needs no prop; name another part")
+    head, wrong = _Columns(assembly).best(part)
+    if head is None:
+        raise AssemblyError(
+            f"part {name} has no place for a prop: straight below its centre, it {wrong}; name another part, "
+            "or put a floor under the structure (--ground)"
+        )
+    return head.prop
 
 
 def with_props(assembly: Assembly, props: Sequence[Prop]) -> Assembly:
@@ -145,6 +154,13 @@ def keep_props(assembly: Assembly, kept: Sequence[int]) -> Assembly:
     return with_props(plain, [assembly.props[k] for k in kept])
 
 
+def whole_state(assembly: Assembly) -> States:
+    """Return the state of the complete structure, without its props; shape (parts,)."""
+    state = complete_state(assembly.boundary)
+    state[assembly.part_count - len(assembly.props) :] = REMOVED
+    return state
+
+
 def without_props(state: ArrayLike | None, assembly: Assembly) -> ArrayLike | None:
     """Return a state with its props absent, where it was given without any."""
     if state is None or not assembly.props or np.shape(state) != (assembly.part_count - len(assembly.props),):
@@ -195,6 +211,24 @@ class _Columns:
         edges = self._triangles[:, 1:] - self._triangles[:, :1]
         self._normal = np.cross(edges[:, 0], edges[:, 1])
         self._low, self._high = self._triangles[:, :, :2].min(axis=1), self._triangles[:, :, :2].max(axis=1)
+
+    def best(self, part: int) -> tuple[_Head | None, str]:
+        """Return the head of a prop under a part, the nearest to below its centre of mass.
+
+        If there is none: why, for the place below the centre of mass.
+        """
+        low, high = self._assembly.meshes[part].bounds
+        share = (np.arange(_GRID) + 0.5) / _GRID
+        x, y = np.meshgrid(low[0] + share * (high[0] - low[0]), low[1] + share * (high[1] - low[1]))
+        center = self._assembly.mass.center[part, :2]
+        places = np.vstack([center, np.column_stack([x.ravel(), y.ravel()])])
+        why = ""
+        for place in places[np.argsort(np.linalg.norm(places - center, axis=1), kind="stable")]:
+            head, wrong = self.head(part, place)
+            if head is not None:
+                return head, ""
+            why = why or wrong
+        return None, why
 
     def placed(self, prop: Prop) -> _Head:
         """Return the head of a requested prop.

@@ -17,6 +17,7 @@ from falsework.utils.quantity import counted, format_quantity
 
 if TYPE_CHECKING:
     from falsework.assembly.doctor import Diagnosis
+    from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
 
 _LISTED = 20
@@ -89,7 +90,7 @@ class Doctor(Command, LoadOptions):
     def _diagnose(self, output: Output) -> Diagnosis:
         from falsework.assembly.doctor import doctor
 
-        found = doctor(self.path, **self.given())
+        found = doctor(self.path, stands=stands, **self.given())
         output.record(found.to_dict())
         for line in _lines(found):
             output.say(line)
@@ -108,6 +109,16 @@ class Doctor(Command, LoadOptions):
             return Exit.NO
         assembly = load_structure(str(self.path), **self.given())
         return report_reach(assembly, cell, self.propose or "auto", self.picture, output)
+
+
+def stands(assembly: Assembly) -> bool:
+    """Return whether forces balance a complete structure."""
+    from falsework.assembly.state import complete_state
+    from falsework.stability.oracle import StabilityOracle
+    from falsework.stability.settings import StabilitySettings
+
+    oracle = StabilityOracle(assembly, StabilitySettings(criterion="equilibrium"))
+    return bool(oracle.verdicts(complete_state(assembly.boundary)[None]).stable[0])
 
 
 def _lines(found: Diagnosis) -> list[str]:

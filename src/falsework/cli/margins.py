@@ -13,7 +13,7 @@ from falsework.cli.exit_code import Exit
 from falsework.cli.margins_table import print_margins
 from falsework.cli.overrides import note_overrides
 from falsework.errors import InputError
-from falsework.utils.quantity import format_quantity
+from falsework.utils.quantity import counted, format_quantity
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -141,6 +141,13 @@ class FindMargins(Command):
                 )
         subjects = [self._subject(row, plan, assembly) for row in range(len(records))]
         print_margins(records, subjects, output, everything=self.steps or plan is None)
+        fallen = sum(not margins.stands for margins in found)
+        if fallen and plan is not None and self.states is None:
+            verb = "stands as it is" if fallen == 1 else "stand as they are"
+            output.note(
+                f"falsework: {counted(fallen, 'state')} of the plan {verb} built, with the history of its contacts, "
+                "but not from rest, from where margins are measured"
+            )
         if interrupted:
             output.note(f"interrupted after {len(found)} of {len(states)} states")
             return Exit.INTERRUPTED

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from falsework.learn.training.checkpoint import Run
     from falsework.replanning.request import Request
     from falsework.replanning.result import ReplanResult
+    from falsework.replanning.since import SiteSteps
     from falsework.search.plans.plan import Plan
     from falsework.stability.settings import StabilitySettings
 
@@ -55,6 +56,7 @@ class MakeReplan(Command):
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework replan plan.json --step 4 --missing 3 --out replan.json",
+        "falsework replan plan.json --step 4 --hold voussoir-0 --out replan.json",
         "falsework replan arch:blocks=5 --state voussoir-0,voussoir-4 --missing 2 --order assembly --out replan.json",
     )
 
@@ -73,6 +75,12 @@ class MakeReplan(Command):
     order: Literal["auto", "assembly", "disassembly"] = "auto"
     """Order of the plan: `assembly` adds parts, `disassembly` removes them; `auto` follows the target, else assembles
     if the state lacks the missing parts, else disassembles."""
+    prop: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
+    """Parts under which props have been placed since the step of the plan; the plan goes on with these props."""
+    hold: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
+    """Parts of which robots have taken hold since the step of the plan."""
+    release: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
+    """Parts of which robots have let go since the step of the plan."""
     missing: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
     """Parts not delivered yet, such as 3,keystone; assembly does without them as long as possible."""
     fixed: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
@@ -113,10 +121,17 @@ class MakeReplan(Command):
         """Replan, compare, save."""
         from falsework.replanning.plan_diff import difference
         from falsework.replanning.replanner import replan
+        from falsework.replanning.since import with_places
         from falsework.search.plans.plan_file import load_plan
 
         writable(self.out)
         plan, assembly, policy, source, robots, clear = self._load()
+        before, since, step = plan, self._since(assembly), self.step
+        if since:
+            if before is None or step is None:
+                raise InputError("--prop, --hold and --release are about a step of a plan; give the plan and --step")
+            plan, assembly = since.after(before, step, assembly, robots)
+            before, step = with_places(before, assembly), len(plan)
         if self.policy is not None:
             if policy is not None:
                 raise InputError(f"{self.structure.spec} is a run already; leave --policy out, or name the structure")
@@ -124,14 +139,14 @@ class MakeReplan(Command):
             policy = self._load_run(self.policy, assembly).policy.of_task(
                 robots, equilibrium=criterion == "equilibrium"
             )
-        old = plan if self.compare is None else load_plan(self.compare)
+        old = before if self.compare is None else load_plan(self.compare)
         if old is not None and old.identity != assembly.identity:
             raise InputError(f"{self.compare} is a plan for another structure, {old.name}; compare plans of one")
         if self.confidences and policy is None:
             raise InputError(
                 "--confidences needs a policy: give a run, the folder that falsework train wrote, or --policy"
             )
-        request = self._request(plan, assembly, robots, clear)
+        request = self._request(plan, step, assembly, robots, clear)
         request.task(assembly)  # refuse bad input before anything is loaded
         stability = self._stability(plan)
         options = {name: value for name, value in vars(request).items() if name != "plan"}
@@ -149,7 +164,7 @@ class MakeReplan(Command):
         record["presses"] = sum(map(bool, first.presses))
         if self.confidences:
             record["confidences"] = [_probabilities(row, assembly) for row in answer.confidences[0]]
-        changes = None if old is None else difference(old, answer.plans[0], answer.direction)
+        changes = None if old is None else difference(old, answer.plans[0], answer.direction, answer.built)
         output.record(record if changes is None else {**record, "difference": changes.to_dict()})
         self._tell(answer, paths, output)
         if changes is not None:
@@ -231,14 +246,20 @@ class MakeReplan(Command):
         clear = self.removable_only_if_clear or run.settings.removable_only_if_clear
         return run.assembly, run.policy, source, robots, clear
 
-    def _request(self, plan: Plan | None, assembly: Assembly, robots: int, clear: bool) -> Request:
+    def _since(self, assembly: Assembly) -> SiteSteps:
+        from falsework.replanning.since import SiteSteps
+
+        options = (("--prop", self.prop), ("--hold", self.hold), ("--release", self.release))
+        return SiteSteps(*(() if text is None else parse_parts(text, name, assembly.names) for name, text in options))
+
+    def _request(self, plan: Plan | None, step: int | None, assembly: Assembly, robots: int, clear: bool) -> Request:
         from falsework.replanning.request import Request
         from falsework.search.problem.task import Direction
 
         return Request(
             None if self.state is None else parse_state(self.state, "--state", assembly),
-            plan=None if self.step is None else plan,
-            step=self.step,
+            plan=None if step is None else plan,
+            step=step,
             target=None if self.target is None else parse_state(self.target, "--target", assembly),
             direction=None if self.order == "auto" else Direction(self.order),
             robots=robots,

@@ -73,6 +73,11 @@ def found_texts(plan: RobotPlan, name: str, statistics: dict[str, Any]) -> list[
         f"{name}: {counted(len(plan), 'step')} for {counted(len(plan.robots), 'robot')}, {plan.seconds:.0f} s of "
         f"motion, every state proven stable (criterion {plan.plan.claim.criterion}, {statistics['seconds']:.1f} s)"
     ]
+    done = len(plan.done_by)
+    if done:
+        last = int(plan.rows[-1])
+        what = f"{done + 1} to {last}" if plan.before else f"{len(plan.plan) - done} down to {last + 1}"
+        found.append(f"{counted(done, 'step')} of the plan are done; the motions are of its steps {what}")
     if plan.plan.replay is not None:
         found.append(replay_text(plan.plan))
     if plan.schedule is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -135,10 +136,10 @@ class PlanRobots(Command):
         building = order is Direction.ASSEMBLY
         if begun is not None:
             held, joints, grips = begun.arms
-            task = self._task(assembly, cell, begun.state)
+            task = self._task(assembly, cell, begun.state, held)
         else:
             held, joints = parse_holding(self.holding, cell, assembly), parse_joints(self.joints, cell)
-            task = self._task(assembly, cell, parse_now(self.state or self._beginning, held, assembly))
+            task = self._task(assembly, cell, parse_now(self.state or self._beginning, held, assembly), held)
             grips = parse_grips(self.grips, held, task.target if building else task.start, cell, assembly)
         stability = self.holds.settings(self.criterion or ("contact" if begun is None else begun.criterion))
         if refuse_unstable(
@@ -199,10 +200,17 @@ class PlanRobots(Command):
         cell = load_cell(self.cell or "")
         return self.structure.load(), cell
 
-    def _task(self, assembly: Assembly, cell: Cell, now: States) -> Task:
+    def _task(self, assembly: Assembly, cell: Cell, now: States, held: Sequence[int | None]) -> Task:
         from falsework.search.problem.task import Task
 
         building = self.order == "assembly"
+        missing = () if self.missing is None else parse_parts(self.missing, "--missing", assembly.names)
+        for part in missing if building else ():
+            there = part < len(now) and bool(now[part])
+            if there or part in held:
+                where = "in place" if there else f"in the gripper of {cell.robots[held.index(part)].name}"
+                name = assembly.names[part]
+                raise InputError(f"part {name} is said to be missing, yet it is {where}; name parts that are not there")
         end = None if self.target is None else parse_state(self.target, "--target", assembly)
         start, target = (end, now) if building else (now, end)  # plans are found as disassembly
         return Task.from_rules(
@@ -210,7 +218,7 @@ class PlanRobots(Command):
             cell.robot_count,
             start=start,
             target=target,
-            missing=() if self.missing is None else parse_parts(self.missing, "--missing", assembly.names),
+            missing=missing,
             clearance=assembly.clearance,
             identity=assembly.identity,
             allow_regrasp=self.allow_regrasp,
@@ -228,6 +236,11 @@ class PlanRobots(Command):
         self, result: HybridResult, found: RobotPlan | None, begun: InterruptedPlan | None, output: Output
     ) -> Exit:
         if found is not None:
+            fails_at = None
+            if begun is not None:
+                from falsework.robots.plans.continued import continued
+
+                found, fails_at = continued(found, begun.plan, begun.now.done, begun.assembly)
             saved = self._save(found, begun)
             output.file(self.out)
             output.record(
@@ -241,6 +254,12 @@ class PlanRobots(Command):
             if result.found:
                 for text in found_texts(saved, str(self.out), result.statistics):
                     output.say(text)
+                if fails_at is not None:
+                    output.note(
+                        f"falsework: with the history of the steps that are done the replay fails at step {fails_at}, "
+                        "so the new steps are numbered from 1 and proven from rest"
+                    )
+                    return output.outcome("weaker")
                 return Exit.DONE
             output.outcome("partial")
             which = "first" if saved.direction == "disassembly" else "last"

@@ -26,10 +26,6 @@ class ExecutedSteps:
             raise PlanError(
                 f"step {self.steps} does not exist; the plan has the steps 1 to {len(self.plan)}, and 0 is the start"
             )
-        if self.plan.props:
-            raise PlanError(
-                "the plan has props, which replanning cannot move; plan again with --begin for the present state"
-            )
         if self.plan.parts_at_once > 1:
             raise PlanError(
                 "the plan moves several parts in one step, which replanning cannot; plan again with --begin for the "
@@ -77,5 +73,7 @@ class ExecutedSteps:
             missing=rest.missing,
             clearance=rest.clearance if self.plan.removable_only_if_clear else None,
             identity=rest.identity,
-            allow_regrasp=self.plan.allow_regrasp,
+            allow_regrasp=self.plan.allow_regrasp or rest.allow_regrasp,
+            props=rest.props,
+            prop_limit=rest.prop_limit,
         )

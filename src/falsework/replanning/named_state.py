@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.part_numbers import part_id, part_ids
-from falsework.assembly.state import HELD, INSTALLED, States, as_states, complete_state, empty_state
+from falsework.assembly.props import whole_state
+from falsework.assembly.state import HELD, INSTALLED, States, as_states, empty_state
 from falsework.errors import StateError
 
 StateLike: TypeAlias = ArrayLike | Mapping[str, Sequence[int | str]]
@@ -39,7 +40,7 @@ def named_state(given: StateLike, assembly: Assembly, what: str = "the state") -
     if isinstance(given, str):
         if given not in ("complete", "empty"):
             raise StateError(f"{what} is {given!r}; give complete, empty, or one value a part")
-        return complete_state(assembly.boundary) if given == "complete" else empty_state(assembly.boundary)
+        return whole_state(assembly) if given == "complete" else empty_state(assembly.boundary)
     if not isinstance(given, Mapping):
         states = as_states(given, assembly.boundary)
         if len(states) != 1:

@@ -60,6 +60,8 @@ class Difference:
     """Parts that only the rest of the old plan places."""
     order_kept: float
     """Share of pairs of parts that come in the same order in both plans, between 0 and 1."""
+    built: int = 0
+    """Steps of the new plan that are done."""
 
     @property
     def steps_saved(self) -> int:
@@ -70,7 +72,7 @@ class Difference:
     def text(self) -> str:
         """Summary in one line."""
         if self.same:
-            return f"the plan stays as it was; steps left: {self.new_steps}"
+            return f"the plan stays as it was; steps left: {self.new_steps - self.built}"
         pieces = []
         if not self.begins_on_the_way:
             pieces.append("the old plan does not pass through this state")
@@ -110,6 +112,7 @@ class Difference:
             "first_new": self.first_new,
             "old_steps": self.old_steps,
             "new_steps": self.new_steps,
+            "built": self.built,
             "steps_saved": self.steps_saved,
             "moved": moved,
             "added": list(self.added),
@@ -119,7 +122,7 @@ class Difference:
         }
 
 
-def difference(old: Plan, new: Plan, direction: Direction = Direction.ASSEMBLY) -> Difference:
+def difference(old: Plan, new: Plan, direction: Direction = Direction.ASSEMBLY, built: int = 0) -> Difference:
     """Compare a new plan with the plan that it replaces.
 
     The old plan is read from the state on in which the new one begins, if it passes through that.
@@ -128,6 +131,7 @@ def difference(old: Plan, new: Plan, direction: Direction = Direction.ASSEMBLY) 
         old: the plan so far.
         new: the plan from now on.
         direction: in which both are carried out.
+        built: steps of the new plan that are done.
 
     Raises:
         PlanError: the plans are of different structures, or move several parts in one step.
@@ -164,13 +168,14 @@ def difference(old: Plan, new: Plan, direction: Direction = Direction.ASSEMBLY) 
         added=tuple(new.part_names[part] for part in after if part not in set(before)),
         dropped=tuple(new.part_names[part] for part in before if part not in set(after)),
         order_kept=_order_kept([place[part] for part in both]),
+        built=built,
     )
 
 
 def _placed(actions: NDArray[np.int64], plan: Plan) -> list[int]:
     """Return parts in the order in which they are inserted, or removed."""
     parts = len(plan.boundary)
-    return (actions[actions >= parts] - parts).tolist()
+    return list(dict.fromkeys((actions[actions >= parts] - parts).tolist()))  # a prop is placed and taken away
 
 
 def _order_kept(places: list[int]) -> float:

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, complete_state
+from falsework.assembly.props import whole_state
+from falsework.assembly.state import HELD
 from falsework.search.find import prove_route
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_replay import PlanReplay
@@ -37,9 +38,8 @@ class Prover:
 
     def warm_up(self) -> None:
         """Measure how long a proof takes, on the complete structure with one part held in turn."""
-        boundary = self.assembly.boundary
-        movable = np.flatnonzero(~boundary)[:_PRACTICE]
-        states = np.repeat(complete_state(boundary)[None], len(movable), axis=0)
+        movable = np.flatnonzero(~self.assembly.immovable)[:_PRACTICE]
+        states = np.repeat(whole_state(self.assembly)[None], len(movable), axis=0)
         states[np.arange(len(movable)), movable] = HELD
         begun = time.perf_counter()
         self.oracle.verdicts(states, require_certificate=True)
@@ -73,7 +73,8 @@ class Prover:
         whole = replayed is None or replayed.stands is True
         if forces or (whole and self.seconds_for(len(route.states)) <= seconds):
             known, begun = None if replayed is None or not whole else _summary(replayed), time.perf_counter()
-            plan = prove_route(route, self.assembly, task, self.oracle, forces=forces, replay=known)
+            # A plan that goes on keeps the numbers of its parts.
+            plan = prove_route(route, self.assembly, task, self.oracle, forces=forces, replay=known, all_props=True)
             taken = (time.perf_counter() - begun) / len(route.states)
             self._per_state = max(taken, 0.8 * self._per_state + 0.2 * taken)
             return plan

@@ -17,7 +17,7 @@ import numpy as np
 
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import complete_state
+from falsework.assembly.props import whole_state
 from falsework.errors import InputError
 from falsework.replanning.named_state import StateLike
 from falsework.replanning.policy_guide import PolicyGuide
@@ -29,6 +29,7 @@ from falsework.replanning.result import Stage as Stage
 from falsework.replanning.search_stages import search_on
 from falsework.replanning.session import ReplanContext, ReplanSession
 from falsework.replanning.session import ReplanSettings as ReplanSettings
+from falsework.replanning.since import SiteSteps
 from falsework.search.find import FIRST_SHARE, PLANS
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_file import is_plan_file, load_plan
@@ -67,10 +68,12 @@ class Replanner:
 
         Raises:
             DependencyError: a policy without torch.
-            InputError: a policy or an oracle of another structure.
+            InputError: a policy or an oracle of another structure, or a policy and a structure with props.
         """
         assembly = as_assembly(assembly)
         oracle = oracle or StabilityOracle(assembly)
+        if policy is not None and assembly.props:
+            raise InputError(f"{assembly.name} has props, which policies do not know; leave the policy out")
         if oracle.assembly.identity != assembly.identity:
             raise InputError(f"the oracle is of {oracle.assembly.name}, not of {assembly.name}; make one of the latter")
         guide = None if policy is None else PolicyGuide(policy)
@@ -114,7 +117,7 @@ class Replanner:
 
     def _warm(self) -> None:
         """Load and compile everything, and measure how long a proof takes."""
-        state = complete_state(self.assembly.boundary)[None]
+        state = whole_state(self.assembly)[None]
         self.oracle.verdicts(state, near=state)
         self.oracle.verdicts(state, require_certificate=True)
         if self.oracle.replayer is not None:
@@ -195,6 +198,7 @@ def replan(
     state: StateLike | None = None,
     *,
     step: int | None = None,
+    since: SiteSteps = SiteSteps(),
     structure: AnyStructure | None = None,
     policy: Any = None,
     oracle: StabilityOracle | None = None,
@@ -209,6 +213,7 @@ def replan(
         state: current state of the structure, shape (parts,), or as `named_state` reads it.
         step: last step of the plan that is done, 0 for none. The new plan then begins with the steps that are done, so
             that steps keep their numbers, and its replay with their history.
+        since: props placed, parts held and released on site after that step; they are the next steps of the new plan.
         structure: structure of the plan, instead of the one that the plan names.
         policy: proposes actions, a `torch.nn.Module` as of `load_policy`; None searches alone.
         oracle: decides stability; pass an existing one to reuse its cache.
@@ -228,6 +233,11 @@ def replan(
         DependencyError: a policy without torch.
     """
     plan, assembly = _subject(subject, structure)
+    if since:
+        if plan is None or step is None:
+            raise InputError("what was done since is told of a step of a plan; give the plan and its step")
+        plan, assembly = since.after(plan, step, assembly, options.get("robots"))
+        step = len(plan)
     if plan is not None:
         options = {"robots": plan.robots, **options, "plan": plan}
     request = Request(state, step=step, **options)

@@ -9,7 +9,8 @@ import numpy as np
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.part_numbers import part_ids
-from falsework.assembly.state import HELD, REMOVED, States, complete_state, held_count
+from falsework.assembly.props import whole_state
+from falsework.assembly.state import HELD, REMOVED, States, held_count
 from falsework.errors import InputError, StateError
 from falsework.replanning.executed_steps import ExecutedSteps
 from falsework.replanning.named_state import StateLike, named_state
@@ -125,6 +126,9 @@ class Request:
             raise InputError(f"{self.alternatives} alternatives is not a number of plans; ask for {limits}")
         check_deadline(self.deadline)
         check_seed(self.seed)
+        if assembly.props and (self.alternatives > 1 or self.missing):
+            other = "alternatives" if self.alternatives > 1 else "missing parts"
+            raise InputError(f"plans with props take no {other}; leave out one of the two")
         built, state = self.done(assembly), self.current(assembly)
         target = None if self.target is None else _state(self.target, assembly, "target")
         missing = part_ids(self.missing, assembly.names, "missing")
@@ -140,7 +144,7 @@ class Request:
                         since = f"step {step} has placed it; name parts that are not placed yet"
                     raise StateError(f"part {assembly.names[part]} is said to be missing, yet {since}")
             if start is None:
-                start = complete_state(assembly.boundary)
+                start = whole_state(assembly)
                 for part in fixed:
                     if 0 <= part < len(state):
                         start[part] = state[part]
@@ -154,9 +158,17 @@ class Request:
             clearance=assembly.clearance if self.removable_only_if_clear else None,
             contacts=assembly.contacts.parts,
             identity=assembly.identity,
+            allow_regrasp=bool(assembly.props),
+            props=[prop.part for prop in assembly.props],
+            prop_limit=self._props_at_once(state, assembly),
         )
         _check_first_step(task, order, assembly)
         return task
+
+    def _props_at_once(self, state: States, assembly: Assembly) -> int:
+        """Return the number of props that the plan allows at a time, and those that stand at least."""
+        standing = int((state[assembly.immovable & ~assembly.boundary] != REMOVED).sum())
+        return max(standing, 0 if self.plan is None else self.plan.prop_limit)
 
 
 def _state(given: StateLike, assembly: Assembly, name: str) -> States:
@@ -166,7 +178,7 @@ def _state(given: StateLike, assembly: Assembly, name: str) -> States:
 def _check_first_step(task: Task, order: Direction, assembly: Assembly) -> None:
     """Refuse a state in which the rules allow nothing, before anything is searched."""
     state = task.origin(order)
-    if task.steps == 0 or task.moves(state[None], order).any():
+    if task.steps == 0 or task.allow_regrasp or task.moves(state[None], order).any():
         return
     held = np.flatnonzero((state == HELD) & ~task.boundary)
     busy = int(held_count(state[None], task.boundary)[0])

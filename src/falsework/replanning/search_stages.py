@@ -17,7 +17,7 @@ from falsework.search.beam.beam import BeamSearch
 from falsework.search.beam.settings import BeamSettings
 from falsework.search.exhaustive import ExhaustiveSearch
 from falsework.search.planner import Planner
-from falsework.search.problem.deadline import Deadline
+from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.result import Outcome, SearchResult, Stop
 from falsework.search.problem.state_graph import StateGraph
@@ -91,19 +91,19 @@ def search_on(session: ReplanSession, guide: Guide) -> Iterator[None]:
         yield from _first_plan(session, guide)
     if session.routes and not session.done:
         yield from _better_plans(session, guide)
-    if not session.decided and not session.clock.passed:
-        yield from _finish([_TimeSlices(_ReachabilityStage(session), Stage.EXHAUSTIVE, _TURN_LEVELS)], session)
+    if not session.decided and not session.clock.passed and not session.task.allow_regrasp:
+        yield from _finish([TimeSlices(_ReachabilityStage(session), Stage.EXHAUSTIVE, _TURN_LEVELS)], session)
 
 
 def _first_plan(session: ReplanSession, guide: Guide) -> Iterator[None]:
     settings = PlannerSettings(session.context.settings.width, seed=session.request.seed)
     # Later missing parts are looked for once there is a plan.
     task = replace(session.task, missing=(), postponed=())
-    rivals = [_TimeSlices(Planner(task, session.oracle, settings, guide=guide), Stage.SEARCH, _PLAIN_LEVELS)]
+    rivals = [TimeSlices(Planner(task, session.oracle, settings, guide=guide), Stage.SEARCH, _PLAIN_LEVELS)]
     policy = session.context.guide
     if policy is not None and _affordable(session, policy):
         timed = _TimedGuide(policy.for_task(session.task), session.clock)
-        rivals.insert(0, _TimeSlices(_WideningBeam(session, timed), Stage.GUIDED, 1))
+        rivals.insert(0, TimeSlices(_WideningBeam(session, timed), Stage.GUIDED, 1))
     yield from _finish(rivals, session)
 
 
@@ -124,7 +124,7 @@ def _better_plans(session: ReplanSession, guide: Guide) -> Iterator[None]:
     clock, reserve = session.clock, session.clock.reserve
     if clock.limited and request.alternatives > 1:
         clock.reserve += _CHOOSING * (clock.left - reserve)
-    yield from _finish([_TimeSlices(planner, Stage.SEARCH, _TURN_LEVELS)], session)
+    yield from _finish([TimeSlices(planner, Stage.SEARCH, _TURN_LEVELS)], session)
     clock.reserve = reserve
     if request.alternatives == 1:
         session.take(planner.routes)
@@ -133,7 +133,7 @@ def _better_plans(session: ReplanSession, guide: Guide) -> Iterator[None]:
     session.take(session.choose(planner.task.postpone(planner.postponed), states, planner.routes))
 
 
-def _finish(rivals: list[_TimeSlices], session: ReplanSession) -> Iterator[None]:
+def _finish(rivals: list[TimeSlices], session: ReplanSession) -> Iterator[None]:
     """Let searches take turns until one finds a plan or proves that there is none, all are at an end, or time is up."""
     while rivals:
         for rival in list(rivals):
@@ -147,14 +147,15 @@ def _finish(rivals: list[_TimeSlices], session: ReplanSession) -> Iterator[None]
                 session.busy = True
                 try:
                     for rest in rivals:
-                        session.ended(rest.search.run(stop=lambda: True), rest.decider)
+                        if (last := rest.run(lambda: True)) is not None:
+                            session.ended(last, rest.decider)
                 finally:
                     session.busy = False
                 return
         yield
 
 
-class _TimeSlices:
+class TimeSlices:
     """Search that runs some levels per turn."""
 
     def __init__(self, search: _Search, decider: Stage, levels: int) -> None:
@@ -173,14 +174,21 @@ class _TimeSlices:
         """
         self._left, self._session, self._told, session.busy = self._levels, session, False, True
         try:
-            result = self.search.run(stop=self._over)
+            result = self.run(self._over)
         finally:
             session.busy = False
-        if not result.interrupted:
+        if result is None or not result.interrupted:
             return result
         if not self._told and not session.clock.passed:
             raise KeyboardInterrupt
         return None
+
+    def run(self, stop: Stop) -> SearchResult | None:
+        """Run the search; None if the deadline passed before it had anything to report."""
+        try:
+            return self.search.run(stop=stop)
+        except DeadlineExceeded:
+            return None
 
     def _over(self) -> bool:
         session = self._session

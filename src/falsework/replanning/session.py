@@ -18,6 +18,7 @@ from falsework.replanning.result import ReplanResult, Stage
 from falsework.search.plans.alternatives import Alternatives, choose_alternatives
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.deadline import Deadline
+from falsework.search.problem.regrasp_route import RegraspRoute
 from falsework.search.problem.result import Outcome, Route, SearchResult, insertion_steps
 from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.task import Direction, Task
@@ -199,7 +200,7 @@ class ReplanSession:
         if result.found:
             self.found(list(result.routes), by)
         elif cut is not None and by is Stage.SEARCH and not self.routes:
-            self.found([Route.from_states(cut[::-1].copy())], by)
+            self.found([self._route(cut)], by)
         elif result.outcome is Outcome.PROVED_IMPOSSIBLE and not self.routes:
             # A search that omitted nothing was exhaustive, whatever its settings.
             self.outcome, self.decided_by = result.outcome, Stage.EXHAUSTIVE
@@ -231,7 +232,7 @@ class ReplanSession:
         fallen = None if self.replayer is None else self.replayer.fallen
         if not self.routes and fallen is not None and self.clock.passed:
             # Every state of it is stable, and there was no time for another one; the answer says that its replay fails.
-            self.routes = [Route.from_states(fallen[::-1].copy())]
+            self.routes = [self._route(fallen)]
             self.outcome, self.decided_by = Outcome.FOUND, self._fell_by.get(fallen.tobytes(), Stage.SEARCH)
         plans, chosen = (), self._choose()
         late = self.clock.passed
@@ -276,6 +277,11 @@ class ReplanSession:
     @property
     def _done(self) -> int:
         return 0 if self.built is None else self.built.steps
+
+    def _route(self, states: States) -> Route:
+        """Return the route through states in the order of assembly."""
+        kind = RegraspRoute if self.task.allow_regrasp else Route
+        return kind.from_states(states[::-1].copy())
 
     def _with_built(self, route: Route) -> tuple[Route, Task]:
         assert self.built is not None

@@ -242,11 +242,12 @@ def prove_route(
     *,
     forces: bool = True,
     replay: PlanReplay | None = None,
+    all_props: bool = False,
 ) -> Plan:
     """Plan along a route, each state proved stable anew with a proof that the certificate checker accepts.
 
     Under the criterion `contact` states are proved in the order in which they are built; the result of that replay is
-    in `Plan.replay`. The plan has only those places for props that it uses.
+    in `Plan.replay`.
 
     Args:
         route: states and actions.
@@ -255,11 +256,12 @@ def prove_route(
         oracle: proves the states.
         forces: keep the forces in the plan, under `contact` the displacements too.
         replay: of the route by the oracle's replayer, where it is known already.
+        all_props: keep the places for props that the route does not use.
 
     Raises:
         PlanError: a state that cannot be proved stable.
     """
-    if assembly.props:
+    if assembly.props and not all_props:
         bare = assembly.part_count - len(assembly.props)
         used = np.flatnonzero((route.states[:, bare:] != REMOVED).any(axis=0))
         if len(used) < len(assembly.props):
@@ -353,12 +355,11 @@ def _run(
 def _resume(
     checkpoint: Path | str | None, task: Task, oracle: Oracle, settings: PlannerSettings, guide: Guide
 ) -> Planner:
-    if checkpoint is not None and (task.allow_regrasp or task.together is not None):
-        what = "repeated holds" if task.allow_regrasp else "several parts in one step"
-        raise InputError(f"a search with {what} cannot be saved; leave out the checkpoint")
-    if checkpoint is not None and Path(checkpoint).exists():
-        return Planner.load(checkpoint, task, oracle, settings, guide=guide)
-    return Planner(task, oracle, settings, guide=guide)
+    planner = Planner(task, oracle, settings, guide=guide)
+    if checkpoint is None:
+        return planner
+    planner.check_saving()
+    return Planner.load(checkpoint, task, oracle, settings, guide=guide) if Path(checkpoint).exists() else planner
 
 
 def _saving(planner: Planner, checkpoint: Path | str | None, progress: Progress | None) -> Progress | None:

@@ -131,14 +131,11 @@ class Planner:
         self._next_trial(begin=True)
 
     def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
-        """Search until all requested plans are found, all searches end, or `stop` returns true.
+        """Search until all requested plans are found, all searches end, or `stop` returns true; return how far it came.
 
         Args:
             progress: called after every level of every attempt.
             stop: called before every level; true stops the search, which can then be saved or continued.
-
-        Returns:
-            The plans found, the first one first, or how far the search came.
         """
         begun = time.perf_counter()
 
@@ -161,15 +158,15 @@ class Planner:
         self._seconds += time.perf_counter() - begun
         return self._result(interrupted)
 
-    def save(self, path: Path | str) -> None:
-        """Write the current search, to be resumed by `load`.
-
-        Raises:
-            InputError: plans may hold parts again, or steps may move several.
-        """
+    def check_saving(self) -> None:
+        """Raise InputError if the search cannot be saved: plans may hold parts again, or steps may move several."""
         if self.regrasps or self.together:
             what = "repeated holds" if self.regrasps else "several parts in one step"
             raise InputError(f"a search with {what} cannot be saved; leave out the checkpoint")
+
+    def save(self, path: Path | str) -> None:
+        """Write the current search, to be resumed by `load`; raise as `check_saving`."""
+        self.check_saving()
         beams, arrays = {}, {}
         for key, beam in self._beams.items():
             assert isinstance(beam, BackjumpingBeam)

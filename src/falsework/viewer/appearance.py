@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from falsework.assembly.state import REMOVED, States
 from falsework.search.plans.steps import NO_ROBOT
 from falsework.viewer.palette import BOUNDARY, INSTALLED, ramp_in_steps, rgb, robot_color
+from falsework.viewer.section import Axis, Plane
 from falsework.viewer.timeline import Timeline
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
 
 Array = NDArray[np.float64]
-Axis = Literal["", "x", "y", "z"]
 
 FADE = 2.0
 """Steps that a part takes to leave the picture."""
@@ -110,24 +110,35 @@ class SceneView:
 
     explode: float = 0.0
     """Distance of parts from their places, as a share of that from the middle of the floor."""
-    axis: Axis = ""
-    """Direction in which parts are cut away; empty for none."""
+    axis: Axis | None = None
+    """Axis across which the structure is cut; None for no section."""
     keep: float = 1.0
-    """Share of the length of the structure along the axis, from its low end, in which parts stay."""
+    """Share of the length of the structure along the axis that stays. What is cut away is on the side of the first
+    view, from where the cut is seen: that with high x and z, but low y."""
+
+    def plane(self, assembly: Assembly) -> Plane | None:
+        """Return the plane of the section, metres."""
+        if self.axis is None:
+            return None
+        low, high = bounds_of(assembly)[:, "xyz".index(self.axis)].tolist()
+        length = self.keep * (high - low)
+        return Plane(self.axis, high - length, True) if self.axis == "y" else Plane(self.axis, low + length)
+
+    def gone(self, assembly: Assembly) -> NDArray[np.bool_]:
+        """Return the parts that are cut away as a whole, shape (parts,)."""
+        plane = self.plane(assembly)
+        if plane is None:
+            return np.zeros(assembly.part_count, dtype=bool)
+        heights = plane.heights(np.array([mesh.bounds for mesh in assembly.meshes]))
+        return np.max(heights, axis=1) <= 0
 
     def of(self, look: Appearance, assembly: Assembly) -> Appearance:
-        """Return the appearance with parts moved apart, and without those whose middle is cut away."""
-        if not (self.explode or self.axis):
-            return look
-        low, high = bounds_of(assembly)
-        middle = np.array([*(low + high)[:2] / 2, low[2]])
-        center = assembly.mass.center
-        opacity = look.opacity
-        if self.axis:
-            column = "xyz".index(self.axis)
-            beyond = center[:, column] > low[column] + self.keep * (high - low)[column]
-            opacity = np.where(beyond, 0.0, opacity)
-        return replace(look, opacity=opacity, shift=look.shift + self.explode * (center - middle))
+        """Return the appearance with parts moved apart, and without those that are cut away as a whole."""
+        opacity, shift = np.where(self.gone(assembly), 0.0, look.opacity), look.shift
+        if self.explode:
+            low, high = bounds_of(assembly)
+            shift = shift + self.explode * (assembly.mass.center - np.array([*(low + high)[:2] / 2, low[2]]))
+        return replace(look, opacity=opacity, shift=shift)
 
 
 def bounds_of(assembly: Assembly) -> Array:
@@ -141,7 +152,9 @@ def diagonal(assembly: Assembly) -> float:
     return float(np.linalg.norm(np.ptp(bounds_of(assembly), axis=0)))
 
 
-def pick(assembly: Assembly, appearance: Appearance, origin: Array, direction: Array) -> int | None:
+def pick(
+    assembly: Assembly, appearance: Appearance, origin: Array, direction: Array, plane: Plane | None = None
+) -> int | None:
     """Return the part that a ray hits first, or None.
 
     Args:
@@ -149,6 +162,7 @@ def pick(assembly: Assembly, appearance: Appearance, origin: Array, direction: A
         appearance: where the parts are; invisible parts are not hit.
         origin: origin of the ray, metres, shape (3,).
         direction: direction of the ray, any length, shape (3,).
+        plane: section of the parts, in their places; what is cut away is not hit.
     """
     seen = np.flatnonzero(appearance.opacity > 0)
     if len(seen) == 0:
@@ -167,6 +181,9 @@ def pick(assembly: Assembly, appearance: Appearance, origin: Array, direction: A
     v = (turned @ direction) * scale
     distance = (other * turned).sum(axis=1) * scale
     hit &= (u >= 0) & (v >= 0) & (u + v <= 1) & (distance > 0)
+    if plane is not None:
+        points = origin + distance[:, None] * direction - appearance.shift[owner]
+        hit &= plane.heights(points) >= 0
     if not hit.any():
         return None
     return int(owner[np.argmin(np.where(hit, distance, np.inf))])

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.assembly.state import HELD
 from falsework.robots.cells.visuals import VisualShape, link_visuals, shape_of_pieces
 from falsework.robots.plans.loads import Load, load_of, loads_at, loads_beside
 from falsework.robots.plans.timeline import activities_at
@@ -106,12 +107,20 @@ class Arms:
     def holders(self) -> NDArray[np.int64]:
         """Return robot that holds each part in each state of the plan; shape (steps + 1, parts)."""
         plan, frames = self._plan, list(zip(self._plan.rows.tolist(), self._plan.keyframes, strict=True))
-        who = np.full(plan.plan.states.shape, NO_ROBOT, dtype=np.int64)
+        states, actions = plan.plan.states, plan.plan.actions
+        who = np.full(states.shape, NO_ROBOT, dtype=np.int64)
         for row, frame in frames if self.direction is Direction.DISASSEMBLY else reversed(frames):
             who[row] = NO_ROBOT  # of the keyframes around a hand-over the first in assembly counts
             for robot, part in enumerate(frame.held):
                 if part is not None:
                     who[row, part] = robot
+        first, last = len(plan.before), len(plan.plan) - len(plan.after)
+        for row, robot in zip(reversed(range(first)), reversed(plan.before), strict=True):
+            part = actions[row] % states.shape[1]
+            who[row], who[row, part] = who[row + 1], robot if states[row, part] == HELD else NO_ROBOT
+        for row, robot in enumerate(plan.after, last + 1):
+            part = actions[row - 1] % states.shape[1]
+            who[row], who[row, part] = who[row - 1], robot if states[row, part] == HELD else NO_ROBOT
         return who
 
     def seconds(self, step: int) -> float:
@@ -122,7 +131,7 @@ class Arms:
         """Return the steps of the robots from one action of the plan to the next; the last action has the rest."""
         done = self._plan.done
         first = int(np.searchsorted(done, step))
-        last = len(self._plan) if step + 1 == len(self._plan.plan) else int(np.searchsorted(done, step + 1))
+        last = len(self._plan) if step + 1 == done[-1] else int(np.searchsorted(done, step + 1))
         return range(first, last)
 
     def at_time(self, seconds: float) -> ArmPoses:
@@ -138,16 +147,16 @@ class Arms:
 
     def at(self, position: float) -> ArmPoses:
         """Return the poses at a place in the plan, in steps of assembly done, one motion after the other."""
-        steps = len(self._plan.plan)
-        position = position if self.direction is Direction.ASSEMBLY else steps - position
-        position = min(max(position, 0.0), float(steps))
-        step = min(int(position), steps - 1) if steps else 0
-        if steps == 0 or position == int(position):
+        first, last = self._plan.done[[0, -1]].tolist()
+        position = position if self.direction is Direction.ASSEMBLY else len(self._plan.plan) - position
+        position = min(max(position, float(first)), float(last))
+        step = max(min(int(position), last - 1), first)
+        if first == last or position == int(position):
             return self._still(int(position))
         return self._moving(step, position - step)
 
     def _still(self, state: int) -> ArmPoses:
-        last = state == len(self._plan.plan)
+        last = state == self._plan.done[-1]
         frame = len(self._plan) if last else self._steps(state).start
         configurations = self._plan.keyframes[frame].configurations
         loads = loads_at(self._plan, frame).items()
@@ -174,7 +183,7 @@ class Arms:
             after.configurations[step.robot] if current is None else current.sample(np.array([left]))[0]
         )
         parts = len(self._plan.plan.boundary)
-        action = int(self._plan.actions[int(np.flatnonzero(np.diff(self._plan.done))[number])])
+        action = int(self._plan.actions[int(np.flatnonzero(np.diff(self._plan.done))[number - self._plan.done[0]])])
         part, moves = action % parts, action >= parts
         removing = moves and self.direction is Direction.DISASSEMBLY
         poses = self._poses(configurations)

@@ -25,7 +25,11 @@ class Clock:
     starts: NDArray[np.float64]
     """Start time of each motion, seconds, shape (nodes,)."""
     events: NDArray[np.float64]
-    """Time at which the structure reaches each state but the first, seconds, ascending, shape (steps,)."""
+    """Times at which the structure reaches the states after the first, seconds, ascending, shape (moved steps,)."""
+    first: int
+    """Steps that are executed before time begins."""
+    steps: int
+    """Steps of the plan."""
     makespan: float
     """Time at which the last motion ends, seconds."""
     direction: Direction
@@ -37,23 +41,24 @@ class Clock:
         if plan.schedule is None:
             return None
         events = np.maximum.accumulate(event_times(plan, plan.schedule))[np.diff(plan.rows) != 0]
-        return cls(plan.schedule.starts(), events, plan.makespan, plan.direction)
+        return cls(plan.schedule.starts(), events, int(plan.done[0]), len(plan.plan), plan.makespan, plan.direction)
 
     def position(self, seconds: float) -> float:
         """Return the place in the plan at a time: steps of assembly done, and the share of the time to the next."""
         reached = int(np.searchsorted(self.events, seconds, side="right"))
         if reached == len(self.events):
-            return self._turned(float(reached))
+            return self._turned(float(self.first + reached))
         before = self.events[reached - 1] if reached else 0.0
-        return self._turned(reached + min(float((seconds - before) / (self.events[reached] - before)), _BEFORE))
+        share = min(float((seconds - before) / (self.events[reached] - before)), _BEFORE)
+        return self._turned(self.first + reached + share)
 
     def seconds(self, position: float) -> float:
         """Return the time at which a place in the plan is reached; the last one is the end of all motions."""
-        position = self._turned(position)
+        position = max(self._turned(position) - self.first, 0.0)
         if position >= len(self.events):
             return self.makespan
         return float(np.interp(position, np.arange(len(self.events) + 1), [0.0, *self.events]))
 
     def _turned(self, position: float) -> float:
         """Return steps executed from steps of assembly done, or the other way round."""
-        return position if self.direction is Direction.ASSEMBLY else len(self.events) - position
+        return position if self.direction is Direction.ASSEMBLY else self.steps - position

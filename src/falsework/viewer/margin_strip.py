@@ -62,7 +62,8 @@ def margin_strip(plan: Plan | None, place: int, built: int = 0) -> str:
             f'role="img" aria-label="{html_text(kind)} of every step">{"".join(rows)}</svg>'
         )
     ends = f'<span style="color:{RAMP[-1]}">dark</span>: weak; the mark is over the weakest step; a click goes there'
-    return f'<div style="margin:0 1em">{"".join(texts)}<div style="font-size:11px">{ends}</div></div>'
+    hint = f'<div class="falsework-hint" style="font-size:11px">{ends}</div>'
+    return f'<div style="margin:0 1em">{"".join(texts)}{hint}</div>'
 
 
 def weakness(kind: str, values: tuple[float | None, ...], friction: float) -> np.ndarray:

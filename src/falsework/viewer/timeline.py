@@ -99,6 +99,7 @@ class Timeline:
         states = np.concatenate([self.states[:place], plan.states])
         presses = (*(self.presses or ((),) * len(self))[:place], *(plan.presses or ((),) * len(plan)))
         known = self.verdicts or (Verdict.UNDECIDED,) * len(self.states)
+        loads = (*(self.loads or ((),) * len(self.states))[:place], *(plan.loads or ((),) * len(plan.states)))
         return replace(
             self,
             states=states,
@@ -107,7 +108,18 @@ class Timeline:
             robots=plan.robots,
             presses=presses if any(presses) else (),
             verdicts=(*known[:place], *plan.verdicts),
+            loads=loads if any(loads) else (),
         )
+
+    def with_places(self, assembly: Assembly) -> Timeline:
+        """Return the same steps of a structure with more places for props, as its last parts, which they do not use."""
+        more = assembly.part_count - self.assembly.part_count
+        if not more:
+            return self
+        states, parts = np.pad(self.states, ((0, 0), (0, more))), self.assembly.part_count
+        who = np.pad(self.holders, ((0, 0), (0, more)), constant_values=NO_ROBOT)
+        actions = np.where(self.actions >= parts, self.actions + more, self.actions)
+        return replace(self, assembly=assembly, states=states, actions=actions, holders=who)
 
     def turned(self, direction: Direction) -> Timeline:
         """Return the same, shown in the order of assembly or disassembly."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import tracemalloc
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,14 @@ import pytest
 
 pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'falsework[robots]'")
 
+from falsework.assembly import HELD
 from falsework.cli.main import main
 from falsework.cli.robot_reports import schedule_text
 from falsework.robots import interruption
+from falsework.robots.plans.robot_plan import acts
 from falsework.robots.plans.robot_plan_file import load_robot_plan
+from falsework.search.plans.steps import NO_ROBOT
+from falsework.viewer.viewable import viewable_of
 from tests.robots.cells.cell_texts import REACHING as CELL
 
 STACK = "stack:blocks=2,length=0.3,height=0.15,depth=0.3"
@@ -467,8 +472,41 @@ def test_go_on_from_an_interruption(run: Callable, cell_file: Path, tmp_path: Pa
         np.testing.assert_array_equal(made.states[0], now.state)
         np.testing.assert_array_equal(made.states[-1], plan.states[-1])
         np.testing.assert_allclose(made.keyframes[0].configurations[0], now.configurations[0], atol=1e-9)
+        assert [str(one) for one in made.plan.steps[: now.done]] == [str(one) for one in plan.plan.steps[: now.done]]
+        assert [made.number(step) for step in range(len(made)) if acts(made.steps[step])] == list(
+            range(now.done + 1, len(plan.plan) + 1)
+        )
         code, _, error = run("robots", "check", rest, "--motions-only")  # finds structure and cell from where it lies
         assert code == 0, error
+
+
+@pytest.mark.parametrize("order", ["assembly", "disassembly"])
+def test_steps_count_on_from_those_that_are_done(run: Callable, cell_file: Path, tmp_path: Path, order: str) -> None:
+    """Of a plan that goes on, too; each step that is done has its robot, and places in the plan have their times."""
+    plan, files = ("robots", "plan"), [tmp_path / f"{name}.json" for name in ("first", "second", "third")]
+    assert run(*plan, STACK, "--cell", cell_file, "--order", order, "--sequential", "--out", files[0])[0] == 0
+    first = load_robot_plan(files[0])
+    for old, new in pairwise(files):
+        middle = 0.4 * load_robot_plan(old).makespan
+        code, _, error = run(*plan, "--from", old, "--at", f"{middle:.2f}s", "--order", order, "--out", new)
+        assert code == 0, error
+        made = load_robot_plan(new)
+        done = len(made.done_by)
+        assert len(made.plan) == len(first.plan)
+        steps = [
+            [(step.number, step.words) for step in one.plan.in_order(made.direction)[:done]] for one in (made, first)
+        ]
+        assert steps[0] == steps[1]
+        assert made.reverse().reverse().rows.tolist() == made.rows.tolist()
+        shown = viewable_of(new)
+        assert shown.arms is not None
+        assert (shown.timeline.states == made.plan.states).all()
+        held = (shown.timeline.states == HELD) & ~made.plan.boundary
+        np.testing.assert_array_equal(shown.arms.holders() != NO_ROBOT, held)
+        for place in range(len(made.plan) + 1):
+            assert len(shown.arms.at(float(place)).poses) == len(shown.arms.links)
+        assert run("robots", "check", new)[0] == 0
+    assert len(load_robot_plan(files[2]).done_by) >= len(load_robot_plan(files[1]).done_by) > 0
 
 
 @pytest.mark.parametrize(
@@ -479,6 +517,8 @@ def test_go_on_from_an_interruption(run: Callable, cell_file: Path, tmp_path: Pa
         (("--at", "1000s"), "; give an earlier time"),
         (("--at", "2s", "--joints", "arm=home"), "leave out --joints"),
         (("--at", "2s", "--state", "empty", "--holding", "arm=0"), "leave out --state and --holding"),
+        (("--at", "0.5s", "--missing", "block-0"), "part block-0 is said to be missing, yet it is in the gripper"),
+        (("--at", "2s", "--missing", "0"), "part block-0 is said to be missing, yet it is in place"),
         (("--at", "2s", "--order", "disassembly"), "is a plan of assembly; go on in that order"),
         (("STRUCTURE", "--at", "2s"), "the robot plan is for another"),
         (("NO PLAN", "--at", "2s"), "there is no robot plan file"),

@@ -168,7 +168,7 @@ def _put(data: dict[str, Any], value: Any, *path: Any) -> None:
 DAMAGE: list[tuple[Callable[[dict[str, Any]], None], str]] = [
     (lambda data: _put(data, "falsework.robot-plan/9", "format"), "reads 'falsework.robot-plan/3' only"),
     (lambda data: _cut(data, "cell", "identity"), "cell.identity is missing; it may be damaged"),
-    (lambda data: _put(data, 1, "extra"), "extra is not known; known are cell, direction,"),
+    (lambda data: _put(data, 1, "extra"), "extra is not known; known are after, before, cell, direction,"),
     (lambda data: _cut(data, "keyframes", 0), "do not match a plan of"),
     (lambda data: _put(data, 2, "plan", "rules", "parts_at_once"), "robot plans move one part at a time"),
     (lambda data: _put(data, 5, "steps", 0, "robot"), "robot is 5"),

@@ -26,14 +26,7 @@ from falsework.robots.checks.schedule import check_schedule
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.plans.grip_loads import GripLoad, grip_loads, overloads
-from falsework.robots.plans.loads import (
-    Load,
-    load_of,
-    loads_at,
-    loads_beside,
-    put_down_fault,
-    transit_fault,
-)
+from falsework.robots.plans.loads import Load, load_of, loads_at, loads_beside, step_fault
 from falsework.robots.plans.motion_limits import OUTSIDE, check_limits
 from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.presses import press_fault
@@ -166,7 +159,7 @@ class _Checker:
         if removes:
             present = present.copy()
             present[part] = False
-        if fault := self.plan.fault(index) or put_down_fault(self.plan, index) or transit_fault(self.plan, index):
+        if fault := step_fault(self.plan, index):
             self.say(index, robot, fault)
             if step.transit:
                 return
@@ -223,7 +216,7 @@ class _Checker:
         """
         step, removes = self.plan.steps[index], self._action(index)[1]
         robot = step.robot
-        if step.transit:  # of which `transit_fault` has checked the parts
+        if step.transit:  # of which `step_fault` has checked the parts
             if trajectory.touches is not None and trajectory.kind != "line":
                 self.say(index, robot, f"motion {order + 1} may not touch part {trajectory.touches}")
             return

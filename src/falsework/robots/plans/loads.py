@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import REMOVED
+from falsework.assembly.state import HELD, REMOVED
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.search.problem.task import Direction
 
@@ -113,6 +113,39 @@ def lying_motions(plan: RobotPlan, step: int) -> range:
         return range(0)
     empty = [number for number, trajectory in enumerate(entry.trajectories) if trajectory.part is None]
     return range(empty[0], empty[-1] + 1) if empty else range(0)
+
+
+def step_fault(plan: RobotPlan, step: int) -> str:
+    """Return why a step is not the half of a hand-over, the action with a part put down, or the transit that it says.
+
+    Empty if nothing is wrong.
+    """
+    return hand_over_fault(plan, step) or put_down_fault(plan, step) or transit_fault(plan, step)
+
+
+def hand_over_fault(plan: RobotPlan, step: int) -> str:
+    """Return why a step is not half of a hand-over, though it says so; empty if it is one, or does not say so."""
+    entry, part = plan.steps[step], plan.steps[step].hands_over
+    if part is None:
+        return ""
+    name, before, after = plan.plan.part_names[part], plan.keyframes[step].held, plan.keyframes[step + 1].held
+    if plan.states[step][part] != HELD or part not in before:
+        return f"{name} is handed over although it is not held"
+    mine, others = before[entry.robot], sum(held == part for held in before) - (before[entry.robot] == part)
+    if mine is not None and mine != part:
+        return f"{name} is handed over to a robot that holds {plan.plan.part_names[mine]}"
+    if not others:
+        return f"{name} is left before another robot holds it"
+    others_stay = all(k == entry.robot or old == new for k, (old, new) in enumerate(zip(before, after, strict=True)))
+    if after[entry.robot] != (part if mine is None else None) or not others_stay:
+        return f"one robot must take {name} over or leave it, and no other held part change"
+    # The other half: left at once after it was taken over, and taken over just before it is left.
+    other = step + 1 if mine is None else step - 1
+    if not 0 <= other < len(plan.steps) or plan.steps[other].hands_over != part:
+        return f"{name} is held by two robots other than between the two steps of a hand-over"
+    if plan.steps[other].robot == entry.robot or others > 1:
+        return f"{name} is not left by the robot that held it before"
+    return ""
 
 
 def put_down_fault(plan: RobotPlan, step: int) -> str:

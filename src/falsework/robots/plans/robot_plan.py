@@ -215,12 +215,17 @@ class RobotPlan(Displayed):
     """Schedule of simultaneous motions; None: one after the other."""
     direction: Direction = Direction.ASSEMBLY
     """Order in which the motions are executed, and keyframes and steps are listed."""
+    before: tuple[int, ...] = ()
+    """Robots of the first steps of the plan, in the order of assembly, that have no motions: they were done before, by
+    the plan that this one goes on from."""
+    after: tuple[int, ...] = ()
+    """The same of its last steps: they were undone before, in disassembly."""
 
     def __post_init__(self) -> None:
         if self.plan.parts_at_once > 1:
             raise PlanError("robot plans move one part at a time, but the plan moves several in one step; plan again")
         actions = sum(acts(step) for step in self.steps)
-        if len(self.keyframes) != len(self.steps) + 1 or actions != len(self.plan):
+        if len(self.keyframes) != len(self.steps) + 1 or actions != len(self.plan) - len(self.before) - len(self.after):
             raise PlanError(
                 f"{len(self.keyframes)} keyframes and {len(self.steps)} steps, {len(self.steps) - actions} of them "
                 f"hand-overs or transits, do not match a plan of {len(self.plan)} actions; plan again"
@@ -242,7 +247,12 @@ class RobotPlan(Displayed):
     @cached_property
     def done(self) -> NDArray[np.int64]:
         """Number of actions executed before each keyframe, shape (keyframes,)."""
-        return np.cumsum([0, *(acts(step) for step in self.steps)])
+        return np.cumsum([len(self.done_by), *(acts(step) for step in self.steps)])
+
+    @property
+    def done_by(self) -> tuple[int, ...]:
+        """Robots of the actions that were executed before the first keyframe, in their order."""
+        return self.before if self.direction is Direction.ASSEMBLY else self.after[::-1]
 
     def number(self, step: int) -> int:
         """Return the number of the plan's step that a step executes; if it has none, of the last one that has."""
@@ -260,7 +270,8 @@ class RobotPlan(Displayed):
         Shape (steps,).
         """
         found = np.array([-1 if step.hands_over is None else step.hands_over for step in self.steps], dtype=np.int64)
-        found[np.diff(self.done) > 0] = self.plan.actions[:: 1 if self.direction is Direction.ASSEMBLY else -1]
+        own = self.plan.actions[len(self.before) : len(self.plan) - len(self.after)]
+        found[np.diff(self.done) > 0] = own if self.direction is Direction.ASSEMBLY else own[::-1]
         return found
 
     @property
@@ -303,32 +314,6 @@ class RobotPlan(Displayed):
         others = [k for k, part in enumerate(held) if part == entry.hands_over and k != entry.robot]
         other = " and ".join(self.robots[k].name for k in others) or "no robot"
         return f"take {name} over from {other}" if self.grip(step) == "close" else f"leave {name} to {other}"
-
-    def fault(self, step: int) -> str:
-        """Return why a step is not half of a hand-over, though it says so; empty if it is one, or does not say so."""
-        entry, part = self.steps[step], self.steps[step].hands_over
-        if part is None:
-            return ""
-        name, before, after = self.plan.part_names[part], self.keyframes[step].held, self.keyframes[step + 1].held
-        if self.states[step][part] != HELD or part not in before:
-            return f"{name} is handed over although it is not held"
-        mine, others = before[entry.robot], sum(held == part for held in before) - (before[entry.robot] == part)
-        if mine is not None and mine != part:
-            return f"{name} is handed over to a robot that holds {self.plan.part_names[mine]}"
-        if not others:
-            return f"{name} is left before another robot holds it"
-        others_stay = all(
-            k == entry.robot or old == new for k, (old, new) in enumerate(zip(before, after, strict=True))
-        )
-        if after[entry.robot] != (part if mine is None else None) or not others_stay:
-            return f"one robot must take {name} over or leave it, and no other held part change"
-        # The other half: left at once after it was taken over, and taken over just before it is left.
-        other = step + 1 if mine is None else step - 1
-        if not 0 <= other < len(self.steps) or self.steps[other].hands_over != part:
-            return f"{name} is held by two robots other than between the two steps of a hand-over"
-        if self.steps[other].robot == entry.robot or others > 1:
-            return f"{name} is not left by the robot that held it before"
-        return ""
 
     def describe(self, step: int) -> str:
         """Describe a step, such as `left: remove keystone (3.1 s)`."""

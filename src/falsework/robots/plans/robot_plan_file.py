@@ -12,7 +12,7 @@ from msgspec import convert, to_builtins
 from numpy.typing import NDArray
 
 from falsework.errors import PlanError
-from falsework.robots.plans.loads import put_down_fault, transit_fault
+from falsework.robots.plans.loads import step_fault
 from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Trajectory
 from falsework.robots.plans.robot_plan_model import (
     FORMAT,
@@ -113,6 +113,8 @@ def robot_plan_to_dict(plan: RobotPlan) -> dict[str, Any]:
         "steps": steps,
         "schedule": None if plan.schedule is None else _schedule_to_dict(plan.schedule),
         "statistics": plan.statistics,
+        "before": plan.before,
+        "after": plan.after,
     }
     return to_builtins(convert(file, RobotPlanFile))
 
@@ -200,6 +202,8 @@ class _Reader:
             cell_source=cell.source,
             statistics=file.statistics,
             direction=Direction(file.direction),
+            before=self._robots("before"),
+            after=self._robots("after"),
         )
         self._joins(made)
         return made if file.schedule is None else replace(made, schedule=self._schedule(file.schedule, made))
@@ -233,6 +237,12 @@ class _Reader:
         if data.lower_bound > graph.makespan + _TIMES:
             self._fail(f"schedule.lower_bound is {data.lower_bound:g}, above its makespan of {graph.makespan:g} s")
         return graph
+
+    def _robots(self, key: str) -> tuple[int, ...]:
+        robots = tuple(getattr(self._file, key))
+        if any(robot >= len(self._joints) for robot in robots):
+            self._fail(f"{key} has a robot beyond {len(self._joints) - 1}")
+        return robots
 
     def _robot(self, data: RecordedRobotEntry, place: str) -> RobotRecord:
         base, tool = (self._array(getattr(data, key), (4, 4), f"{place}.{key}") for key in ("base", "tool"))
@@ -281,7 +291,7 @@ class _Reader:
         """Check hand-overs, parts put down, and that trajectories lead from a keyframe to the next without jumps."""
         for index, (before, after) in enumerate(pairwise(plan.keyframes)):
             step, place = plan.steps[index], f"step {index + 1} ({plan.does(index)})"
-            if fault := plan.fault(index) or put_down_fault(plan, index) or transit_fault(plan, index):
+            if fault := step_fault(plan, index):
                 self._fail(f"{place}: {fault}")
             values = before.configurations[step.robot]
             for trajectory in step.trajectories:

@@ -139,6 +139,11 @@ class RobotPlanFile(FileModel, frozen=True):
     schedule: ScheduleEntry | None
     """What may take place at the same time; null: one motion after the other."""
     statistics: dict[str, Any]
+    before: list[Index] = []
+    """Robots of the first steps of the plan, in the order of assembly, that have no motions, since they were done
+    before: the plan goes on from another one."""
+    after: list[Index] = []
+    """The same of its last steps, which were undone before, in disassembly."""
 
 
 def robot_plan_schema() -> dict[str, Any]:

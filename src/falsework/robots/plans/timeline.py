@@ -171,6 +171,8 @@ class Interruption:
     """The part that each arm holds in place, or carries."""
     gripped: tuple[Array | None, ...]
     """For each arm that carries a part, the configuration in which it would hold it at its place."""
+    done: int
+    """Actions of the plan that are done."""
 
 
 def interruption(plan: RobotPlan, seconds: float) -> Interruption:
@@ -200,4 +202,4 @@ def interruption(plan: RobotPlan, seconds: float) -> Interruption:
         load = load_at_rest(plan, robot, *places)
         if load is not None:
             held[robot], grips[robot] = load.part, load.grip
-    return Interruption(plan.states[row], tuple(configurations), tuple(held), tuple(grips))
+    return Interruption(plan.states[row], tuple(configurations), tuple(held), tuple(grips), int(plan.done[row]))

@@ -125,7 +125,8 @@ class Task:
             contacts: pairs of parts in contact, shape (pairs, 2).
             identity: hash of the structure.
             allow_regrasp: let parts be held again.
-            props: part above each prop; the last parts of the structure are props, absent from start and target.
+            props: part above each prop; the last parts of the structure are props, absent from a start or target that
+                is not given.
             prop_limit: props that may be in place at a time.
             together: rule on several parts in one step; needs `clearance`.
 
@@ -165,9 +166,11 @@ class Task:
                     f"part {part} is missing but already in place where assembly starts; take it out of that state, or "
                     "out of the missing parts"
                 )
-        _check_order(first, last, allow_regrasp)
+        immovable = boundary.copy()
+        immovable[len(boundary) - len(props) :] = True
+        _check_order(first, last, immovable, allow_regrasp)
         for name, state in (("start", first), ("target", last)):
-            held = int(held_count(state[None], boundary)[0])
+            held = int(held_count(state[None], immovable)[0])
             if held > robots:
                 raise StateError(
                     f"the {name} state has {counted(held, 'part')} held; {counted(robots, 'robot')} can hold {robots}"
@@ -194,7 +197,9 @@ class Task:
     @cached_property
     def steps(self) -> int:
         """Number of steps of every plan."""
-        return int(STAGE[self.target].sum() - STAGE[self.start].sum())
+        parts = self.part_count - len(self.props)
+        props = int((self.target[parts:] != self.start[parts:]).sum())
+        return int(STAGE[self.target[:parts]].sum() - STAGE[self.start[:parts]].sum()) + props
 
     def judged_by(self, oracle: object) -> Task:
         """Return the same task with the moves that need no verdict under the criterion of an oracle."""
@@ -360,8 +365,9 @@ def _part_numbers(parts: Sequence[int], boundary: Mask, name: str, *, boundary_a
     return tuple(sorted(numbers))
 
 
-def _check_order(start: States, target: States, allow_regrasp: bool) -> None:
-    backwards = np.flatnonzero((STAGE[target] < STAGE[start]) & ((start == REMOVED) | (not allow_regrasp)))
+def _check_order(start: States, target: States, immovable: Mask, allow_regrasp: bool) -> None:
+    earlier = (STAGE[target] < STAGE[start]) & ~immovable  # props come and go
+    backwards = np.flatnonzero(earlier & ((start == REMOVED) | (not allow_regrasp)))
     if len(backwards) == 0:
         return
     part = int(backwards[0])

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, complete_state, empty_state
+from falsework.assembly.props import whole_state
+from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, empty_state
 from falsework.errors import InputError
-from falsework.replanning.plan_diff import difference
+from falsework.replanning.since import SiteSteps
 from falsework.search.problem.task import Direction
-from falsework.utils.quantity import counted
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
-    from falsework.replanning.result import ReplanResult
-    from falsework.search.plans.plan import Plan
 
 
 class ClickMode(StrEnum):
@@ -27,6 +26,7 @@ class ClickMode(StrEnum):
     MISSING = "mark as missing"
     THERE = "mark as already there"
     HOLD = "hold or release with a robot"
+    PROP = "place a prop under it"
     FIXED = "mark as not to be touched"
     TARGET = "add to or remove from the target"
 
@@ -41,26 +41,42 @@ class Disruption:
     """Parts that have been placed already."""
     turned: frozenset[int] = frozenset()
     """Parts that are held although the plan has released them, or the other way round."""
+    props: frozenset[int] = frozenset()
+    """Parts under which props have been placed that the plan does not have."""
     fixed: frozenset[int] = frozenset()
     """Parts that are not to be touched."""
     target: frozenset[int] = frozenset()
     """Parts whose target differs from the default: in assembly they are left out, in disassembly they stay."""
     robots: int = 2
 
-    def toggled(self, tool: ClickMode, part: int, assembly: Assembly) -> Disruption:
+    def toggled(self, tool: ClickMode, part: int, assembly: Assembly, state: States) -> Disruption:
         """Return the same disruption with one mark set, or removed if it was set.
 
+        Args:
+            tool: kind of mark.
+            part: marked part.
+            assembly: the structure.
+            state: state that the plan has reached, shape (parts,).
+
         Raises:
-            InputError: the part is boundary, which cannot be marked.
+            InputError: the part never changes, or it is not there to be held or propped.
         """
         if tool is ClickMode.LOOK:
             return self
+        name = assembly.names[part]
         if assembly.boundary[part]:
-            raise InputError(f"{assembly.names[part]} is boundary, which never changes; click another part")
+            raise InputError(f"{name} is boundary, which never changes; click another part")
+        if assembly.immovable[part]:
+            raise InputError(f"{name} is a prop, which the plan places and takes away; click another part")
+        if tool in (ClickMode.HOLD, ClickMode.PROP) and self.applied_to(state, assembly)[part] == REMOVED:
+            raise InputError(f"{name} is not there yet; click a part that is")
+        if tool is ClickMode.PROP and state[[*prop_parts(assembly, part)]].any():
+            raise InputError(f"a prop stands under {name} already; click another part")
         field = {
             ClickMode.MISSING: "missing",
             ClickMode.THERE: "there",
             ClickMode.HOLD: "turned",
+            ClickMode.PROP: "props",
             ClickMode.FIXED: "fixed",
             ClickMode.TARGET: "target",
         }[tool]
@@ -80,15 +96,33 @@ class Disruption:
     @property
     def changes_state(self) -> bool:
         """Whether the state on site differs from that of the plan."""
-        return bool(self.missing or self.there or self.turned)
+        return bool(self.missing or self.there or self.turned or self.props)
 
-    def applied_to(self, state: States) -> States:
-        """Return the state on site, with the parts that are there and held according to the marks; shape (parts,)."""
+    def found(self, state: States) -> States:
+        """Return the state with the parts that are there according to the marks, whoever holds them; shape (parts,)."""
         site = state.copy()
         site[list(self.missing)] = REMOVED
         for part in self.there:
             if site[part] == REMOVED:
                 site[part] = INSTALLED
+        return site
+
+    def since(self, state: States) -> SiteSteps:
+        """Return what has been done since a state of the plan, shape (parts,), was reached."""
+        held = tuple(part for part in sorted(self.turned) if state[part] == INSTALLED)
+        released = tuple(part for part in sorted(self.turned) if state[part] == HELD)
+        return SiteSteps(tuple(sorted(self.props)), held, released)
+
+    def applied_to(self, state: States, assembly: Assembly) -> States:
+        """Return the state on site according to the marks, shape (parts,).
+
+        Args:
+            state: state that the plan has reached, shape (parts,).
+            assembly: the structure, with places for the props.
+        """
+        site = self.found(state)
+        for part in self.props:
+            site[[*prop_parts(assembly, part)]] = HELD
         for part in self.turned:
             if site[part] != REMOVED:
                 site[part] = INSTALLED if site[part] == HELD else HELD
@@ -103,14 +137,14 @@ class Disruption:
             direction: whether parts are being added or removed.
         """
         missing = self.missing
+        site = self.applied_to(state, assembly)
         if direction is Direction.ASSEMBLY:
-            site = self.applied_to(state)
-            target = complete_state(assembly.boundary)
+            target = whole_state(assembly)
             target[list(self.target)] = REMOVED
             missing = frozenset(part for part in missing if target[part] != REMOVED)
         else:
             # Disassembly cannot wait for a delivery: a missing part is simply absent.
-            site, missing = self.applied_to(state), frozenset()
+            missing = frozenset()
             target = empty_state(assembly.boundary)
             kept = [part for part in self.target if site[part] != REMOVED]
             target[kept] = site[kept]
@@ -132,6 +166,7 @@ class Disruption:
             ("missing", self.missing),
             ("already there", self.there),
             ("held or released", self.turned),
+            ("a prop under", self.props),
             ("not to be touched", self.fixed),
             ("target changed", self.target),
         ):
@@ -140,47 +175,10 @@ class Disruption:
         return "; ".join(texts)
 
 
-@dataclass(frozen=True, eq=False)
-class NewPlan:
-    """Result of a replanning request."""
-
-    found: bool
-    words: str
-    """Deciding stage, time taken, when late parts are needed, and differences from the old plan; or the reason for
-    none."""
-    seconds: float
-    decided_by: str
-    plan: Plan | None = None
-
-
-def new_plan(answer: ReplanResult, seconds: float, old: Plan | None, before: int) -> NewPlan:
-    """Describe the answer to a request.
-
-    Args:
-        answer: of the replanner.
-        seconds: that it took.
-        old: plan that was shown before.
-        before: steps that are done and not in the new plan, with which its numbers go on.
-    """
-    decided = answer.decided_by.value
-    if answer.value is None:
-        kind = "there is no plan" if answer.outcome.value == "proved_impossible" else "no plan was found"
-        return NewPlan(False, f"{kind} ({seconds:.2f} s, {decided}): {answer.reason}", seconds, decided)
-    plan = answer.value
-    texts = [f"{len(plan) - answer.built} steps in {seconds:.2f} s, decided by {decided}."]
-    placed = int((plan.actions[: answer.built] >= len(plan.boundary)).sum())
-    for need in plan.needs:
-        name, others = plan.part_names[need.part], need.after_parts - placed
-        after = f"after {counted(others, 'other part')}" if others else "before any other part"
-        texts.append(f"{name} is needed at step {before + need.after_steps + 1}, {after}.")
-    if old is None:
-        texts.append("There was no plan before.")
-    else:
-        text = difference(old, plan, answer.direction).text
-        texts.append(f"{text[:1].upper()}{text[1:]}.")
-        if plan.source is None:
-            plan = replace(plan, source=old.source)
-    return NewPlan(True, " ".join(texts), seconds, decided, plan)
+def prop_parts(assembly: Assembly, part: int) -> Iterator[int]:
+    """Yield the props that stand under a part where they are in place, which are parts too."""
+    first = assembly.part_count - len(assembly.props)
+    yield from (first + number for number, prop in enumerate(assembly.props) if prop.part == part)
 
 
 def chance_of_parts(probabilities: np.ndarray) -> np.ndarray:

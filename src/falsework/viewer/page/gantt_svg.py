@@ -53,7 +53,7 @@ def gantt_svg(plan: RobotPlan) -> str:
         f'<div style="margin:0 1em"><svg class="falsework-gantt" viewBox="0 0 {_WIDTH:.0f} {base + _AXIS:.0f}" '
         f'style="display:block;width:100%;height:auto" role="img" aria-label="when the arms move">{"".join(rows)}'
         f'<rect class="falsework-now" x="0" y="0" width="1.5" height="{base:.0f}" fill="{INK}"/></svg>'
-        f'<div style="font-size:11px">seconds; {KEY}; a click goes there</div></div>'
+        f'<div class="falsework-hint" style="font-size:11px">seconds; {KEY}; a click goes there</div></div>'
     )
 
 

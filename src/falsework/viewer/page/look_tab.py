@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from falsework.viewer.appearance import Axis, SceneView
+from falsework.viewer.appearance import SceneView
 from falsework.viewer.arrows import PRESSES, Arrows, arrows_of_step
 from falsework.viewer.page.page_text import about_text, legend_text
 from falsework.viewer.pictures.picture import png_of
+from falsework.viewer.section import Axis
 
 if TYPE_CHECKING:
     import numpy as np
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 FORCES = ("contact forces", "friction", "gravity")
 """Kinds of arrows for which the proof of a state is asked."""
 _MOTIONS = ("motion", "sliding")
-_SECTIONS: dict[str, Axis] = {"none": "", "along x": "x", "along y": "y", "along z": "z"}
+_SECTIONS: dict[str, Axis | None] = {"none": None, "across x": "x", "across y": "y", "across z": "z"}
 
 
 class LookTab:
@@ -49,10 +50,10 @@ class LookTab:
         self.explode = gui.add_slider("Apart", min=0.0, max=1.0, step=0.05, initial_value=0.0)
         self.explode.on_update(lambda event: page.guard(event, self._viewed))
         self._axis = gui.add_dropdown(
-            "Section", tuple(_SECTIONS), hint="Hides parts whose middle is beyond a plane; no part is cut."
+            "Section", tuple(_SECTIONS), hint="Cuts the structure by a plane across an axis."
         )  # fmt: skip
         self._axis.on_update(lambda event: page.guard(event, self._viewed))
-        self._keep = gui.add_slider("Section at", min=0.0, max=1.0, step=0.01, initial_value=0.5, visible=False)
+        self._keep = gui.add_slider("Section leaves", min=0.0, max=1.0, step=0.01, initial_value=0.5, visible=False)
         self._keep.on_update(lambda event: page.guard(event, self._viewed))
         self._shot = gui.add_button("Screenshot")
         self._shot.on_click(lambda event: page.guard(event, lambda: self._taken(event)))
@@ -105,7 +106,7 @@ class LookTab:
 
     def _viewed(self) -> None:
         axis = _SECTIONS[self._axis.value]
-        self._keep.visible = bool(axis)
+        self._keep.visible = axis is not None
         self._page.model.view = SceneView(self.explode.value, axis, self._keep.value)
         self._page.refresh()
 

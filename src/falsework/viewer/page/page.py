@@ -18,6 +18,7 @@ from falsework.utils.files.printable import printable
 from falsework.viewer.page.files_tab import FilesTab
 from falsework.viewer.page.graph_tab import add_graph_tab
 from falsework.viewer.page.look_tab import LookTab
+from falsework.viewer.page.page_text import labels_of
 from falsework.viewer.page.play_panel import PlayPanel
 from falsework.viewer.page.recording import record, save_page
 from falsework.viewer.page.scene import ViserScene
@@ -38,6 +39,7 @@ body:has(div[style*="pointer-events: none"] .falsework-alive)::before {
 @media (max-width: 36em) {
   div[style*="position: fixed"][style*="max-height: 60%"] { width: 100% !important; max-height: 45% !important; }
   div[style*="position: fixed"][style*="max-height: 60%"] div[style="width: 20em;"] { width: 100% !important; }
+  .falsework-hint { display: none; }
 }</style>"""
 """A note shown by the style sheet alone, since viser only disables the controls when it loses the server; and controls
 across the lower half of a phone."""
@@ -134,6 +136,9 @@ class Page:
     def refresh(self) -> None:
         """Update scene and texts from the model."""
         with self._lock, self.server.atomic():
+            if self.scene.assembly is not self.model.assembly:  # with other places for props
+                self.server.scene.reset()
+                self._set_scene()
             self.look.update()
             self.play.update()
             self.site.update()
@@ -187,10 +192,9 @@ class Page:
     def _fill(self, model: ViewerState) -> None:
         gui = self.server.gui
         self.model = model
-        self.scene = ViserScene(self.server.scene, model.timeline)
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="large", brand_color=(0, 114, 178))
         gui.set_panel_label(f"falsework: {printable(model.assembly.name)}")
-        set_stage(self.server, self.scene, model.arms, aside=True)
+        self._set_scene()
         gui.add_html(_STYLE)
         with self.quiet():
             self.play = PlayPanel(gui, self)
@@ -210,10 +214,15 @@ class Page:
                 self.files = FilesTab(gui, self)
         self.refresh()
 
+    def _set_scene(self) -> None:
+        self.scene = ViserScene(self.server.scene, self.model.timeline)
+        set_stage(self.server, self.scene, self.model.arms, aside=True)
+
     def _draw(self) -> None:
-        model = self.model
+        model, marks = self.model, self.model.disruption
         appearance = model.appearance()
-        self.scene.show(appearance, missing=model.disruption.missing, pale=model.pale, labels=model.labels(appearance))
+        labels, plane = labels_of(model, appearance), model.view.plane(model.assembly)
+        self.scene.show(appearance, missing=marks.missing, pale=model.pale, labels=labels, plane=plane)
         self.scene.show_arms(model.arms, model.arm_poses(), seen=self.look.arms)
 
     def _clicked(self, event: Any) -> None:

@@ -8,7 +8,9 @@ import numpy as np
 
 from falsework.assembly.state import HELD
 from falsework.search.plans.steps import NO_ROBOT
+from falsework.search.problem.task import Direction
 from falsework.stability.holds import describe_force
+from falsework.viewer.appearance import Appearance
 from falsework.viewer.arrows import KINDS, Arrows
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.palette import BOUNDARY, FIXED, INSTALLED, MISSING, RAMP, ROBOTS, SELECTED, SLIDING, robot_color
@@ -40,6 +42,33 @@ def marked_text(model: ViewerState) -> str:
     """Describe the parts marked as missing, already there or not to be touched."""
     words = model.disruption.words(model.assembly)
     return f"Marked {markdown_text(words)}." if words else ""
+
+
+def labels_of(model: ViewerState, appearance: Appearance) -> dict[int, str]:
+    """Return short labels of parts: holder, press, selection and marks."""
+    labels = {
+        int(part): model.robot_name(int(appearance.holder[part]))
+        for part in np.flatnonzero((appearance.holder != NO_ROBOT) & (appearance.opacity > 0))
+    }
+    for load in model.timeline.loads_at(model.step):
+        if load.part in labels:
+            labels[load.part] += f" bears {describe_force(load.force)}"
+    for press in model.timeline.presses_at(model.step):
+        if press.part in labels:
+            labels[press.part] += f" presses {describe_force(press.force)}"
+    if model.selected is not None:
+        name = model.assembly.names[model.selected]
+        labels[model.selected] = f"{name}, {labels[model.selected]}" if model.selected in labels else name
+    for word, parts in (
+        ("missing", model.disruption.missing),
+        ("there", model.disruption.there),
+        ("fixed", model.disruption.fixed),
+        ("prop", model.disruption.props),
+        ("not in target" if model.direction is Direction.ASSEMBLY else "stays", model.disruption.target),
+    ):
+        for part in parts:
+            labels[part] = f"{labels[part]}, {word}" if part in labels else word
+    return labels
 
 
 def about_text(model: ViewerState) -> str:

@@ -121,7 +121,7 @@ class PlayPanel:
             self.pause()
         elif len(model.timeline):
             if model.at_end:
-                model.go_to(model.timeline.begin)
+                model.rewind()
             self.playing.set()
             self._button.label = "Pause"
 

@@ -22,13 +22,14 @@ from falsework.utils.files.printable import printable
 from falsework.utils.quantity import counted
 from falsework.viewer.appearance import Appearance
 from falsework.viewer.arrows import Arrows, arrows_of_step
-from falsework.viewer.page.page_text import legend_text
+from falsework.viewer.page.page_text import labels_of, legend_text
 from falsework.viewer.page.scene import ViserScene
 from falsework.viewer.page.stage import set_stage
 from falsework.viewer.page.step_list import step_list
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.palette import INK, rgb
 from falsework.viewer.pictures.contact_sheet import caption
+from falsework.viewer.section import Plane
 from falsework.viewer.web.content_policy import policy_of
 from falsework.viewer.web.markup import html_text
 from falsework.viewer.web.origin_guard import OriginGuard, import_viser, start_server
@@ -50,6 +51,12 @@ _PANEL = (
     "overflow:auto;background:rgba(255,255,255,0.9);border:1px solid #ccc;border-radius:4px;padding:0.4em 0.7em;"
     f"font:14px sans-serif;color:{INK}"
 )
+_UPRIGHT = """<style>@media (max-aspect-ratio: 3/4) {
+#root { height: 110vw !important; }
+.falsework-panel { top: 112vw !important; left: 0; right: 0 !important; max-width: none !important;
+max-height: calc(100vh - 113vw) !important; }
+}</style>"""
+"""On a phone held upright the scene is about as high as wide, so that all of it is seen, and the list below it."""
 
 
 class RecordedScene(ViserScene):
@@ -79,8 +86,9 @@ class RecordedScene(ViserScene):
         missing: Iterable[int] = (),
         pale: Iterable[int] = (),
         labels: Mapping[int, str] | None = None,
+        plane: Plane | None = None,
     ) -> int:
-        """Update the parts; see `ViserScene.show`, but nothing is missing or pale in a recording."""
+        """Update the parts; see `ViserScene.show`, but nothing is missing, pale or cut in a recording."""
         before, now = self._opacities, appearance.opacity
         dyed = (appearance.color != self._colors).any(axis=1)
         shifted = (appearance.shift != self._shifts).any(axis=1)
@@ -202,7 +210,7 @@ def save_page(shown: Viewable | ViewerState, path: Path | str) -> None:
 def _frame(model: ViewerState, scene: RecordedScene, title: Any) -> dict[str, Arrows]:
     """Update the scene to the present reading, and return the arrows in it."""
     appearance = model.appearance()
-    scene.show(appearance, labels=model.labels(appearance))
+    scene.show(appearance, labels=labels_of(model, appearance))
     scene.show_arms(model.arms, model.arm_poses())
     arrows = arrows_of_step(model.timeline, model.step)
     moved, words = {}, ""
@@ -226,7 +234,8 @@ def _panel(model: ViewerState, shown: dict[str, Arrows]) -> str:
     about = counted(model.assembly.part_count, "part") + (f", {counted(steps, 'step')}" if steps else "")
     inside = legend_text(model, shown) + (step_list(model.timeline, names=model.robot_name) if steps else "")
     return (
-        f"<div style='{_PANEL}'><details><summary><b>{html_text(model.assembly.name)}</b>, {about}</summary>"
+        f"{_UPRIGHT}<div class='falsework-panel' style='{_PANEL}'>"
+        f"<details><summary><b>{html_text(model.assembly.name)}</b>, {about}</summary>"
         f"{inside}</details></div>"
     )
 

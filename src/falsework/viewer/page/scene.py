@@ -20,6 +20,7 @@ from falsework.viewer.appearance import Appearance, bounds_of, diagonal
 from falsework.viewer.arms import ArmPoses, Arms, wxyz_of
 from falsework.viewer.arrows import KINDS, Arrows, scale_arrow
 from falsework.viewer.palette import INK, INSTALLED, MISSING, MOTION, rgb, robot_color
+from falsework.viewer.section import Plane, cut
 from falsework.viewer.timeline import Timeline
 
 Array = NDArray[np.float64]
@@ -63,6 +64,8 @@ class ViserScene:
         self._faces = [mesh.faces.astype(np.uint32) for mesh in assembly.meshes]
         self._lined = assembly.part_count <= EDGES_UP_TO
         self._edges = [sharp_edges(v, f) for v, f in zip(self._vertices, self._faces, strict=True)]
+        self._plane: Plane | None = None
+        self._cut: dict[int, tuple[Any, Any, Any]] = {}
         self._chunk = np.zeros(assembly.part_count, dtype=np.int64)
         self.shown: dict[str, bytes] = {}
         self.nodes: dict[str, Any] = {}
@@ -96,6 +99,7 @@ class ViserScene:
         missing: Iterable[int] = (),
         pale: Iterable[int] = (),
         labels: Mapping[int, str] | None = None,
+        plane: Plane | None = None,
     ) -> int:
         """Update the parts.
 
@@ -104,10 +108,13 @@ class ViserScene:
             missing: parts drawn as wires.
             pale: absent parts to hint at.
             labels: short texts at parts.
+            plane: section of the parts in their places, metres; None for whole parts.
 
         Returns:
             Number of nodes that were sent.
         """
+        if plane != self._plane:
+            self._plane, self._cut = plane, {}
         wanted: dict[str, list[int]] = {}
         base = np.array(rgb(INSTALLED), dtype=np.uint8)
         solid = np.flatnonzero(appearance.solid)
@@ -246,12 +253,13 @@ class ViserScene:
         return len(self.shown) + len(self._ghosts) + len(self._arms) + len(self._carried)
 
     def _merge(self, name: str, parts: Sequence[int]) -> int:
-        key = np.asarray(parts, dtype=np.int32).tobytes()
+        key = np.asarray(parts, dtype=np.int32).tobytes() + self._cut_of(parts)
         if not self._fresh(name, key):
             return 0
-        first = np.cumsum([0, *(len(self._vertices[part]) for part in parts)])
-        vertices = np.concatenate([self._vertices[part] for part in parts])
-        faces = np.concatenate([self._faces[part] + start for part, start in zip(parts, first, strict=False)])
+        shapes = [self._shape(part) for part in parts]
+        first = np.cumsum([0, *(len(vertices) for vertices, _, _ in shapes)])
+        vertices = np.concatenate([vertices for vertices, _, _ in shapes])
+        faces = np.concatenate([faces + start for (_, faces, _), start in zip(shapes, first, strict=False)])
         missing, pale, standing = name == "/parts/missing", name == "/parts/pale", name.startswith("/parts/standing")
         digits = MISSING if missing else INSTALLED if standing or pale else f"#{name[-6:]}"
         node = self._scene.add_mesh_simple(
@@ -266,12 +274,35 @@ class ViserScene:
         )
         nodes = [node]
         if self._lined and not (missing or pale):
-            lines = np.concatenate([self._edges[part] for part in parts])
+            lines = np.concatenate([edges for _, _, edges in shapes])
             nodes.append(
                 self._scene.add_line_segments(f"/edges{name}", lines, rgb(INK), thickness=1.4, thickness_units="screen")
             )
         self._keep(name, key, *nodes)
         return 1
+
+    def _cut_of(self, parts: Sequence[int]) -> bytes:
+        """Return what distinguishes the meshes of parts under this section from whole ones; empty if nothing does."""
+        plane = self._plane
+        if plane is None or not any(self._crosses(part, plane) for part in parts):
+            return b""
+        return repr(plane).encode()
+
+    def _crosses(self, part: int, plane: Plane) -> bool:
+        heights = plane.heights(self.assembly.meshes[part].bounds)
+        return bool(heights.min() < 0 < heights.max())
+
+    def _shape(self, part: int) -> tuple[Any, Any, Any]:
+        """Return vertices, faces and sharp edges of a part as the section leaves them."""
+        plane = self._plane
+        if plane is None or not self._crosses(part, plane):
+            return self._vertices[part], self._faces[part], self._edges[part]
+        if part not in self._cut:
+            here = Plane(plane.axis, (plane.at - self.origin[plane.column]) * self.scale, plane.keeps_high)
+            points, faces = cut(self._vertices[part].astype(float), self._faces[part].astype(np.int64), here)
+            vertices, triangles = points.astype(np.float32), faces.astype(np.uint32)
+            self._cut[part] = vertices, triangles, sharp_edges(vertices, triangles)
+        return self._cut[part]
 
     def _show_ghosts(self, appearance: Appearance) -> int:
         sent = 0
@@ -279,14 +310,15 @@ class ViserScene:
         for part in [part for part in self._ghosts if part not in wanted]:
             self._ghosts.pop(part)[1].remove()
         for part in wanted:
-            color = appearance.color[part].tobytes()
+            color = appearance.color[part].tobytes() + self._cut_of([part])
             position = appearance.shift[part] * self.scale
             opacity = float(appearance.opacity[part])
             opacity = None if opacity >= 1 else opacity
             known = self._ghosts.get(part)
             if known is None or known[0] != color:
+                vertices, faces, edges = self._shape(part)
                 node = self._scene.add_mesh_simple(
-                    f"/ghosts/{part}", self._vertices[part], self._faces[part],
+                    f"/ghosts/{part}", vertices, faces,
                     color=tuple(int(channel) for channel in appearance.color[part]), flat_shading=True,
                     opacity=opacity, position=position, cast_shadow=False,
                 )  # fmt: skip
@@ -294,7 +326,7 @@ class ViserScene:
                 sent += 1
                 if self._lined:
                     self._scene.add_line_segments(
-                        f"/ghosts/{part}/edges", self._edges[part], rgb(INK), thickness=1.4, thickness_units="screen"
+                        f"/ghosts/{part}/edges", edges, rgb(INK), thickness=1.4, thickness_units="screen"
                     )
             else:
                 known[1].position = position

@@ -87,7 +87,7 @@ class StepsTab:
         if self._page.model.timeline is not self._timeline:
             self._list()
         row = f"#{_ROW}{self._page.model.step}"
-        style = f"<style>{row} {{ background: {SELECTED}; }}</style>"
+        style = f"<style>{row} {{ background: {SELECTED}; position: sticky; top: 0; bottom: 0; }}</style>"
         if self._now.content != style:
             self._now.content = style
 

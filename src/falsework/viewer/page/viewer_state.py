@@ -13,16 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, REMOVED, States, action_mask, empty_state
-from falsework.search.plans.steps import NO_ROBOT
+from falsework.errors import InputError
+from falsework.replanning.since import places_under
 from falsework.search.problem.task import Direction
-from falsework.stability.holds import describe_force
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Criterion
 from falsework.viewer.appearance import Appearance, SceneView, appearance_at, pick
 from falsework.viewer.arms import ArmPoses, Arms, appearance_with_arms
 from falsework.viewer.clock import Clock
-from falsework.viewer.page.disruption import ClickMode, Disruption, NewPlan, chance_of_parts, new_plan
+from falsework.viewer.page.disruption import ClickMode, Disruption, chance_of_parts
+from falsework.viewer.page.new_plan import NewPlan, new_plan
 from falsework.viewer.palette import FIXED, SELECTED
 from falsework.viewer.proof import StateProof
 from falsework.viewer.proof_cache import ProofCache
@@ -62,23 +63,26 @@ class ViewerState:
             criterion: stability criterion, where no oracle is given.
             deadline: time limit for a new plan, s; None for no limit.
         """
+        self.lock = threading.RLock()
         self.timeline = timeline
+        self._unmarked = timeline
+        """The timeline without places for the props that are marked."""
         self.plan = plan
         self.built = 0
         """Steps that are done and not in the plan; the timeline begins with them."""
         self.policy = policy
         self.graph = graph
         self.arms = arms
-        self.position = float(timeline.begin)
-        self.seconds = 0.0
+        self.position = self.seconds = 0.0
+        self.rewind()
         self.tool = ClickMode.LOOK
         self.selected: int | None = None
         self.disruption = Disruption(robots=timeline.robots)
         self.view = SceneView()
         self.show_probabilities = policy is not None
         self.deadline = deadline
-        self.lock = threading.RLock()
-        self._oracle = oracle
+        self._oracles = {} if oracle is None else {oracle.assembly.identity: oracle}
+        self._settings = StabilitySettings(criterion=criterion) if oracle is None else oracle.settings
         self.criterion: Criterion = criterion if oracle is None else oracle.settings.criterion
         self._proofs = ProofCache(contact=self.criterion == "contact")
         self._replanner: Any = None
@@ -92,10 +96,11 @@ class ViewerState:
 
     @property
     def oracle(self) -> StabilityOracle:
-        """Stability oracle, created at first use."""
-        if self._oracle is None:
-            self._oracle = StabilityOracle(self.assembly, StabilitySettings(criterion=self.criterion))
-        return self._oracle
+        """Stability oracle of the structure, created at first use."""
+        identity = self.assembly.identity
+        if identity not in self._oracles:
+            self._oracles[identity] = StabilityOracle(self.assembly, self._settings)
+        return self._oracles[identity]
 
     @property
     def direction(self) -> Direction:
@@ -110,7 +115,7 @@ class ViewerState:
     @property
     def site(self) -> States:
         """State on site according to the marks, shape (parts,)."""
-        return self.disruption.applied_to(self.state)
+        return self.disruption.applied_to(self.state, self.assembly)
 
     @property
     def clock(self) -> Clock | None:
@@ -148,6 +153,13 @@ class ViewerState:
             self.position = min(max(float(position), 0.0), float(len(self.timeline)))
             self.seconds = 0.0 if self.clock is None else self.clock.seconds(self.position)
 
+    def rewind(self) -> None:
+        """Show the beginning, in the order shown; with a schedule, that of its motions."""
+        if self.clock is None:
+            self.go_to(self.timeline.begin)
+        else:
+            self.go_to_reading(0.0)
+
     def go_to_reading(self, reading: float) -> None:
         """Show another position, in seconds of the schedule, or steps without one; clipped to the ends."""
         with self.lock:
@@ -173,7 +185,8 @@ class ViewerState:
         with self.lock:
             if direction is not self.direction:
                 shown = self.position if self.clock is None else self.step
-                self.timeline = self.timeline.turned(direction)
+                self._unmarked = self._unmarked.turned(direction)
+                self._mark_places()
                 self.arms = None if self.arms is None else self.arms.turned(direction)
                 self.go_to(shown)
 
@@ -208,32 +221,8 @@ class ViewerState:
         """Absent parts that are drawn in a pale colour, so that they can be clicked."""
         if self.tool is ClickMode.LOOK:
             return ()
-        return [int(part) for part in np.flatnonzero(self.site == REMOVED) if part not in self.disruption.missing]
-
-    def labels(self, appearance: Appearance) -> dict[int, str]:
-        """Return short labels of parts: holder, press, selection and marks."""
-        labels = {
-            int(part): self.robot_name(int(appearance.holder[part]))
-            for part in np.flatnonzero((appearance.holder != NO_ROBOT) & (appearance.opacity > 0))
-        }
-        for load in self.timeline.loads_at(self.step):
-            if load.part in labels:
-                labels[load.part] += f" bears {describe_force(load.force)}"
-        for press in self.timeline.presses_at(self.step):
-            if press.part in labels:
-                labels[press.part] += f" presses {describe_force(press.force)}"
-        if self.selected is not None:
-            name = self.assembly.names[self.selected]
-            labels[self.selected] = f"{name}, {labels[self.selected]}" if self.selected in labels else name
-        for word, parts in (
-            ("missing", self.disruption.missing),
-            ("there", self.disruption.there),
-            ("fixed", self.disruption.fixed),
-            ("not in target" if self.direction is Direction.ASSEMBLY else "stays", self.disruption.target),
-        ):
-            for part in parts:
-                labels[part] = f"{labels[part]}, {word}" if part in labels else word
-        return labels
+        absent = (self.site == REMOVED) & ~self.view.gone(self.assembly)
+        return [part for part in np.flatnonzero(absent).tolist() if part not in self.disruption.missing]
 
     def click(self, origin: NDArray[np.float64], ray: NDArray[np.float64]) -> int | None:
         """Select the part that a ray hits, None if none, and toggle its mark if a tool is chosen; return the part.
@@ -248,7 +237,8 @@ class ViewerState:
             opacity[list(self.pale)] = 1.0
             if self.tool is ClickMode.THERE:  # a part that is present already needs no such mark
                 opacity[self.state != REMOVED] = 0.0
-            part = pick(self.assembly, replace(appearance, opacity=opacity), origin, ray)
+            plane = self.view.plane(self.assembly)
+            part = pick(self.assembly, replace(appearance, opacity=opacity), origin, ray, plane)
             if part is not None:
                 self.click_part(part)
             elif self.tool is ClickMode.LOOK:
@@ -263,12 +253,30 @@ class ViewerState:
         """
         with self.lock:
             self.selected = part
-            self.disruption = self.disruption.toggled(self.tool, part, self.assembly)
+            before = self.disruption
+            self.disruption = before.toggled(self.tool, part, self.assembly, self.state)
+            try:
+                self._mark_places()
+            except InputError:  # there is no place for a prop
+                self.disruption = before
+                raise
 
     def clear_marks(self) -> None:
         """Clear the marks; the number of robots stays."""
         with self.lock:
             self.disruption = Disruption(robots=self.disruption.robots)
+            self._mark_places()
+
+    def _mark_places(self) -> None:
+        """Give the structure shown the places of the props that are marked, and no others."""
+        plain = self._unmarked
+        timeline = plain.with_places(places_under(plain.assembly, sorted(self.disruption.props)))
+        if timeline.assembly.identity != self.timeline.assembly.identity:
+            self._proofs = ProofCache(contact=self.criterion == "contact")
+            self.selected = None if (self.selected or 0) >= timeline.assembly.part_count else self.selected
+        elif timeline.assembly is not self.timeline.assembly:
+            timeline = replace(timeline, assembly=self.timeline.assembly)
+        self.timeline = timeline
 
     def set_robots(self, robots: int) -> None:
         """Change the number of robots of the next plan."""
@@ -303,7 +311,7 @@ class ViewerState:
         NaN where no action is legal; all NaN without a policy.
         """
         parts = self.assembly.part_count
-        if self.policy is None:
+        if self.policy is None or self.assembly.props:  # which policies do not know
             return np.full(parts, np.nan)
         with self.lock:
             if self._guide is None:
@@ -318,7 +326,7 @@ class ViewerState:
 
     def visited(self, rollouts: int = 32) -> States:
         """Return states that the policy visits from the start, greedily and at random. Shape (count, parts)."""
-        from falsework.viewer.page.coverage import visited_states
+        from falsework.viewer.coverage import visited_states
 
         assert self._guide is not None or self.policy is not None
         self.action_probabilities()
@@ -335,35 +343,38 @@ class ViewerState:
 
         begun = time.perf_counter()
         with self.lock:
-            question = self.disruption.question(self.assembly, self.state, self.direction)
+            assembly, policy = self.assembly, None if self.assembly.props else self.policy
+            question = self.disruption.question(assembly, self.state, self.direction)
             if len(self.timeline) == 0 and np.array_equal(question["state"], question["target"]):
                 # A structure that nothing has been planned for is asked from its beginning.
-                question["state"] = empty_state(self.assembly.boundary)
+                question["state"] = empty_state(assembly.boundary)
             old, building = self.plan, self.direction is Direction.ASSEMBLY
             place = self.timeline.row(self.position)
             before = place if building else 0
-            planned = building and place >= self.built and np.array_equal(self.site, self.state)
-            if planned and old is not None and not old.props:
+            planned = building and place >= self.built and np.array_equal(self.disruption.found(self.state), self.state)
+            if planned and old is not None:
                 # The new plan has the steps that are done, and goes on with their history.
                 before = self.built
                 del question["state"]
-                ask = partial(replan, old, step=place - self.built, structure=self.assembly, policy=self.policy)
+                done = {"step": place - self.built, "since": self.disruption.since(self.state)}
+                ask = partial(replan, old, **done, structure=assembly, policy=policy)
             else:
-                if self._replanner is None:
-                    self._replanner = Replanner(self.assembly, self.policy, self.oracle)
+                if self._replanner is None or self._replanner.assembly is not assembly:
+                    self._replanner = Replanner(assembly, policy, self.oracle)
                 ask = self._replanner.replan
         answer = ask(**question, deadline=self.deadline)
-        found = new_plan(answer, time.perf_counter() - begun, old, before)
+        found = new_plan(answer, assembly, time.perf_counter() - begun, old, before)
         if found.plan is not None:
             with self.lock:
-                self._before.append((self.timeline, self.plan, self.built, self.disruption, self.position, self.arms))
+                self._before.append((self._unmarked, self.plan, self.built, self.disruption, self.position, self.arms))
                 self.arms = None  # the new plan has no motions yet
                 if building:
                     self.timeline = self.timeline.going_on(before, found.plan)
                 else:
-                    self.timeline = Timeline.from_plan(found.plan, self.assembly, answer.direction)
+                    self.timeline = Timeline.from_plan(found.plan, assembly, answer.direction)
+                self._unmarked = self.timeline
                 self.plan, self.built = found.plan, before
-                self.go_to(place if building else self.timeline.begin)
+                self.go_to(before + answer.built if building else self.timeline.begin)
                 # Disruptions in the new plan are no longer marked: the states of the new plan show it.
                 self.disruption = Disruption(fixed=self.disruption.fixed, robots=self.disruption.robots)
         return found
@@ -377,5 +388,6 @@ class ViewerState:
         """Show the previous plan again, with the marks that were set then."""
         with self.lock:
             if self._before:
-                self.timeline, self.plan, self.built, self.disruption, position, self.arms = self._before.pop()
+                self._unmarked, self.plan, self.built, self.disruption, position, self.arms = self._before.pop()
+                self._mark_places()
                 self.go_to(position)

@@ -1,0 +1,68 @@
+"""Robot plans that go on from another one: their steps count on, and their proofs begin with what was built."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from falsework.assembly.model import Assembly
+from falsework.replanning.replanner import settings_of
+from falsework.robots.plans.robot_plan import RobotPlan, acts
+from falsework.search.find import prove_route
+from falsework.search.plans.plan import Plan
+from falsework.search.problem.result import Route
+from falsework.search.problem.task import Direction, Task
+from falsework.stability.oracle import StabilityOracle
+
+
+def continued(rest: RobotPlan, begun: RobotPlan, done: int, assembly: Assembly) -> tuple[RobotPlan, int | None]:
+    """Return a robot plan whose steps come after those of another one that are done, and count on from them.
+
+    Args:
+        rest: motions from where the other one was interrupted, in the same order.
+        begun: the plan that was interrupted.
+        done: actions of it that are done, see `Interruption`.
+        assembly: the structure.
+
+    Returns:
+        The motions of `rest`, with a plan that has the steps that are done too, without motions. And None, or where its
+        replay fails: the number of the state. The history of what was built is then too much for the new steps.
+
+    Raises:
+        PlanError: a state cannot be proved.
+    """
+    if not done:
+        return rest, None
+    builds = rest.direction is Direction.ASSEMBLY
+    new, old = rest.plan.route, begun.plan.route
+    if builds:
+        count = len(old.actions) - done
+        states = np.concatenate([new.states, old.states[count + 1 :]])
+        actions = np.concatenate([new.actions, old.actions[count:]])
+    else:
+        states = np.concatenate([old.states[:done], new.states])
+        actions = np.concatenate([old.actions[:done], new.actions])
+    route, oracle = Route(states, actions), StabilityOracle(assembly, settings_of(rest.plan))
+    forces = rest.plan.proof_arrays() is not None
+    whole = prove_route(route, assembly, _task(route, rest.plan, begun.plan, assembly), oracle, forces=forces)
+    if whole.replay is not None and not whole.replay.stands:
+        return rest, whole.replay.falls_at
+    robots = (*begun.done_by, *(step.robot for step in begun.steps if acts(step)))[:done]
+    before, after = (robots, ()) if builds else ((), robots[::-1])
+    return replace(rest, plan=replace(whole, source=rest.plan.source), before=before, after=after), None
+
+
+def _task(route: Route, rest: Plan, begun: Plan, assembly: Assembly) -> Task:
+    """Return the task of a route of steps that are done and those that follow."""
+    moved = set((begun.actions % len(begun.boundary)).tolist())
+    return Task.from_rules(
+        assembly.boundary,
+        max(rest.robots, begun.robots),
+        start=route.states[0],
+        target=route.states[-1],
+        fixed=tuple(part for part in rest.fixed if part not in moved),
+        missing=rest.missing,
+        clearance=assembly.clearance if rest.removable_only_if_clear and begun.removable_only_if_clear else None,
+        identity=assembly.identity,
+    )

@@ -1,0 +1,59 @@
+"""Answer of the page to a replanning request, in words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from falsework.replanning.plan_diff import difference
+from falsework.replanning.since import with_places
+from falsework.utils.quantity import counted
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+    from falsework.replanning.result import ReplanResult
+    from falsework.search.plans.plan import Plan
+
+
+@dataclass(frozen=True, eq=False)
+class NewPlan:
+    """Result of a replanning request."""
+
+    found: bool
+    words: str
+    """Deciding stage, time taken, when late parts are needed, and differences from the old plan; or the reason for
+    none."""
+    seconds: float
+    decided_by: str
+    plan: Plan | None = None
+
+
+def new_plan(answer: ReplanResult, assembly: Assembly, seconds: float, old: Plan | None, before: int) -> NewPlan:
+    """Describe the answer to a request.
+
+    Args:
+        answer: of the replanner.
+        assembly: its structure.
+        seconds: that it took.
+        old: plan that was shown before.
+        before: steps that are done and not in the new plan, with which its numbers go on.
+    """
+    decided = answer.decided_by.value
+    if answer.value is None:
+        kind = "there is no plan" if answer.outcome.value == "proved_impossible" else "no plan was found"
+        return NewPlan(False, f"{kind} ({seconds:.2f} s, {decided}): {answer.reason}", seconds, decided)
+    plan = answer.value
+    texts = [f"{len(plan) - answer.built} steps in {seconds:.2f} s, decided by {decided}."]
+    placed = int((plan.actions[: answer.built] >= len(plan.boundary)).sum())
+    for need in plan.needs:
+        name, others = plan.part_names[need.part], need.after_parts - placed
+        after = f"after {counted(others, 'other part')}" if others else "before any other part"
+        texts.append(f"{name} is needed at step {before + need.after_steps + 1}, {after}.")
+    if old is None:
+        texts.append("There was no plan before.")
+    else:
+        text = difference(with_places(old, assembly), plan, answer.direction, answer.built).text
+        texts.append(f"{text[:1].upper()}{text[1:]}.")
+        if plan.source is None:
+            plan = replace(plan, source=old.source)
+    return NewPlan(True, " ".join(texts), seconds, decided, plan)

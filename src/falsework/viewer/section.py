@@ -1,0 +1,112 @@
+"""Meshes cut by a plane across an axis, with the cut closed where its outline is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Faces = NDArray[np.int64]
+Axis = Literal["x", "y", "z"]
+
+_SAME = 1e-6
+"""Distance below which ends of an outline count as one point, as a share of the size of the mesh."""
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Plane across an axis; what lies on one side of it is cut away."""
+
+    axis: Axis
+    at: float
+    """Coordinate along the axis."""
+    keeps_high: bool = False
+    """Whether the side with higher coordinates stays."""
+
+    @property
+    def column(self) -> int:
+        """Coordinate along the axis, 0 to 2."""
+        return "xyz".index(self.axis)
+
+    def heights(self, points: Array) -> Array:
+        """Return the signed distances of points from the plane, positive where they stay; shape (...,)."""
+        away = points[..., self.column] - self.at
+        return away if self.keeps_high else -away
+
+
+def cut(vertices: Array, faces: Faces, plane: Plane) -> tuple[Array, Faces]:
+    """Return the rest of a mesh.
+
+    Args:
+        vertices: shape (vertices, 3).
+        faces: shape (faces, 3).
+        plane: where it is cut; points on it stay.
+
+    Returns:
+        Vertices and faces of what is left. The cut is closed as far as its outline is.
+    """
+    height = plane.heights(vertices)
+    stays = height[faces] >= 0
+    whole, crossing = stays.all(axis=1), stays.any(axis=1) & ~stays.all(axis=1)
+    if not crossing.any():
+        return vertices, faces[whole]
+    # Each face that is cut is turned so that the corner which is alone on its side comes first.
+    corners, above = faces[crossing], stays[crossing]
+    alone = np.argmax(above == (above.sum(axis=1) == 1)[:, None], axis=1)
+    corners = np.take_along_axis(corners, (alone[:, None] + np.arange(3)) % 3, axis=1)
+    single = above.sum(axis=1) == 1
+    tip, left, right = (vertices[corners[:, k]] for k in range(3))
+    share = height[corners[:, :1]] / (height[corners[:, :1]] - height[corners[:, 1:]])
+    first, second = (tip + share[:, k, None] * (other - tip) for k, other in enumerate((left, right)))
+    number = len(vertices) + np.arange(2 * len(corners)).reshape(2, -1)
+    points = np.concatenate([vertices, first, second])
+    tips = np.stack([corners[:, 0], number[0], number[1]], axis=1)[single]
+    a, b, one, two = corners[~single, 1], corners[~single, 2], number[0, ~single], number[1, ~single]
+    rest = np.concatenate([np.stack([a, b, one], axis=1), np.stack([b, two, one], axis=1)])
+    cap = _cap(np.stack([first, second], axis=1), plane)
+    closed = np.arange(3 * len(cap)).reshape(-1, 3) + len(points)
+    return np.concatenate([points, cap.reshape(-1, 3)]), np.concatenate([faces[whole], tips, rest, closed])
+
+
+def _cap(outline: Array, plane: Plane) -> Array:
+    """Return triangles that fill an outline in the plane, shape (count, 3, 3); none where it is open.
+
+    Args:
+        outline: ends of its segments, shape (segments, 2, 3).
+        plane: the plane.
+    """
+    none = np.zeros((0, 3, 3))
+    if not hasattr(shapely, "constrained_delaunay_triangles"):  # before shapely 2.1
+        return none
+    flat = [k for k in range(3) if k != plane.column]
+    size = float(np.ptp(outline.reshape(-1, 3), axis=0).max(initial=0.0))
+    if size == 0.0:
+        return none
+    ends = np.round(outline[:, :, flat] / (_SAME * size)) * (_SAME * size)
+    ends = ends[(ends[:, 0] != ends[:, 1]).any(axis=1)]
+    later = (ends[:, 0, 0] > ends[:, 1, 0]) | ((ends[:, 0, 0] == ends[:, 1, 0]) & (ends[:, 0, 1] > ends[:, 1, 1]))
+    ends[later] = ends[later][:, ::-1]
+    segments = np.asarray(shapely.linestrings(np.unique(ends, axis=0)))
+    rings = np.asarray(shapely.get_parts(shapely.polygonize(segments)))
+    if not len(rings):
+        return none
+    # Of nested outlines every other one is a hole.
+    inside = np.asarray(shapely.point_on_surface(rings))
+    outer = np.asarray(shapely.polygons(shapely.get_exterior_ring(rings)))
+    depth = shapely.contains(outer[:, None], inside[None]).sum(axis=0)
+    triangles = [
+        shapely.get_coordinates(shapely.constrained_delaunay_triangles(ring)) for ring in rings[depth % 2 == 1]
+    ]
+    if not triangles:
+        return none
+    corners = np.concatenate(triangles).reshape(-1, 4, 2)[:, :3]
+    filled = np.full((*corners.shape[:2], 3), plane.at)
+    filled[:, :, flat] = corners
+    turned = np.cross(filled[:, 1] - filled[:, 0], filled[:, 2] - filled[:, 0])[:, plane.column] > 0
+    back = turned == plane.keeps_high  # the cap faces the side that is cut away
+    filled[back] = filled[back][:, ::-1]
+    return filled
