@@ -19,6 +19,7 @@ from falsework.search import SupportGuide, strategies
 from falsework.search.beam import backjumping, beam, failed_moves, nogoods
 from falsework.search.beam.backjumping import BackjumpingBeam, BackjumpingSettings
 from falsework.search.problem import guide
+from falsework.search.problem.oracle import Oracle
 from falsework.stability import Verdicts
 from falsework.stability.cpu import solver
 from falsework.stability.settings import EQUILIBRIUM
@@ -41,7 +42,7 @@ def restored() -> Iterator[None]:
                 setattr(kind, name, value)
 
 
-class Chance:
+class Chance(Oracle):
     """Oracle that finds a share of all states stable, by chance but always the same ones."""
 
     def __init__(self, share: float) -> None:
@@ -76,7 +77,7 @@ def begin(what: str, name: str) -> None:
 
 def few_ahead() -> None:
     """Ask for the settings of a beam of free edges under `equilibrium`."""
-    BackjumpingSettings(lookahead=vars(strategies)["_ROWS_AHEAD"]).beam(1)
+    BackjumpingSettings(lookahead=vars(strategies)["AHEAD"]).beam(1)
 
 
 USES: dict[str, Callable[[], Any]] = {

@@ -47,6 +47,7 @@ from falsework.search.plans import plan_rules
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.plans.plan_file import load_plan, plan_from_dict, plan_to_dict, save_plan
 from falsework.search.plans.plan_model import plan_schema
+from falsework.search.problem.oracle import Oracle
 from falsework.search.together.carried_group import carried_group, holds_together
 from falsework.search.together.moves import TogetherMoves
 from falsework.search.together.rule import InterlockedSets
@@ -80,7 +81,7 @@ def drawn(seed: int, count: int, region: tuple[int, int, int]) -> list[Cells]:
             return [frozenset(piece) for piece in pieces]
 
 
-class EveryStateStands:
+class EveryStateStands(Oracle):
     """Oracle for which only geometry matters."""
 
     holds_keep_stable = True

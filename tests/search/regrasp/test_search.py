@@ -14,6 +14,7 @@ import pytest
 from falsework import Direction, Outcome, PlannerSettings, Task
 from falsework.search import ExhaustiveSearch
 from falsework.search.planner import Planner
+from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.regrasp_moves import RegraspMoves
 from falsework.search.regrasp.beam import RegraspBeam
 from falsework.search.regrasp.exhaustive import ExhaustiveRegraspSearch
@@ -146,7 +147,7 @@ def test_stopped_within_a_level_a_beam_can_be_run_on(rules: Any, direction: Dire
 
 
 @dataclass
-class SeesawOracle:
+class SeesawOracle(Oracle):
     """Seesaws: while just one of two parts is there, the beam below them must be held; a beam goes after its load.
 
     Here, unlike where each part has supports of its own, a hold that was needed may not be needed any more.
