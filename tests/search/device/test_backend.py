@@ -16,13 +16,13 @@ from falsework import (
     StabilitySettings,
     Task,
     find_plans,
-    validate_plan,
 )
 from falsework.errors import InputError
 from falsework.search import BeamSettings, ExhaustiveSearch
 from falsework.search.backend import beams_on
 from falsework.search.margins.demands import Demands, MarginOracle
 from falsework.search.planner import Planner
+from falsework.search.plans.plan_check import validate_plan
 from falsework.stability.holds import HoldMode, HoldSettings
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[gpu]'")
@@ -95,7 +95,7 @@ def test_what_beams_on_tensors_do_not_know_is_refused(small_arch: Assembly) -> N
     equilibrium: dict[str, Any] = {"stability": SETTINGS[0], "backend": "torch"}
     cases: tuple[tuple[dict[str, Any], str], ...] = (
         ({"backend": "torch"}, "knows no robots that press"),
-        ({**equilibrium, "support": True}, "knows no repeated holds"),
+        ({**equilibrium, "allow_regrasp": True}, "knows no repeated holds"),
         ({**equilibrium, "parts_at_once": 2}, "knows no steps of several parts"),
         ({**equilibrium, "checkpoint": "search.npz"}, "cannot be saved; leave out the checkpoint"),
         ({**equilibrium, "backend": "abacus"}, "there is no backend 'abacus'; give cpu, torch, cuda"),
